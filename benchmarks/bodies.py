@@ -19,7 +19,7 @@ from benchmarks.timing import Contender, race, ratio_quartiles, seconds
 from evo_cpg.config.batched import build_batch
 from evo_cpg.config.load import load_config
 from evo_cpg.config.numbers import number_at
-from evo_cpg.simulation.batched import BatchedSimulation, rollout_batched
+from evo_cpg.simulation.batched import BatchedSimulation
 from evo_cpg.simulation.rollout import rollout
 
 _SIZE = 200
@@ -61,7 +61,9 @@ def _measure(name: str, size: int, plan: Plan) -> Row:
     genes = random_genes(common, size)
     work = size * _STEPS * common.substeps
     values = [np.asarray(value, np.float32) for value in batched.values]
-    each = jax.jit(functools.partial(rollout_batched, common, batched.inputs))
+    each = jax.jit(
+        lambda values, genes: rollout(BatchedSimulation(common, batched.inputs, values), genes)
+    )
     alike = jax.jit(functools.partial(rollout, common))
     contenders, compiling = [], {}
     for kind, live in (

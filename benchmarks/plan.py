@@ -53,9 +53,7 @@ class Plan(NamedTuple):
 
 def random_genes(simulation: Simulation, size: int) -> np.ndarray:
     """Genomes of a random population, the same in every process; shape (genes, size)."""
-    draw = jax.jit(
-        lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
-    )
+    draw = jax.jit(lambda: simulation.genome.random(jax.random.key(0), (size,), np.float32))
     return np.asarray(draw())
 
 

@@ -144,7 +144,7 @@ def _work(index: int, count: int, port: int, rounds: int) -> None:
     rows = []
     for population in _POPULATIONS:
         genes = np.ones((_FEW_GENES, population), np.float32)
-        share = team.share(population)
+        share = team.part(population)
         part = {name: np.zeros(share.stop - share.start, np.float32) for name in "abc"}
         part["alive"] = np.ones(share.stop - share.start, bool)
         times = []

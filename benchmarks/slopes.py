@@ -93,7 +93,7 @@ def stander(world: World, h: float) -> Callable[[float], Standing]:
         (end, _), (way, support) = jax.lax.scan(advance, (start, warmstart), steps)
         kin = kinematics(slope.tree, end)
         places = kin.origin[:, np.array(footing.bodies)]
-        places = places + find_contacts(_sloping(footing, angle), kin, h).arm
+        places = places + find_contacts(_sloping(footing, angle), kin, h).offset
         creep = jnp.linalg.norm(way[-1] - way[-1 - second])
         return creep, support[-1], places[..., 0], _centre(slope, end)
 

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, whatever interrupts it."""
+"""Files that are written whole or not at all, and .json files that are checked as they are read."""
 
 import contextlib
 import csv
@@ -89,6 +89,27 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 def write_text(path: Path, text: str) -> None:
     """`write_whole` of a text, in UTF-8; bytes of names that are not UTF-8 stay as they are."""
     write_whole(path, lambda file: file.write(text.encode(errors="surrogateescape")))
+
+
+def read_json(path: Path, kind: Any) -> Any:
+    """Return the contents of a .json file.
+
+    Args:
+        path: path of the file.
+        kind: the type that the contents must have, for a `pydantic.TypeAdapter`.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is no JSON, or has another type; the message is one line.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        return TypeAdapter(kind).validate_json(path.read_bytes(), strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = "".join(f"{part}: " for part in first["loc"])
+        raise ValueError(f"{place}{first['msg']}") from None
 
 
 def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -19,7 +19,7 @@ import jax
 import pytest
 
 from evo_cpg.fusion import engine
-from evo_cpg.training import ascent, experiment, loop
+from evo_cpg.training import ascent, experiment, replay, running
 
 # Fixtures of tests that get programs of their own.
 _OWN = {"monkeypatch", "lowered"}
@@ -47,8 +47,8 @@ def _ascent(made, mesh, steps, free=None):
 
 _MAKERS: dict[Callable, Callable[..., tuple | None]] = {
     experiment.compile_trials: _trials,
-    loop.compile_evolution: _evolution,
-    loop.compile_replay: _replay,
+    running.compile_evolution: _evolution,
+    replay.compile_replay: _replay,
     ascent.compile_ascent: _ascent,
 }
 

@@ -73,16 +73,16 @@ def body_wave(
         return none._replace(amplitude=amplitude)
     lag = np.angle(component[:-1] / component[1:])
     behind = np.concatenate([[0.0], np.cumsum(lag)])
-    slope, start = np.polyfit(place, behind, 1, w=amplitude)
-    left = np.square(amplitude * (behind - start - slope * place)).sum()
+    wave_number, start = np.polyfit(place, behind, 1, w=amplitude)
+    left = np.square(amplitude * (behind - start - wave_number * place)).sum()
     middle = np.average(behind, weights=np.square(amplitude))
     all_of_it = np.square(amplitude * (behind - middle)).sum()
     singular = np.linalg.svd(
         np.stack([np.real(component), np.imag(component)], -1), compute_uv=False
     )
-    wave = 2 * np.pi / slope if abs(slope) > 1e-9 else _NOT_A_NUMBER
+    wave = 2 * np.pi / wave_number if abs(wave_number) > 1e-9 else _NOT_A_NUMBER
     return BodyWave(
-        count=float(length * slope / (2 * np.pi)),
+        count=float(length * wave_number / (2 * np.pi)),
         length=float(abs(wave)),
         speed=float(wave * frequency),
         lag=float(np.degrees(lag.mean())),

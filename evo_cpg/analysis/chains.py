@@ -49,17 +49,17 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
     joined = parts(build_network(tree, coupled))
     found = []
     for last in np.flatnonzero(~links.any(0)):
-        way = [int(last)]
-        while links[way[0]].any():
-            way.insert(0, int(links[way[0]].nonzero()[0][0]))
-        part = next(part for part in joined if way[0] in part)
+        path = [int(last)]
+        while links[path[0]].any():
+            path.insert(0, int(links[path[0]].nonzero()[0][0]))
+        part = next(part for part in joined if path[0] in part)
         found.append(
             Chain(
-                name=tree.dof_names[way[0]] + (f" + {len(way) - 1}" if way[1:] else ""),
-                oscillators=tuple(way),
+                name=tree.dof_names[path[0]] + (f" + {len(path) - 1}" if path[1:] else ""),
+                oscillators=tuple(path),
                 part=part,
-                places=tuple(map(part.index, way)),
-                sides=np.array([links[b, a] for a, b in itertools.pairwise(way)]),
+                places=tuple(map(part.index, path)),
+                sides=np.array([links[b, a] for a, b in itertools.pairwise(path)]),
             )
         )
     return sorted(found, key=lambda chain: (-len(chain.oscillators), chain.oscillators[0]))

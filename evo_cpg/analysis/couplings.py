@@ -27,7 +27,7 @@ from evo_cpg.creature.tree import Tree
 
 # Bounds of b, s and r. Beyond them there are waves that are ragged (r near 1: neighbours that are
 # equally strong make none), take long to recover (r near 0) or are faint (large b).
-GAINS, STRONGER, SHARES = (1.0, 20.0), (0.5, 2.0), (0.05, 0.5)
+GAINS, STRONGER, RATIOS = (1.0, 20.0), (0.5, 2.0), (0.05, 0.5)
 
 
 class Problem(eqx.Module):
@@ -95,10 +95,10 @@ def problem_of(
         tuple(one - zero for one, zero in zip(weights(*which), none, strict=True))
         for which in ((1.0, 0.0), (0.0, 1.0))
     ]
-    low, high = np.log([GAINS, STRONGER, SHARES]).T
+    low, high = np.log([GAINS, STRONGER, RATIOS]).T
     pair = np.array([settings.parent_weight, settings.child_weight])
     stronger = max(pair.max(), STRONGER[0])
-    present = np.clip(np.log([gain, stronger, max(pair.min() / stronger, SHARES[0])]), low, high)
+    present = np.clip(np.log([gain, stronger, max(pair.min() / stronger, RATIOS[0])]), low, high)
     if hold_gain:
         present[0] = low[0] = high[0] = np.log(gain)
     return Problem(
@@ -116,9 +116,9 @@ def problem_of(
 
 def network_at(problem: Problem, x: Array) -> tuple[MatsuokaNetwork, Array]:
     """The part with the couplings of x, and b of each oscillator."""
-    gain, stronger, share = jnp.exp(x)
+    gain, stronger, ratio = jnp.exp(x)
     weights = [
-        none + stronger * (one + share * other)
+        none + stronger * (one + ratio * other)
         for none, one, other in zip(*problem.parts, strict=True)
     ]
     network = eqx.tree_at(lambda n: (n.weights, n.own_weights), problem.template, weights)

@@ -30,18 +30,17 @@ from jaxtyping import Array, Float
 from evo_cpg.analysis.along_time import along_time
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.force_law import Bodies, body_velocity
-from evo_cpg.physics.joints import expected_limit_torque, limit_torque
+from evo_cpg.physics.joint_torque import expected_limit_torque, limit_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.pair_contacts import find_pair_contacts
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
-from evo_cpg.physics.step import searches
+from evo_cpg.physics.step import needs_iteration
 from evo_cpg.physics.weight import buoyancy_alone
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
-from evo_cpg.spatial.rotation import integrate_quaternion
 
 
 class Ledger(NamedTuple):
@@ -114,8 +113,9 @@ def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
 def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tuple[Array, ...]:
     """The fields of `Ledger`."""
     tree, before, after = world.tree, steps.before, steps.after
+    # Velocities are half a step behind the poses.
     earlier, first, last = (
-        Snapshot(world, h, _halfway(state, h)) for state in (previous, before, after)
+        Snapshot(world, h, state.moved(-0.5 * h)) for state in (previous, before, after)
     )
     rate = (before.qd + after.qd) / 2
     velocity = (before.velocity + after.velocity) / 2
@@ -146,17 +146,6 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
     )
 
 
-def _halfway(state: State, h: float) -> State:
-    """The pose that goes with the velocities, which are half a step behind."""
-    return State(
-        state.position - 0.5 * h * state.velocity[3:],
-        integrate_quaternion(state.orientation, state.velocity[:3], -0.5 * h),
-        state.velocity,
-        state.q - 0.5 * h * state.qd,
-        state.qd,
-    )
-
-
 def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
     """E: kinetic, of bodies and rotors, of weight, and of passive springs, J."""
     tree, state, kin = snapshot.world.tree, snapshot.state, snapshot.kinematics
@@ -172,7 +161,7 @@ def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
 
 def _limit_torques(world: World, before: State, after: State, h: float) -> Float[Array, "d t"]:
     """As the solver has them."""
-    if searches(world):
+    if needs_iteration(world):
         return limit_torque(world.tree, before.q, after.qd, h)[0]
     torque, slope = expected_limit_torque(world.tree, before, h)
     return torque - slope * (after.qd - before.qd)
@@ -187,11 +176,11 @@ def _ground_work(
         return none, none, none, force
     contacts = find_contacts(world.footing, first, h)
     bodies = np.array(world.footing.bodies)
-    velocity = take(middle.linear, bodies) + cross(take(middle.angular, bodies), contacts.arm)
+    velocity = take(middle.linear, bodies) + cross(take(middle.angular, bodies), contacts.offset)
     local, moving = matvec(contacts.frame, force), matvec(contacts.frame, velocity)
     lift, friction = local[2] * moving[2], dot(local[:2], moving[:2])
     # Of a point that rests the law wants `rest`, with which it does not move.
-    risen = jnp.clip(moving[2], 0.0, jnp.maximum(contacts.rest, 0.0))
+    risen = jnp.clip(moving[2], 0.0, jnp.maximum(contacts.rest_velocity, 0.0))
     push_out = h * (local[2] * risen).sum(0)
     return h * lift.sum(0), h * friction.sum(0), push_out, force
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.analysis.along_time import along_time
-from evo_cpg.analysis.overlap import fills_its_rounded_box, gaps
+from evo_cpg.analysis.overlap import gaps
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.physics.contact_points import contact_points
@@ -117,7 +117,7 @@ def excursions(
         peak_power=float(np.abs(power).sum(0).max()),
         mean_power=float(np.abs(power).sum(0).mean()),
         peak_rate=float(np.abs(steps.after.qd).max(initial=0.0)),
-        peak_speed=float(np.linalg.norm(steps.after.velocity[3:], axis=0).max()),
+        peak_speed=float(np.linalg.norm(steps.after.linear_velocity, axis=0).max()),
         seen_through_ground=_seen_through_ground(simulation, steps, light),
     )
 
@@ -182,10 +182,10 @@ def _deepest_overlap(
     for own, gap in zip(zip(*pairs.owners, strict=True), apart, strict=True):
         least[own] = np.minimum(least.get(own, np.inf), gap)
     # In the order of the tree, as they are in `kinematics`.
-    shapes = [creature.bodies[creature.body_index(name)].shape for name in world.tree.names]
+    shapes = [body.shape for body in creature.bodies_of(world.tree.names)]
     poses = functools.cache(lambda: along_time(functools.partial(_poses, world), steps))
     for own, gap in least.items():
-        if all(fills_its_rounded_box(shapes[i]) for i in own):
+        if all(shapes[i].fills_rounded_box for i in own):
             found = -float(gap.min())
         else:
             found = _true_overlap([shapes[i] for i in own], own, poses, gap, deepest)
@@ -249,7 +249,7 @@ def _airborne_way(
     length = np.linalg.norm(towards)
     if length == 0:
         return 0.0
-    forward = h * (towards / length) @ np.asarray(steps.after.velocity[3:], float)
+    forward = h * (towards / length) @ np.asarray(steps.after.linear_velocity, float)
     total = forward.sum()
     return float(np.clip(forward[~touching].sum() / total, 0.0, 1.0)) if total > 0 else 0.0
 
@@ -264,7 +264,7 @@ def _seen_through_ground(
         return 0.0
     floor = world.footing.ground.floor
     # From just beside the eye to just beside the light.
-    shares = np.linspace(0.0, 1.0, _POINTS + 2)[1:-1]
+    fractions = np.linspace(0.0, 1.0, _POINTS + 2)[1:-1]
 
     def lowest(steps: PhysicsSteps) -> Float[Array, "e t"]:
         kin = kinematics(world.tree, steps.before)
@@ -273,7 +273,7 @@ def _seen_through_ground(
             rotation, expand_dims_like(sensors.eye_positions, kin.origin)
         )
         to_light = jnp.asarray(light)[:, None, None] - eye
-        line = eye[:, None] + shares[None, :, None, None] * to_light[:, None]
+        line = eye[:, None] + fractions[None, :, None, None] * to_light[:, None]
         return floor.distance(line)[0].min(0)
 
     sampled = jax.tree.map(lambda x: x[..., :: simulation.substeps], steps)

@@ -126,15 +126,15 @@ def fit(
         turns = jnp.where(wrapped[None], jnp.round(gap / (2 * jnp.pi)), 0.0)
         return jnp.where(known, gap - 2 * jnp.pi * turns, 0.0)
 
-    evaluate = _with_slopes(gaps)
+    evaluate = _with_derivatives(gaps)
 
     def spread(gap: Array, taken: Array) -> Array:
         squares = (gap * gap).sum(0) @ members
         return jnp.sqrt(squares / jnp.maximum(counts - taken, _LEAST_FREEDOM))
 
-    def decomposed(slopes: Array, sigma: Array) -> tuple[Array, Array, Array]:
+    def decomposed(derivatives: Array, sigma: Array) -> tuple[Array, Array, Array]:
         """Singular values of J and their vectors; what the data do not tell has small ones."""
-        jacobian = slopes / (members @ sigma)[None, :, None]
+        jacobian = derivatives / (members @ sigma)[None, :, None]
         jacobian = jacobian.reshape(-1, len(start))
         left, singular, right = jnp.linalg.svd(jacobian, full_matrices=False)
         return left, singular, right
@@ -145,8 +145,8 @@ def fit(
         return (along * along).sum(1).reshape(data.shape).sum(0) @ members
 
     def weighted(theta: Array, sigma: Array) -> tuple[Array, tuple[Array, Array]]:
-        gap, slopes = evaluate(theta)
-        return (gap / (members @ sigma)[None]).reshape(-1), (gap, slopes)
+        gap, derivatives = evaluate(theta)
+        return (gap / (members @ sigma)[None]).reshape(-1), (gap, derivatives)
 
     solver = optimistix.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
 
@@ -155,30 +155,30 @@ def fit(
         solution = optimistix.least_squares(
             weighted, solver, theta, args=sigma, max_steps=_MOST_STEPS, has_aux=True, throw=False
         )
-        gap, slopes = solution.aux
+        gap, derivatives = solution.aux
         again = sigma
         if noise is None:
-            along, singular, _ = decomposed(slopes, sigma)
+            along, singular, _ = decomposed(derivatives, sigma)
             again = spread(gap, taken_up(along, singular))
             again = jnp.maximum(again, jnp.finfo(data.dtype).tiny ** 0.25)
         # Only their ratios move the estimate.
         ratios = again / sigma
         stays = (jnp.abs(ratios / ratios.max() - 1.0) < _STAYS).all()
-        return number + 1, stays, solution.value, again, gap, slopes
+        return number + 1, stays, solution.value, again, gap, derivatives
 
     theta = jnp.where(positive, jnp.log(jnp.where(positive, start, 1.0)), start)
     middle = (clean.sum(0) / jnp.maximum(known.sum(0), 1))[None]
     first = jnp.maximum(spread(jnp.where(known, data - middle, 0.0), jnp.zeros(())), 1e-12)
     sigma = first if noise is None else jnp.asarray(noise, data.dtype)
-    slopes = jnp.zeros((*data.shape, len(start)), data.dtype)
-    begin = (jnp.zeros((), int), jnp.zeros((), bool), theta, sigma, clean, slopes)
-    _, _, theta, sigma, gap, slopes = jax.lax.while_loop(
+    derivatives = jnp.zeros((*data.shape, len(start)), data.dtype)
+    begin = (jnp.zeros((), int), jnp.zeros((), bool), theta, sigma, clean, derivatives)
+    _, _, theta, sigma, gap, derivatives = jax.lax.while_loop(
         lambda carry: (carry[0] < _ROUNDS) & ~carry[1], once, begin
     )
     residuals = (gap / (members @ sigma)[None]).reshape(-1)
     scale = 1.0 if noise is not None else (residuals * residuals).sum() / freedom
     # By singular values, so that what the data do not tell has a large error and not none.
-    along, singular, turned = decomposed(slopes, sigma)
+    along, singular, turned = decomposed(derivatives, sigma)
     least = jnp.finfo(data.dtype).eps * singular[0] * len(start)
     rows = turned / jnp.maximum(singular, least)[:, None]
     covariance = scale * rows.T @ rows
@@ -201,11 +201,11 @@ def fit(
         sigma,
         freedom,
         (near | exact) & jnp.isfinite(theta).all(),
-        (slopes != 0).any((0, 1)),
+        (derivatives != 0).any((0, 1)),
     )
 
 
-def _with_slopes(
+def _with_derivatives(
     function: Callable[[Array], Array],
 ) -> Callable[[Array], tuple[Array, Array]]:
     """A function's values, and its derivatives on one more axis, as constants.
@@ -223,8 +223,8 @@ def _with_slopes(
 
     @evaluate.defjvp
     def derive(at: tuple[Array], tangents: tuple[Array]) -> tuple:
-        value, slopes = evaluate(*at)
-        return (value, slopes), (slopes @ tangents[0], jnp.zeros_like(slopes))
+        value, derivatives = evaluate(*at)
+        return (value, derivatives), (derivatives @ tangents[0], jnp.zeros_like(derivatives))
 
     return evaluate
 

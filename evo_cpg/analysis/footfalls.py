@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 # Contacts and breaks that last less are chatter, s, but at most so much of a stride.
-_CHATTER, _CHATTER_SHARE = 0.05, 0.1
+_CHATTER, _CHATTER_FRACTION = 0.05, 0.1
 # Coefficients of variation that differ by less are the same: the grid of the samples makes some.
 _AS_REGULAR = 0.05
 
@@ -81,7 +81,7 @@ def chatter(frequency: float) -> float:
     Args:
         frequency: strides a second; NaN where there is no stride.
     """
-    return min(_CHATTER, _CHATTER_SHARE / frequency) if frequency > 0 else _CHATTER
+    return min(_CHATTER, _CHATTER_FRACTION / frequency) if frequency > 0 else _CHATTER
 
 
 def stances(touched: Bool[np.ndarray, " t"], step: float) -> Float[np.ndarray, "n 2"]:
@@ -103,11 +103,11 @@ def touch_downs(touched: Bool[np.ndarray, " t"], step: float) -> Float[np.ndarra
 
 def duty_factors(touched: Bool[np.ndarray, "t f"]) -> Float[np.ndarray, " f"]:
     """Share of the time on the ground of each foot; NaN of one that never touches it."""
-    share = touched.mean(0)
-    return np.where(share > 0, share, np.nan)
+    fraction = touched.mean(0)
+    return np.where(fraction > 0, fraction, np.nan)
 
 
-def airborne_share(touched: Bool[np.ndarray, "t f"]) -> float:
+def airborne_fraction(touched: Bool[np.ndarray, "t f"]) -> float:
     """Share of the time in which nothing touches."""
     return float((~touched.any(1)).mean())
 
@@ -145,8 +145,8 @@ def phases(touched: Bool[np.ndarray, "t f"], step: float) -> Phases:
         if not len(inside):
             continue
         stride = np.searchsorted(begin, inside, "right") - 1
-        share = (inside - begin[stride]) / (begin[stride + 1] - begin[stride])
-        mean = np.exp(2j * np.pi * share).mean()
+        fraction = (inside - begin[stride]) / (begin[stride + 1] - begin[stride])
+        mean = np.exp(2j * np.pi * fraction).mean()
         # A rounding error below 0 is 0 and not 1.
         phase[i] = round(float(np.angle(mean) / (2 * np.pi)), 9) % 1.0
         regularity[i] = abs(mean)

@@ -162,8 +162,8 @@ def gait_numbers(
         rms_torque=np.sqrt(np.square(recording.torque).mean(0)),
     )
     found = _quantities(simulation, creature, recording, numbers)
-    told = [each if math.isnan(each.value) else each._replace(missing="") for each in found]
-    return numbers._replace(quantities=tuple(told))
+    present = [each if math.isnan(each.value) else each._replace(missing="") for each in found]
+    return numbers._replace(quantities=tuple(present))
 
 
 def _quantities(
@@ -345,7 +345,7 @@ def _feet(
         duty_factor=footfalls.duty_factors(touched),
         phases=footfalls.phases(steady[first:], step),
         slip=footfalls.slip_speeds(position, rotation, lowest, touched, step),
-        airborne=footfalls.airborne_share((force != 0).any(1)),
+        airborne=footfalls.airborne_fraction((force != 0).any(1)),
     )
 
 

@@ -11,16 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.analysis.couplings import GAINS, SHARES, STRONGER, Problem, network_at
+from evo_cpg.analysis.couplings import GAINS, RATIOS, STRONGER, Problem, network_at
 from evo_cpg.analysis.gait import fourier_component
 from evo_cpg.control.matsuoka import MatsuokaState, initial_state, output, runge_kutta_step
 
 # Where the survey looks between the bounds, besides the present values.
-_NODES = (np.geomspace(*GAINS, 5), np.geomspace(*STRONGER, 3), np.geomspace(*SHARES, 4))
+_NODES = (np.geomspace(*GAINS, 5), np.geomspace(*STRONGER, 3), np.geomspace(*RATIOS, 4))
 
 # Of the survey: Runge-Kutta steps in the shorter time constant, and how long it lets the networks
 # settle and then looks at them, in units of the longer. Its lags are within 0.05 degrees.
-_SHARE, _SETTLING, _WATCHED, _EVERY = 8, 200, 100, 2
+_STEPS_PER_TIME_CONSTANT, _SETTLING, _WATCHED, _EVERY = 8, 200, 100, 2
 
 # Largest step times the rate at which a potential changes: Runge-Kutta steps are stable to 2.8.
 _STABLE = 1.0
@@ -52,7 +52,7 @@ def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, 
     times = problem.template.rise_time, problem.template.adaptation_time
     # A potential changes at the rate of all that inhibits it. Strong weights need smaller steps.
     strongest = 1 + max(_inhibition(problem, x) for x in points.reshape(-1, 3))
-    h = min(min(times) / _SHARE, _STABLE * problem.template.rise_time / strongest)
+    h = min(min(times) / _STEPS_PER_TIME_CONSTANT, _STABLE * problem.template.rise_time / strongest)
     signals = np.asarray(_watch(problem, jnp.asarray(points.reshape(-1, 3)), h, max(times)))
     lags = np.array(
         [
@@ -87,8 +87,8 @@ def starting_place(
         ends = [np.moveaxis(lags, axis, 0)[cut] for cut in (slice(None, -1), slice(1, None))]
         a, b = (np.moveaxis(points, axis, 0)[cut] for cut in (slice(None, -1), slice(1, None)))
         brackets = (ends[0] - lag) * (ends[1] - lag) <= 0
-        share = ((lag - ends[0]) / np.where(ends[1] == ends[0], 1, ends[1] - ends[0]))[..., None]
-        places.append((a + share * (b - a))[brackets])
+        ratio = ((lag - ends[0]) / np.where(ends[1] == ends[0], 1, ends[1] - ends[0]))[..., None]
+        places.append((a + ratio * (b - a))[brackets])
     # No line leads across where places without a rhythm lie between.
     found = np.concatenate(places) if any(map(len, places)) else points[nearest][None]
     return found[np.square(found - problem.present).sum(-1).argmin()]
@@ -153,9 +153,9 @@ def _steady_lag(problem: Problem, signals: np.ndarray, step: float, gain: float)
 def _refusal(problem: Problem, lag: float, low: float, high: float) -> str:
     gains = "--".join(f"{gain:g}" for gain in np.unique(np.exp(problem.bounds[:, 0]).round(9)))
     strong, weak = ("parent_weight", "child_weight")[:: 1 if problem.head_to_tail else -1]
-    way = "from head to tail" if problem.head_to_tail else "from tail to head (negative lags)"
+    direction = "from head to tail" if problem.head_to_tail else "from tail to head (negative lags)"
     return (
-        f"a lag of {lag:g} degrees is out of reach; {way} it can be {low:.1f} to {high:.1f}: "
+        f"a lag of {lag:g} degrees is out of reach; {direction} it can be {low:.1f} to {high:.1f}: "
         f"with b = {gains}, {strong} = {STRONGER[0]:g}--{STRONGER[1]:g} and {weak} = "
-        f"{SHARES[0]:g}--{SHARES[1]:g} times that"
+        f"{RATIOS[0]:g}--{RATIOS[1]:g} times that"
     )

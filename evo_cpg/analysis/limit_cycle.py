@@ -274,7 +274,7 @@ def close(flow: Flow, state: Float[np.ndarray, " k"], period: float) -> Orbit | 
         period: a guess, in units of the flow.
     """
     first, about = state, period
-    across = flow.slope(first)
+    across = flow.derivative(first)
     across = across / np.linalg.norm(across)
     swing = None
     for _ in range(_NEWTON):
@@ -288,7 +288,7 @@ def close(flow: Flow, state: Float[np.ndarray, " k"], period: float) -> Orbit | 
         assert run.tangent is not None
         matrix = np.zeros((flow.size + 1, flow.size + 1))
         matrix[:-1, :-1] = run.tangent - np.eye(flow.size)
-        matrix[:-1, -1] = flow.slope(run.state)
+        matrix[:-1, -1] = flow.derivative(run.state)
         matrix[-1, :-1] = across
         try:
             change = np.linalg.solve(matrix, np.append(-gap, across @ (first - state)))
@@ -361,7 +361,7 @@ def _is_stable(flow: Flow, orbit: Orbit) -> bool:
 def _multipliers(flow: Flow, orbit: Orbit) -> Complex[np.ndarray, " m"]:
     """Floquet multipliers but the neutral one, whose direction, the flow's own, is divided out."""
     assert orbit.run.tangent is not None
-    along = flow.slope(orbit.state)
+    along = flow.derivative(orbit.state)
     across = np.linalg.qr(along[:, None], mode="complete")[0][:, 1:]
     values = np.linalg.eigvals(across.T @ orbit.run.tangent @ across)
     return values[np.argsort(-np.abs(values), kind="stable")].astype(complex)
@@ -369,7 +369,7 @@ def _multipliers(flow: Flow, orbit: Orbit) -> Complex[np.ndarray, " m"]:
 
 def _neutral_error(flow: Flow, orbit: Orbit) -> float:
     """By how much the monodromy matrix changes the flow's own direction, as a share."""
-    along = flow.slope(orbit.state)
+    along = flow.derivative(orbit.state)
     assert orbit.run.tangent is not None
     return float(np.linalg.norm(orbit.run.tangent @ along - along) / np.linalg.norm(along))
 

@@ -3,21 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.creature.mesh import ConvexMesh
-from evo_cpg.creature.shapes import Ellipsoid, Shape
+from evo_cpg.creature.shapes import Shape
 
 # Directions that are tried first, and how often the best of them is looked around for a better one,
 # each time closer to it.
 _DIRECTIONS, _ROUNDS = 400, 48
 # Of those around it: how far off the first ones are, rad, and how many.
 _FIRST, _AROUND = 0.2, 8
-
-
-def fills_its_rounded_box(shape: Shape) -> bool:
-    """Whether `Shape.rounded_box` holds no more than the shape."""
-    if isinstance(shape, Ellipsoid):
-        return float(np.ptp(np.asarray(shape.radii, float))) == 0.0
-    return not isinstance(shape, ConvexMesh)
 
 
 def gaps(
@@ -40,7 +32,7 @@ def gaps(
     def apart(normals: Float[np.ndarray, "t n 3"]) -> Float[np.ndarray, "t n"]:
         reach = (normals @ offset[..., None])[..., 0]
         for shape, turn, sign in zip(shapes, turns, (1.0, -1.0), strict=True):
-            reach = reach - _height(shape, sign * normals @ turn)
+            reach = reach - shape.height(sign * normals @ turn)
         return reach
 
     count = len(offset)
@@ -60,17 +52,6 @@ def gaps(
         best, most = np.where(better[:, None], other, best), np.maximum(more, most)
         angle = np.where(better, angle, angle / 2)
     return most
-
-
-def _height(shape: Shape, normals: Float[np.ndarray, "t n 3"]) -> Float[np.ndarray, "t n"]:
-    """How far a shape reaches along unit vectors of its frame, m."""
-    if isinstance(shape, Ellipsoid):
-        return np.linalg.norm(normals * np.asarray(shape.radii, float), axis=-1)
-    if isinstance(shape, ConvexMesh):
-        return (normals @ shape.points.T).max(-1)
-    box = shape.rounded_box
-    half = np.asarray(box.half_extents, float)
-    return normals @ np.asarray(box.centre, float) + np.abs(normals) @ half + float(box.radius)
 
 
 def _best(

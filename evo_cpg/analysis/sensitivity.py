@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.judge import score
-from evo_cpg.simulation.measures import Measure, Measures, Trial, Way, no_way
+from evo_cpg.simulation.measures import Displacement, Measure, Measures, Trial, no_displacement
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Transition
@@ -72,14 +72,14 @@ class Sensitivity(NamedTuple):
 
         NaN where the measure is nothing, which has no per cent.
         """
-        return self._share(self.slope)
+        return self._relative(self.slope)
 
     @property
     def finite(self) -> float:
         """The same from the finite change."""
-        return self._share(self.change / self.step if self.step else math.nan)
+        return self._relative(self.change / self.step if self.step else math.nan)
 
-    def _share(self, slope: float) -> float:
+    def _relative(self, slope: float) -> float:
         size = abs(self.measure)
         return slope * (self.value or 1.0) / size if size > _NOTHING else math.nan
 
@@ -93,42 +93,45 @@ class Sensitivity(NamedTuple):
 
 
 class _Progress(Measure):
-    """Speed along a way, m/s: towards the light, ahead, or in any direction.
+    """Speed of the root, m/s: towards the light, ahead, or in any direction.
 
     Attributes:
         duration: from the first control step to the last, s.
-        axes: along which the way counts: the first alone is the way ahead.
+        axes: number of axes along which the displacement counts; 1 is ahead or towards the light.
     """
 
     duration: Number
     axes: int = eqx.field(static=True)
 
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Way:
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Displacement:
         """See `Measure.begin`."""
         del world
-        return no_way(batch, dtype)
+        return no_displacement(batch, dtype)
 
-    def update(self, tally: Way, transition: Transition) -> Way:
+    def update(self, tally: Displacement, transition: Transition) -> Displacement:
         """See `Measure.update`."""
         place, light = transition.before.state.position, transition.before.light_position
         if light is not None:
             away = place - light
             place = jnp.stack([-jnp.sqrt((away * away).sum(0)), 0 * place[1], 0 * place[2]])
-        return Way(jnp.where(transition.step == 0, place, tally.start), place)
+        return tally.moved(transition.step, place, place)
 
-    def finish(self, tally: Way, trial: Trial) -> Float[Array, " *n"]:
+    def finish(self, tally: Displacement, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
         del trial
-        way = (tally.end - tally.start)[: self.axes]
-        along = way[0] if self.axes == 1 else jnp.sqrt((way * way).sum(0))
+        displacement = (tally.end - tally.start)[: self.axes]
+        along = (
+            displacement[0] if self.axes == 1 else jnp.sqrt((displacement * displacement).sum(0))
+        )
         return along / self.duration
 
 
 def followed(simulation: Simulation) -> Simulation:
-    """The same trial, with `_SPEED` among its terms: its task's way over the time, m/s.
+    """Return the same trial with `_SPEED` among its terms, m/s.
 
-    That is how fast the distance to the light shrinks; without a light it is the way ahead where
-    the task wants that, else the straight way in any direction, over ground without its height.
+    With a light, it is the speed at which the distance to the light decreases. Without one, it is
+    the speed ahead if the task's heading is forward, else the speed in any direction. Over ground
+    heights do not count.
     """
     task = simulation.task
     ahead = simulation.lights[0] is not None or task.heading == "forward"
@@ -149,12 +152,12 @@ def measured(
     Args:
         simulation: the trial, without `followed`.
         genes: of the animal.
-        scales: the task's yardsticks.
+        scales: the task's scales.
         keys: of the trial's noise, see `rollout`.
     """
     outcome = rollout(followed(simulation), genes, keys)
-    yardsticks = {name: jnp.asarray(value, genes.dtype) for name, value in scales.items()}
-    return jnp.stack([outcome.terms[_SPEED], score(simulation.task, outcome, yardsticks)])
+    own_scales = {name: jnp.asarray(value, genes.dtype) for name, value in scales.items()}
+    return jnp.stack([outcome.terms[_SPEED], score(simulation.task, outcome, own_scales)])
 
 
 def changed(

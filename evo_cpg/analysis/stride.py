@@ -135,8 +135,8 @@ def excursion(
     across = swing - (swing * ahead).sum(-1, keepdims=True) * ahead
     direction = np.linalg.svd(across, full_matrices=False)[2][0]
     side = across @ direction
-    whole = side[: len(side) // width * width].reshape(-1, width)
-    return float(np.median(np.ptp(whole, axis=1)))
+    strides = side[: len(side) // width * width].reshape(-1, width)
+    return float(np.median(np.ptp(strides, axis=1)))
 
 
 def strouhal_number(frequency: float, amplitude: float, speed: float) -> float:

@@ -1,7 +1,6 @@
 """A page of a run, as `evo-cpg analyse` makes it: the champion in 3D, its gait in numbers."""
 
 import io
-import json
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,7 +15,7 @@ from evo_cpg.api.training import now, require_configured
 from evo_cpg.api.version import version
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.files import write_text
+from evo_cpg.files import read_json, write_text
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.experiment import Experiment
@@ -95,29 +94,25 @@ def page(
     """
     from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
     from evo_cpg.view.clip import sample
-    from evo_cpg.view.page import scene
+    from evo_cpg.view.film import picture
+    from evo_cpg.view.frames import Film
     from evo_cpg.view.page.document import document
     from evo_cpg.view.page.subject import Motion, Subject
-    from evo_cpg.view.watch_picture import still
+    from evo_cpg.view.page.viewer_data import RATE, viewer_data
+    from evo_cpg.view.scene import panel_of
 
     config, simulation = load_config(folder.config), experiment.simulation
     ((_, frames, recording),) = lives_again(experiment, [champion], folder, trial)
     doing("measuring the gait")
     numbers = gait_numbers(simulation, experiment.creature, frames, recording)
     doing("drawing")
-    water = simulation.world.water
+    panel = panel_of(experiment, recording, experiment.name)
     motion = Motion(
         recording=recording,
-        clip=sample(recording, scene.RATE),
+        clip=sample(recording, RATE),
         numbers=numbers,
-        scene=scene.scene(
-            experiment.creature,
-            recording,
-            simulation.world.ground,
-            None if water is None else water.surface,
-            water is not None,
-        ),
-        still=_jpeg(still(experiment, recording, _STILL, experiment.name)),
+        scene=viewer_data(panel),
+        still=_jpeg(picture([panel], Film(_STILL))),
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
     )
@@ -189,11 +184,9 @@ def _audit(folder: RunFolder, champion: Champion) -> dict[str, Any] | None:
     found = []
     for name in (f"audit_run{champion.run}.json", "audit.json"):
         try:
-            told = json.loads((folder.path / name).read_text(encoding="utf-8"))
-        except (OSError, RecursionError, ValueError):
+            found.append(read_json(folder.path / name, dict[str, Any]))
+        except (OSError, ValueError):
             continue
-        if isinstance(told, dict):
-            found.append(told)
     return next((told for told in found if _is_of(told, champion)), found[0] if found else None)
 
 

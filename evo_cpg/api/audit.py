@@ -18,7 +18,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
-from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
 from evo_cpg.physics.pairs import make_pairs
@@ -29,7 +29,7 @@ from evo_cpg.training import variations
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment, champion_keys, situation_numbers
 from evo_cpg.training.probe import blinded
-from evo_cpg.training.variations import Kept, Variation
+from evo_cpg.training.variations import Variation, Varied
 
 # Pairs of bodies that are named, of those that are not looked at.
 _NAMED = 5
@@ -113,16 +113,16 @@ def audits(
     others = _variations(experiment, config, source, tuple(folders))
     total = len(others) + 3
     tell("living as it evolved", 0, total)
-    live = variations.compile_lives(experiment, own)
+    live = variations.compile_variation(experiment, own)
     lived = [live(champion) for champion in champions]
     champions = [_complete(*both) for both in zip(champions, lived, strict=True)]
     tell("step by step", 1, total)
-    step_by_step = compile_lived_trials(experiment)
+    step_by_step = compile_audited_trials(experiment)
     trials = [step_by_step(champion) for champion in champions]
-    kept: list[dict[str, tuple[Variation, Kept]]] = [{} for _ in champions]
+    kept: list[dict[str, tuple[Variation, Varied]]] = [{} for _ in champions]
     for done, (key, other) in enumerate(others.items(), 2):
         tell(other.name, done, total)
-        live = variations.compile_lives(experiment, other)
+        live = variations.compile_variation(experiment, other)
         for champion, found in zip(champions, kept, strict=True):
             found[key] = other, live(champion)
     tell("in MuJoCo", total - 1, total)
@@ -132,7 +132,7 @@ def audits(
         checks = [
             _replay(champion, alive),
             *_shares(
-                float(np.nanmean(alive.way)),
+                float(np.nanmean(alive.displacement)),
                 found,
                 limits,
                 experiment.creature,
@@ -145,7 +145,7 @@ def audits(
     return made
 
 
-def _complete(champion: Champion, lived: Kept) -> Champion:
+def _complete(champion: Champion, lived: Varied) -> Champion:
     """With all its terms: of whom a map holds, only those of its axes are kept."""
     terms = {name: float(values[0]) for name, values in lived.terms.items()}
     return champion._replace(terms=terms | champion.terms)
@@ -195,12 +195,12 @@ def compile_first_look(
     if not own.noise.silent:
         simulations.insert(0, own)
     places = [Variation("", (simulation,), draws_of(own)) for simulation in simulations]
-    lives = [variations.compile_lives(experiment, place) for place in places]
+    lives = [variations.compile_variation(experiment, place) for place in places]
     shortest = _SOME_WAY * length_of(experiment.creature)
 
     def look(champion: Champion, own_way: float | None) -> Check:
         ways = [
-            float(live(champion).mean_ways(place)[0])
+            float(live(champion).mean_displacements(place)[0])
             for live, place in zip(lives, places, strict=True)
         ]
         way, half = ways if own_way is None else (own_way, *ways)
@@ -213,13 +213,8 @@ def compile_first_look(
     return look
 
 
-def lived_trials(experiment: Experiment, champion: Champion) -> tuple[Trial, ...]:
-    """All trials of a champion as it evolved, step by step."""
-    return compile_lived_trials(experiment)(champion)
-
-
-def compile_lived_trials(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
-    """`lived_trials` of any champion; it is compiled at the first call."""
+def compile_audited_trials(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
+    """Return all trials of a champion, step by step; compiled at the first call."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
 
@@ -404,7 +399,7 @@ def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, .
     return build_experiment(changed, source, folders).simulation
 
 
-def _replay(champion: Champion, lived: Kept) -> Check:
+def _replay(champion: Champion, lived: Varied) -> Check:
     off = abs(float(lived.fitness[0]) - champion.fitness) / max(abs(champion.fitness), _REPLAY)
     return Check("replay", "replayed fitness off by", off, _REPLAY, unit="%")
 
@@ -428,7 +423,7 @@ def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
 
 def _shares(
     own: float,
-    kept: dict[str, tuple[Variation, Kept]],
+    kept: dict[str, tuple[Variation, Varied]],
     limits: Limits,
     creature: Creature,
     carried: float = 0.0,
@@ -447,11 +442,11 @@ def _shares(
         return checks
     chance, drawn = kept[_CHANCE]
     # Without chance no variation but the one of the poses has several draws.
-    usual = float(drawn.mean_ways(chance)[0])
+    usual = float(drawn.mean_displacements(chance)[0])
     for key, (variation, one) in kept.items():
         of_own = variation.draws == 1 or key == _CHANCE
         whole = own if of_own else usual
-        ways = one.mean_ways(variation)
+        ways = one.mean_displacements(variation)
         detail = ", ".join(f"{x:.3g}" for x in ways) + f" of {whole:.3g} m"
         if key == "limp_way":
             # What remains without the water's part. Against a current nobody drifts.

@@ -74,7 +74,7 @@ class Bodies:
                 self._build_one_by_one(plan, columns, values, ~fits)
             except ConfigError:
                 plan, run = self._plan(columns, np.arange(count))
-                values = list(plan.batched.values)
+                values = list(map(np.asarray, plan.batched.values))
         return run, tuple(values)
 
     def _plan(

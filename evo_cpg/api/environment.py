@@ -21,17 +21,17 @@ from evo_cpg.fusion.engine import using
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.jax_internals import Tracer
 from evo_cpg.simulation.control_step import (
-    Animal,
-    Life,
+    AnimalState,
+    EpisodeConstants,
+    initial_animal,
     move,
     push,
     sense,
-    starting_animal,
     transition,
 )
 from evo_cpg.simulation.genome import Phenotype
 from evo_cpg.simulation.judge import begin_tally, finish_tally, is_sane, update_tally
-from evo_cpg.simulation.noise import grip_of
+from evo_cpg.simulation.noise import friction_scale_of
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import light_places
 
@@ -61,7 +61,7 @@ class EnvironmentState(eqx.Module):
 
 
 class _Inner(eqx.Module):
-    animal: Animal
+    animal: AnimalState
     tally: Any
     value: Float[Array, ""]
     number: Int[Array, ""]
@@ -149,15 +149,17 @@ class Environment:
             )
         inner = state.inner
 
-        def whole(animal: Animal, tally: Any, number: Array, keys: Array | None, action: Array):
+        def whole(
+            animal: AnimalState, tally: Any, number: Array, keys: Array | None, action: Array
+        ):
             still = jnp.zeros_like(action)
             command = Command(action, still)
             if self._actions == "angles":
                 command = Command(still, still, action)
-            life = self._life(keys)
-            seen = sense(self._simulation, life, animal)
-            animal, effects = move(self._simulation, life, animal, seen, command)
-            happened = transition(self._simulation, life, effects, number)
+            constants = self._constants(keys)
+            seen = sense(self._simulation, constants, animal)
+            animal, effects = move(self._simulation, constants, animal, seen, command)
+            happened = transition(self._simulation, constants, effects, number)
             tally = update_tally(self._simulation, tally, happened)
             sane = is_sane(animal.state)
             animal, observation = self._sense(animal, keys, number + 1)
@@ -174,21 +176,23 @@ class Environment:
         done = ~alive | (number >= self.episode_length)
         return EnvironmentState(_vector(observation), reward, done, terms, later)
 
-    def _start(self, keys: Array | None) -> Animal:
-        animal = starting_animal(self._simulation, keys, None, (), jnp.dtype("float32"))
+    def _start(self, keys: Array | None) -> AnimalState:
+        animal = initial_animal(self._simulation, keys, None, (), jnp.dtype("float32"))
         return animal._replace(nerves=())
 
-    def _life(self, keys: Array | None) -> Life:
+    def _constants(self, keys: Array | None) -> EpisodeConstants:
         light = light_places(self._simulation.lights, None, jnp.dtype("float32"))
-        return Life(Phenotype(()), keys, None, light, grip_of(self._simulation.noise, keys))
+        return EpisodeConstants(
+            Phenotype(()), keys, None, light, friction_scale_of(self._simulation.noise, keys)
+        )
 
     def _sense(
-        self, animal: Animal, keys: Array | None, number: Array | int = 0
-    ) -> tuple[Animal, Observation]:
+        self, animal: AnimalState, keys: Array | None, number: Array | int = 0
+    ) -> tuple[AnimalState, Observation]:
         """The animal after the push of a control step, and what it senses."""
-        life = self._life(keys)
-        animal = push(self._simulation, life, animal, jnp.asarray(number))
-        return animal, sense(self._simulation, life, animal)
+        constants = self._constants(keys)
+        animal = push(self._simulation, constants, animal, jnp.asarray(number))
+        return animal, sense(self._simulation, constants, animal)
 
     def _judge(self, tally: Any) -> tuple[dict[str, Array], Array]:
         """The terms so far, and their fitness; 0 as long as it is no number."""

@@ -155,9 +155,9 @@ def lives_again(
         full: see `evo_cpg.simulation.recording.Recorder`.
     """
     # Importing the loop starts nothing, but it takes JAX a second.
-    from evo_cpg.training.loop import compile_life
+    from evo_cpg.training.replay import compile_frames
 
-    live = compile_life(experiment, folder.read_meta().get("devices", 1), trial, full)
+    live = compile_frames(experiment, folder.read_meta().get("devices", 1), trial, full)
     names = [body.name for body in experiment.creature.bodies]
     found = []
     for champion in champions:

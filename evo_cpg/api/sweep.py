@@ -8,7 +8,7 @@
     sweep.png        how fitness rose, and what the runs came to
 
 Settings with the same animal in the same trial run side by side in one program, whatever searches
-(`evo_cpg.training.together`); others in turn, each with a program of its own: numbers of a body
+(`evo_cpg.training.loop`); others in turn, each with a program of its own: numbers of a body
 are constants of it, which makes an evaluation faster and lets a champion live again to the bit.
 """
 
@@ -244,7 +244,7 @@ def run_group(
         LockedError: another process evolves one of them.
         OutputError: a folder cannot be written.
     """
-    from evo_cpg.training.together import train_together
+    from evo_cpg.training.loop import train_together
 
     with contextlib.ExitStack() as stack:
         for member in group:

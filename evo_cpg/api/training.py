@@ -24,8 +24,8 @@ from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
 from evo_cpg.fusion.stopwatch import Spent, measuring
+from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement
 from evo_cpg.simulation.operations import estimate_operations
-from evo_cpg.simulation.way import WAY, with_way
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion, genes_digest
@@ -271,7 +271,7 @@ class Recorder:
         self._animal = animal
         # Without noise the recording is the life whose way is compared.
         self._measures_way = self.looks and experiment.simulation.noise.silent
-        self._way: float | None = None
+        self._displacement: float | None = None
         self._thread = ThreadPoolExecutor(1, "recording")
         self._program = _Job()
         self._look = _Job()
@@ -290,7 +290,7 @@ class Recorder:
             spent: on the code of the trials, which takes about as long as each of these programs;
                 None where it is not known.
         """
-        from evo_cpg.training.loop import compile_replay
+        from evo_cpg.training.replay import compile_replay
 
         took = spent.seconds if spent is not None and spent.seconds > 0 else None
         if spent is not None and self._animal is not None:
@@ -299,7 +299,7 @@ class Recorder:
         devices = self._folder.read_meta()["devices"]
         recorded = self._experiment
         if self._measures_way:
-            recorded = recorded._replace(simulation=with_way(recorded.simulation))
+            recorded = recorded._replace(simulation=with_displacement(recorded.simulation))
         self._program = _Job(took)
         self._program.begin(self._thread, compile_replay, recorded, devices)
         if self._least is not None:
@@ -330,14 +330,14 @@ class Recorder:
             self.compile()
         _, terms, motion = self._program.result()(champion)
         if self._measures_way:
-            self._way = float(np.nan_to_num(terms[WAY]))
+            self._displacement = float(np.nan_to_num(terms[DISPLACEMENT]))
         self._folder.save_champion(champion, motion)
 
     def look(self, champion: Champion) -> None:
         """Take the first look at a champion that was recorded, if one is asked for."""
         if not self.looks:
             return
-        seen = self._look.result()(champion, self._way)
+        seen = self._look.result()(champion, self._displacement)
         self.seen = seen
         told: dict[str, Any] | None = None
         if seen.passed is not None:

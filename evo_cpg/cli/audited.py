@@ -129,7 +129,7 @@ def show_summary(champions: Sequence[Champion], made: Sequence["Audit"]) -> None
     keys = [key for key in _KEPT if any(_measured(done, key) is not None for done in made)]
     rows = []
     for each, done in zip(champions, made, strict=True):
-        ways = [one.way for one in done.opinions]
+        ways = [one.displacement for one in done.opinions]
         rights = [one.upright for one in done.opinions]
         rows.append(
             (
@@ -202,7 +202,7 @@ def show_opinions(opinions: tuple) -> None:
 def _opinion(one: Any) -> dict[str, Any]:
     return {
         "program": one.program,
-        "way_m": one.way,
+        "way_m": one.displacement,
         "heading_deg": math.degrees(one.heading),
         "upright": one.upright,
         "nothing_touches": one.airborne,

@@ -133,7 +133,7 @@ def use_cores_of(run: Path, cores: int | None = None) -> int:
 def live_again(experiment: Experiment, champion: Champion, devices: int, trial: int = 0) -> Any:
     """The champion's fitness, terms and motion, lived again; says so where it takes long."""
     # Importing the loop starts nothing, but it takes JAX a second.
-    from evo_cpg.training.loop import replay_champion
+    from evo_cpg.training.replay import replay_champion
 
     with working("replaying the champion"):
         return replay_champion(experiment, champion, devices, trial)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.interrupts import leave_at_once
+from evo_cpg.errors import UserError
 from evo_cpg.installation import version_of
 
 if TYPE_CHECKING:
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 
 JOIN_TIMEOUT = 60.0
 """So long the processes may take to come together, s."""
+
+
+class Disagreement(UserError):
+    """Processes with different configurations; the message says what differs."""
 
 
 class Distribution(NamedTuple):
@@ -115,7 +120,7 @@ def together(asked: Distribution, run: Path) -> Iterator["Team"]:
         yield team
     except processes.TeamError as error:
         end(str(error))
-    except processes.Disagreement:
+    except Disagreement:
         # All processes raise it, and none may report that it lost another one.
         team.leave()
         raise
@@ -134,19 +139,17 @@ def require_same(team: "Team", own: Mapping[str, Mapping[str, str]]) -> None:
         Disagreement: in all processes, where one evolves something else.
     """
     from evo_cpg.config.fingerprint import changes
-    from evo_cpg.training.processes import Disagreement
+    from evo_cpg.training.processes import difference
 
-    text = json.dumps(own, sort_keys=True)
-    try:
-        team.agree("the configuration", text.encode())
-    except Disagreement as error:
-        lead = team.broadcast({"text": text})["text"].item()
-        changed = changes(json.loads(lead), own)
-        if not changed:
-            raise
+    text = json.dumps(own, sort_keys=True).encode()
+    rows = team.exchange(text, "the others, to compare the configuration")
+    unlike = difference(rows)
+    if unlike:
+        changed = changes(json.loads(rows[0]), own)
+        how = f"; process {team.index} differs from process 0 in {', '.join(changed)}"
         raise Disagreement(
-            f"{error}; process {team.index} differs from process 0 in {', '.join(changed)}"
-        ) from None
+            f"the configuration differs between the processes: {unlike}{how if changed else ''}"
+        )
 
 
 def _place(asked: Distribution) -> "Place":

@@ -67,16 +67,9 @@ def _export_scene(
     experiment, _, recording, _ = champion_motion(run, number, trial, cell)
     with working("writing the scene"):
         from evo_cpg.exchange.gltf_film import gltf_film
+        from evo_cpg.view.scene import panel_of
 
-        world = experiment.simulation.world
-        scene = gltf_film(
-            experiment.creature,
-            recording,
-            title=experiment.name,
-            world="land" if world.water is None else "water",
-            ground=world.ground,
-            surface=None if world.water is None else world.water.surface,
-        )
+        scene = gltf_film(panel_of(experiment, recording, experiment.name))
         write_whole(output, lambda file: file.write(scene))
 
 

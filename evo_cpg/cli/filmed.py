@@ -16,11 +16,11 @@ from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.progress import working
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.lineage import champion_at, telling
+from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-from evo_cpg.view.panel import Panel, panel_of
+from evo_cpg.view.scene import Panel, panel_of
 from evo_cpg.view.signals import Signals, signals_of
-from evo_cpg.view.units import told
+from evo_cpg.view.units import terms_text
 
 # Champions of a lineage that are shown if no generations are given.
 _SHOWN = 4
@@ -42,7 +42,7 @@ def champion_panel(
         return panel_of(experiment, recording, experiment.name, strip)
     # Of an elite the map keeps what it is told apart by, and nothing else.
     title = f"{experiment.name}, cell {cell}"
-    return panel_of(experiment, recording, title, strip, told(champion.terms))
+    return panel_of(experiment, recording, title, strip, terms_text(champion.terms))
 
 
 def lineage_panels(
@@ -87,11 +87,11 @@ def _chosen(folder: RunFolder, champion: Champion, wanted: list[int] | None) -> 
         raise RunFolderError(f"{folder.lineage} knows no champion of run {run}")
     if wanted is None:
         if champion.expected is None:
-            return telling(lineage, _SHOWN)
+            return representatives(lineage, _SHOWN)
         # Who had the best score on the way need not be who was chosen in the end.
         places = (champion.generation, champion.index)
         others = [each for each in lineage if (each.generation, each.index) != places]
-        return [*telling(others, _SHOWN - 1), champion]
+        return [*representatives(others, _SHOWN - 1), champion]
     done = folder.newest
     found: list[Champion] = []
     for generation in sorted(set(wanted)):

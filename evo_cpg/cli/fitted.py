@@ -164,7 +164,9 @@ def search(
         initial: dict[str, Any] = {k: jnp.asarray(v, theta.dtype) for k, v in fixed.items()}
         for name, value in zip(names[inner:], theta[inner:], strict=True):
             initial[name.removeprefix(INITIAL)] = value
-        own = jnp.asarray(np.zeros(0) if genes is None else genes, theta.dtype)
+        own = jnp.asarray(
+            np.zeros(simulation.genome.count) if genes is None else genes, theta.dtype
+        )
         return track(simulation, own, recording.time, recording.columns, initial)
 
     def fit_to(start: Any, data: Any) -> Any:

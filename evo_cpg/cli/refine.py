@@ -100,7 +100,7 @@ def _refine(
 
             def tell(done: Round) -> None:
                 keep(done)
-                gained = f"gained {done.champion.fitness - done.began:+.4f}"
+                gained = f"gained {done.champion.fitness - done.initial_fitness:+.4f}"
                 state = f"fitness {done.champion.fitness:8.4f}  {gained}  {_slopes(done)}"
                 show(done.number, state, done.seconds)
 
@@ -115,10 +115,12 @@ def _refine(
         print(f"interrupted; what was gained is in {folder.path}", file=sys.stderr)
         raise
     last = history[-1]
-    if not math.isclose(last.began, recorded, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE):
+    if not math.isclose(
+        last.initial_fitness, recorded, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
+    ):
         print(
-            f"the champion's fitness is {last.began:.4f} here, not {recorded:.4f} as recorded: "
-            f"{folder.config} or the program is another one than it evolved with",
+            f"the champion's fitness is {last.initial_fitness:.4f} here, not {recorded:.4f} as "
+            f"recorded: {folder.config} or the program is another one than it evolved with",
             file=sys.stderr,
         )
     if not any(done.finite for done in history):
@@ -133,14 +135,17 @@ def _refine(
     best, _, _ = folder.load_champion()
     _, config, experiment = open_run(run)
     folder.save_champion(best, live_again(experiment, best, devices)[2])
-    done = {"finished": now(), "command": sys.argv[1:], "from": last.began}
+    done = {"finished": now(), "command": sys.argv[1:], "from": last.initial_fitness}
     done["to"] = last.champion.fitness
     before = refinements(folder.read_meta())
     folder.update_meta(refined=[*before, done], fingerprint=fingerprint(config))
     terms = ", ".join(f"{name} {value:.3g}" for name, value in last.champion.terms.items())
     for key, value in zip(keys, last.values, strict=True):
         print(f"{key}: {value:.6g}", file=sys.stderr)
-    print(f"fitness {last.began:.4f} -> {last.champion.fitness:.4f} ({terms})", file=sys.stderr)
+    print(
+        f"fitness {last.initial_fitness:.4f} -> {last.champion.fitness:.4f} ({terms})",
+        file=sys.stderr,
+    )
     print(folder.path)
 
 
@@ -168,7 +173,7 @@ def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
         "round": done.number,
         "fitness": done.champion.fitness,
         "gain": done.gain,
-        "slopes": done.slopes,
+        "slopes": done.gradients,
         "finite_slopes": done.finite,
         "seconds": done.seconds,
     }
@@ -177,5 +182,5 @@ def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
 
 
 def _slopes(done: "Round") -> str:
-    lost = done.slopes - done.finite
-    return f"{done.slopes} slopes" + (f", {lost} not finite" if lost else "")
+    lost = done.gradients - done.finite
+    return f"{done.gradients} slopes" + (f", {lost} not finite" if lost else "")

@@ -99,24 +99,18 @@ def render(
     name += of_trial(trial) + ("_beside_others" if others else "")
     name += ("" if camera == "follow" else f"_{camera}") + "_signals" * signals
     name += ".mp4" if moments is None else "_sheet.png"
-    settings = {
-        "size": pixels,
-        "fps": fps,
-        "seconds": seconds,
-        "speed": speed,
-        "camera": camera.value,
-        "sheet": moments,
-    }
     from evo_cpg.cli.filmed import champion_panel, lineage_panels
     from evo_cpg.cli.progress import working
     from evo_cpg.files import make_folder
     from evo_cpg.training.devices import available_cores
     from evo_cpg.training.run_folder import RunFolder
     from evo_cpg.view.film import film_path, side_by_side
+    from evo_cpg.view.frames import Film
 
+    film = Film(pixels, fps, seconds, speed, camera.value, moments)
     RunFolder(run).require()
     # The folder of films is made where there is one to put there.
-    film_path(output or run / name, **settings, signals=signals)
+    film_path(output or run / name, film, signals)
     if lineage is not None:
         panels = lineage_panels(run, wanted, number, trial, signals)
     else:
@@ -129,11 +123,7 @@ def render(
     path = output or make_folder(run / "videos") / name
     with working("rendering", counted=True) as work:
         made = side_by_side(
-            panels,
-            path,
-            **settings,
-            processes=cores or available_cores(),
-            progress=work.reached,
+            panels, path, film, processes=cores or available_cores(), progress=work.reached
         )
     print(made)
 

@@ -10,7 +10,7 @@ import numpy as np
 from evo_cpg.analysis.chains import Chain, chains
 from evo_cpg.analysis.lag_survey import UnreachableRhythmError
 from evo_cpg.analysis.limit_cycle import NoRhythmError, RhythmSearchError
-from evo_cpg.analysis.wanted_rhythm import Rhythm, rhythm, wanted_rhythm
+from evo_cpg.analysis.reference_rhythm import Rhythm, reference_rhythm, rhythm
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.rhythm import hertz, read_oscillators, stability
@@ -58,7 +58,7 @@ def find_rhythm(
     except RhythmSearchError:
         before = "not found"
     try:
-        found = wanted_rhythm(
+        found = reference_rhythm(
             tree, settings, chain, b, frequency, lag, gain is not None, tonic_input
         )
     except UnreachableRhythmError as error:

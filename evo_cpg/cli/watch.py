@@ -231,7 +231,7 @@ class _Pictures:
         from evo_cpg.cli.building import build
         from evo_cpg.config.load import load_config
         from evo_cpg.training.devices import use_cores
-        from evo_cpg.training.loop import compile_replay
+        from evo_cpg.training.replay import compile_replay
 
         use_cores(1)
         config = load_config(self._folder.config)

@@ -20,6 +20,7 @@ from evo_cpg.config.numbers import are_allowed, are_checked_alone, number_at, wi
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.traced_build import Building, values_of
 from evo_cpg.creature.self_collision import PairNames, PlanPairs
+from evo_cpg.creature.surface import PointLayout
 from evo_cpg.physics.pairs import Pairs
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
 from evo_cpg.simulation.simulation import Simulation
@@ -44,8 +45,8 @@ class BodyPlan:
     ):
         """Plan by some bodies; see `build_batch` for the arguments, and what it raises."""
         self._config, self._keys = config, tuple(numbers)
-        self.batched, ungrouped = _build(config, source, numbers, (), None, task)
-        self._building = Building(config, ungrouped, _pairs(self.batched.common), task)
+        self.batched, layout = _build(config, source, numbers, (), None, task)
+        self._building = Building(config, layout, _pairs(self.batched.common), task)
         self.hindrance = ""
         if not are_checked_alone(config, self._keys):
             self.hindrance = "numbers are checked together"
@@ -122,8 +123,8 @@ def _build(
     folders: Iterable[Path],
     like: BatchedSimulation | None,
     task: Task | None,
-) -> tuple[BatchedSimulation, bool]:
-    """See `build_batch`; also whether bodies with equal surfaces are treated one by one."""
+) -> tuple[BatchedSimulation, PointLayout]:
+    """See `build_batch`; also return the layout of the surface points."""
     folders = tuple(folders)
     for key in numbers:
         number_at(config, key, source)
@@ -136,14 +137,13 @@ def _build(
         for row in zip(*columns, strict=True)
     ]
     problem, pairs = "", None
-    # Bodies with surfaces that are alike may come to differ, and are then treated one by one.
-    for ungrouped in (False, True):
+    # Bodies with surfaces that are alike may come to differ, and others may cover other points.
+    layouts: tuple[PointLayout, ...] = "merged", "separate", "complete"
+    for layout in layouts:
 
-        def build(pairs: PlanPairs | None, ungrouped: bool = ungrouped) -> list[Simulation]:
+        def build(pairs: PlanPairs | None, layout: PointLayout = layout) -> list[Simulation]:
             return [
-                _with_task(
-                    build_experiment(each, source, folders, ungrouped, pairs).simulation, task
-                )
+                _with_task(build_experiment(each, source, folders, layout, pairs).simulation, task)
                 for each in (config, *configs)
             ]
 
@@ -158,7 +158,7 @@ def _build(
             pairs = every
             common, *simulations = build(pairs)
         try:
-            return batch(common, simulations, like), ungrouped
+            return batch(common, simulations, like), layout
         except LayoutError as error:
             problem = str(error)
         except ValueError as error:

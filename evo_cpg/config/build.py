@@ -22,10 +22,10 @@ from evo_cpg.control.couplings import CouplingError, UnfitError
 from evo_cpg.creature.creature import Creature, CreatureError, length_of
 from evo_cpg.creature.self_collision import PlanPairs, SelfCollision
 from evo_cpg.creature.shapes import Surface
-from evo_cpg.creature.surface import outer_surfaces, random_surfaces
+from evo_cpg.creature.surface import PointLayout, outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import METRICS, Mapped, MapStrategy
+from evo_cpg.evolution.map_elites import METRICS, Mapped
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.fusion.engine import Engine, target, using
 from evo_cpg.fusion.unsupported import Unsupported
@@ -56,7 +56,7 @@ def build_experiment(
     config: ExperimentConfig,
     source: Path | str,
     folders: Iterable[Path] = (),
-    ungrouped: bool = False,
+    layout: PointLayout = "merged",
     pairs: PlanPairs | None = None,
 ) -> Experiment:
     """Build what a configuration describes.
@@ -66,7 +66,7 @@ def build_experiment(
         source: file it came from, for messages; a user's own classes are looked for beside it,
             where it is trusted (`evo_cpg.config.trust`).
         folders: where else to look for them then, before the working folder.
-        ungrouped: leave surfaces ungrouped that are alike, so that they may come to differ.
+        layout: of the surface points, in which bodies of a batch agree.
         pairs: of bodies that are looked at in all creatures of a plan; None for what the creature's
             own numbers make of it.
 
@@ -74,17 +74,20 @@ def build_experiment(
         ConfigError: parts that do not fit together.
     """
     with located(source, config.model_dump(mode="json")):
-        return _build_experiment(config, (Path(source).parent, *folders), ungrouped, pairs)
+        return _build_experiment(config, (Path(source).parent, *folders), layout, pairs)
 
 
 def _build_experiment(
-    config: ExperimentConfig, folders: tuple[Path, ...], ungrouped: bool, pairs: PlanPairs | None
+    config: ExperimentConfig,
+    folders: tuple[Path, ...],
+    layout: PointLayout,
+    pairs: PlanPairs | None,
 ) -> Experiment:
     for folder in with_working_folder(code_folders(folders)):
         if str(resolved(folder)) not in sys.path:
             sys.path.append(str(resolved(folder)))
     require_code(config, folders)
-    creature, simulation = build_simulation(config, ungrouped, pairs)
+    creature, simulation = build_simulation(config, layout, pairs)
     evolution = config.evolution
     require_light(config, simulation.task)
     check_own_returns(config, simulation)
@@ -109,7 +112,7 @@ def _build_strategy(config: ExperimentConfig, simulation: Simulation) -> Strateg
     islands = getattr(given, "islands", None)
     population = given.population // (islands.count if islands else 1)
     strategy = given.build(simulation.genome, population)
-    mapped = bool(given.axes and (islands or not isinstance(strategy, MapStrategy)))
+    mapped = bool(given.axes and (islands or not strategy.map_axes))
     if isinstance(given, CustomConfig):
         where, metrics = " on each island" if islands else "", METRICS if mapped else ()
         check_own_strategy(strategy, population, simulation, config.trial_count, metrics, where)
@@ -141,7 +144,7 @@ def require_genes(experiment: Experiment, source: Path | str) -> None:
 
 
 def build_simulation(
-    config: ExperimentConfig, ungrouped: bool = False, pairs: PlanPairs | None = None
+    config: ExperimentConfig, layout: PointLayout = "merged", pairs: PlanPairs | None = None
 ) -> tuple[Creature, Simulation]:
     """The creature that a configuration describes, and what its trials are made of.
 
@@ -150,7 +153,7 @@ def build_simulation(
 
     Args:
         config: the configuration; a user's own classes can be imported.
-        ungrouped: see `build_experiment`.
+        layout: see `build_experiment`.
         pairs: likewise.
 
     Raises:
@@ -159,7 +162,7 @@ def build_simulation(
     engine = _choose_engine(config)
     creature = _build_creature(config)
     tree = build_tree(creature)
-    world = _build_world(config, creature, tree, ungrouped, pairs)
+    world = _build_world(config, creature, tree, layout, pairs)
     check_own_forces(config, world)
     step = 1.0 / config.simulation.control_rate_hz
     extra_sensors = tuple(
@@ -302,12 +305,12 @@ def _build_world(
     config: ExperimentConfig,
     creature: Creature,
     tree: Tree,
-    ungrouped: bool,
+    layout: PointLayout,
     pairs: PlanPairs | None,
 ) -> World:
     water, forces = config.world.water, list[ForceLaw]()
     if water:
-        patches = _surface_points(water, creature, tree, ungrouped)
+        patches = _surface_points(water, creature, tree, layout)
         forces.append(Drag(water.form_drag, water.skin_drag, patches, water.law))
         if water.added_mass:
             forces.append(AddedMass(added_inertia(creature, tree, water.density)))
@@ -330,7 +333,7 @@ def _build_world(
 
 
 def _surface_points(
-    water: WaterConfig, creature: Creature, tree: Tree, ungrouped: bool
+    water: WaterConfig, creature: Creature, tree: Tree, layout: PointLayout
 ) -> tuple[Patch, ...]:
     def by_name(surfaces: tuple[Surface, ...]) -> dict[str, Surface]:
         return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
@@ -338,12 +341,12 @@ def _surface_points(
     surfacing = water.surface is not None
     if water.points == "random":
         rng = np.random.default_rng(water.points_seed)
-        dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered)
+        dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered, layout)
         points = by_name(random_surfaces(dense, water.random_points, rng))
-        return make_patches(tree, points, points, water.law, surfacing, ungrouped)
-    form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered))
-    skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered))
-    return make_patches(tree, form, skin, water.law, surfacing, ungrouped)
+        return make_patches(tree, points, points, water.law, surfacing, layout)
+    form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered, layout))
+    skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered, layout))
+    return make_patches(tree, form, skin, water.law, surfacing, layout)
 
 
 def _build_part(given: Any, kind: type, key: Key, **about: Any) -> Any:

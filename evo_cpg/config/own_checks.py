@@ -17,7 +17,7 @@ from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.control_step import (
     Effects,
-    begin_life,
+    begin_episode,
     no_forces,
     sense,
     snapshot_of,
@@ -51,16 +51,17 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
     def go(genes: jax.Array) -> None:
         controller = methods(simulation.controller, "controller")
         draw = jax.random.key(0), _BATCH, jnp.float32
-        controller.call("random_genes", *draw, test=_is_array(genes.shape))
-        controller.call("decode", genes)
-        life, animal = begin_life(simulation, genes, None, None)
+        shape = simulation.controller.gene_count, _INDIVIDUALS
+        own_genes = controller.call("random_genes", *draw, test=_is_array(shape))
+        controller.call("decode", jnp.asarray(own_genes, genes.dtype))
+        constants, animal = begin_episode(simulation, genes, None, None)
         forces = no_forces(simulation, animal.state)
         for i, sensor in enumerate(simulation.extra_sensors):
-            snapshot = snapshot_of(simulation, life, animal.state)
+            snapshot = snapshot_of(simulation, constants, animal.state)
             readings = _is_array((sensor.count, _INDIVIDUALS))
             sensor = methods(sensor, "creature", "sensors", i)
             sensor.call("sense", snapshot, forces, test=readings)
-        observation = sense(simulation, life, animal)
+        observation = sense(simulation, constants, animal)
         dofs = simulation.world.tree.dof_count, _INDIVIDUALS
 
         def is_act(found: Any) -> str | None:
@@ -73,11 +74,11 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
                 if value is not None or name != "target_angle"
             )
 
-        nerves = life.phenotype.controller, animal.nerves
+        nerves = constants.phenotype.controller, animal.nerves
         _, command = controller.call("act", *nerves, observation, test=is_act)
         energy = jnp.zeros(_INDIVIDUALS, genes.dtype)
         effects = Effects(animal.state, animal.state, observation, command, forces, energy, energy)
-        seen = transition(simulation, life, effects, jnp.int32(0))
+        seen = transition(simulation, constants, effects, jnp.int32(0))
         _check_task(methods(simulation.task, "task"), simulation, seen)
 
     shape = simulation.genome.count, _INDIVIDUALS

@@ -24,6 +24,7 @@ from evo_cpg.config.lines import located
 from evo_cpg.config.numbers import number_at, number_keys, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.traced_build import Building, Built, values_of
+from evo_cpg.creature.surface import PointLayout
 from evo_cpg.fusion.jax_internals import Tracer
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
@@ -189,9 +190,9 @@ def parametrise(
             found = changes()
         except KeyProblem:
             # Grouped surfaces may part, and their points change places.
-            building = Building(config, ungrouped=True)
+            building = Building(config, layout="separate")
             found = changes()
-            experiment = build_experiment(config, source, folders, ungrouped=True)
+            experiment = build_experiment(config, source, folders, layout="separate")
         followed = _followed(building, config, found)
         for key in found:
             if key not in followed:
@@ -223,8 +224,9 @@ def all_parameters(
     experiment = build_experiment(config, source, folders)
     paths = jax.tree_util.tree_flatten_with_path(experiment.simulation)[0]
     wet = {i for i, (path, _) in enumerate(paths) if _PATCHES in path}
-    for ungrouped in (False, True) if surfaces else (False,):
-        building = Building(config, ungrouped)
+    layouts: tuple[PointLayout, ...] = ("merged", "separate") if surfaces else ("merged",)
+    for layout in layouts:
+        building = Building(config, layout)
         changes = {}
         for key in number_keys(config):
             if key in found:

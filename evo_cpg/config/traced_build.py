@@ -18,6 +18,7 @@ from evo_cpg.config.build import build_simulation
 from evo_cpg.config.numbers import put_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.self_collision import PlanPairs
+from evo_cpg.creature.surface import PointLayout
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
@@ -73,7 +74,7 @@ class Building:
     """How simulations are built that differ from that of a configuration in numbers alone.
 
     Attributes:
-        ungrouped: whether bodies with the same surface are treated one by one.
+        layout: of the surface points (`evo_cpg.creature.surface`).
         pairs: see `evo_cpg.config.build.build_experiment`.
         task: instead of the configuration's.
         own: the simulation of the configuration itself.
@@ -82,11 +83,12 @@ class Building:
     def __init__(
         self,
         config: ExperimentConfig,
-        ungrouped: bool = False,
+        layout: PointLayout = "merged",
         pairs: PlanPairs | None = None,
         task: Task | None = None,
     ):
-        self.ungrouped, self.pairs, self.task = ungrouped, pairs, task
+        self.pairs, self.task = pairs, task
+        self.layout: PointLayout = layout
         self.own = self.known(config)
 
     def known(self, config: ExperimentConfig) -> Built:
@@ -128,7 +130,7 @@ class Building:
         return jax.tree_util.keystr(self.own.paths[place])[1:]
 
     def _build(self, config: ExperimentConfig) -> Simulation:
-        _, simulation = build_simulation(config, self.ungrouped, self.pairs)
+        _, simulation = build_simulation(config, self.layout, self.pairs)
         return dataclasses.replace(simulation, task=self.task) if self.task else simulation
 
 

@@ -102,8 +102,8 @@ def decode_weights(brain: Brain, genes: Float[Array, "g *n"]) -> Weights:
     layers = jnp.split(genes, list(itertools.accumulate((i + 1) * o for i, o in sizes))[:-1])
     weights = []
     for (count, units), layer in zip(sizes, layers, strict=True):
-        whole = layer.reshape(units, count + 1, *genes.shape[1:])
-        *blocks, bias = jnp.split(whole, [*_cuts(count), count], axis=1)
+        table = layer.reshape(units, count + 1, *genes.shape[1:])
+        *blocks, bias = jnp.split(table, [*_cuts(count), count], axis=1)
         weights.append((*blocks, bias[:, 0]))
     return tuple(weights)
 

@@ -338,7 +338,7 @@ def build_brain_cpg(
 
 
 def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:
-    """Return a genome whose brain sets no drive, so that the animal stays still."""
+    """Return genes of a brain that sets no drive, so that the animal stays still."""
     assert isinstance(controller, BrainCpg)
     *_, hidden, outputs = controller.brain.sizes
     genes = np.zeros(controller.gene_count, np.float32)

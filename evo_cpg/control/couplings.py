@@ -206,12 +206,12 @@ def explicit_weights(
             put(source, target, coupling.weight * (cosine - sine), ("couplings", i))
     for i, ring in enumerate(rings):
         members = ring_members(tree, ring, i)
-        share = ring.weight / (len(members) - 1)
+        weight = ring.weight / (len(members) - 1)
         for place, target in enumerate(members):
             for other, source in enumerate(members):
                 if place != other:
                     cosine, sine = _cosine_and_sine((place - other) * ring.lag_deg)
-                    put(target, source, share * (cosine + sine), ("rings", i))
+                    put(target, source, weight * (cosine + sine), ("rings", i))
     return weights
 
 

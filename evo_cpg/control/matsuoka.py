@@ -68,14 +68,14 @@ TIME_CONSTANTS = {"swapped": (0.153337, 1.181958), "as_printed": (1.181958, 0.15
 
 # Runge-Kutta substeps are at most this share of the shorter time constant: at 1/60 s and b = 5
 # the signals then stay within 1e-3 (rms) of the exact ones for 33 s, phase included.
-SUBSTEP_SHARE = 0.25
+SUBSTEP_FRACTION = 0.25
 
 # Up to so many substeps are written out.
 _UNROLLED = 3
 
 # Extensors start at this share of the largest tonic input, flexors at 0, or as a wanted lag has it.
 # A symmetric start would never oscillate.
-INITIAL_SHARE = 0.1
+INITIAL_FRACTION = 0.1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -185,7 +185,7 @@ class MatsuokaNetwork(eqx.Module):
         return chosen(lambda: self._substeps(h))
 
     def _substeps(self, h: float) -> int:
-        longest = SUBSTEP_SHARE * min(self.rise_time, self.adaptation_time)
+        longest = SUBSTEP_FRACTION * min(self.rise_time, self.adaptation_time)
         return max(1, math.ceil(h / longest))
 
 
@@ -261,14 +261,14 @@ def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
     """Grow the network on a creature's tree."""
     rise_time, adaptation_time = TIME_CONSTANTS[settings.constants]
     matrix = inhibition_matrix(tree, settings)
-    share = xp.cos(start_phases(tree, settings.couplings, settings.rings, matrix))
-    sides = xp.maximum(xp.stack([share, -share]), 0)
+    fraction = xp.cos(start_phases(tree, settings.couplings, settings.rings, matrix))
+    sides = xp.maximum(xp.stack([fraction, -fraction]), 0)
     return MatsuokaNetwork(
         **_connections(matrix),
         rise_time=settings.time_scale * rise_time,
         adaptation_time=settings.time_scale * adaptation_time,
         sensory_feedback=settings.sensory_feedback,
-        initial_potential=INITIAL_SHARE * settings.max_tonic_input * sides,
+        initial_potential=INITIAL_FRACTION * settings.max_tonic_input * sides,
     )
 
 
@@ -368,7 +368,7 @@ def advance(
     count = network.substeps(h) if substeps is None else substeps
     drive = tonic_input + network.sensory_feedback
 
-    def whole(state: MatsuokaState, drive: Array, adaptation_gain: Array) -> MatsuokaState:
+    def advance(state: MatsuokaState, drive: Array, adaptation_gain: Array) -> MatsuokaState:
         def substep(state: MatsuokaState, _) -> tuple[MatsuokaState, None]:
             return runge_kutta_step(network, h / count, state, drive, adaptation_gain), None
 
@@ -379,7 +379,7 @@ def advance(
         return jax.lax.scan(substep, state, length=count)[0]
 
     batch_ndim = adaptation_gain.ndim - 1
-    return fuse(whole, state, drive, adaptation_gain, batch_ndim=batch_ndim, name="oscillators")
+    return fuse(advance, state, drive, adaptation_gain, batch_ndim=batch_ndim, name="oscillators")
 
 
 def output(state: MatsuokaState) -> Float[Array, "o *n"]:
@@ -431,9 +431,9 @@ def runge_kutta_step(
         excess = drive - rows(padded) - inhibition - adaptation_gain[None] * adaptation
         return excess, rows(firing) - adaptation
 
-    def stage(share: float, padded: Array, adaptation: Array) -> tuple[Array, Array]:
+    def stage(fraction: float, padded: Array, adaptation: Array) -> tuple[Array, Array]:
         d_x, d_z = change(padded, adaptation)
-        return pad(x + share * per_rise * d_x), z + share * per_adaptation * d_z
+        return pad(x + fraction * per_rise * d_x), z + fraction * per_adaptation * d_z
 
     def combine(start: Array, s1: Array, s2: Array, s3: Array) -> Array:
         return (1 / 3) * (s1 + 2 * s2 + s3 - start)

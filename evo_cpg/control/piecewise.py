@@ -210,7 +210,7 @@ class Flow:
         """
         return np.concatenate([np.ravel(potential), np.ravel(adaptation)]) / self.scale
 
-    def slope(self, state: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    def derivative(self, state: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """Derivative of a state with respect to time."""
         generator = self._piece(self._pattern(state)).generator
         return generator[:-1, :-1] @ state + generator[:-1, -1]
@@ -256,8 +256,8 @@ class Flow:
             while level < self._depth - 1 and self._lengths[level] > left:
                 level += 1
             length = min(float(self._lengths[level]), left)
-            whole = self._depth > 0 and length == self._lengths[level]
-            if whole:
+            full_length = self._depth > 0 and length == self._lengths[level]
+            if full_length:
                 half = piece.steps[level + 1]
                 if half is None:
                     level += 1
@@ -272,19 +272,19 @@ class Flow:
             v1 = length * (piece.generator[:n] @ end[:, 0])
             size = np.maximum(np.maximum(np.abs(x0), np.abs(x1)), np.abs(xm)) + _ZERO / _SMOOTH
             error = float((np.abs(xm - (x0 + x1) / 2 - (v0 - v1) / 8) / size).max())
-            if whole and error > _SMOOTH and level < self._depth - 1:
+            if full_length and error > _SMOOTH and level < self._depth - 1:
                 level += 1
                 continue
             seen = _CUBIC @ np.stack([x0, x1, v0, v1])
             wrong = np.where(firing, seen < -_ZERO, seen > _ZERO)
             if not wrong.any():
                 columns, time = end, time + length
-                if whole and error < _LENGTHEN and level > 0:
+                if full_length and error < _LENGTHEN and level > 0:
                     level -= 1
                 continue
             place = int(wrong.any(1).argmax())
-            share, neuron = _first_root(x0, x1, v0, v1, np.flatnonzero(wrong[place]), place)
-            columns, passed = self._onto_zero(piece, columns, share * length, neuron)
+            fraction, neuron = _first_root(x0, x1, v0, v1, np.flatnonzero(wrong[place]), place)
+            columns, passed = self._onto_zero(piece, columns, fraction * length, neuron)
             time += passed
             columns[neuron, 0] = 0.0
             firing = firing.copy()
@@ -302,7 +302,7 @@ class Flow:
 
     def stands_still(self, state: Float[np.ndarray, " k"]) -> bool:
         """Whether a state changes by rounding only."""
-        return bool(np.abs(self.slope(state)).max() < _STILL)
+        return bool(np.abs(self.derivative(state)).max() < _STILL)
 
     def rest(self, state: Float[np.ndarray, " k"]) -> Rest | None:
         """The equilibrium that a state is certain to decay to; None where that is not certain.
@@ -462,13 +462,13 @@ class Flow:
         series = [float(term[neuron, 0]) for term in terms]
         reach, moment = float(self._lengths[-1]), left
         for _ in range(_REFINEMENTS):
-            value = slope = 0.0
+            value = derivative = 0.0
             for coefficient in reversed(series):
-                slope = slope * moment + value
+                derivative = derivative * moment + value
                 value = value * moment + coefficient
-            if slope == 0:
+            if derivative == 0:
                 break
-            moment = min(max(moment - value / slope, -reach), 2 * reach)
+            moment = min(max(moment - value / derivative, -reach), 2 * reach)
         return _sum(terms, moment), about - left + moment
 
 
@@ -511,13 +511,13 @@ def _sum(terms: Sequence[np.ndarray], duration: float) -> np.ndarray:
 
 
 def _first_root(
-    x0: np.ndarray, x1: np.ndarray, v0: np.ndarray, v1: np.ndarray, who: np.ndarray, place: int
+    x0: np.ndarray, x1: np.ndarray, v0: np.ndarray, v1: np.ndarray, neurons: np.ndarray, place: int
 ) -> tuple[float, int]:
     """The first of some neurons whose cubic crosses zero before a place, and where, as a share."""
-    low = np.full(len(who), _PLACES[place - 1] if place else 0.0)
-    high = np.full(len(who), _PLACES[place])
-    a, b, c, d = x0[who], v0[who], 3 * (x1 - x0)[who] - (2 * v0 + v1)[who], 0.0
-    d = 2 * (x0 - x1)[who] + (v0 + v1)[who]
+    low = np.full(len(neurons), _PLACES[place - 1] if place else 0.0)
+    high = np.full(len(neurons), _PLACES[place])
+    a, b, c, d = x0[neurons], v0[neurons], 3 * (x1 - x0)[neurons] - (2 * v0 + v1)[neurons], 0.0
+    d = 2 * (x0 - x1)[neurons] + (v0 + v1)[neurons]
 
     def cubic(t: np.ndarray) -> np.ndarray:
         return a + t * (b + t * (c + t * d))
@@ -529,4 +529,4 @@ def _first_root(
         beyond = np.sign(cubic(middle)) == after
         low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
     first = int(high.argmin())
-    return float(low[first]), int(who[first])
+    return float(low[first]), int(neurons[first])

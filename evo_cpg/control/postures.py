@@ -156,9 +156,9 @@ class PostureController(Controller):
 
     def decode(self, genes: Float[Array, "g *n"]) -> Float[Array, "p d *n"]:
         """Joint angles of every posture, rad; unless graded, a gene of 0.5 or more is a 1."""
-        shares = jnp.clip(genes, 0, 1) if self.graded else (genes >= 0.5).astype(genes.dtype)
+        fractions = jnp.clip(genes, 0, 1) if self.graded else (genes >= 0.5).astype(genes.dtype)
         shape = self.postures, self.dof_count, self.bits_per_joint
-        bits = shares.reshape(*shape, *genes.shape[1:])
+        bits = fractions.reshape(*shape, *genes.shape[1:])
         weights = 2.0 ** np.arange(self.bits_per_joint)[::-1]
         number = (expand_dims_like(weights[None, None], bits) * bits).sum(2)
         return jnp.deg2rad(self.lowest_angle + self.angle_step * number)
@@ -209,7 +209,7 @@ def build_posture_controller(
 
 
 def one_posture(controller: Controller, angle: float) -> Float[np.ndarray, " g"]:
-    """Return the genome in whose every posture all joints have one angle (degrees)."""
+    """Return genes that turn all joints to one angle (degrees) in every posture."""
     assert isinstance(controller, PostureController)
     settings = controller.settings
     number = round((angle - settings.lowest_angle) / settings.angle_step)

@@ -7,6 +7,7 @@ animal faces along +x in the neutral pose.
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,6 +63,32 @@ class Actuator:
     stiffness: Number = 0.0
 
 
+class DegreeOfFreedom(NamedTuple):
+    """One degree of freedom of a joint: a turn about an axis through the joint's place.
+
+    Attributes:
+        axis: unit vector in the child's neutral frame.
+        lower: limit, rad.
+        upper: limit, rad.
+        stiffness: passive spring, N m/rad.
+        damping: passive damping, N m s/rad.
+        armature: rotor inertia, kg m^2.
+        servo_gain: of the motor, N m s/rad; 0 without one.
+        servo_stiffness: of the motor, N m/rad; 0 without one.
+        torque_limit: of the motor, N m; 0 without one.
+    """
+
+    axis: Triple
+    lower: Number
+    upper: Number
+    stiffness: Number
+    damping: Number
+    armature: Number
+    servo_gain: Number
+    servo_stiffness: Number
+    torque_limit: Number
+
+
 @dataclasses.dataclass(frozen=True)
 class Joint:
     """A joint of 1 to 3 rotational axes between a body and its parent.
@@ -99,6 +126,15 @@ class Joint:
     armature: Number = 0.0
     actuator: Actuator | None = None
 
+    @property
+    def dofs(self) -> tuple[DegreeOfFreedom, ...]:
+        """Its degrees of freedom, in the order in which they turn."""
+        motor = self.actuator
+        driven = (motor.gain, motor.stiffness, motor.torque_limit) if motor else (0.0, 0.0, 0.0)
+        same = self.stiffness, self.damping, self.armature, *driven
+        limits = zip(self.axes, self.lower, self.upper, strict=True)
+        return tuple(DegreeOfFreedom(axis, low, high, *same) for axis, low, high in limits)
+
 
 @dataclasses.dataclass(frozen=True)
 class Body:
@@ -117,6 +153,11 @@ class Body:
     material: Material
     joint: Joint | None = None
     color: str | None = None
+
+    @property
+    def mass(self) -> Number:
+        """Mass, kg."""
+        return self.shape.volume * self.material.density
 
 
 @dataclasses.dataclass(frozen=True)
@@ -171,7 +212,7 @@ class Creature:
 
     def __repr__(self) -> str:
         joints = [body.joint for body in self.bodies if body.joint is not None]
-        axes = sum(len(joint.axes) for joint in joints)
+        axes = sum(len(joint.dofs) for joint in joints)
         return (
             f"Creature({self.name!r}, bodies={len(self.bodies)}, joints={len(joints)}, "
             f"axes={axes}, eyes={len(self.light_sensors)})"
@@ -181,10 +222,14 @@ class Creature:
         """Position of a body in ``bodies``."""
         return [body.name for body in self.bodies].index(name)
 
+    def bodies_of(self, names: Sequence[str]) -> list[Body]:
+        """Return the bodies with some names, such as a tree's, in their order."""
+        return [self.bodies[self.body_index(name)] for name in names]
+
     @property
     def mass(self) -> Number:
         """Mass of the whole creature, kg."""
-        return sum(body.shape.volume * body.material.density for body in self.bodies)
+        return sum(body.mass for body in self.bodies)
 
 
 def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:
@@ -290,5 +335,5 @@ def topological_order(creature: Creature) -> list[int]:
                 ("bodies", names.index(stuck[0]), "joint", "parent"),
             )
         depth |= reached
-    axes = [len(body.joint.axes) if body.joint else 0 for body in bodies]
+    axes = [len(body.joint.dofs) if body.joint else 0 for body in bodies]
     return sorted(range(len(bodies)), key=lambda i: (depth[names[i]], axes[i], i))

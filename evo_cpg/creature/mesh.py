@@ -19,7 +19,15 @@ from typing import NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from evo_cpg.creature.shapes import Cell, RoundedBox, Shape, Surface
+from evo_cpg.creature.shapes import (
+    Cell,
+    FloorPart,
+    ObstaclePart,
+    RoundedBox,
+    Shape,
+    Skin,
+    Surface,
+)
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
@@ -167,6 +175,33 @@ class ConvexMesh(Shape):
         reach = self.points @ direction
         return reach.max() - reach <= _EQUALLY_FAR * xp.ptp(reach)
 
+    @property
+    @override
+    def fills_rounded_box(self) -> bool:
+        return False
+
+    @override
+    def height(self, directions: np.ndarray) -> np.ndarray:
+        return (directions @ self.points.T).max(-1)
+
+    @override
+    def floor_parts(self) -> tuple[FloorPart, ...]:
+        return (FloorPart("mesh", self.corners),)
+
+    @override
+    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
+        """One: an ellipsoid within it, and the corners."""
+        half, axes = self.inner_ellipsoid
+        return (ObstaclePart("ellipsoid", np.zeros(3), half, 0.0, axes, self.corners @ axes),)
+
+    @override
+    def skin(self) -> Skin:
+        """Of sharp edges: each triangle has points of its own; one without area is left out."""
+        normals, areas = _planes(self.triangles)
+        points = self.triangles[areas > 0].reshape(-1, 3)
+        faces = np.arange(len(points)).reshape(-1, 3)
+        return Skin(points, np.repeat(normals[areas > 0], 3, 0), faces)
+
     @functools.cached_property
     def corners(self) -> np.ndarray:
         """The corners that may touch the ground ``(k, 3)``, at most `MOST_CORNERS`, m."""
@@ -243,8 +278,8 @@ class ConvexMesh(Shape):
             mean = area[own] @ normal[own]
             place = np.average(middle[own], 0, area[own])
             parts.append((place, mean / np.linalg.norm(mean), area[own].sum()))
-        places, directions, shares = zip(*parts, strict=True)
-        return Surface(np.array(places), np.array(directions), np.array(shares))
+        places, directions, sizes = zip(*parts, strict=True)
+        return Surface(np.array(places), np.array(directions), np.array(sizes))
 
 
 def convex_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[ConvexMesh, np.ndarray]:
@@ -307,6 +342,9 @@ def _sensible_length(vertices: np.ndarray) -> float:
 
 
 def _require_one_closed_surface(faces: np.ndarray) -> None:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     edges, counts = np.unique(np.sort(directed, 1), axis=0, return_counts=True)
     wrong = int((counts != 2).sum())
@@ -315,15 +353,9 @@ def _require_one_closed_surface(faces: np.ndarray) -> None:
             f"it is open: {wrong} of {len(edges)} edges do not join two faces; close its holes "
             "and remove what lies inside"
         )
-    label = np.arange(faces.max() + 1)
-    while True:
-        before = label.copy()
-        np.minimum.at(label, edges[:, 0], before[edges[:, 1]])
-        np.minimum.at(label, edges[:, 1], before[edges[:, 0]])
-        label = label[label]
-        if np.array_equal(before, label):
-            break
-    pieces = len(np.unique(label))
+    count = faces.max() + 1
+    joined = coo_array((np.ones(len(edges)), edges.T), shape=(count, count))
+    pieces, _ = connected_components(joined, directed=False)
     if pieces > 1:
         raise MeshError(
             f"it consists of {pieces} separate pieces; allowed: one; give each its file"
@@ -433,14 +465,14 @@ def _moments(triangles: np.ndarray) -> _Moments:
     centre = np.average(triangles.mean(1), 0, weights)
     # Of a triangle: a twelfth of the sum over its corners, and nine twelfths from its middle.
     nodes = np.concatenate([triangles.reshape(-1, 3), triangles.mean(1)]) - centre
-    shares = np.concatenate([np.repeat(weights, 3) / 12, weights * 9 / 12]) / weights.sum()
+    parts = np.concatenate([np.repeat(weights, 3) / 12, weights * 9 / 12]) / weights.sum()
     # Where a square leaves the axes open they are as near to the frame's as they can be.
     first = np.eye(3)[np.abs(normal).argmin()]
     first = first - (first @ normal) * normal
     first /= np.linalg.norm(first)
     basis = np.array([first, np.cross(normal, first)])
     flat = nodes @ basis.T
-    covariance = (shares * flat.T) @ flat
+    covariance = (parts * flat.T) @ flat
     spread, axes = np.linalg.eigh(covariance)
     if np.ptp(spread) < _ROUND * spread.max():
         axes = np.eye(2)
@@ -462,8 +494,8 @@ def _halves(triangles: np.ndarray) -> list[np.ndarray]:
                 if heights[here] >= 0:
                     polygon.append(corners[here])
                 if heights[here] * heights[there] < 0:
-                    share = heights[here] / (heights[here] - heights[there])
-                    polygon.append(corners[here] + share * (corners[there] - corners[here]))
+                    fraction = heights[here] / (heights[here] - heights[there])
+                    polygon.append(corners[here] + fraction * (corners[there] - corners[here]))
             kept += [[polygon[0], polygon[n], polygon[n + 1]] for n in range(1, len(polygon) - 1)]
         halves.append(np.array(kept))
     return halves

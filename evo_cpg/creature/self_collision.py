@@ -58,32 +58,34 @@ class SelfCollision:
     only: PairNames | None = None
 
 
-def colliding_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> list[tuple[int, int]]:
+def colliding_pairs(
+    creature: Creature, tree: Tree, settings: SelfCollision
+) -> list[tuple[int, int]]:
     """Pairs of a tree's bodies that are to be kept apart.
 
     Args:
         creature: of known numbers.
         tree: its bodies in order.
-        wanted: what differs from the rule; all names exist.
+        settings: what differs from the rule; all names exist.
     """
-    if wanted.only is not None:
-        return sorted(_indices(tree.names, wanted.only))
-    candidates, overlapping = _candidates(creature, tree, wanted)
+    if settings.only is not None:
+        return sorted(_indices(tree.names, settings.only))
+    candidates, overlapping = _candidates(creature, tree, settings)
     return [pair for pair in candidates if pair not in overlapping]
 
 
 def passing_at_rest(
-    creature: Creature, tree: Tree, wanted: SelfCollision, pairs: Sequence[tuple[int, int]]
+    creature: Creature, tree: Tree, settings: SelfCollision, pairs: Sequence[tuple[int, int]]
 ) -> Bool[Numbers, " p"]:
     """Whether the rule lets pairs pass because they touch or overlap in the neutral pose.
 
     Args:
         creature: the numbers may be traced.
         tree: its bodies in order.
-        wanted: what differs from the rule; all names exist.
+        settings: what differs from the rule; all names exist.
         pairs: of the tree's bodies.
     """
-    included = _indices(tree.names, wanted.include)
+    included = _indices(tree.names, settings.include)
     ruled = np.array([tuple(sorted(pair)) not in included for pair in pairs], bool)
     return (_gaps_at_rest(creature, tree, pairs) < _TOUCH) & ruled
 
@@ -101,16 +103,18 @@ class LeftOut(NamedTuple):
     others: tuple[tuple[int, int], ...]
 
 
-def left_out(creature: Creature, tree: Tree, wanted: SelfCollision) -> LeftOut:
+def left_out(creature: Creature, tree: Tree, settings: SelfCollision) -> LeftOut:
     """Return why all pairs but those of ``wanted.only`` need not be looked at.
 
     Args:
         creature: of known numbers.
         tree: its bodies in order.
-        wanted: with pairs that alone are looked at.
+        settings: with pairs that alone are looked at.
     """
-    assert wanted.only is not None
-    every = [pair for pair in _ruled(tree, wanted) if pair not in _indices(tree.names, wanted.only)]
+    assert settings.only is not None
+    every = [
+        pair for pair in _ruled(tree, settings) if pair not in _indices(tree.names, settings.only)
+    ]
     centre, half = _boxes(creature, tree)
     apart: list[tuple[int, int, int]] = []
     for pieces in (*_FEWER_PIECES, PIECES):
@@ -130,36 +134,36 @@ def still_apart(creature: Creature, tree: Tree, left: LeftOut) -> Condition:
 
 
 def pairs_that_touch_at_rest(
-    creature: Creature, tree: Tree, wanted: SelfCollision
+    creature: Creature, tree: Tree, settings: SelfCollision
 ) -> list[tuple[int, int]]:
     """Pairs that the rule lets pass because they touch or overlap in the neutral pose.
 
     Neighbours at a joint are not among them. See `colliding_pairs` for the arguments.
     """
-    return sorted(_candidates(creature, tree, wanted)[1])
+    return sorted(_candidates(creature, tree, settings)[1])
 
 
 def _candidates(
-    creature: Creature, tree: Tree, wanted: SelfCollision
+    creature: Creature, tree: Tree, settings: SelfCollision
 ) -> tuple[list[tuple[int, int]], set[tuple[int, int]]]:
     """Pairs that can meet, and those of them that pass because they overlap from the start."""
     are_apart = keeps_apart(tree, _boxes(creature, tree))
-    candidates = [pair for pair in _ruled(tree, wanted) if not are_apart(*pair)]
-    passing = passing_at_rest(creature, tree, wanted, candidates)
+    candidates = [pair for pair in _ruled(tree, settings) if not are_apart(*pair)]
+    passing = passing_at_rest(creature, tree, settings, candidates)
     return candidates, {pair for pair, passes in zip(candidates, passing, strict=True) if passes}
 
 
-def _ruled(tree: Tree, wanted: SelfCollision) -> list[tuple[int, int]]:
+def _ruled(tree: Tree, settings: SelfCollision) -> list[tuple[int, int]]:
     """Pairs that the rule keeps apart where they can meet and do not overlap from the start."""
     every = set(itertools.combinations(range(len(tree.names)), 2))
-    excluded, included = (_indices(tree.names, x) for x in (wanted.exclude, wanted.include))
+    excluded, included = (_indices(tree.names, x) for x in (settings.exclude, settings.include))
     joined = {(parent, body) for body, parent in enumerate(tree.parents) if parent >= 0}
     return sorted((every - joined - excluded) | included)
 
 
 def _boxes(creature: Creature, tree: Tree) -> tuple[Numbers, Numbers]:
     """Centres and half edges ``(3, b)`` of boxes around all bodies, in their working frames, m."""
-    boxes = [creature.bodies[creature.body_index(name)].shape.rounded_box for name in tree.names]
+    boxes = [body.shape.rounded_box for body in creature.bodies_of(tree.names)]
     centre = tree.com + xp.array([box.centre for box in boxes]).T
     return centre, xp.array([box.half_extents + box.radius for box in boxes]).T
 

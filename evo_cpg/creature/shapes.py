@@ -1,4 +1,8 @@
-"""Rigid shapes: volume, inertia, distance, support, cells, and a quadrature over the surface.
+"""Rigid shapes, and all that the rest of the package asks of a shape.
+
+Mass and water: volume, inertia, cells, and a quadrature over the surface. Contact: parts that touch
+the floor, parts that meet obstacles, and a rounded box for other limbs. Pictures: the skin. A new
+kind of shape is a class here. Only the exchange with MuJoCo asks for its type.
 
 Every shape is centred on its own frame. Elongated shapes point along their x axis, which is the
 direction an animal faces. ``surface(resolution)`` returns points ``(n, 3)`` in m, unit outward
@@ -8,7 +12,9 @@ uniform stream feels no sideways force, and they converge as the resolution grow
 
 import abc
 import dataclasses
-from typing import Literal, NamedTuple
+import functools
+import itertools
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from typing_extensions import override
@@ -19,6 +25,10 @@ from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
 # Discs into which the cylinder of a capsule is cut. Between them they have its second moment; a
 # capsule that floats level rights itself 33 % / n^2 too strongly about its short axes: 2 %.
 _SLICES = 4
+
+# Edge radius of a box in pictures, as a fraction of its smallest half size; vertices of pictures
+# along a quarter circle: 6 look round on a body that fills a third of a frame.
+_ROUNDING, _QUARTER = 0.28, 6
 
 Profile = Literal["box", "ball", "disc", "polyhedron"]
 
@@ -49,6 +59,57 @@ class Cell(NamedTuple):
     half_axes: Triple
     volume: Number
     triangles: Numbers | None = None
+
+
+class FloorPart(NamedTuple):
+    """Part of a shape that may touch the floor.
+
+    Attributes:
+        kind: a box and a mesh touch it with corners, a ball and an ellipsoid with their lowest
+            point.
+        size: half edges ``(3,)`` of a box, corners ``(k, 3)`` of a mesh, the radius of a ball, or
+            semi-axes ``(3,)`` of an ellipsoid, m.
+        centre: in the shape's frame, m; None for the middle.
+    """
+
+    kind: Literal["box", "mesh", "ball", "ellipsoid"]
+    size: Any
+    centre: Numbers | None = None
+
+
+class ObstaclePart(NamedTuple):
+    """Part of a shape that may meet obstacles.
+
+    Attributes:
+        kind: a box with sharp edges, a line along x, a ball, or an ellipsoid.
+        centre: in the shape's frame, m.
+        half_extents: of a box, of a line, or semi-axes of an ellipsoid, m.
+        radius: of the ball that sweeps it, m.
+        axes: there, as columns; None where they are the frame's.
+        corners: of a mesh around an ellipsoid, along ``axes``, ``(k, 3)``, m; None where there is
+            no mesh.
+    """
+
+    kind: Literal["box", "line", "ball", "ellipsoid"]
+    centre: Numbers
+    half_extents: Numbers
+    radius: Number
+    axes: np.ndarray | None = None
+    corners: np.ndarray | None = None
+
+
+class Skin(NamedTuple):
+    """Triangles of a shape's picture.
+
+    Attributes:
+        points: ``(n, 3)``, m.
+        normals: ``(n, 3)``, for smooth shading.
+        faces: indices of points ``(f, 3)``, counterclockwise seen from outside.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    faces: np.ndarray
 
 
 class RoundedBox(NamedTuple):
@@ -101,6 +162,11 @@ class Shape(abc.ABC):
         """A box swept by a ball that holds the shape, and is it but for ellipsoids and meshes."""
         return RoundedBox(np.zeros(3), self.half_extents, 0.0)
 
+    @property
+    def fills_rounded_box(self) -> bool:
+        """Whether `rounded_box` holds no more than the shape."""
+        return True
+
     @abc.abstractmethod
     def distance(self, points: Numbers) -> Numbers:
         """Signed distance ``(n,)`` of points ``(n, 3)`` from the surface, m; negative inside.
@@ -117,6 +183,13 @@ class Shape(abc.ABC):
                 their middle is returned.
         """
 
+    def height(self, directions: np.ndarray) -> np.ndarray:
+        """How far a shape of known size reaches along unit vectors ``(..., 3)``, m."""
+        box = self.rounded_box
+        half = np.asarray(box.half_extents, float)
+        middle = directions @ np.asarray(box.centre, float)
+        return middle + np.abs(directions) @ half + float(box.radius)
+
     @abc.abstractmethod
     def surface(self, resolution: int) -> Surface:
         """Quadrature over the whole surface; the number of points grows with the resolution."""
@@ -124,6 +197,23 @@ class Shape(abc.ABC):
     @abc.abstractmethod
     def cells(self) -> tuple[Cell, ...]:
         """The volume in parts that have its first and second moments between them."""
+
+    @abc.abstractmethod
+    def floor_parts(self) -> tuple[FloorPart, ...]:
+        """Return the parts that may touch the floor."""
+
+    @abc.abstractmethod
+    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
+        """Return the parts that may meet obstacles."""
+
+    @property
+    def corners(self) -> np.ndarray | None:
+        """Corners that may touch the floor ``(k, 3)``, m; None of a round shape."""
+        return None
+
+    @abc.abstractmethod
+    def skin(self) -> Skin:
+        """Return the triangles of its picture."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -172,6 +262,26 @@ class Box(Shape):
     @override
     def cells(self) -> tuple[Cell, ...]:
         return (Cell("box", (0.0, 0.0, 0.0), as_vector(self.half_extents), self.volume),)
+
+    @override
+    def floor_parts(self) -> tuple[FloorPart, ...]:
+        return (FloorPart("box", self.half_extents),)
+
+    @override
+    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
+        return (ObstaclePart("box", *self.rounded_box),)
+
+    @property
+    @override
+    def corners(self) -> np.ndarray:
+        return np.array(list(itertools.product((-1, 1), repeat=3))) * self.half_extents
+
+    @override
+    def skin(self) -> Skin:
+        """Of a box with rounded edges."""
+        directions, signs, faces = _split_sphere()
+        radius = _ROUNDING * self.half_extents.min()
+        return Skin(signs * (self.half_extents - radius) + radius * directions, directions, faces)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -231,6 +341,30 @@ class Ellipsoid(Shape):
     def cells(self) -> tuple[Cell, ...]:
         return (Cell("ball", (0.0, 0.0, 0.0), self.radii, self.volume),)
 
+    @property
+    @override
+    def fills_rounded_box(self) -> bool:
+        return float(np.ptp(np.asarray(self.radii, float))) == 0.0
+
+    @override
+    def height(self, directions: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(directions * np.asarray(self.radii, float), axis=-1)
+
+    @override
+    def floor_parts(self) -> tuple[FloorPart, ...]:
+        return (FloorPart("ellipsoid", self.half_extents),)
+
+    @override
+    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
+        return (ObstaclePart("ellipsoid", np.zeros(3), self.half_extents, 0.0),)
+
+    @override
+    def skin(self) -> Skin:
+        directions, _, faces = _split_sphere()
+        normals = directions / self.half_extents
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return Skin(directions * self.half_extents, normals, faces)
+
 
 class Sphere(Ellipsoid):
     """Sphere of the given ``radius`` (m)."""
@@ -242,6 +376,14 @@ class Sphere(Ellipsoid):
     def radius(self) -> Number:
         """Radius, m."""
         return self.radii[0]
+
+    @override
+    def floor_parts(self) -> tuple[FloorPart, ...]:
+        return (FloorPart("ball", self.radius),)
+
+    @override
+    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
+        return (ObstaclePart("ball", *self.rounded_box),)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -308,9 +450,9 @@ class Capsule(Shape):
         ring_area = 2 * xp.pi * self.radius * self.length / len(around)
         side = Surface(points, normals, xp.repeat(weights / 2 * ring_area, len(around)))
         # A rule on either half: one across both would not see the step between them.
-        half, share = (nodes + 1) / 2, weights / 2
+        half, part = (nodes + 1) / 2, weights / 2
         directions, solid_angles = _around_x(
-            xp.concatenate([-half[::-1], half]), xp.concatenate([share[::-1], share]), around
+            xp.concatenate([-half[::-1], half]), xp.concatenate([part[::-1], part]), around
         )
         shift = xp.sign(directions[:, :1]) * xp.array([[self.length / 2, 0.0, 0.0]])
         ends = Surface(self.radius * directions + shift, directions, solid_angles * self.radius**2)
@@ -345,6 +487,21 @@ class Capsule(Shape):
             for sign in (1, -1)
         ]
         return (*discs, *ends)
+
+    @override
+    def floor_parts(self) -> tuple[FloorPart, ...]:
+        end = xp.array([self.length / 2, 0.0, 0.0])
+        return FloorPart("ball", self.radius, -end), FloorPart("ball", self.radius, end)
+
+    @override
+    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
+        return (ObstaclePart("line", *self.rounded_box),)
+
+    @override
+    def skin(self) -> Skin:
+        directions, signs, faces = _split_sphere()
+        points = signs * [self.length / 2, 0, 0] + self.radius * directions
+        return Skin(points, directions, faces)
 
 
 def _ring(resolution: int) -> Numbers:
@@ -386,3 +543,34 @@ def _around_x(nodes: Numbers, weights: Numbers, around: Numbers) -> tuple[Number
 
 def _join(parts: list[Surface]) -> Surface:
     return Surface(*(xp.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+@functools.cache
+def _split_sphere() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a cube blown up to a sphere, cut along the three coordinate planes.
+
+    Moving each octant outwards turns it into a rounded box or a capsule.
+
+    Returns:
+        Unit vectors ``(n, 3)``, the octant's signs ``(n, 3)``, and triangles ``(m, 3)``.
+    """
+    half = np.linspace(0, np.pi / 4, _QUARTER)
+    along = np.tan(np.concatenate([-half[::-1], half]))
+    side = np.repeat([-1.0, 1.0], _QUARTER)
+    u, v = (grid.ravel() for grid in np.meshgrid(along, along, indexing="ij"))
+    sign_u, sign_v = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
+    count = 2 * _QUARTER
+    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
+    quads = corner[:, None] + np.array([0, count, count + 1, 0, count + 1, 1])
+    triangles = quads.reshape(-1, 3)
+    points, signs, faces = [], [], []
+    for axis in range(3):
+        for outward in (1.0, -1.0):
+            cube, octant = np.zeros((u.size, 3)), np.zeros((u.size, 3))
+            order = [axis, (axis + 1) % 3, (axis + 2) % 3]
+            cube[:, order] = np.column_stack([np.full(u.size, outward), u, v])
+            octant[:, order] = np.column_stack([np.full(u.size, outward), sign_u, sign_v])
+            faces.append(triangles[:, :: int(outward)] + u.size * len(points))
+            points.append(cube / np.linalg.norm(cube, axis=1, keepdims=True))
+            signs.append(octant)
+    return np.concatenate(points), np.concatenate(signs), np.concatenate(faces)

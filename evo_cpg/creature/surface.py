@@ -5,6 +5,7 @@ stream against them. Counting them made a 10-body chain swim at 0.05 m/s instead
 """
 
 import functools
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -14,15 +15,20 @@ from evo_cpg.creature.shapes import Surface
 from evo_cpg.spatial.choices import Condition, all_hold, chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
+# Layout of the surface points of a model. Usually sheltered points are left out, and those that
+# feel the same water are merged. Bodies of a batch need one layout: "separate" merges nothing,
+# and "complete" also keeps the sheltered points, with no area.
+PointLayout = Literal["merged", "separate", "complete"]
+
 # A point is sheltered when a step of this many joint gaps along its normal ends in another body.
 _SHELTER_GAPS = 1.5
 
 # Places along the normal (as fractions of the sheltering distance) that are probed.
 _PROBES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
-# Share of the distance of two bodies that counts: those of a plan that are looked at may be farther
-# apart than bodies that cover each other.
-_NEAR = 0.8
+# Pairs of bodies are checked for cover up to this multiple of the distance at which they can cover
+# each other, because other bodies of a plan are larger. The second is for the layout "complete".
+_NEAR, _NEAR_IN_COMPLETE = 1 / 0.8, 3.0
 
 # Two bodies have the same skin where it is no farther apart (m), and so far outside of it (m)
 # neither is.
@@ -30,7 +36,7 @@ _SAME_SKIN, _OUTWARDS = 1e-9, 1e-6
 
 
 def outer_surfaces(
-    creature: Creature, resolution: int, sheltered: bool = True
+    creature: Creature, resolution: int, sheltered: bool = True, layout: PointLayout = "merged"
 ) -> tuple[Surface, ...]:
     """Quadrature points on the outer surface of each body, in the body's geometric frame.
 
@@ -39,6 +45,7 @@ def outer_surfaces(
         resolution: see `Shape.surface`.
         sheltered: drop the points that another body covers in the neutral pose; False counts
             every face, as a literal reading of Iwadate 2010 would.
+        layout: with "complete", sheltered points remain and their area is 0.
 
     Returns:
         One surface per body, in the order of ``creature.bodies``.
@@ -49,15 +56,29 @@ def outer_surfaces(
     pose = neutral_pose(creature)
     reach = _SHELTER_GAPS * _largest_gap(creature, pose)
 
+    def find_near(largest: float = _NEAR) -> np.ndarray:
+        return _nearness(creature, pose, reach) <= largest
+
+    def still_near(near: np.ndarray) -> Condition:
+        return (near | (_nearness(creature, pose, reach) > 1)).all()
+
+    if layout == "complete":
+        near = chosen(lambda: find_near(_NEAR_IN_COMPLETE), still_near)
+        exposed = _exposed(creature, pose, reach, surfaces, near)
+        return tuple(
+            surface._replace(areas=xp.where(outside, surface.areas, 0.0))
+            for surface, outside in zip(surfaces, exposed, strict=True)
+        )
+
     def choose() -> tuple[list[Numbers], np.ndarray]:
-        near = _NEAR * _nearness(creature, pose, reach) <= 1
+        near = find_near()
         return _exposed(creature, pose, reach, surfaces, near), near
 
     def still(made: tuple[list[Numbers], np.ndarray]) -> Condition:
         exposed, near = made
         again = _exposed(creature, pose, reach, surfaces, near)
         same = [(one == other).all() for one, other in zip(exposed, again, strict=True)]
-        return all_hold([(near | (_nearness(creature, pose, reach) > 1)).all(), *same])
+        return all_hold([still_near(near), *same])
 
     exposed, _ = chosen(choose, still)
     return tuple(
@@ -97,7 +118,8 @@ def random_surfaces(
 
 
 def _draw(areas: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    return rng.choice(len(areas), size=count, p=areas / areas.sum())
+    total = areas.sum()
+    return rng.choice(len(areas), size=count, p=areas / total if total else None)
 
 
 def _nearness(

@@ -135,7 +135,7 @@ def build_tree(creature: Creature) -> Tree:
     orientation = xp.stack(
         [xp.array(body.joint.orientation) if body.joint else np.eye(3) for body in bodies], axis=-1
     )
-    mass = xp.array([body.shape.volume * body.material.density for body in bodies])
+    mass = xp.array([body.mass for body in bodies])
     com = -child_anchor
     inertia = xp.stack(
         [
@@ -145,38 +145,39 @@ def build_tree(creature: Creature) -> Tree:
         axis=-1,
     )
     joints = [body.joint for body in bodies if body.joint]
-    actuators = [(joint.actuator, len(joint.axes)) for joint in joints]
-    dof_bodies = [i for i, body in enumerate(bodies) if body.joint for _ in body.joint.axes]
+    dofs = [dof for joint in joints for dof in joint.dofs]
+    dof_bodies = [i for i, body in enumerate(bodies) if body.joint for _ in body.joint.dofs]
     limit_rate = 2 * np.pi * LIMIT_FREQUENCY
     leverage = _effective_inertia(creature, order)
-    gain = _per_dof([(a.gain if a else 0.0, n) for a, n in actuators])
-    spring = _per_dof([(a.stiffness if a else 0.0, n) for a, n in actuators])
+
+    def each(name: str) -> Float[Numbers, " d"]:
+        return xp.array([getattr(dof, name) for dof in dofs], float)
+
+    gain, spring = each("servo_gain"), each("servo_stiffness")
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
         groups=_groups(bodies, parents, dof_bodies),
         dof_names=tuple(
-            f"{body.name}.{chosen(functools.partial(_axis_name, axis))}"
-            for body in bodies
-            if body.joint
-            for axis in body.joint.axes
+            f"{bodies[i].name}.{chosen(functools.partial(_axis_name, dof.axis))}"
+            for i, dof in zip(dof_bodies, dofs, strict=True)
         ),
         dof_bodies=tuple(dof_bodies),
         joint_offset=offset.T,
         joint_orientation=orientation,
-        joint_axes=xp.array([axis for j in joints for axis in j.axes], float).reshape(-1, 3).T,
+        joint_axes=each("axis").reshape(-1, 3).T,
         mass=mass,
         volume=xp.array([body.shape.volume for body in bodies]),
         com=com.T,
         inertia=inertia,
-        stiffness=_per_dof([(j.stiffness, len(j.axes)) for j in joints]),
-        damping=_per_dof([(j.damping, len(j.axes)) for j in joints]),
-        armature=_per_dof([(j.armature, len(j.axes)) for j in joints]),
-        lower=xp.array([limit for j in joints for limit in j.lower], float),
-        upper=xp.array([limit for j in joints for limit in j.upper], float),
+        stiffness=each("stiffness"),
+        damping=each("damping"),
+        armature=each("armature"),
+        lower=each("lower"),
+        upper=each("upper"),
         servo_gain=gain,
         servo_stiffness=spring,
-        torque_limit=_per_dof([(a.torque_limit if a else 0.0, n) for a, n in actuators]),
+        torque_limit=each("torque_limit"),
         limit_stiffness=leverage * limit_rate**2 + (gain + spring) * limit_rate,
         limit_damping=2 * LIMIT_DAMPING_RATIO * leverage * limit_rate,
     )
@@ -216,19 +217,21 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
             other = creature.bodies[j].joint
             if other is not None and other.parent in beyond:
                 beyond.add(names[j])
-        distal += [[name in beyond for name in names]] * len(joint.axes)
-    moved = np.array([i for i, joint in jointed for _ in joint.axes], int)
-    axes = xp.array([axis for _, joint in jointed for axis in joint.axes], float).reshape(-1, 3)
-    anchors = xp.array([joint.child_anchor for _, joint in jointed for _ in joint.axes], float)
+        distal += [[name in beyond for name in names]] * len(joint.dofs)
+    moved = np.array([i for i, joint in jointed for _ in joint.dofs], int)
+    axes = xp.array([dof.axis for _, joint in jointed for dof in joint.dofs], float).reshape(-1, 3)
+    anchors = xp.array([joint.child_anchor for _, joint in jointed for _ in joint.dofs], float)
     directions = xp.einsum("dij,dj->di", rotations[moved], axes)
     places = centres[moved] + xp.einsum("dij,dj->di", rotations[moved], anchors.reshape(-1, 3))
-    mass = xp.array([body.shape.volume * body.material.density for body in creature.bodies])
+    mass = xp.array([body.mass for body in creature.bodies])
     own = xp.stack(
         [body.shape.inertia_tensor(m) for m, body in zip(mass, creature.bodies, strict=True)]
     )
     spin = rotations @ own @ xp.swapaxes(rotations, 1, 2)
-    arm = xp.cross(directions[:, None], centres[None] - places[:, None])
-    about = xp.einsum("di,bij,dj->db", directions, spin, directions) + mass * (arm * arm).sum(-1)
+    lever = xp.cross(directions[:, None], centres[None] - places[:, None])
+    about = xp.einsum("di,bij,dj->db", directions, spin, directions) + mass * (lever * lever).sum(
+        -1
+    )
     beyond = np.array(distal, bool).reshape(len(moved), len(names))
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
     return outer * inner / (outer + inner)
@@ -241,11 +244,11 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
     build: dict[int, tuple] = {}
     for i in reversed(range(1, len(bodies))):
         limbs = sorted(build[j] for j in range(i + 1, len(bodies)) if parents[j] == i)
-        build[i] = len(bodies[i].joint.axes), *limbs
+        build[i] = len(bodies[i].joint.dofs), *limbs
     groups: list[Group] = []
     for _, run in itertools.groupby(range(1, len(bodies)), lambda i: (depth[i], build[i])):
         members = list(run)
-        start, axes = members[0], len(bodies[members[0]].joint.axes)
+        start, axes = members[0], len(bodies[members[0]].joint.dofs)
         first_dof = dof_bodies.index(start)
         groups.append(
             Group(
@@ -256,10 +259,6 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
             )
         )
     return tuple(groups)
-
-
-def _per_dof(values: list[tuple[Number, int]]) -> Float[Numbers, " d"]:
-    return xp.array([value for value, axes in values for _ in range(axes)], float)
 
 
 def _axis_name(axis: Triple) -> str:

@@ -203,14 +203,14 @@ def different_places(
         The places, in no order that means anything, and behind them ``count``.
     """
     step = jnp.arange(most)[:, None]
-    wanted = step < number[None]
-    last = jnp.where(wanted, count - number[None] + step, 0)
+    needed = step < number[None]
+    last = jnp.where(needed, count - number[None] + step, 0)
     drawn = jax.random.randint(key, last.shape, 0, last + 1)
     none = jnp.full_like(drawn, count)
 
     def choose(places: Array, i: Array) -> tuple[Array, None]:
         taken = (places == drawn[i][None]).any(0)
         place = jnp.where(taken, last[i], drawn[i])
-        return places.at[i].set(jnp.where(wanted[i], place, count)), None
+        return places.at[i].set(jnp.where(needed[i], place, count)), None
 
     return jax.lax.scan(choose, none, jnp.arange(most))[0]

@@ -6,7 +6,7 @@ fitness changes its sign; an individual that diverged gets the worst fitness of 
 for many of its algorithms compute with it. Where a genome is bits the algorithm searches real
 numbers, and a gene is 1 where its number is positive.
 
-Like any other search it begins with the random genomes of the controller, on which yardsticks are
+Like any other search it begins with the random genomes of the controller, on which scales are
 measured. A distribution then starts about the mean of the better half of them, a population with
 all of them.
 
@@ -88,7 +88,7 @@ class Evosax(Strategy):
         """The genomes that come first."""
         numbers = self._latent.numbers(genes)
         fitness = jnp.zeros(numbers.shape[1], numbers.dtype)
-        return Sample(numbers, self._begun(key, numbers, fitness), jnp.int32(0))
+        return Sample(numbers, self._started(key, numbers, fitness), jnp.int32(0))
 
     def ask(self, key: Array, state: Sample) -> tuple[Float[Array, "g n"], Sample]:
         """What comes first, then what the algorithm draws."""
@@ -96,8 +96,8 @@ class Evosax(Strategy):
             rows, inner = self._algorithm.ask(key, state.state, self._params)
         first = state.told == 0
         numbers = jnp.where(first, state.numbers, rows.T)
-        kept = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.state, inner)
-        return self._latent.genes(numbers), Sample(numbers, kept, state.told)
+        inner_state = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.state, inner)
+        return self._latent.genes(numbers), Sample(numbers, inner_state, state.told)
 
     def tell(
         self, key: Array, state: Sample, genes: Float[Array, "g n"], evaluation: Evaluation
@@ -108,11 +108,11 @@ class Evosax(Strategy):
         fitness = worst_finite(evaluation.fitness)
         with jax.numpy_rank_promotion("allow"):
             later, _ = self._algorithm.tell(key, numbers.T, -fitness, state.state, self._params)
-        first, begun = state.told == 0, self._begun(key, numbers, fitness)
-        inner = jax.tree.map(lambda a, b: jnp.where(first, a, b), begun, later)
+        first, started = state.told == 0, self._started(key, numbers, fitness)
+        inner = jax.tree.map(lambda a, b: jnp.where(first, a, b), started, later)
         return Sample(numbers, inner, state.told + 1)
 
-    def _begun(
+    def _started(
         self, key: Array, numbers: Float[Array, "g n"], fitness: Float[Array, " n"]
     ) -> PyTree[Array]:
         """The algorithm's state after the first population."""

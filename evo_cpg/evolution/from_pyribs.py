@@ -1,6 +1,6 @@
 """CMA-MAE of pyribs (Tjanaka et al. 2023; Fontaine and Nikolaidis 2023) as a strategy.
 
-Like any other search it begins with the random genomes of the controller, on which yardsticks are
+Like any other search it begins with the random genomes of the controller, on which scales are
 measured. From then on several evolution strategies, the *emitters*, each adapt a normal
 distribution, first about the mean of the better half of those, and put what they draw into one map.
 A cell of it has a threshold, the fitness that has to be exceeded to enter, and with each that
@@ -43,19 +43,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+from evo_cpg.evolution.archive import Archive, Axis
 from evo_cpg.evolution.latent import Latent
-from evo_cpg.evolution.map_elites import Archive, Axis, Beginning, MapStrategy
+from evo_cpg.evolution.map_elites import Beginning, MapStrategy
 from evo_cpg.evolution.pyribs_host import (
     ALGORITHMS,
     SAMPLE,
     SEED_WORDS,
-    Plan,
-    asked,
-    begun,
+    RibsSettings,
+    adapt,
+    draw,
     layout,
     optimiser,
     shapes,
-    told,
+    start_emitters,
 )
 from evo_cpg.evolution.selection import rank_order
 from evo_cpg.evolution.strategy import Evaluation, descriptor_rows
@@ -128,10 +129,10 @@ class Ribs(MapStrategy):
                 f"each of {self.emitters} emitters needs two individuals or more, and the "
                 f"population is {self.population}"
             )
-        optimiser(self._plan)
-        layout(self._plan)
+        optimiser(self._settings)
+        layout(self._settings)
 
-    def archive(self, state: State) -> Archive:
+    def map_of(self, state: State) -> Archive:
         """Everybody's map."""
         return state.archive
 
@@ -144,11 +145,11 @@ class Ribs(MapStrategy):
         """What comes first; then what the emitters draw, with random numbers of their own."""
         del key
         if isinstance(state, Beginning):
-            nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes(self._plan))
+            nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes(self._settings))
             return state.genes, State(state.archive, *nothing)
-        _, *wanted = shapes(self._plan)
-        draw = functools.partial(_asked, self._plan)
-        emitters, drawn = _on_host(draw, tuple(wanted), state.emitters)
+        _, *like = shapes(self._settings)
+        draw = functools.partial(_draw, self._settings)
+        emitters, drawn = _on_host(draw, tuple(like), state.emitters)
         genes = self._latent.genes(self._rows(drawn).T)
         return genes, state._replace(emitters=emitters, drawn=drawn)
 
@@ -167,10 +168,10 @@ class Ribs(MapStrategy):
         counts = own & jnp.isfinite(evaluation.fitness) & jnp.isfinite(found).all(0)
         fitness = jnp.where(counts, evaluation.fitness, 0.0).astype(jnp.float32)
         measures = jnp.where(counts, found, 0.0).astype(jnp.float32).T
-        cells, emitters, _ = shapes(self._plan)
+        cells, emitters, _ = shapes(self._settings)
         known = state.cells, state.emitters, state.drawn
         worth = fitness, measures, counts
-        adapt = functools.partial(_told, self._plan)
+        adapt = functools.partial(_adapt, self._settings)
         first = state.archive.told == 0
         cells, emitters = _on_host(adapt, (cells, emitters), first, start, seeds, *known, *worth)
         return State(self.entered(state.archive, genes, evaluation), cells, emitters, state.drawn)
@@ -194,8 +195,8 @@ class Ribs(MapStrategy):
         return Latent(self.binary, self.sigma, self.gene_bound)
 
     @property
-    def _plan(self) -> Plan:
-        return Plan(
+    def _settings(self) -> RibsSettings:
+        return RibsSettings(
             self.axes,
             self.gene_count,
             self.emitters,
@@ -217,16 +218,16 @@ def _on_host(function: Any, like: PyTree, *given: PyTree) -> Any:
     return jax.pure_callback(function, like, *given, vmap_method="sequential")
 
 
-def _asked(plan: Plan, emitters: Arrays) -> tuple[PyTree, PyTree]:
-    return asked(plan, _numpy(emitters))
+def _draw(settings: RibsSettings, emitters: Arrays) -> tuple[PyTree, PyTree]:
+    return draw(settings, _numpy(emitters))
 
 
-def _told(
-    plan: Plan, first: Array, start: Array, seeds: Array, *known: PyTree
+def _adapt(
+    settings: RibsSettings, first: Array, start: Array, seeds: Array, *known: PyTree
 ) -> tuple[PyTree, PyTree]:
     if first:
-        return begun(plan, np.asarray(start), np.asarray(seeds))
-    return told(plan, *_numpy(known))
+        return start_emitters(settings, np.asarray(start), np.asarray(seeds))
+    return adapt(settings, *_numpy(known))
 
 
 def _numpy(tree: PyTree) -> Any:

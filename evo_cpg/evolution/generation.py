@@ -29,9 +29,12 @@ class Genetics(Strategy):
 
     Attributes:
         population: number of individuals.
+        checks_genes: no, because it only varies the genes that the controller drew.
     """
 
     population: eqx.AbstractVar[int]
+
+    checks_genes = False
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """The first population."""
@@ -146,7 +149,7 @@ def keep_elites(
     if elite_count == 0:
         return children
     places = np.arange(elite_count)
-    kept = rank_order(fitness)[np.maximum(places - (best_copies - 1), 0)]
-    alive = jnp.isfinite(fitness[kept])[None]
-    elites = jnp.where(alive, genes[:, kept], children[:, :elite_count])
+    best = rank_order(fitness)[np.maximum(places - (best_copies - 1), 0)]
+    alive = jnp.isfinite(fitness[best])[None]
+    elites = jnp.where(alive, genes[:, best], children[:, :elite_count])
     return children.at[:, :elite_count].set(elites)

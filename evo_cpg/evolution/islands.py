@@ -62,8 +62,8 @@ class Islands(Strategy):
 
     def ask(self, key: Array, state: Archipelago) -> tuple[Float[Array, "g n"], Archipelago]:
         """See `Strategy.ask`."""
-        asked = jax.vmap(self.strategy.ask, out_axes=(1, 0))
-        genes, islands = asked(self._keys(key), state.islands)
+        ask = jax.vmap(self.strategy.ask, out_axes=(1, 0))
+        genes, islands = ask(self._keys(key), state.islands)
         return genes.reshape(len(genes), -1), Archipelago(state.generation, islands)
 
     def tell(
@@ -73,9 +73,9 @@ class Islands(Strategy):
         done = state.generation + 1
         arrived = self._arrivals(evaluation.fitness, done % self.every == 0)
         genes, evaluation = jax.tree.map(lambda x: x[..., arrived], (genes, evaluation))
-        told = jax.vmap(self.strategy.tell, in_axes=(0, 0, 1, -2))
+        tell = jax.vmap(self.strategy.tell, in_axes=(0, 0, 1, -2))
         apart = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], self.count, -1), evaluation)
-        islands = told(self._keys(key), state.islands, self._apart(genes), apart)
+        islands = tell(self._keys(key), state.islands, self._apart(genes), apart)
         return Archipelago(done, islands)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:

@@ -22,57 +22,15 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
+from evo_cpg.evolution.archive import Archive, Axis
 from evo_cpg.evolution.bits import bit_mutation
 from evo_cpg.evolution.strategy import Evaluation, Strategy, descriptor_rows
 from evo_cpg.evolution.variation import one_point_crossover
 
 # What every map says of itself.
 METRICS = ("coverage", "mean_elite")
-
-
-class Axis(NamedTuple):
-    """A descriptor, and how its range is cut.
-
-    Attributes:
-        name: of the descriptor.
-        low: where the first cell begins.
-        high: where the last one ends.
-        cells: how many.
-    """
-
-    name: str
-    low: float
-    high: float
-    cells: int
-
-    @property
-    def edges(self) -> Float[np.ndarray, " edges"]:
-        """Of all cells."""
-        return np.linspace(self.low, self.high, self.cells + 1)
-
-
-class Archive(NamedTuple):
-    """The map: of each cell its elite.
-
-    Attributes:
-        genes: its genome.
-        fitness: -inf where there is none.
-        descriptors: in the order of the axes.
-        generation: in which it was found, from 0.
-        index: its place in the population then; with the generation it selects the random numbers
-            of its trials.
-        told: number of generations that were told of.
-    """
-
-    genes: Float[Array, "g cells"]
-    fitness: Float[Array, " cells"]
-    descriptors: Float[Array, "k cells"]
-    generation: Int[Array, " cells"]
-    index: Int[Array, " cells"]
-    told: Int[Array, ""]
 
 
 class Beginning(NamedTuple):
@@ -173,12 +131,17 @@ class MapStrategy(Strategy):
     axes: eqx.AbstractVar[tuple[Axis, ...]]
 
     @abc.abstractmethod
-    def archive(self, state: PyTree[Array]) -> Archive:
+    def map_of(self, state: PyTree[Array]) -> Archive:
         """The map in a state that `ask` gave."""
 
     @property
+    def map_axes(self) -> tuple[Axis, ...]:
+        """See `Strategy.map_axes`."""
+        return self.axes
+
+    @property
     def cells(self) -> int:
-        """In the whole map."""
+        """Number of cells of the map."""
         return math.prod(self.shape)
 
     @property
@@ -197,7 +160,7 @@ class MapStrategy(Strategy):
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
         """``coverage``, the share of cells that are filled, and ``mean_elite``, their fitness."""
-        fitness = self.archive(state).fitness
+        fitness = self.map_of(state).fitness
         filled = jnp.isfinite(fitness)
         count = filled.sum()
         total = jnp.where(filled, fitness, 0.0).sum()
@@ -215,13 +178,13 @@ class MapStrategy(Strategy):
 
     def empty(self, genes: Float[Array, "g n"]) -> Archive:
         """A map without anybody, for genomes like these."""
-        nobody = jnp.full(self.cells, -1, jnp.int32)
+        none = jnp.full(self.cells, -1, jnp.int32)
         return Archive(
             jnp.zeros((len(genes), self.cells), genes.dtype),
             jnp.full(self.cells, -jnp.inf, genes.dtype),
             jnp.zeros((len(self.axes), self.cells), genes.dtype),
-            nobody,
-            nobody,
+            none,
+            none,
             jnp.int32(0),
         )
 
@@ -238,17 +201,17 @@ class MapStrategy(Strategy):
         count = len(fitness)
         places = jnp.where(wins, jnp.arange(count), count)
         first = jnp.full(self.cells, count).at[cell].min(places)
-        taken, who = first < count, jnp.minimum(first, count - 1)
+        taken, winner = first < count, jnp.minimum(first, count - 1)
 
         def put(old: Array, new: Array) -> Array:
-            return jnp.where(taken, new[..., who], old)
+            return jnp.where(taken, new[..., winner], old)
 
         return Archive(
             put(archive.genes, genes),
             put(archive.fitness, fitness),
             put(archive.descriptors, found),
             jnp.where(taken, archive.told, archive.generation),
-            jnp.where(taken, who, archive.index),
+            jnp.where(taken, winner, archive.index),
             archive.told + 1,
         )
 
@@ -271,7 +234,7 @@ class MapElites(MapStrategy):
         """Largest magnitude of a gene; None of bits."""
         return self.vary.gene_bound
 
-    def archive(self, state: Archive) -> Archive:
+    def map_of(self, state: Archive) -> Archive:
         """It is the state."""
         return state
 
@@ -329,8 +292,8 @@ class Mapped(MapStrategy):
         """Largest magnitude of a gene, where the strategy has one."""
         return getattr(self.strategy, "gene_bound", None)
 
-    def archive(self, state: Charted) -> Archive:
-        """See `MapStrategy.archive`."""
+    def map_of(self, state: Charted) -> Archive:
+        """See `MapStrategy.map_of`."""
         return state.archive
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Charted:

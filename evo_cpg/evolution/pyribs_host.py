@@ -25,7 +25,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, PyTree
 
-from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.evolution.archive import Axis
 
 ALGORITHMS = {
     "sep_cma_es": "SeparableCMAEvolutionStrategy",
@@ -58,7 +58,7 @@ class UnknownPyribsError(Exception):
     """The installed pyribs has strategies that cannot become arrays; the message says why."""
 
 
-class Plan(NamedTuple):
+class RibsSettings(NamedTuple):
     """Settings of the emitters and of their map.
 
     Attributes:
@@ -100,7 +100,7 @@ class Layout(NamedTuple):
     drawn: tuple[str, ...]
 
 
-def optimiser(plan: Plan, generator: np.random.Generator | None = None) -> Any:
+def optimiser(settings: RibsSettings, generator: np.random.Generator | None = None) -> Any:
     """Build an evolution strategy of pyribs; call its `reset` before anything else.
 
     Raises:
@@ -108,28 +108,28 @@ def optimiser(plan: Plan, generator: np.random.Generator | None = None) -> Any:
         TypeError: the constructor does not take an option.
         ValueError: the settings do not go together.
     """
-    kind = getattr(importlib.import_module("ribs.emitters.opt"), ALGORITHMS[plan.es])
+    kind = getattr(importlib.import_module("ribs.emitters.opt"), ALGORITHMS[settings.es])
     return kind(
         # All that it is multiplied with becomes float64, too.
-        sigma0=np.float64(plan.sigma),
-        solution_dim=plan.gene_count,
-        batch_size=plan.batch,
+        sigma0=np.float64(settings.sigma),
+        solution_dim=settings.gene_count,
+        batch_size=settings.batch,
         seed=generator or np.random.default_rng(0),
         dtype=np.float32,
-        **dict(plan.options),
+        **dict(settings.options),
     )
 
 
 @functools.lru_cache(maxsize=16)
-def layout(plan: Plan) -> Layout:
+def layout(settings: RibsSettings) -> Layout:
     """Return the attributes of a strategy that change.
 
     Raises:
         UnknownPyribsError: it holds something that is not a number, an array or a setting.
     """
-    strategy = optimiser(plan)
+    strategy = optimiser(settings)
     before = _held(strategy)
-    strategy.reset(np.zeros(plan.gene_count, np.float32))
+    strategy.reset(np.zeros(settings.gene_count, np.float32))
     held = _held(strategy)
     counters = [name for name, x in held.items() if type(x) is int and x == 0]
     set_now = [
@@ -148,58 +148,62 @@ def layout(plan: Plan) -> Layout:
 
 
 @functools.lru_cache(maxsize=16)
-def shapes(plan: Plan) -> tuple[PyTree, PyTree, PyTree]:
+def shapes(settings: RibsSettings) -> tuple[PyTree, PyTree, PyTree]:
     """Return the shapes of the arrays of the map, of the emitters, and of what these draw."""
-    seeds = np.zeros((1 + plan.emitters, SEED_WORDS), np.uint32)
-    began = begun(plan, np.zeros(plan.gene_count, np.float32), seeds)
-    cells, emitters = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), began)
-    drawn = jax.ShapeDtypeStruct((plan.emitters, plan.batch, plan.gene_count), np.float32)
-    return cells, emitters, dict.fromkeys(layout(plan).drawn, drawn)
+    seeds = np.zeros((1 + settings.emitters, SEED_WORDS), np.uint32)
+    started = start_emitters(settings, np.zeros(settings.gene_count, np.float32), seeds)
+    cells, emitters = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), started)
+    drawn = jax.ShapeDtypeStruct(
+        (settings.emitters, settings.batch, settings.gene_count), np.float32
+    )
+    return cells, emitters, dict.fromkeys(layout(settings).drawn, drawn)
 
 
-def begun(plan: Plan, start: np.ndarray, seeds: np.ndarray) -> tuple[Arrays, Arrays]:
-    """Return an empty map, and emitters whose distributions are about one genome."""
+def start_emitters(
+    settings: RibsSettings, start: np.ndarray, seeds: np.ndarray
+) -> tuple[Arrays, Arrays]:
+    """Return an empty map, and emitters whose distributions have one genome as their mean."""
     first, *others = seeds.tolist()
-    capacity = int(np.prod([axis.cells for axis in plan.axes]))
-    lowest = np.nan if plan.threshold_min is None else plan.threshold_min
+    capacity = int(np.prod([axis.cells for axis in settings.axes]))
+    lowest = np.nan if settings.threshold_min is None else settings.threshold_min
     cells = {
         # Occupied cells in the order in which they were filled, and their number.
         "order": np.zeros(capacity, np.int32),
         "count": np.array(0, np.int32),
         "threshold_min": np.array(lowest, np.float32),
         "randomness": _generator_words(np.random.default_rng(first)),
-        "solution": np.zeros((capacity, plan.gene_count), np.float32),
+        "solution": np.zeros((capacity, settings.gene_count), np.float32),
         "objective": np.zeros(capacity, np.float32),
-        "measures": np.zeros((capacity, len(plan.axes)), np.float32),
+        "measures": np.zeros((capacity, len(settings.axes)), np.float32),
         "threshold": np.zeros(capacity, np.float32),
     }
     emitters = []
     for seed in others:
         # As pyribs' emitter does: the second generator would be its ranker's.
         generator = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[0])
-        strategy = optimiser(plan, generator)
+        strategy = optimiser(settings, generator)
         strategy.reset(start)
-        emitters.append(_distribution(plan, strategy, generator, 0, 0))
+        emitters.append(_distribution(settings, strategy, generator, 0, 0))
     return cells, _stacked(emitters)
 
 
-def asked(plan: Plan, emitters: Arrays) -> tuple[Arrays, Arrays]:
+def draw(settings: RibsSettings, emitters: Arrays) -> tuple[Arrays, Arrays]:
     """Draw a population.
 
     Returns:
         The emitters afterwards, and what they have drawn.
     """
     after, drawn = [], []
-    for number in range(plan.emitters):
-        strategy, generator, counts = _restored(plan, _row(emitters, number))
+    for number in range(settings.emitters):
+        strategy, generator, counts = _restored(settings, _row(emitters, number))
         strategy.ask()
-        after.append(_distribution(plan, strategy, generator, *counts))
-        drawn.append({name: getattr(strategy, name) for name in layout(plan).drawn})
+        after.append(_distribution(settings, strategy, generator, *counts))
+        drawn.append({name: getattr(strategy, name) for name in layout(settings).drawn})
     return _stacked(after), _stacked(drawn)
 
 
-def told(
-    plan: Plan,
+def adapt(
+    settings: RibsSettings,
     cells: Arrays,
     emitters: Arrays,
     drawn: Arrays,
@@ -210,7 +214,7 @@ def told(
     """Enter a population into the map, and adapt the emitters.
 
     Args:
-        plan: the settings.
+        settings: the settings.
         cells: the map.
         emitters: their distributions.
         drawn: by them.
@@ -220,42 +224,42 @@ def told(
     """
     cells = {name: np.array(array) for name, array in cells.items()}
     if np.isnan(cells["threshold_min"]) and counts.any():
-        # Below, so that somebody exceeds it though all are alike.
+        # Just below, so that an individual exceeds it even if all are equal.
         median = np.float32(np.median(fitness[counts]))
         cells["threshold_min"] = np.asarray(np.nextafter(median, np.float32(-np.inf)))
     value = np.zeros(len(counts), np.float32)
     if counts.any():
-        solutions = drawn[SAMPLE].reshape(-1, plan.gene_count)
+        solutions = drawn[SAMPLE].reshape(-1, settings.gene_count)
         worth = {"solution": solutions, "objective": fitness, "measures": measures}
-        value[counts] = enter(plan, cells, {name: x[counts] for name, x in worth.items()})
+        value[counts] = enter(settings, cells, {name: x[counts] for name, x in worth.items()})
         # Below all others, and finite: the strategies compute with it.
         value[~counts] = np.nextafter(value[counts].min(), -np.inf)
     if cells["count"] == 0:
         return cells, emitters
     of_map, after = _generator(cells["randomness"]), []
-    for number, own in enumerate(value.reshape(plan.emitters, -1)):
-        strategy, generator, (tells, restarts) = _restored(plan, _row(emitters, number))
+    for number, own in enumerate(value.reshape(settings.emitters, -1)):
+        strategy, generator, (tells, restarts) = _restored(settings, _row(emitters, number))
         for name, array in _row(drawn, number).items():
             setattr(strategy, name, array)
         best_first = np.flip(np.argsort(own))
-        strategy.tell(best_first, own, plan.batch // 2)
+        strategy.tell(best_first, own, settings.batch // 2)
         if strategy.check_stop(own[best_first]):
             cell = cells["order"][of_map.choice(int(cells["count"]), size=1)[0]]
             strategy.reset(cells["solution"][cell])
             restarts += 1
-        after.append(_distribution(plan, strategy, generator, tells + 1, restarts))
+        after.append(_distribution(settings, strategy, generator, tells + 1, restarts))
     return cells | {"randomness": _generator_words(of_map)}, _stacked(after)
 
 
-def enter(plan: Plan, cells: Arrays, worth: Arrays) -> Float[np.ndarray, " n"]:
+def enter(settings: RibsSettings, cells: Arrays, worth: Arrays) -> Float[np.ndarray, " n"]:
     """Enter individuals into the map, in place.
 
     Returns:
         The height of each above the threshold of its cell.
     """
-    low = np.array([axis.low for axis in plan.axes], np.float32)
-    high = np.array([axis.high for axis in plan.axes], np.float32)
-    size = np.array([axis.cells for axis in plan.axes], np.int32)
+    low = np.array([axis.low for axis in settings.axes], np.float32)
+    high = np.array([axis.high for axis in settings.axes], np.float32)
+    size = np.array([axis.cells for axis in settings.axes], np.int32)
     place = ((size * (worth["measures"] - low) + _EPSILON) / (high - low)).astype(np.int32)
     cell = np.ravel_multi_index(tuple(np.clip(place, 0, size - 1).T), tuple(size))
     count, fitness = int(cells["count"]), worth["objective"]
@@ -270,16 +274,16 @@ def enter(plan: Plan, cells: Arrays, worth: Arrays) -> Float[np.ndarray, " n"]:
     np.add.at(number, found, 1)
     np.add.at(total, found, fitness[enters])
     # The batch rule of Fontaine and Nikolaidis 2023.
-    kept = np.asarray(1 - np.float32(plan.learning_rate)) ** number[found]
-    risen = kept * threshold[enters] + total[found] / number[found] * (1 - kept)
+    remaining = np.asarray(1 - np.float32(settings.learning_rate)) ** number[found]
+    risen = remaining * threshold[enters] + total[found] / number[found] * (1 - remaining)
     best = np.full(len(occupied), -np.inf, np.float32)
     np.maximum.at(best, found, fitness[enters])
     wins = np.flatnonzero(fitness[enters] == best[found])
     # The first among equals.
     taken, first = np.unique(found[wins], return_index=True)
-    who = np.flatnonzero(enters)[wins[first]]
+    winners = np.flatnonzero(enters)[wins[first]]
     for name, array in worth.items():
-        cells[name][taken] = array[who]
+        cells[name][taken] = array[winners]
     cells["threshold"][taken] = risen[wins[first]]
     new = taken[~occupied[taken]]
     cells["order"][count : count + len(new)] = new
@@ -307,10 +311,10 @@ def _held(thing: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def _distribution(
-    plan: Plan, strategy: Any, generator: np.random.Generator, tells: int, restarts: int
+    settings: RibsSettings, strategy: Any, generator: np.random.Generator, tells: int, restarts: int
 ) -> Arrays:
     """Return a strategy as arrays; its restarts are the last of the counters."""
-    inside = layout(plan)
+    inside = layout(settings)
     numbers = {
         name: operator.attrgetter(name)(strategy) for name in (*inside.vectors, *inside.scalars)
     }
@@ -322,11 +326,11 @@ def _distribution(
     }
 
 
-def _restored(plan: Plan, arrays: Arrays) -> tuple[Any, np.random.Generator, list[int]]:
+def _restored(settings: RibsSettings, arrays: Arrays) -> tuple[Any, np.random.Generator, list[int]]:
     """Return a strategy, its generator, and the numbers of its tells and restarts."""
-    inside, generator = layout(plan), _generator(arrays["randomness"])
-    strategy = optimiser(plan, generator)
-    strategy.reset(np.zeros(plan.gene_count, np.float32))
+    inside, generator = layout(settings), _generator(arrays["randomness"])
+    strategy = optimiser(settings, generator)
+    strategy.reset(np.zeros(settings.gene_count, np.float32))
     kinds = [_KINDS[kind] for kind in arrays["kinds"]]
     *counters, tells, restarts = arrays["counters"].tolist()
     for name, kind in zip((*inside.vectors, *inside.scalars), kinds, strict=True):

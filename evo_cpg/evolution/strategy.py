@@ -19,6 +19,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
+from evo_cpg.evolution.archive import Archive, Axis
+
 
 class Evaluation(eqx.Module):
     """What a population is worth.
@@ -54,6 +56,7 @@ class Strategy(eqx.Module):
 
     Attributes:
         population: individuals that are asked for in every generation.
+        checks_genes: whether a run stops if `ask` returns genes that are not finite.
 
     Example:
         A hill climber: normal noise about the best genome ever tried::
@@ -80,6 +83,8 @@ class Strategy(eqx.Module):
 
     population: eqx.AbstractVar[int]
 
+    checks_genes = True
+
     @abc.abstractmethod
     def init(self, key: Array, genes: Float[Array, "g n"]) -> PyTree[Array]:
         """The state before the first generation.
@@ -87,7 +92,7 @@ class Strategy(eqx.Module):
         Args:
             key: random key.
             genes: random genomes as the controller draws them, or those that a run begins with
-                (a warm start). A task's yardsticks are measured on what is asked for first, so
+                (a warm start). A task's scales are measured on what is asked for first, so
                 whoever asks for these first has the same ones as other searches.
         """
 
@@ -129,6 +134,16 @@ class Strategy(eqx.Module):
         """
         del key
         return genes
+
+    @property
+    def map_axes(self) -> tuple[Axis, ...]:
+        """Axes of the map of behaviour that the search fills; none unless overridden."""
+        return ()
+
+    def map_of(self, state: PyTree[Array]) -> Archive | None:
+        """Return the map of behaviour in a state that `ask` left; None without `map_axes`."""
+        del state
+        return None
 
     @property
     def metric_names(self) -> tuple[str, ...]:

@@ -1,10 +1,11 @@
-"""A file as MuJoCo understands it, and how its elements are called and refused."""
+"""A file as MuJoCo compiled it, with the names and lines of its elements."""
 
 import importlib
 import os
 import re
 import stat
-from collections.abc import Iterator
+import warnings
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 from xml.etree import ElementTree
@@ -13,8 +14,7 @@ import numpy as np
 import pydantic
 
 from evo_cpg.config.schema.section import Section
-from evo_cpg.exchange.errors import ExchangeError
-from evo_cpg.exchange.refusals import Lines, Refusal, Refusals, RefusedError, element_lines
+from evo_cpg.exchange.refusals import ExchangeError, Refusal, Refusals, RefusedError
 from evo_cpg.installation import command_for
 
 _Section = TypeVar("_Section", bound=Section)
@@ -23,43 +23,8 @@ _Section = TypeVar("_Section", bound=Section)
 TOLERANCE = 1e-6
 _DIGITS = 12
 
-# Those of the world's elements belong to this body.
+# Number of the body that the world's elements belong to.
 WORLD = 0
-
-# Numbers that are read: their fields in the compiled model, whose they are and how they are
-# written.
-_FINITE = {
-    "body_pos": ("body", "pos"),
-    "body_quat": ("body", "orientation"),
-    "body_gravcomp": ("body", "gravcomp"),
-    "geom_pos": ("geom", "pos"),
-    "geom_quat": ("geom", "orientation"),
-    "geom_size": ("geom", "size"),
-    "geom_friction": ("geom", "friction"),
-    "geom_rgba": ("geom", "rgba"),
-    "jnt_pos": ("joint", "pos"),
-    "jnt_axis": ("joint", "axis"),
-    "jnt_range": ("joint", "range"),
-    "jnt_stiffness": ("joint", "stiffness"),
-    "dof_damping": ("dof", "damping"),
-    "dof_armature": ("dof", "armature"),
-    "actuator_gear": ("actuator", "gear"),
-    "actuator_gainprm": ("actuator", "gain"),
-    "actuator_biasprm": ("actuator", "bias"),
-}
-# Likewise, those that MuJoCo makes of others.
-_MADE_OF_OTHERS = {
-    "body_mass": ("body", "mass"),
-    "body_ipos": ("body", "centre of mass"),
-    "body_iquat": ("body", "inertia"),
-    "body_inertia": ("body", "inertia"),
-}
-# Likewise; infinite ones limit nothing.
-_LIMITS = {
-    "jnt_actfrcrange": ("joint", "actuatorfrcrange"),
-    "actuator_forcerange": ("actuator", "forcerange"),
-    "actuator_ctrlrange": ("actuator", "ctrlrange"),
-}
 
 
 class Compiled(NamedTuple):
@@ -70,82 +35,31 @@ class Compiled(NamedTuple):
         model: the compiled model.
         source: the file, for messages.
         refusals: what was found that no creature can have.
-        lines: where the elements stand in the file.
+        lines: of the elements in the file, by kind and number, as far as they are known.
     """
 
     mujoco: Any
     model: Any
     source: Path
     refusals: Refusals
-    lines: Lines
+    lines: Mapping[tuple[str, int], int]
 
-    def named(self, kind: str, number: int) -> str:
-        """An element as it is called in messages."""
-        name = self._name(kind, number)
-        if name:
-            return f"{kind} {name!r}"
-        owner = {"joint": "jnt_bodyid", "geom": "geom_bodyid"}.get(kind)
-        if owner is None:
-            return f"{kind} number {number} (unnamed)"
-        return f"unnamed {kind} of {self.named('body', int(getattr(self.model, owner)[number]))}"
-
-    def refusal(self, kind: str, number: int, problem: str, allowed: str) -> RefusedError:
-        """An error that ends the reading of an element that no creature can have."""
-        return RefusedError(self._refused(kind, number, problem, allowed))
-
-    def refuse(self, kind: str, number: int, problem: str, allowed: str) -> None:
-        """Remember an element that no creature can have, and go on."""
-        self.refusals.add(self._refused(kind, number, problem, allowed))
-
-    def refuse_as(self, what: str, problem: str) -> None:
-        """Remember what is no element of its own."""
-        self.refusals.add(Refusal(what, problem))
-
-    def _refused(self, kind: str, number: int, problem: str, allowed: str) -> Refusal:
-        said = f"{problem}; allowed: {allowed}"
-        return Refusal(self.named(kind, number), said, self._line(kind, number))
-
-    def _line(self, kind: str, number: int) -> int | None:
-        sizes = {"body": "nbody", "joint": "njnt", "geom": "ngeom", "equality": "neq"}
-        count = getattr(self.model, sizes.get(kind, f"n{kind}"), None)
-        if count is None:
-            count = self.model.nu
-        return self.lines.find(kind, number, int(count), self._name(kind, number))
-
-    def _name(self, kind: str, number: int) -> str | None:
-        code = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}", None)
-        return None if code is None else self.mujoco.mj_id2name(self.model, code, number)
+    def item(self, kind: str, number: int) -> "Item":
+        """Return an element by its kind and number."""
+        return Item(self, kind, number)
 
     def enabled(self, flag: str) -> bool:
-        """Whether a flag of the option element is that is not by default."""
+        """Return whether a flag of the option element is enabled that is not by default."""
         bit = getattr(self.mujoco.mjtEnableBit, f"mjENBL_{flag.upper()}", 0)
         return bool(self.model.opt.enableflags & int(bit))
 
     def disabled(self, flag: str) -> bool:
-        """Whether a flag of the option element is; of one that MuJoCo does not know, not."""
+        """Return whether a flag of the option element is disabled; False for an unknown flag."""
         bit = getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}", 0)
         return bool(self.model.opt.disableflags & int(bit))
 
-    def require_numbers(self) -> None:
-        """Refuse elements with NaN or an infinite number, which no comparison would find.
-
-        Raises:
-            ExchangeError: there are some; nothing else can be told of such a model.
-        """
-        for fields in (_FINITE | _LIMITS, _MADE_OF_OTHERS):
-            for field, (kind, word) in fields.items():
-                self._require_finite(field, kind, word)
-            self.refusals.check()
-
-    def _require_finite(self, field: str, kind: str, word: str) -> None:
-        values = np.asarray(getattr(self.model, field))
-        wrong = np.isnan(values) if field in _LIMITS else ~np.isfinite(values)
-        allowed = "numbers" if field in _LIMITS else "finite numbers"
-        for owner, number, place in self.owners(kind, wrong):
-            self.refuse(owner, number, f"its {word} holds {values[place]:g}", allowed)
-
-    def owners(self, kind: str, wrong: Any) -> Iterator[tuple[str, int, tuple[int, ...]]]:
-        """Yield kind and number of the elements with wrong values, and the place of each value.
+    def owners(self, kind: str, wrong: Any) -> Iterator[tuple["Item", tuple[int, ...]]]:
+        """Yield the elements with wrong values, and the place of each value.
 
         Args:
             kind: of the elements; ``dof`` for degrees of freedom of joints.
@@ -154,38 +68,77 @@ class Compiled(NamedTuple):
         for place in np.argwhere(wrong).tolist():
             number = place[0]
             if kind == "dof":
-                yield "joint", int(self.model.dof_jntid[number]), tuple(place)
+                yield self.item("joint", int(self.model.dof_jntid[number])), tuple(place)
             elif kind != "geom" or self.model.geom_bodyid[number] != WORLD:
-                yield kind, number, tuple(place)
+                yield self.item(kind, number), tuple(place)
 
-    def checked(
-        self,
-        what: str,
-        section: type[_Section],
-        values: dict[str, Any],
-        at: tuple[str, int] | None = None,
-    ) -> _Section:
-        """A section of the creature, or what its own rules say against an element.
+
+class Item(NamedTuple):
+    """An element of a compiled model.
+
+    Attributes:
+        compiled: the model.
+        kind: of the element.
+        number: in the compiled model.
+    """
+
+    compiled: Compiled
+    kind: str
+    number: int
+
+    def __str__(self) -> str:
+        """Return the name of the element in messages."""
+        mujoco, model = self.compiled.mujoco, self.compiled.model
+        code = getattr(mujoco.mjtObj, f"mjOBJ_{self.kind.upper()}", None)
+        name = None if code is None else mujoco.mj_id2name(model, code, self.number)
+        if name:
+            return f"{self.kind} {name!r}"
+        owner = {"joint": "jnt_bodyid", "geom": "geom_bodyid"}.get(self.kind)
+        if owner is None:
+            return f"{self.kind} number {self.number} (unnamed)"
+        body = self.compiled.item("body", int(getattr(model, owner)[self.number]))
+        return f"unnamed {self.kind} of {body}"
+
+    @property
+    def line(self) -> int | None:
+        """Line of the element in the file; None if it is unknown."""
+        return self.compiled.lines.get((self.kind, self.number))
+
+    def refuse(self, problem: str, allowed: str) -> None:
+        """Remember that no creature can have the element, and go on."""
+        self.compiled.refusals.add(self.refusal(problem, allowed).refusal)
+
+    def refusal(self, problem: str, allowed: str) -> RefusedError:
+        """Return an error that ends the reading of the element."""
+        return RefusedError(Refusal(str(self), f"{problem}; allowed: {allowed}", self.line))
+
+    def section(self, section: type[_Section], values: dict[str, Any], what: str = "") -> _Section:
+        """Return a section of the creature, made of the element.
 
         Args:
-            what: the element, as `named` has it.
-            section: to be made of it.
+            section: to be made.
             values: of its keys; None for what is left open.
-            at: kind and number of the element; None for the model.
+            what: name of the element in messages, if it has another one.
 
         Raises:
-            RefusedError: they break its rules.
+            RefusedError: the values break the section's rules.
         """
-        try:
-            return section(**{key: value for key, value in values.items() if value is not None})
-        except pydantic.ValidationError as error:
-            problem = error.errors()[0]
-        said = problem["msg"].removeprefix("Value error, ")
-        if problem["type"] != "value_error":
-            said = f"{problem['input']}: {said[:1].lower()}{said[1:]}"
-        key = ".".join(map(str, problem["loc"]))
-        line = None if at is None else self._line(*at)
-        raise RefusedError(Refusal(what, ": ".join([*([key] if key else []), said]), line))
+        return make_section(section, values, what or str(self), self.line)
+
+
+def make_section(
+    section: type[_Section], values: dict[str, Any], what: str, line: int | None = None
+) -> _Section:
+    """Return a section of the creature; see `Item.section`."""
+    try:
+        return section(**{key: value for key, value in values.items() if value is not None})
+    except pydantic.ValidationError as error:
+        problem = error.errors()[0]
+    said = problem["msg"].removeprefix("Value error, ")
+    if problem["type"] != "value_error":
+        said = f"{problem['input']}: {said[:1].lower()}{said[1:]}"
+    key = ".".join(map(str, problem["loc"]))
+    raise RefusedError(Refusal(what, f"{key}: {said}" if key else said, line))
 
 
 def compile_model(path: Path) -> Compiled:
@@ -202,7 +155,11 @@ def compile_model(path: Path) -> Compiled:
         ) from None
     _require_mjcf(path)
     try:
-        model = mujoco.MjModel.from_xml_path(os.fsencode(path))
+        with warnings.catch_warnings():
+            # Of attributes that MuJoCo will drop.
+            warnings.simplefilter("ignore")
+            spec = mujoco.MjSpec.from_file(os.fsdecode(path))
+            model = spec.compile()
         bytes(model.names).decode()
     except UnicodeDecodeError as error:
         # From one end of a name, in the file or in MuJoCo's words, to the other.
@@ -213,11 +170,37 @@ def compile_model(path: Path) -> Compiled:
         raise ExchangeError(
             f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}"
         ) from None
-    return Compiled(mujoco, model, path, Refusals(path), element_lines(path))
+    return Compiled(mujoco, model, path, Refusals(path), _lines(spec, path))
+
+
+def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
+    """Return the lines of elements; none for a file of a single line.
+
+    An included element has the line of the included file, so it is left out: its name does not
+    stand in the line of this file.
+    """
+    text = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    kinds = {
+        "body": spec.bodies,
+        "joint": spec.joints,
+        "geom": spec.geoms,
+        "actuator": spec.actuators,
+        "equality": spec.equalities,
+        "tendon": spec.tendons,
+    }
+    whole = not any("<include" in line for line in text)
+    lines = {}
+    for kind, elements in kinds.items():
+        for each in elements:
+            line = int(each.info.removeprefix("line ") or 0)
+            own = whole or (each.name and f'"{each.name}"' in "".join(text[line - 1 : line]))
+            if line and own and len(text) > 1:
+                lines[kind, each.id] = line
+    return lines
 
 
 def _require_mjcf(path: Path) -> None:
-    """Check that a file can be read, of which MuJoCo has no words, and is no URDF."""
+    """Check that a file can be read, with clearer messages than MuJoCo's, and is no URDF."""
     try:
         mode = path.stat().st_mode
         # A pipe or a device need not end.
@@ -230,36 +213,24 @@ def _require_mjcf(path: Path) -> None:
     except OSError as error:
         raise ExchangeError(f"{path}: cannot be read ({error.strerror})") from None
     except (ElementTree.ParseError, LookupError, ValueError):
-        # What is wrong with it MuJoCo says.
+        # MuJoCo reports what is wrong with it.
         return
     if first is not None and first.tag == "robot":
         raise ExchangeError(f"{path}: it is a URDF; allowed: MJCF, as MuJoCo saves it")
 
 
 def rotation(compiled: Compiled, quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix ``(3, 3)`` of one of the model's quaternions."""
+    """Return the rotation matrix ``(3, 3)`` of one of the model's quaternions."""
     matrix = np.zeros(9)
     compiled.mujoco.mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)
 
 
 def tidy(value: float) -> float:
-    """A number without the digits that rounding in the compiler leaves; 0 has no sign."""
+    """Return a number without the digits that rounding in the compiler leaves; 0 has no sign."""
     return float(f"{value:.{_DIGITS}g}") + 0.0
 
 
-def tidy_difference(value: float) -> float:
-    """As `tidy`, and 0 for what rounding leaves where numbers cancel."""
-    return 0.0 if abs(value) <= 10.0**-_DIGITS else tidy(value)
-
-
-def tidy_vector(values: np.ndarray) -> tuple[float, float, float]:
-    """Three numbers as `tidy_difference` has them."""
-    x, y, z = (tidy_difference(value) for value in values)
-    return x, y, z
-
-
-def tidy_size(values: np.ndarray) -> tuple[float, float, float]:
-    """Three numbers as `tidy` has them."""
-    x, y, z = (tidy(value) for value in values)
-    return x, y, z
+def tidy_vector(values: np.ndarray) -> tuple[float, ...]:
+    """Return coordinates as `tidy` does, and 0 for what rounding leaves where numbers cancel."""
+    return tuple(0.0 if abs(value) <= 10.0**-_DIGITS else tidy(value) for value in values)

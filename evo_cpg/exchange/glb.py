@@ -194,7 +194,7 @@ class Glb:
         return {extension: {"light": len(lights["lights"]) - 1}}
 
     def to_bytes(self) -> bytes:
-        """The file."""
+        """Return the file."""
         document = dict(self.document)
         document["buffers"] = [{"byteLength": len(self._buffer)}]
         if self._channels:
@@ -234,6 +234,6 @@ class Glb:
 
 
 def linear_color(color: Float[np.ndarray, "3"]) -> list[float]:
-    """From a screen's red, green and blue (sRGB) to shares of light, 0 to 1 (IEC 61966-2-1)."""
+    """Convert red, green and blue of a screen (sRGB) to linear light, 0 to 1 (IEC 61966-2-1)."""
     color = np.asarray(color, float)
     return np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4).tolist()

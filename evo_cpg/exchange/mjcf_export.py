@@ -1,17 +1,16 @@
 """A creature and its world as a MuJoCo model (MJCF), without MuJoCo.
 
-| here | in MJCF |
-|---|---|
-| body, in its working frame at the joint | ``body``; the root's stands at its centre |
-| shape and density | one ``geom``, centred at ``-child_anchor``; capsules lie along z there |
-| mesh | a ``mesh`` asset of the body's name, which holds its vertices and faces |
-| joint axis | ``hinge`` at the body's origin, named ``body.1``, ``body.2``, ... |
-| motor with a spring | ``position``: ``kp`` is its stiffness, ``kv`` its gain |
-| motor without | ``velocity``: ``kv`` is its gain |
-| buoyancy | ``gravcomp``: density of the water over that of the body |
-| friction of a body on the ground | a ``pair`` of the two geoms |
-| bodies that are kept apart | a ``pair`` without friction (``condim`` 1) |
-| a start in another pose than the neutral one | a ``key`` named ``start`` |
+| here | in MJCF | table |
+|---|---|---|
+| body, in its working frame at the joint | ``body``; the root's stands at its centre | |
+| shape and density | one ``geom``, centred at ``-child_anchor`` | `mjcf_shapes` |
+| joint | ``hinge``s | `mjcf_joints` |
+| motor | ``position`` or ``velocity`` | `mjcf_motors` |
+| ground | ``geom``s of the world | `mjcf_ground` |
+| buoyancy | ``gravcomp``: density of the water over that of the body | |
+| friction of a body on the ground | a ``pair`` of the two geoms | |
+| bodies that are kept apart | a ``pair`` without friction (``condim`` 1) | |
+| a start in another pose than the neutral one | a ``key`` named ``start`` | |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are the same on both sides.
 What MJCF has no words for stays behind: drag, added mass and other force laws, the surface of the
@@ -26,11 +25,12 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, topological_order
-from evo_cpg.creature.mesh import ConvexMesh
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
-from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.creature.creature import Body, Creature, topological_order
 from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
+from evo_cpg.exchange.mjcf_joints import add_hinges, joint_names
+from evo_cpg.exchange.mjcf_motors import add_motor
+from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.footing import Ground, combine
 from evo_cpg.physics.water import Water
 
@@ -88,7 +88,7 @@ def mjcf_model(
     # A geom of the user's own collides with all of these; they with each other as pairs alone.
     default = SubElement(root, "default")
     SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
-    _add_meshes(root, creature)
+    add_meshes(root, creature)
     place = SubElement(root, "worldbody")
     parts = add_ground(root, place, ground, names) if ground else []
     _add_bodies(place, creature, water, start, heading)
@@ -107,10 +107,10 @@ def mjcf_model(
     for body in creature.bodies:
         motor = body.joint and body.joint.actuator
         if motor:
-            for name in _joint_names(body):
-                _add_motor(actuator, name, motor)
+            for name in joint_names(body):
+                add_motor(actuator, name, motor)
     if orientation is not None and angles is not None:
-        hinges = [name for i in order for name in _joint_names(creature.bodies[i])]
+        hinges = [name for i in order for name in joint_names(creature.bodies[i])]
         pose = dict(zip(hinges, angles, strict=True))
         # MuJoCo has the joints as they stand in the file, limb by limb; the tree level by level.
         bends = [pose[joint.get("name", "")] for joint in place.iter("joint")]
@@ -123,26 +123,6 @@ def mjcf_text(model: Element) -> str:
     """The model as indented XML."""
     ElementTree.indent(model)
     return ElementTree.tostring(model, encoding="unicode") + "\n"
-
-
-def _add_meshes(root: Element, creature: Creature) -> None:
-    solid = [body for body in creature.bodies if isinstance(body.shape, ConvexMesh)]
-    asset = SubElement(root, "asset") if solid else None
-    for body in solid:
-        assert asset is not None and isinstance(body.shape, ConvexMesh)
-        SubElement(
-            asset,
-            "mesh",
-            name=body.name,
-            vertex=number_text(*body.shape.points.ravel()),
-            face=" ".join(str(corner) for face in body.shape.faces for corner in face),
-        )
-
-
-def _joint_names(body: Body) -> list[str]:
-    """Names of the hinges of a body, in the order of its axes."""
-    count = len(body.joint.axes) if body.joint else 0
-    return [f"{body.name}.{i + 1}" for i in range(count)]
 
 
 def _add_bodies(
@@ -175,7 +155,7 @@ def _add_bodies(
         if joint is None:
             SubElement(element, "freejoint")
         else:
-            _add_hinges(element, body, joint)
+            add_hinges(element, body, joint)
         _add_geom(element, body, own_anchor)
         for child in children.get(body.name, []):
             add(element, child, own_anchor)
@@ -183,23 +163,8 @@ def _add_bodies(
     add(place, children[""][0], (0.0, 0.0, 0.0))
 
 
-def _add_hinges(element: Element, body: Body, joint: Joint) -> None:
-    springs = {"stiffness": joint.stiffness, "damping": joint.damping, "armature": joint.armature}
-    for name, axis, lower, upper in zip(
-        _joint_names(body), joint.axes, joint.lower, joint.upper, strict=True
-    ):
-        hinge = SubElement(
-            element, "joint", name=name, type="hinge", axis=place_text(np.array(axis))
-        )
-        hinge.set("limited", "true")
-        hinge.set("range", number_text(lower, upper))
-        for key, value in springs.items():
-            if value:
-                hinge.set(key, number_text(value))
-
-
 def _add_geom(element: Element, body: Body, anchor: tuple[float, float, float]) -> None:
-    geom = SubElement(element, "geom", {"name": body.name, **_solid(body)})
+    geom = SubElement(element, "geom", {"name": body.name, **shape_attributes(body)})
     if any(anchor):
         geom.set("pos", place_text(np.negative(anchor)))
     geom.set("density", number_text(body.material.density))
@@ -207,32 +172,3 @@ def _add_geom(element: Element, body: Body, anchor: tuple[float, float, float]) 
     if body.color:
         red, green, blue = (int(body.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
         geom.set("rgba", number_text(red, green, blue, 1.0))
-
-
-def _solid(body: Body) -> dict[str, str]:
-    shape = body.shape
-    if isinstance(shape, Box):
-        return {"type": "box", "size": number_text(*shape.half_extents)}
-    if isinstance(shape, Sphere):
-        return {"type": "sphere", "size": number_text(shape.radius)}
-    if isinstance(shape, Ellipsoid):
-        return {"type": "ellipsoid", "size": number_text(*shape.half_extents)}
-    if isinstance(shape, Capsule):
-        size = number_text(shape.radius, shape.length / 2)
-        return {"type": "capsule", "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
-    if isinstance(shape, ConvexMesh):
-        return {"type": "mesh", "mesh": body.name}
-    raise ExchangeError(
-        f"a {type(shape).__name__} cannot be written as MJCF; "
-        "allowed: Box, Sphere, Ellipsoid, Capsule, ConvexMesh"
-    )
-
-
-def _add_motor(actuator: Element, joint: str, motor: Actuator) -> None:
-    kind = "position" if motor.stiffness else "velocity"
-    element = SubElement(actuator, kind, name=joint, joint=joint)
-    if motor.stiffness:
-        element.set("kp", number_text(motor.stiffness))
-    element.set("kv", number_text(motor.gain))
-    if np.isfinite(motor.torque_limit):
-        element.set("forcerange", number_text(-motor.torque_limit, motor.torque_limit))

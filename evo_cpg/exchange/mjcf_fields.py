@@ -1,13 +1,16 @@
-"""Fields of MuJoCo's compiled model that a creature has no words for, and what becomes of them.
+"""Tables of all fields of MuJoCo's compiled model, by what the import does with them.
 
-| table | what becomes of a field |
+| table | a field is |
 |---|---|
-| `NEUTRAL` | any other value than this one is refused |
-| `REFUSED_COUNTS` | any element of this kind is refused |
-| `OPTIONS_LEFT_OUT` | any other value than these is left out, by name |
+| `READ`, `READ_LIMITS` | part of a creature; it has to hold numbers |
+| `COMPUTED` | computed by MuJoCo from others, and checked or read |
+| `NEUTRAL` | refused, unless it has this value |
+| `REFUSED_COUNTS` | a number of elements, all of which are refused |
+| `OPTIONS_LEFT_OUT`, `LEFT_OUT_COUNTS` | left out, by name |
 
-All other fields are read, or do not change how the animal moves. A test decides on every field of
-the installed MuJoCo, so a new one is noticed. Fields that older versions lack are skipped.
+All other fields do not change how the animal moves, or say where others are stored. A test decides
+on every field of the installed MuJoCo, so a new one is noticed. Fields that older versions lack are
+skipped.
 """
 
 from typing import NamedTuple
@@ -15,6 +18,40 @@ from typing import NamedTuple
 import numpy as np
 
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled
+from evo_cpg.exchange.refusals import Refusal
+
+# By field of the compiled model: kind of the elements and their attribute in MJCF.
+READ = {
+    "body_pos": ("body", "pos"),
+    "body_quat": ("body", "orientation"),
+    "body_gravcomp": ("body", "gravcomp"),
+    "geom_pos": ("geom", "pos"),
+    "geom_quat": ("geom", "orientation"),
+    "geom_size": ("geom", "size"),
+    "geom_friction": ("geom", "friction"),
+    "geom_rgba": ("geom", "rgba"),
+    "jnt_pos": ("joint", "pos"),
+    "jnt_axis": ("joint", "axis"),
+    "jnt_range": ("joint", "range"),
+    "jnt_stiffness": ("joint", "stiffness"),
+    "dof_damping": ("dof", "damping"),
+    "dof_armature": ("dof", "armature"),
+    "actuator_gear": ("actuator", "gear"),
+    "actuator_gainprm": ("actuator", "gain"),
+    "actuator_biasprm": ("actuator", "bias"),
+}
+# Infinite ones limit nothing.
+READ_LIMITS = {
+    "jnt_actfrcrange": ("joint", "actuatorfrcrange"),
+    "actuator_forcerange": ("actuator", "forcerange"),
+    "actuator_ctrlrange": ("actuator", "ctrlrange"),
+}
+COMPUTED = {
+    "body_mass": ("body", "mass"),
+    "body_ipos": ("body", "centre of mass"),
+    "body_iquat": ("body", "inertia"),
+    "body_inertia": ("body", "inertia"),
+}
 
 
 class Neutral(NamedTuple):
@@ -77,6 +114,16 @@ REFUSED_COUNTS = {
     "nplugin": "plugin",
 }
 
+# Counts of elements without a part in the motion.
+LEFT_OUT_COUNTS = {
+    "nlight": "light",
+    "ncam": "camera",
+    "nsite": "site",
+    "nsensor": "sensor",
+    "nskin": "skin",
+    "nkey": "keyframe",
+}
+
 # Flags of the option element that have to be as they are by default. Older versions of MuJoCo have
 # "passive" for springs and dampers.
 ENABLED_FLAGS = ("constraint", "passive", "spring", "damper", "limit", "actuation")
@@ -96,6 +143,23 @@ OPTIONS_LEFT_OUT: dict[str, tuple[float, ...]] = {
 }
 
 
+def require_numbers(compiled: Compiled) -> None:
+    """Refuse elements with NaN or an infinite number, which no comparison would find.
+
+    Raises:
+        ExchangeError: there are some. Nothing else can be said of such a model.
+    """
+    for fields in (READ | READ_LIMITS, COMPUTED):
+        for field, (kind, word) in fields.items():
+            values = np.asarray(getattr(compiled.model, field))
+            limits = field in READ_LIMITS
+            wrong = np.isnan(values) if limits else ~np.isfinite(values)
+            allowed = "numbers" if limits else "finite numbers"
+            for item, place in compiled.owners(kind, wrong):
+                item.refuse(f"its {word} holds {values[place]:g}", allowed)
+        compiled.refusals.check()
+
+
 def refuse_fields(compiled: Compiled) -> None:
     """Refuse the elements of the creature with a property that no creature has."""
     model = compiled.model
@@ -104,32 +168,28 @@ def refuse_fields(compiled: Compiled) -> None:
         if found is None or not len(found):
             continue
         wrong = ~np.isclose(found, values, rtol=TOLERANCE, atol=0)
-        for owner, number, place in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
+        for item, place in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
             if np.any(values) and np.min(values) >= 0:
-                problem, allowed = (
-                    f"its {word} is {_text(np.ravel(found[place]))}",
-                    _text(np.ravel(values)),
-                )
+                problem = f"its {word} is {_text(np.ravel(found[place]))}"
+                allowed = _text(np.ravel(values))
             else:
                 problem, allowed = f"it has {word}", f"no {word}"
-            compiled.refuse(owner, number, problem, allowed)
+            item.refuse(problem, allowed)
 
 
 def refuse_elements(compiled: Compiled) -> None:
     """Refuse elements and flags that no creature has."""
     for count, kind in REFUSED_COUNTS.items():
         for number in range(int(getattr(compiled.model, count, 0))):
-            compiled.refuse(kind, number, "no creature has such a thing", f"no {kind}")
-    for flag in ENABLED_FLAGS:
-        if compiled.disabled(flag):
-            compiled.refuse_as(f"flag {flag!r}", "it is disabled; allowed: enable")
-    for flag in DISABLED_FLAGS:
-        if compiled.enabled(flag):
-            compiled.refuse_as(f"flag {flag!r}", "it is enabled; allowed: disable")
+            compiled.item(kind, number).refuse("no creature has such a thing", f"no {kind}")
+    for flag in filter(compiled.disabled, ENABLED_FLAGS):
+        compiled.refusals.add(Refusal(f"flag {flag!r}", "it is disabled; allowed: enable"))
+    for flag in filter(compiled.enabled, DISABLED_FLAGS):
+        compiled.refusals.add(Refusal(f"flag {flag!r}", "it is enabled; allowed: disable"))
 
 
 def left_out_options(compiled: Compiled) -> list[str]:
-    """Names of options of the world that differ from those that need no word."""
+    """Return names of options of the world that differ from those that need no word."""
     found = []
     for name, allowed in OPTIONS_LEFT_OUT.items():
         value = np.ravel(getattr(compiled.model.opt, name, allowed))
@@ -137,6 +197,17 @@ def left_out_options(compiled: Compiled) -> list[str]:
         if not usual:
             found.append(name)
     return found
+
+
+def left_out_counts(compiled: Compiled) -> list[str]:
+    """Return how many elements without a part in the motion there are, such as ``2 sites``."""
+    counts = {kind: int(getattr(compiled.model, n, 0)) for n, kind in LEFT_OUT_COUNTS.items()}
+    return [text for kind, number in counts.items() for text in counted(number, kind)]
+
+
+def counted(number: int, kind: str) -> list[str]:
+    """Return a number of elements in words; nothing for none."""
+    return [f"{number} {kind}{'s' if number > 1 else ''}"] if number else []
 
 
 def _text(values: np.ndarray) -> str:

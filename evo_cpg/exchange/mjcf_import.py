@@ -1,17 +1,17 @@
 """A MuJoCo model (MJCF) as a creature, as far as our creatures go.
 
-MuJoCo itself compiles the file, so defaults, classes, includes, units and orientations are
-resolved, and what is read is the compiled model. What can be part of a creature is taken, what has
-no part in its motion is named as left out, and everything else is refused by name:
+MuJoCo compiles the file, which resolves defaults, classes, includes, units and orientations. The
+compiled model is read. What can be part of a creature is taken. What has no part in its motion is
+left out, by name. Everything else is refused, by name:
 
-| in MJCF | becomes |
-|---|---|
-| the body with a ``freejoint`` | the root, which stands in the world's axes |
-| one to three ``hinge``s of a body | the joint; each has a ``range``, else they are alike |
-| one ``geom``, which gives the body its mass | the shape; the body's frame is put into its centre |
-| ``position``, ``velocity`` | a motor with and without a spring |
-| ``motor`` with limits | a velocity servo of a gain that the caller chooses |
-| its first friction | static and dynamic friction |
+| in MJCF | becomes | table |
+|---|---|---|
+| the body with a ``freejoint`` | the root, which stands in the world's axes | |
+| one to three ``hinge``s of a body | the joint | `mjcf_joints` |
+| one ``geom``, which gives the body its mass | the shape | `mjcf_shapes` |
+| ``position``, ``velocity``, ``motor`` | the motor | `mjcf_motors` |
+| first friction of the ``geom`` | static and dynamic friction | |
+| any other field | refused or left out | `mjcf_fields` |
 """
 
 from pathlib import Path
@@ -20,39 +20,23 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.config.schema.creature import BodyConfig, CreatureConfig, MaterialConfig
-from evo_cpg.config.schema.joint import ActuatorConfig, JointConfig
-from evo_cpg.exchange.compiled import (
-    TOLERANCE,
-    WORLD,
-    Compiled,
-    compile_model,
-    rotation,
-    tidy,
-    tidy_difference,
-    tidy_vector,
-)
-from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.compiled import TOLERANCE, WORLD, Compiled, compile_model, make_section, tidy
 from evo_cpg.exchange.mjcf_fields import (
     PLAIN_PAIR,
+    counted,
+    left_out_counts,
     left_out_options,
     refuse_elements,
     refuse_fields,
+    require_numbers,
 )
+from evo_cpg.exchange.mjcf_joints import check_joints, joints_of, read_joint
 from evo_cpg.exchange.mjcf_motors import command_ranges, read_motors
 from evo_cpg.exchange.mjcf_shapes import Placed, only_geom, place_body, uniform_density
-from evo_cpg.spatial.rotation import matrix_to_euler
+from evo_cpg.exchange.refusals import ExchangeError
 
 # MuJoCo's own for a geom without one.
 _GREY = (0.5, 0.5, 0.5, 1.0)
-
-_WITHOUT_PART_IN_MOTION = {
-    "nlight": "light",
-    "ncam": "camera",
-    "nsite": "site",
-    "nsensor": "sensor",
-    "nskin": "skin",
-    "nkey": "keyframe",
-}
 
 # Flags that say which bodies touch.
 _OF_COLLISIONS = ("contact", "filterparent")
@@ -63,7 +47,7 @@ _OF_ROOT = {"dof_damping": "damping", "dof_armature": "armature", "jnt_stiffness
 
 
 class Imported(NamedTuple):
-    """What a file gave.
+    """Result of reading a file.
 
     Attributes:
         creature: in the user's terms.
@@ -88,7 +72,7 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
     """
     compiled = compile_model(Path(path))
     model = compiled.model
-    compiled.require_numbers()
+    require_numbers(compiled)
     refuse_elements(compiled)
     refuse_fields(compiled)
     root = _find_root(compiled)
@@ -97,7 +81,7 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
     bodies = [i for i in range(root, model.nbody) if model.body_rootid[i] == root]
     placed, made_of = _read_shapes(compiled, bodies)
     for body in bodies[1:]:
-        _check_joints(compiled, body, motors)
+        check_joints(compiled, body, motors)
     fluid = 0.0
     if len(placed) == len(bodies):
         with compiled.refusals.collecting():
@@ -111,15 +95,14 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
         entry["color"] = _color(model, int(model.body_geomadr[body]))
         with compiled.refusals.collecting():
             if body != root:
-                entry["joint"] = _read_joint(compiled, body, placed, names, motors)
-            what, at = compiled.named("body", body), ("body", body)
-            entries.append(compiled.checked(what, BodyConfig, entry, at))
+                entry["joint"] = read_joint(compiled, body, placed, names, motors)
+            entries.append(compiled.item("body", body).section(BodyConfig, entry))
     compiled.refusals.check()
     name = _model_name(compiled)
     made = {name: made_of for made_of, name in materials.items()}
     whole = {"name": name, "materials": made, "bodies": entries}
     with compiled.refusals.collecting():
-        creature = compiled.checked(f"model {name!r}", CreatureConfig, whole)
+        creature = make_section(CreatureConfig, whole, f"model {name!r}")
         return Imported(creature, _left_out(compiled, fluid))
     compiled.refusals.check()
     raise AssertionError("unreachable")
@@ -128,7 +111,7 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
 def _read_shapes(
     compiled: Compiled, bodies: list[int]
 ) -> tuple[dict[int, Placed], dict[int, MaterialConfig]]:
-    """Shapes and materials of those bodies that can have them; the others are refused."""
+    """Return shapes and materials of the bodies, except refused ones."""
     placed: dict[int, Placed] = {}
     made_of: dict[int, MaterialConfig] = {}
     for body in bodies:
@@ -141,29 +124,25 @@ def _read_shapes(
 
 
 def _find_root(compiled: Compiled) -> int:
-    """The body that all others hang on."""
+    """Return the body that all others hang on."""
     model = compiled.model
     tops = [i for i in range(1, model.nbody) if model.body_parentid[i] == WORLD]
     if not tops:
         raise ExchangeError(f"{compiled.source}: the worldbody holds no body; allowed: one")
     root = tops[0]
     for other in tops[1:]:
-        compiled.refuse(
-            "body",
-            other,
-            f"it stands in the worldbody beside {compiled.named('body', root)}",
-            "one body there, the root",
-        )
-    joints = _joints_of(model, root)
+        problem = f"it stands in the worldbody beside {compiled.item('body', root)}"
+        compiled.item("body", other).refuse(problem, "one body there, the root")
+    joints = joints_of(model, root)
     free = compiled.mujoco.mjtJoint.mjJNT_FREE
     if [int(model.jnt_type[joint]) for joint in joints] != [free]:
-        compiled.refuse("body", root, "the root does not float freely", "a freejoint")
+        compiled.item("body", root).refuse("the root does not float freely", "a freejoint")
         return root
     dofs = slice(int(model.jnt_dofadr[joints[0]]), int(model.jnt_dofadr[joints[0]]) + 6)
     for field, word in _OF_ROOT.items():
         places = dofs if field.startswith("dof") else joints[0]
         if np.any(getattr(model, field)[places]):
-            compiled.refuse("joint", joints[0], f"it has {word}", f"no {word}")
+            compiled.item("joint", joints[0]).refuse(f"it has {word}", f"no {word}")
     return root
 
 
@@ -173,56 +152,13 @@ def _body_names(compiled: Compiled) -> dict[int, str]:
     names = {}
     for i, name in enumerate(given):
         if name and "{i}" in name:
-            compiled.refuse("body", i, "{i} stands for a number in our names", "a name without it")
+            problem = "{i} stands for a number in our names"
+            compiled.item("body", i).refuse(problem, "a name without it")
         invented = f"body{i}"
         while invented in given:
             invented += "_"
         names[i] = name or invented
     return names
-
-
-def _joints_of(model: Any, body: int) -> list[int]:
-    """Numbers of a body's joints."""
-    first = int(model.body_jntadr[body])
-    return list(range(first, first + int(model.body_jntnum[body])))
-
-
-def _read_joint(
-    compiled: Compiled,
-    body: int,
-    placed: dict[int, Placed],
-    names: dict[int, str],
-    motors: dict[int, ActuatorConfig | None],
-) -> JointConfig:
-    """The joint of a body whose hinges `_check_joints` has let pass."""
-    above = int(compiled.model.body_parentid[body])
-    own, parent = placed[body], placed[above]
-    model = compiled.model
-    joints = _joints_of(model, body)
-    first, limits = joints[0], []
-    for joint in joints:
-        # MuJoCo counts angles from where the model file says, we from the neutral pose.
-        neutral = model.qpos0[model.jnt_qposadr[joint]]
-        turns = np.rad2deg(model.jnt_range[joint] - neutral)
-        limits.append(tuple(tidy_difference(turn) for turn in turns))
-    place, dof = np.array(model.jnt_pos[first]), int(model.jnt_dofadr[first])
-    turn = rotation(compiled, model.body_quat[body])
-    at = np.array(model.body_pos[body]) + turn @ place
-    euler = np.rad2deg(matrix_to_euler(parent.turn.T @ turn @ own.turn))
-    values = {
-        "parent": names[above],
-        "at": tidy_vector(parent.turn.T @ (at - parent.centre)),
-        "child_at": tidy_vector(own.turn.T @ (place - own.centre)),
-        "axes": [_axis(own.turn.T @ model.jnt_axis[joint]) for joint in joints],
-        "limits_deg": limits[0] if len(set(limits)) == 1 else limits,
-        "rotation_deg": tidy_vector(euler),
-        "stiffness": tidy(model.jnt_stiffness[first]),
-        "damping": tidy(model.dof_damping[dof]),
-        "armature": tidy(model.dof_armature[dof]),
-        "actuator": motors.get(first),
-    }
-    what = f"joint of {compiled.named('body', body)}"
-    return compiled.checked(what, JointConfig, values, ("body", body))
 
 
 def _material(compiled: Compiled, geom: int, density: float) -> MaterialConfig:
@@ -232,76 +168,11 @@ def _material(compiled: Compiled, geom: int, density: float) -> MaterialConfig:
         "static_friction": friction,
         "dynamic_friction": friction,
     }
-    return compiled.checked(compiled.named("geom", geom), MaterialConfig, values, ("geom", geom))
-
-
-def _check_joints(compiled: Compiled, body: int, motors: dict[int, ActuatorConfig | None]) -> None:
-    """Refuse what keeps a body's joints from being one joint of ours."""
-    model = compiled.model
-    joints = _joints_of(model, body)
-    if not 1 <= len(joints) <= 3:
-        problem = f"it has {len(joints)} joints" if joints else "it is welded to its parent"
-        compiled.refuse("body", body, problem, "one to three hinges")
-    if not all(_is_plain_hinge(compiled, joint) for joint in joints):
-        return
-    # None where an actuator is refused already.
-    unread = [joint for joint in joints if motors.get(joint, ...) is None]
-    for joint in joints[1:]:
-        if not unread and motors.get(joint) != motors.get(joints[0]):
-            compiled.refuse(*_unlike(compiled, joint, joints[0], "actuator"))
-        for word, values in _alike(compiled).items():
-            if not np.allclose(values[joint], values[joints[0]], rtol=TOLERANCE, atol=0):
-                compiled.refuse(*_unlike(compiled, joint, joints[0], word))
-        apart = np.abs(model.jnt_pos[joint] - model.jnt_pos[joints[0]]).max()
-        if apart > TOLERANCE:
-            compiled.refuse(*_unlike(compiled, joint, joints[0], "pos"))
-
-
-def _alike(compiled: Compiled) -> dict[str, np.ndarray]:
-    """What all hinges of a body have to have in common, by joint."""
-    model = compiled.model
-    first = model.jnt_dofadr
-    return {
-        "stiffness": model.jnt_stiffness,
-        "damping": model.dof_damping[first],
-        "armature": model.dof_armature[first],
-    }
-
-
-def _is_plain_hinge(compiled: Compiled, joint: int) -> bool:
-    """Whether a joint is a hinge; what else is wrong with it is refused."""
-    model, kinds = compiled.model, compiled.mujoco.mjtJoint
-    kind = int(model.jnt_type[joint])
-    if kind != kinds.mjJNT_HINGE:
-        word = str(kinds(kind).name).removeprefix("mjJNT_").lower()
-        compiled.refuse(
-            "joint",
-            joint,
-            f"it is a {word} joint",
-            "one to three hinges at one place, which turn one after the other",
-        )
-        return False
-    if not model.jnt_limited[joint]:
-        compiled.refuse("joint", joint, "it has no limits", "a range")
-    address = model.jnt_qposadr[joint]
-    if model.jnt_stiffness[joint] and model.qpos_spring[address] != model.qpos0[address]:
-        compiled.refuse(
-            "joint", joint, "its springref is not its ref", "a spring to the neutral pose"
-        )
-    return True
-
-
-def _unlike(compiled: Compiled, joint: int, first: int, word: str) -> tuple[str, int, str, str]:
-    return (
-        "joint",
-        joint,
-        f"its {word} is not that of {compiled.named('joint', first)}",
-        f"the same {word} for all hinges of a body",
-    )
+    return compiled.item("geom", geom).section(MaterialConfig, values)
 
 
 def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
-    """What belongs to the world, or has no part in the motion.
+    """Name what belongs to the world, or has no part in the motion.
 
     Args:
         compiled: the model.
@@ -314,7 +185,7 @@ def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
         gravity = ", ".join(f"{value:g}" for value in model.opt.gravity)
         found.append(f"gravity ({gravity}) m/s^2")
     ground = [i for i in range(model.ngeom) if model.geom_bodyid[i] == WORLD]
-    found += [compiled.named("geom", geom) for geom in ground]
+    found += [str(compiled.item("geom", geom)) for geom in ground]
     if fluid:
         found.append(f"the buoyancy of a fluid of {fluid:g} kg/m^3")
     medium = [name for name in ("density", "viscosity") if name in options]
@@ -324,16 +195,14 @@ def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
     found += _collisions(compiled)
     ranges = command_ranges(compiled)
     if len(ranges) == 1:
-        found.append(f"the ctrlrange of {compiled.named('actuator', ranges[0])}")
+        found.append(f"the ctrlrange of {compiled.item('actuator', ranges[0])}")
     elif ranges:
         found.append(f"the ctrlrange of {len(ranges)} actuators")
-    for count, kind in _WITHOUT_PART_IN_MOTION.items():
-        found += _counted(int(getattr(model, count, 0)), kind)
-    return tuple(found)
+    return (*found, *left_out_counts(compiled))
 
 
 def _collisions(compiled: Compiled) -> list[str]:
-    """What says which bodies touch: in a creature, `self_collision` and the world do."""
+    """Name settings of contacts; a creature has `self_collision` in their place."""
     model = compiled.model
     own = model.geom_bodyid != WORLD
     bits = np.stack([model.geom_contype, model.geom_conaffinity], 1)
@@ -349,12 +218,8 @@ def _collisions(compiled: Compiled) -> list[str]:
         plain &= close.all(axis=tuple(range(1, close.ndim)))
     pairs = (among & ~plain).sum()
     found = [f"contype and conaffinity of {unusual} geom{'s' * (unusual > 1)}"] if unusual else []
-    found += _counted(int(pairs), "contact pair") + _counted(int(model.nexclude), "contact exclude")
+    found += counted(int(pairs), "contact pair") + counted(int(model.nexclude), "contact exclude")
     return found + [f"flag {flag}" for flag in _OF_COLLISIONS if compiled.disabled(flag)]
-
-
-def _counted(number: int, kind: str) -> list[str]:
-    return [f"{number} {kind}{'s' if number > 1 else ''}"] if number else []
 
 
 def _has_weight(compiled: Compiled) -> bool:
@@ -362,7 +227,7 @@ def _has_weight(compiled: Compiled) -> bool:
 
 
 def _buoyancy(compiled: Compiled, placed: dict[int, Placed]) -> float:
-    """Density of the fluid that carries all bodies, kg/m^3; 0 for none."""
+    """Return the density of the fluid that carries all bodies, kg/m^3; 0 for none."""
     if not _has_weight(compiled):
         return 0.0
     model = compiled.model
@@ -372,9 +237,7 @@ def _buoyancy(compiled: Compiled, placed: dict[int, Placed]) -> float:
     alike = np.isclose(fluid, fluid[0], rtol=TOLERANCE, atol=0)
     wrong = np.flatnonzero(~alike | (fluid < 0))
     if wrong.size:
-        raise compiled.refusal(
-            "body",
-            bodies[int(wrong[0])],
+        raise compiled.item("body", bodies[int(wrong[0])]).refusal(
             "its gravcomp is not the buoyancy of a fluid around all bodies",
             "gravcomp in inverse proportion to the density, or none",
         )
@@ -391,11 +254,3 @@ def _color(model: Any, geom: int) -> str | None:
 def _model_name(compiled: Compiled) -> str:
     name = bytes(compiled.model.names).split(b"\0", 1)[0].decode()
     return compiled.source.stem if name in ("", "MuJoCo Model") else name
-
-
-def _axis(direction: np.ndarray) -> str | tuple[float, float, float]:
-    vector = tidy_vector(direction)
-    for name, unit in zip("xyz", np.eye(3), strict=True):
-        if np.array_equal(vector, unit):
-            return name
-    return vector

@@ -1,19 +1,41 @@
-"""Motors of a compiled model: position and velocity servos, and what passes for one."""
+"""Motors of joints as actuators of MJCF, and back.
+
+| here | in MJCF |
+|---|---|
+| motor with a spring | ``position``: ``kp`` is its stiffness, ``kv`` its gain |
+| motor without | ``velocity``: ``kv`` is its gain |
+| torque limit | ``forcerange`` |
+| velocity servo of a gain that the caller chooses | ``motor`` with limits, when it is read |
+"""
 
 from collections.abc import Container
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from evo_cpg.config.schema.joint import ActuatorConfig
 from evo_cpg.config.schema.section import LARGEST
+from evo_cpg.creature.creature import Actuator
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
+from evo_cpg.exchange.mjcf_ground import number_text
 
 # Those that can be disabled.
 _GROUPS = 31
 
 
+def add_motor(actuator: Element, joint: str, motor: Actuator) -> None:
+    """Add the motor of a hinge."""
+    kind = "position" if motor.stiffness else "velocity"
+    element = SubElement(actuator, kind, name=joint, joint=joint)
+    if motor.stiffness:
+        element.set("kp", number_text(motor.stiffness))
+    element.set("kv", number_text(motor.gain))
+    if np.isfinite(motor.torque_limit):
+        element.set("forcerange", number_text(-motor.torque_limit, motor.torque_limit))
+
+
 def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, ActuatorConfig | None]:
-    """The motor of every joint that has one; None for one that is refused, which is remembered."""
+    """Return the motor of every driven joint; None for a refused one, which is remembered."""
     motors: dict[int, ActuatorConfig | None] = {}
     for number in range(len(compiled.model.actuator_trnid)):
         with compiled.refusals.collecting():
@@ -24,30 +46,26 @@ def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, Actua
 
 
 def _driven_joint(compiled: Compiled, number: int, driven: Container[int]) -> int:
-    """The hinge that an actuator drives."""
-    model = compiled.model
+    """Return the hinge that an actuator drives."""
+    model, item = compiled.model, compiled.item("actuator", number)
     joint, group = int(model.actuator_trnid[number, 0]), int(model.actuator_group[number])
     if 0 <= group < _GROUPS and model.opt.disableactuator >> group & 1:
-        raise compiled.refusal(
-            "actuator",
-            number,
-            f"actuatorgroupdisable disables its group, {group}",
-            "an enabled group",
-        )
+        problem = f"actuatorgroupdisable disables its group, {group}"
+        raise item.refusal(problem, "an enabled group")
     on_joint = int(model.actuator_trntype[number]) == compiled.mujoco.mjtTrn.mjTRN_JOINT
     if not on_joint or int(model.jnt_type[joint]) != compiled.mujoco.mjtJoint.mjJNT_HINGE:
-        raise compiled.refusal("actuator", number, "it drives no hinge", "joint=, a hinge")
+        raise item.refusal("it drives no hinge", "joint=, a hinge")
     if joint in driven:
-        first = compiled.named("joint", joint)
-        raise compiled.refusal("actuator", number, f"it is the second that drives {first}", "one")
+        driven_one = compiled.item("joint", joint)
+        raise item.refusal(f"it is the second that drives {driven_one}", "one")
     return joint
 
 
 def _read_motor(
     compiled: Compiled, number: int, joint: int, motor_gain: float | None
 ) -> ActuatorConfig:
-    """One motor; the gear stretches the angle and multiplies the force."""
-    mujoco, model = compiled.mujoco, compiled.model
+    """Read one motor; the gear stretches the angle and multiplies the force."""
+    mujoco, model, item = compiled.mujoco, compiled.model, compiled.item("actuator", number)
     gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
     strength = float(model.actuator_gainprm[number, 0])
     offset, stiffness, damping = (-model.actuator_biasprm[number, :3]).tolist()
@@ -60,9 +78,7 @@ def _read_motor(
     )
     follows = offset == 0 and stiffness >= 0 and strength == (stiffness or damping)
     if not simple or (affine and not follows):
-        raise compiled.refusal(
-            "actuator",
-            number,
+        raise item.refusal(
             "its law is not that of a servo",
             "position, velocity, motor without dynamics of their own",
         )
@@ -72,9 +88,7 @@ def _read_motor(
     ]
     if not affine:
         if motor_gain is None:
-            raise compiled.refusal(
-                "actuator",
-                number,
+            raise item.refusal(
                 "it gives a torque, and our motors are servos",
                 "position, velocity, or --motor-gain, which makes velocity servos of torque motors",
             )
@@ -83,29 +97,26 @@ def _read_motor(
         limits.append((command, _limits_commands(compiled, number)))
         gain, stiffness = motor_gain, 0.0
     elif not damping > 0:
-        raise compiled.refusal("actuator", number, "it is undamped", "a kv of more than 0")
+        raise item.refusal("it is undamped", "a kv of more than 0")
     else:
         # Not the square of the gear, which may be too large for a number.
         gain, stiffness = (gear * (gear * value) for value in (damping, stiffness))
     torques = [torque for torque, given in limits if given and not _boundless(torque)]
     if not affine and not torques:
-        raise compiled.refusal("actuator", number, "it has no limits", "ctrlrange or forcerange")
+        raise item.refusal("it has no limits", "ctrlrange or forcerange")
     for lower, upper in torques:
         if not np.isclose(-lower, upper, rtol=TOLERANCE):
-            raise compiled.refusal(
-                "actuator", number, f"its limits {lower:g} and {upper:g} differ", "equal limits"
-            )
+            raise item.refusal(f"its limits {lower:g} and {upper:g} differ", "equal limits")
     values = {
         "gain": tidy(gain),
         "stiffness": tidy(stiffness),
         "torque_limit": tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None,
     }
-    what, at = compiled.named("actuator", number), ("actuator", number)
-    return compiled.checked(what, ActuatorConfig, values, at)
+    return item.section(ActuatorConfig, values)
 
 
 def command_ranges(compiled: Compiled) -> list[int]:
-    """Servos whose commands have limits, which ours have not: their numbers."""
+    """Return the numbers of servos whose commands have limits, which ours have not."""
     model = compiled.model
     affine = model.actuator_biastype == compiled.mujoco.mjtBias.mjBIAS_AFFINE
     return [i for i in range(len(affine)) if affine[i] and _limits_commands(compiled, i)]
@@ -117,11 +128,11 @@ def _limits_commands(compiled: Compiled, number: int) -> bool:
 
 
 def _place(compiled: Compiled, what: str, number: int) -> int:
-    """Where an actuator's first command or output stands; older versions have one of each."""
+    """Return the place of an actuator's first command or output; once there was one of each."""
     places = getattr(compiled.model, f"actuator_{what}adr", None)
     return number if places is None else int(places[number])
 
 
 def _boundless(torque: np.ndarray) -> bool:
-    """Whether limits are larger both ways than any that a creature can have."""
+    """Return whether limits are larger both ways than any that a creature can have."""
     return bool(torque.min() < -LARGEST and torque.max() > LARGEST)

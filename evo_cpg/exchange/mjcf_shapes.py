@@ -1,7 +1,16 @@
-"""Bodies of a compiled model: the shape of each, its frame and its density."""
+"""Shapes and densities of bodies as geoms of MJCF, and back.
+
+| here | in MJCF |
+|---|---|
+| box, sphere, ellipsoid | ``geom`` of the same ``type``, with half sizes |
+| capsule, along x | ``geom`` of the same ``type``, along z |
+| mesh | ``mesh`` asset with the body's name, which holds its vertices and faces |
+| density | ``density``; MuJoCo's mass and inertia have to be those of a uniform shape |
+"""
 
 import itertools
 from typing import NamedTuple
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
@@ -13,8 +22,12 @@ from evo_cpg.config.schema.shape import (
     ShapeConfig,
     SphereConfig,
 )
-from evo_cpg.creature.mesh import MeshError, convex_mesh
-from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_size, tidy_vector
+from evo_cpg.creature.creature import Body, Creature
+from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_vector
+from evo_cpg.exchange.mjcf_ground import number_text
+from evo_cpg.exchange.refusals import ExchangeError
 
 # Of an inertia by turning it, as a share of the largest moment; a mesh has corners in single
 # precision, and `TOLERANCE` in its place.
@@ -37,12 +50,47 @@ class Placed(NamedTuple):
     turn: np.ndarray
 
 
+def add_meshes(root: Element, creature: Creature) -> None:
+    """Add the assets of bodies that are meshes."""
+    shapes = {body.name: body.shape for body in creature.bodies}
+    meshes = {name: shape for name, shape in shapes.items() if isinstance(shape, ConvexMesh)}
+    asset = SubElement(root, "asset") if meshes else root
+    for name, shape in meshes.items():
+        vertices = number_text(*shape.points.ravel())
+        faces = " ".join(str(corner) for face in shape.faces for corner in face)
+        SubElement(asset, "mesh", name=name, vertex=vertices, face=faces)
+
+
+def shape_attributes(body: Body) -> dict[str, str]:
+    """Return attributes of a body's geom.
+
+    Raises:
+        ExchangeError: a shape that MJCF cannot hold.
+    """
+    shape = body.shape
+    if isinstance(shape, Box):
+        return {"type": "box", "size": number_text(*shape.half_extents)}
+    if isinstance(shape, Sphere):
+        return {"type": "sphere", "size": number_text(shape.radius)}
+    if isinstance(shape, Ellipsoid):
+        return {"type": "ellipsoid", "size": number_text(*shape.half_extents)}
+    if isinstance(shape, Capsule):
+        size = number_text(shape.radius, shape.length / 2)
+        return {"type": "capsule", "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
+    if isinstance(shape, ConvexMesh):
+        return {"type": "mesh", "mesh": body.name}
+    raise ExchangeError(
+        f"a {type(shape).__name__} cannot be written as MJCF; "
+        "allowed: Box, Sphere, Ellipsoid, Capsule, ConvexMesh"
+    )
+
+
 def only_geom(compiled: Compiled, body: int) -> int:
-    """The geom of a body, which must not have several."""
+    """Return the geom of a body; several are refused."""
     model = compiled.model
     count = int(model.body_geomnum[body])
     if count != 1:
-        raise compiled.refusal("body", body, f"it has {count} geoms", "one, its shape")
+        raise compiled.item("body", body).refusal(f"it has {count} geoms", "one, its shape")
     return int(model.body_geomadr[body])
 
 
@@ -56,36 +104,32 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
     outer = rotation(compiled, model.body_quat[body]) if is_root else np.eye(3)
     turn = outer @ rotation(compiled, model.geom_quat[geom])
     kind = int(model.geom_type[geom])
-    what, at = compiled.named("geom", geom), ("geom", geom)
+    item = compiled.item("geom", geom)
     if kind == kinds.mjGEOM_SPHERE:
         values = {"type": "sphere", "radius": tidy(size[0])}
-        shape, turn = compiled.checked(what, SphereConfig, values, at), np.eye(3)
+        shape, turn = item.section(SphereConfig, values), np.eye(3)
     elif kind == kinds.mjGEOM_CAPSULE:
         # MuJoCo's capsules lie along z, ours along x; either end may be the front.
         turn = _shortest_turn(turn[:, 2] if turn[0, 2] >= 0 else -turn[:, 2])
         values = {"type": "capsule", "radius": tidy(size[0]), "length": tidy(2 * size[1])}
-        shape = compiled.checked(what, CapsuleConfig, values, at)
+        shape = item.section(CapsuleConfig, values)
     elif kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
         best = max(_TURNS, key=lambda own: np.trace(turn @ own))
         turn, size = turn @ best, np.abs(best.T @ size)
         if kind == kinds.mjGEOM_BOX:
-            values = {"type": "box", "size": tidy_size(2 * size)}
-            shape = compiled.checked(what, BoxConfig, values, at)
+            values = {"type": "box", "size": tuple(map(tidy, 2 * size))}
+            shape = item.section(BoxConfig, values)
         else:
-            values = {"type": "ellipsoid", "radii": tidy_size(size)}
-            shape = compiled.checked(what, EllipsoidConfig, values, at)
+            values = {"type": "ellipsoid", "radii": tuple(map(tidy, size))}
+            shape = item.section(EllipsoidConfig, values)
     elif kind == kinds.mjGEOM_MESH:
         # MuJoCo has turned it to its principal axes.
         shape, turn = _read_mesh(compiled, geom, turn), np.eye(3)
     else:
         word = str(kinds(kind).name).removeprefix("mjGEOM_").lower()
-        raise compiled.refusal(
-            "geom", geom, f"it is a {word}", "box, sphere, ellipsoid, capsule, mesh"
-        )
+        raise item.refusal(f"it is a {word}", "box, sphere, ellipsoid, capsule, mesh")
     if is_root and not np.allclose(turn, np.eye(3), rtol=0, atol=TOLERANCE):
-        raise compiled.refusal(
-            "geom",
-            geom,
+        raise item.refusal(
             f"the root's {shape.type} stands askew in the world",
             "edges and axes along x, y and z, a capsule's along x",
         )
@@ -93,7 +137,7 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
 
 
 def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> float:
-    """Density of a body, which has to be uniform, kg/m^3."""
+    """Return the density of a body, which has to be uniform, kg/m^3."""
     model = compiled.model
     shape = own.shape.build()
     mass = float(model.body_mass[body])
@@ -108,9 +152,7 @@ def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> fl
     rounding = TOLERANCE if own.shape.type == "mesh" else _ROUNDING
     within = np.maximum(TOLERANCE * np.sqrt(np.outer(moments, moments)), rounding * moments.max())
     if off_centre or (off > within).any():
-        raise compiled.refusal(
-            "body",
-            body,
+        raise compiled.item("body", body).refusal(
             f"its centre of mass or inertia is not that of its {own.shape.type}",
             "uniform density, without an inertial of its own",
         )
@@ -118,8 +160,8 @@ def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> fl
 
 
 def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
-    """The mesh of a geom about its centre of mass, with axes that are turned to the geom's."""
-    model = compiled.model
+    """Return the mesh of a geom about its centre of mass, in axes turned to the geom's."""
+    model, item = compiled.model, compiled.item("geom", geom)
     mesh = int(model.geom_dataid[geom])
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = np.array(model.mesh_vert[first : first + count], float) @ turn.T
@@ -128,15 +170,15 @@ def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
     try:
         _, centre = convex_mesh(vertices, faces)
     except MeshError as error:
-        raise compiled.refusal("geom", geom, f"its mesh: {error}", "a closed convex mesh") from None
+        raise item.refusal(f"its mesh: {error}", "a closed convex mesh") from None
     # MuJoCo keeps vertices in single precision.
     vertices = tuple(tidy_vector(vertex) for vertex in vertices - centre)
     values = {"type": "mesh", "vertices": vertices, "faces": faces.tolist()}
-    return compiled.checked(compiled.named("geom", geom), MeshConfig, values, ("geom", geom))
+    return item.section(MeshConfig, values)
 
 
 def _shortest_turn(direction: np.ndarray) -> np.ndarray:
-    """Rotation that takes x to a unit vector, which does not point backwards."""
+    """Return the rotation that takes x to a unit vector, which does not point backwards."""
     x, y, z = direction
     cross = np.array([[0, -y, -z], [y, 0, 0], [z, 0, 0]])
     return np.eye(3) + cross + cross @ cross / (1 + x)

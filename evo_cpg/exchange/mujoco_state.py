@@ -1,7 +1,7 @@
-"""Our order of degrees of freedom in MuJoCo's data, and one of our states put there.
+"""Map a tree's degrees of freedom to MuJoCo's, and put a state into MuJoCo's data.
 
-Works on what MuJoCo made of an exported model (`evo_cpg.exchange.mjcf_export`), without importing
-MuJoCo.
+The functions take a compiled model that was exported (`evo_cpg.exchange.mjcf_export`). They do not
+import MuJoCo.
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ from evo_cpg.physics.state import State
 
 
 def dof_order(model: Any, tree: Tree) -> Int[np.ndarray, " d"]:
-    """Index of MuJoCo's joint degree of freedom for each of the tree's, the root's six left out."""
+    """Return MuJoCo's index of each of the tree's degrees of freedom, without the root's six."""
     order = []
     for name in dict.fromkeys(tree.names[i] for i in tree.dof_bodies):
         body = model.body(name)
@@ -24,7 +24,7 @@ def dof_order(model: Any, tree: Tree) -> Int[np.ndarray, " d"]:
 
 
 def motor_order(model: Any, tree: Tree) -> Int[np.ndarray, " motors"]:
-    """Index of the tree's degree of freedom that each of MuJoCo's motors drives."""
+    """Return the index of the tree's degree of freedom that each of MuJoCo's motors drives."""
     driven = model.jnt_dofadr[model.actuator_trnid[:, 0]] - 6
     return np.argsort(dof_order(model, tree))[driven]
 
@@ -39,11 +39,11 @@ def load_state(model: Any, data: Any, tree: Tree, state: State) -> Float[np.ndar
     rotation = root_rotation(np.asarray(state.orientation, float))
     data.qpos[:3], data.qpos[3:7] = state.position, state.orientation
     data.qpos[7 + order] = state.q
-    data.qvel[:3], data.qvel[3:6] = state.velocity[3:], rotation.T @ state.velocity[:3]
+    data.qvel[:3], data.qvel[3:6] = state.linear_velocity, rotation.T @ state.angular_velocity
     data.qvel[6 + order] = state.qd
     return rotation
 
 
 def root_rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
-    """Root to world, of a quaternion (w, x, y, z)."""
+    """Return the rotation from root to world of a quaternion (w, x, y, z)."""
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()

@@ -1,15 +1,20 @@
-"""What MuJoCo makes of the same motor commands: a second opinion on a champion.
+"""A second opinion on a champion: the same motor commands in MuJoCo.
 
-The exported model (`evo_cpg.exchange.mjcf_export`) is driven by the commands that the champion's
-controller gave here, step by step, from the same start: it hears nothing of what MuJoCo's animal
-feels. Or the controller itself drives it, and senses what MuJoCo's animal does: one that corrects
-itself, as brains do, needs that where contacts differ. Both programs solve the same equations of
-motion. Contacts are MuJoCo's own, without restitution, and by default much softer than ours: they
-yield over 20 ms, and creep. So there is a second kind, in which they yield within one of our steps,
-in much finer ones of MuJoCo's, for at ours its stiff motors go other ways. Buoyancy and force laws
-(`evo_cpg.physics.force_law`) are ours, applied to MuJoCo's bodies at every step of its own;
-carried water is left out, since applied forces know no accelerations. Where friction differs from
-trial to trial, MuJoCo's is that of the configuration.
+The exported model (`evo_cpg.exchange.mjcf_export`) starts as the champion did. It is driven in one
+of two ways:
+
+- by the commands that the champion's controller gave here, step by step;
+- by the controller itself, with the senses of MuJoCo's animal (`Brain`). A controller that corrects
+  itself needs this where contacts differ.
+
+Both programs solve the same equations of motion. They differ in these points:
+
+- Contacts are MuJoCo's own, without restitution. By default they are much softer than ours: they
+  yield over 20 ms, and creep. Hard contacts yield within one of our steps. They take much finer
+  steps of MuJoCo's, because its stiff motors are inaccurate at ours.
+- Buoyancy and force laws (`evo_cpg.physics.force_law`) are ours, applied to MuJoCo's bodies at
+  every step of its own. Added mass is left out: applied forces cannot depend on accelerations.
+- If friction differs from trial to trial, MuJoCo's is that of the configuration.
 """
 
 import functools
@@ -26,18 +31,18 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.analysis.excursions import in_water
 from evo_cpg.control.controller import Command
 from evo_cpg.creature.creature import Creature
-from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.fusion.engine import using
 from evo_cpg.installation import command_for
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.weight import buoyancy_alone
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.control_step import act, begin_life, sense
+from evo_cpg.simulation.control_step import act, begin_episode, sense
 from evo_cpg.simulation.physics_steps import PhysicsSteps
-from evo_cpg.simulation.sensors import feel
+from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 
@@ -53,13 +58,13 @@ _LAW_STEP = 1 / 2000
 
 
 class Opinion(NamedTuple):
-    """A trial as it came out in one of the two programs, in control steps.
+    """Outcome of a trial in one of the two programs, in control steps.
 
     Attributes:
         program: its name.
         path: of the root, m, the start first.
-        upright: share of the time in which the root's up axis points up.
-        airborne: share of the time in which nothing touches the ground and no body's centre is
+        upright: fraction of the time in which the root's up axis points up.
+        airborne: fraction of the time in which nothing touches the ground and no body's centre is
             under water; None without ground or with water everywhere, where it means nothing.
         joint_angle: rad, in our order of degrees of freedom.
     """
@@ -71,8 +76,8 @@ class Opinion(NamedTuple):
     joint_angle: Float[np.ndarray, "d t"]
 
     @property
-    def way(self) -> float:
-        """From start to end over the ground, m."""
+    def displacement(self) -> float:
+        """Distance from start to end over the ground, m."""
         return float(np.linalg.norm((self.path[:, -1] - self.path[:, 0])[:2]))
 
     @property
@@ -83,7 +88,7 @@ class Opinion(NamedTuple):
 
 
 class Brain:
-    """A champion's controller, with the senses of an animal that lives elsewhere.
+    """A champion's controller, with the senses of an animal in another simulator.
 
     Args:
         simulation: the trial.
@@ -101,7 +106,7 @@ class Brain:
     ):
         with using(simulation.engine):
             alone = jnp.asarray(genes, jnp.float32)[:, None]
-            life, animal = begin_life(simulation, alone, keys, number)
+            constants, animal = begin_episode(simulation, alone, keys, number)
         footing = simulation.world.footing
         owners = np.array([] if footing is None else footing.bodies, int)
         # A body's first contact point stands for all of them: the skin adds them up.
@@ -111,16 +116,16 @@ class Brain:
         def think(state: State, nerves: Any, force: Array) -> tuple[Any, Command]:
             with using(simulation.engine):
                 kin = kinematics(simulation.world.tree, state)
-                felt = feel(simulation.sensors, simulation.world, kin, force)
+                felt = pressure_readings(simulation.sensors, simulation.world, kin, force)
                 there = animal._replace(state=state, nerves=nerves, pressure=felt)
-                return act(simulation, life, there, sense(simulation, life, there))
+                return act(simulation, constants, there, sense(simulation, constants, there))
 
         self._think = jax.jit(think)
 
     def think(
         self, state: State, borne: Float[np.ndarray, " b"]
     ) -> tuple[Float[np.ndarray, "d 1"], Float[np.ndarray, "d 1"]]:
-        """Rates (rad/s) and angles (rad) that the motors are to follow.
+        """Return rates (rad/s) and angles (rad) that the motors are to follow.
 
         Args:
             state: of the animal.
@@ -136,14 +141,14 @@ class Brain:
 
 
 def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
-    """Ours, of a trial that was lived here."""
+    """Return our own outcome of a trial that was run here."""
     each = slice(simulation.substeps - 1, None, simulation.substeps)
     start, place = steps.before.position[:, :1], steps.after.position[:, each]
     held = (np.abs(steps.contact_force).sum((0, 1)) > 0) | in_water(simulation.world, steps)
     return Opinion(
         "evo_cpg",
         np.concatenate([start, place], 1).astype(float),
-        _upright_share(np.asarray(steps.after.orientation[:, each])),
+        _upright_fraction(np.asarray(steps.after.orientation[:, each])),
         _airborne(simulation.world, held[each]),
         np.asarray(steps.after.q[:, each], float),
     )
@@ -156,10 +161,10 @@ def second_opinion(
     hard: bool = False,
     brain: Brain | None = None,
 ) -> Opinion:
-    """MuJoCo's.
+    """Return MuJoCo's outcome.
 
     Args:
-        simulation: the trial was lived in.
+        simulation: of the trial.
         creature: the animal.
         steps: of the trial, for its start and its commands.
         hard: with contacts as hard as ours and round friction cones, in smaller steps.
@@ -169,6 +174,36 @@ def second_opinion(
         ExchangeError: MuJoCo is missing or refuses the model, MJCF cannot hold the world, or its
             animal diverged.
     """
+    mujoco, model, finer = _compile(simulation, creature, hard)
+    world, substeps = simulation.world, simulation.substeps
+    player = _Player(mujoco, model, world, simulation.step_length)
+    player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
+    pushes = _pushes(steps)
+    commands = player.commands(*map(np.asarray, (steps.target_rate, steps.target_angle)))
+    poses, held = [player.data.qpos.copy()], []
+    for index in range(steps.torque.shape[-1]):
+        player.data.qvel[:3] += pushes[:, index]
+        if brain is not None and index % substeps == 0:
+            own = player.commands(*brain.think(player.state(), player.weight_borne()))
+            commands[index : index + substeps] = own
+        player.advance(commands[index], finer)
+        if not np.isfinite(player.data.qpos).all():
+            raise ExchangeError("MuJoCo's animal diverged")
+        if (index + 1) % substeps == 0:
+            poses.append(player.data.qpos.copy())
+            held.append(player.is_held())
+    poses = np.array(poses).T
+    return Opinion(
+        "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None),
+        poses[:3],
+        _upright_fraction(poses[3:7, 1:]),
+        _airborne(world, np.array(held)),
+        poses[7 + player.dofs, 1:],
+    )
+
+
+def _compile(simulation: Simulation, creature: Creature, hard: bool) -> tuple[Any, Any, int]:
+    """Return MuJoCo, its model of the animal and its world, and its steps in one of ours."""
     try:
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
@@ -192,32 +227,7 @@ def second_opinion(
         model.opt.impratio = _IMPEDANCE_RATIO
         model.pair_solref[:] = h, 1.0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    player = _Player(mujoco, model, world, h)
-    player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
-    jumps = _jumps(steps)
-    signals = player.signals(*map(np.asarray, (steps.target_rate, steps.target_angle)))
-    substeps, path, turns, angles, held = simulation.substeps, [], [], [], []
-    path.append(player.data.qpos[:3].copy())
-    for index in range(steps.torque.shape[-1]):
-        player.push(jumps[:, index])
-        if brain is not None and index % substeps == 0:
-            told = player.signals(*brain.think(player.state(), player.weight_borne()))
-            signals[index : index + substeps] = told
-        player.advance(signals[index], finer)
-        if not np.isfinite(player.data.qpos).all():
-            raise ExchangeError("MuJoCo's animal diverged")
-        if (index + 1) % substeps == 0:
-            path.append(player.data.qpos[:3].copy())
-            turns.append(player.data.qpos[3:7].copy())
-            angles.append(player.angles())
-            held.append(player.touches() or player.swims())
-    return Opinion(
-        "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None),
-        np.array(path).T,
-        _upright_share(np.array(turns).T),
-        _airborne(simulation.world, np.array(held)),
-        np.array(angles).T,
-    )
+    return mujoco, model, finer
 
 
 class _Player:
@@ -233,7 +243,7 @@ class _Player:
     def __init__(self, mujoco: Any, model: Any, world: World, h: float):
         self.mujoco, self.model, self.tree = mujoco, model, world.tree
         self.data = mujoco.MjData(model)
-        self._dofs, self._motors = dof_order(model, world.tree), motor_order(model, world.tree)
+        self.dofs, self._motors = dof_order(model, world.tree), motor_order(model, world.tree)
         self._bodies = np.array([model.body(name).id for name in world.tree.names])
         self._animal = np.isin(model.geom_bodyid, self._bodies)
         self._structure = jax.tree.structure(resting_state(world.tree))
@@ -245,48 +255,40 @@ class _Player:
         load_state(self.model, self.data, self.tree, state)
         self.mujoco.mj_forward(self.model, self.data)
 
-    def signals(
+    def commands(
         self, target_rate: Float[np.ndarray, "d t"], target_angle: Float[np.ndarray, "d t"]
     ) -> Float[np.ndarray, "t motors"]:
-        """What the motors are told in each step: their laws are ours."""
+        """Return the commands of the motors in each step: their laws are ours."""
         tree = self.tree
         gain, stiffness = (
             np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)
         )
         springy = stiffness > 0
         along = gain / np.where(springy, stiffness, 1.0) * target_rate
-        told = np.where(springy, target_angle + along, target_rate)
-        return np.asarray(told[self._motors].T, float)
+        command = np.where(springy, target_angle + along, target_rate)
+        return np.asarray(command[self._motors].T, float)
 
-    def push(self, jump: Float[np.ndarray, "3"]) -> None:
-        """A push of chance, m/s."""
-        self.data.qvel[:3] += jump
-
-    def advance(self, signal: Float[np.ndarray, " motors"], count: int) -> None:
-        """Some steps of MuJoCo's with the same command."""
-        self.data.ctrl[:] = signal
+    def advance(self, command: Float[np.ndarray, " motors"], count: int) -> None:
+        """Make some of MuJoCo's steps with the same command."""
+        self.data.ctrl[:] = command
         for _ in range(count):
             if self._laws is not None:
                 self.data.xfrc_applied[self._bodies] = self._laws(self.state()).T
             self.mujoco.mj_step(self.model, self.data)
 
-    def angles(self) -> Float[np.ndarray, " d"]:
-        """Of the joints, in our order, rad."""
-        return self.data.qpos[7 + self._dofs].copy()
+    def is_held(self) -> bool:
+        """Return whether the animal touches something other than itself, or swims.
 
-    def touches(self) -> bool:
-        """Whether the animal touches something that is not itself."""
-        return any(
+        It swims if a body's centre is under water.
+        """
+        touches = any(
             self._animal[contact.geom1] != self._animal[contact.geom2]
             for contact in self.data.contact
         )
-
-    def swims(self) -> bool:
-        """Whether a body's centre is under water."""
-        return bool((self.data.xipos[self._bodies, 2] < self._surface).any())
+        return touches or bool((self.data.xipos[self._bodies, 2] < self._surface).any())
 
     def weight_borne(self) -> Float[np.ndarray, " b"]:
-        """Normal force of what is no part of the animal on each of our bodies, N."""
+        """Return the normal force of the surroundings on each of our bodies, N."""
         borne, force = np.zeros(self.model.nbody), np.zeros(6)
         for index, contact in enumerate(self.data.contact):
             if self._animal[contact.geom1] != self._animal[contact.geom2]:
@@ -296,22 +298,22 @@ class _Player:
         return borne[self._bodies]
 
     def state(self) -> State:
-        """The animal's, as ours."""
+        """Return the animal's state, as ours."""
         data = self.data
         spin = root_rotation(data.qpos[3:7]) @ data.qvel[3:6]
         parts: tuple[Any, ...] = (
             data.qpos[:3].copy(),
             data.qpos[3:7].copy(),
             np.concatenate([spin, data.qvel[:3]]),
-            data.qpos[7 + self._dofs],
-            data.qvel[6 + self._dofs],
+            data.qpos[7 + self.dofs],
+            data.qvel[6 + self.dofs],
         )
-        # As `jax.device_get` leaves states on the host: with all their digits.
+        # In double precision, as `jax.device_get` leaves states on the host.
         return jax.tree.unflatten(self._structure, parts)
 
 
 def _applied(world: World) -> bool:
-    """Return whether there are forces that MuJoCo has no words for."""
+    """Return whether there are forces that MJCF cannot hold."""
     return world.water is not None or bool(world.forces)
 
 
@@ -340,20 +342,22 @@ def _law_forces(world: World, h: float) -> Callable[[State], np.ndarray]:
     return compute
 
 
-def _jumps(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
-    """By how much chance changed the root's velocity before each step, m/s."""
-    linear = np.asarray(steps.before.velocity[3:], float)
-    came = np.concatenate([linear[:, :1], np.asarray(steps.after.velocity[3:, :-1], float)], 1)
+def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
+    """Return the random change of the root's velocity before each step, m/s."""
+    linear = np.asarray(steps.before.linear_velocity, float)
+    came = np.concatenate(
+        [linear[:, :1], np.asarray(steps.after.linear_velocity[:, :-1], float)], 1
+    )
     return linear - came
 
 
 def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:
-    """Return the share of the time in which nothing holds the animal; None without meaning."""
+    """Return the fraction of the time in which nothing holds the animal; None without meaning."""
     everywhere = world.water_level == np.inf
     return None if world.footing is None or everywhere else float(1.0 - held.mean())
 
 
-def _upright_share(orientation: Float[np.ndarray, "4 t"]) -> float:
-    """Share of the time in which the root's z axis points up."""
+def _upright_fraction(orientation: Float[np.ndarray, "4 t"]) -> float:
+    """Return the fraction of the time in which the root's z axis points up."""
     _, x, y, _ = orientation
     return float((1.0 - 2.0 * (x * x + y * y) > _UPRIGHT).mean())

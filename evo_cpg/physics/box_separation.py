@@ -20,7 +20,7 @@ from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t, t_matmul, where
 
 # By so much (m), and by so much of the smaller box, edges must be farther apart than faces, so that
 # rounding does not decide.
-_CLEARLY, _CLEAR_SHARE = 1e-5, 1e-3
+_CLEARLY, _CLEAR_FRACTION = 1e-5, 1e-3
 
 # Projections onto either face in turn that bring an overhanging corner to where both are.
 _PROJECTIONS = 2
@@ -38,16 +38,16 @@ def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> l
         corners: of a face that lies on another's, 3 or 4.
     """
     gap, normal, of_b = _best_face(a, b)
-    clearly = jnp.minimum(_CLEARLY, _CLEAR_SHARE * smaller(a, b))
+    clearly = jnp.minimum(_CLEARLY, _CLEAR_FRACTION * smaller(a, b))
     edge, crossing = _best_edges(a, b, gap + clearly)
     face = _on_face(a, b, normal, of_b)
     first = where_each(edge, crossing, _at_corner(face, gap))
-    ways = (0,), (1,), (0, 1)
+    combinations = (0,), (1,), (0, 1)
     least = same(a, b)
     crossed = edge & (crossing.gap > gap + least)
     return [
         first,
-        *(unless(crossed, _along_edges(face, gap, least, k)) for k in ways[: corners - 1]),
+        *(unless(crossed, _along_edges(face, gap, least, k)) for k in combinations[: corners - 1]),
     ]
 
 
@@ -79,9 +79,9 @@ def _best_edges(a: RoundedBoxes, b: RoundedBoxes, least: Array) -> tuple[Array, 
             square = 1.0 - turn[i, j] * turn[i, j]
             parallel = square < PARALLEL
             scale = 1.0 / jnp.sqrt(jnp.where(parallel, 1.0, square))
-            way = along[m] * turn[k, j] - along[k] * turn[m, j]
+            edge_distance = along[m] * turn[k, j] - along[k] * turn[m, j]
             covered = e[k] * size[m, j] + e[m] * size[k, j] + f[p] * size[i, q] + f[q] * size[i, p]
-            gap = scale * (jnp.abs(way) - covered)
+            gap = scale * (jnp.abs(edge_distance) - covered)
             better = ~parallel & (gap > best)
             best, found = jnp.where(better, gap, best), better | found
             edges = where_each(better, (a.axes[:, i], b.axes[:, j], e[i], f[j]), edges)
@@ -167,8 +167,10 @@ def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) 
         after = [jnp.where(steep == (k - 1 - one) % 3, left[k], 0.0) for k in range(3)]
         point = point + matvec(inward, jnp.stack(after))
     point = _over_both(face.normal, face.under, face.over, point)
-    way, climb = point - face.corner, dot(face.normal, point - face.lowest)
-    return unless(dot(way, way) < least * least, _on_plane(face, point, gap + climb))
+    displacement, climb = point - face.corner, dot(face.normal, point - face.lowest)
+    return unless(
+        dot(displacement, displacement) < least * least, _on_plane(face, point, gap + climb)
+    )
 
 
 def _on_plane(face: _Face, point: Array, gap: Array) -> Separation:

@@ -150,12 +150,12 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
         )
         depth = -own[3] - dot(up, centre)
         if group.profile == "box":
-            share, moment = _box(half_axes, up, depth)
+            fraction, moment = _box(half_axes, up, depth)
         elif group.profile == "polyhedron":
-            share, moment = _polyhedron(group, up, depth)
+            fraction, moment = _polyhedron(group, up, depth)
         else:
-            share, moment = _round(_DENSITIES[group.profile], half_axes, up, depth)
-        parts = jnp.concatenate([share[None], share[None] * centre + moment])
+            fraction, moment = _round(_DENSITIES[group.profile], half_axes, up, depth)
+        parts = jnp.concatenate([fraction[None], fraction[None] * centre + moment])
         owner = group.volume[None] * (bodies == np.arange(pose.shape[1])[:, None])
         total = total + matmul_t(parts, expand_dims_like(owner, parts, parts.ndim))
     return Displacement(total[0], total[1:])
@@ -189,12 +189,16 @@ def _round(
     reach = jnp.sqrt(dot(stretched, up))
     s = jnp.clip(depth / reach, -1.0, 1.0)
     square = s * s
-    share = 0.5 + s * (c0 + square * ((c1 - c0) / 3 + square * ((c2 - c1) / 5 - square * (c2 / 7))))
-    rest = 1.0 - square
-    lever = (rest * rest) * (
-        (c0 + c1 + c2) / 4 - rest * ((c1 + 2 * c2) / 6) + (rest * rest) * (c2 / 8)
+    fraction = 0.5 + s * (
+        c0 + square * ((c1 - c0) / 3 + square * ((c2 - c1) / 5 - square * (c2 / 7)))
     )
-    return share, -(lever / reach)[None] * stretched
+    cosine_squared = 1.0 - square
+    lever = (cosine_squared * cosine_squared) * (
+        (c0 + c1 + c2) / 4
+        - cosine_squared * ((c1 + 2 * c2) / 6)
+        + (cosine_squared * cosine_squared) * (c2 / 8)
+    )
+    return fraction, -(lever / reach)[None] * stretched
 
 
 def _box(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
@@ -207,18 +211,18 @@ def _box(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
     limit = reach.sum(0)
     depth = jnp.clip(depth, -limit, limit)
     scale = 1.0 / (48.0 * reach[0] * reach[1] * reach[2])
-    share = energy = jnp.zeros_like(depth)
+    fraction = energy = jnp.zeros_like(depth)
     slope = jnp.zeros_like(reach)
     for corner in itertools.product((1.0, -1.0), repeat=3):
         signs = expand_dims_like(np.array(corner), reach)
         below = jnp.maximum(depth + dot(signs, reach), 0.0)
         cube = math.prod(corner) * below * below * below
-        share, energy, slope = share + cube, energy + cube * below, slope + signs * cube[None]
-    share, energy = scale * share, 0.25 * scale * energy
+        fraction, energy, slope = fraction + cube, energy + cube * below, slope + signs * cube[None]
+    fraction, energy = scale * fraction, 0.25 * scale * energy
     # dE/dw_i over w_i; every w_j depends on every u_i.
     slope = (scale[None] * slope - energy[None] / reach) / reach
     moment = -stretched * ((1 - least) * slope + least * slope.sum(0, keepdims=True))
-    return share, moment
+    return fraction, moment
 
 
 def _polyhedron(cells: Cells, up: Array, depth: Array) -> tuple[Array, Array]:
@@ -234,11 +238,11 @@ def _polyhedron(cells: Cells, up: Array, depth: Array) -> tuple[Array, Array]:
     first, second, third = (flat_depth[None] - corner @ flat_up for corner in corners)
     value, slopes = _wet_difference(first, second, third)
     facing = faces @ flat_up
-    share = -(facing * (slopes[0] + slopes[1] + slopes[2])).sum(0)
+    fraction = -(facing * (slopes[0] + slopes[1] + slopes[2])).sum(0)
     moment = faces.T @ value
     for corner, slope in zip(corners, slopes, strict=True):
         moment = moment - corner.T @ (facing * slope)
-    return share.reshape(depth.shape), moment.reshape(up.shape)
+    return fraction.reshape(depth.shape), moment.reshape(up.shape)
 
 
 def _wet_difference(
@@ -256,14 +260,14 @@ def _wet_difference(
     others = jnp.where(lone[0], second, first), jnp.where(lone[2], second, third)
     sides = [tip - other for other in others]
     counts = (lone[0] | lone[1] | lone[2]) & (sides[0] * sides[1] > _LEAST_SIDES)
-    shares = [tip / jnp.where(counts, side, 1.0) for side in sides]
+    fractions = [tip / jnp.where(counts, side, 1.0) for side in sides]
     most = (wet[0] & (wet[1] | wet[2])) | (wet[1] & wet[2])
     sign = jnp.where(counts, jnp.where(most, -1.0, 1.0), 0.0).astype(tip.dtype)
-    both = sign * shares[0] * shares[1] * tip
-    own = both * (4.0 - shares[0] - shares[1])
-    theirs = [both * share for share in shares]
+    both = sign * fractions[0] * fractions[1] * tip
+    own = both * (4.0 - fractions[0] - fractions[1])
+    theirs = [both * fraction for fraction in fractions]
     total = jnp.where(most, first + second + third, 0.0)
-    whole = jnp.where(most, first * first + second * second + third * third, 0.0) + total * total
+    squares = jnp.where(most, first * first + second * second + third * third, 0.0) + total * total
     slopes = (
         total + jnp.where(most, first, 0.0) + jnp.where(lone[0], own, theirs[0]),
         total
@@ -271,5 +275,5 @@ def _wet_difference(
         + jnp.where(lone[1], own, jnp.where(lone[0], theirs[0], theirs[1])),
         total + jnp.where(most, third, 0.0) + jnp.where(lone[2] | ~counts, own, theirs[1]),
     )
-    value = (whole / 2 + both * tip) / 24
+    value = (squares / 2 + both * tip) / 24
     return value, (slopes[0] / 24, slopes[1] / 24, slopes[2] / 24)

@@ -18,7 +18,7 @@ than 0.68 of the speed: here the step is told the velocity at its end.
 
 Restitution point by point (Newton's hypothesis) can add energy to a tree. Where the forces of a
 step with impacts would do work, ``v_bounce`` of all points of that animal is taken less, and at
-last not at all (`StepProblem.injects_energy`, `bounded`).
+last not at all (`StepProblem.must_reduce_restitution`, `bounded`).
 
 The laws have kinks. `evo_cpg.physics.step_solver` finds the motion that obeys them and linearises
 them on the way (`ContactLinearization`). An edge or a face touches the floor with its corners.
@@ -55,7 +55,7 @@ from evo_cpg.spatial.numerics import Numbers
 
 # Baumgarte stabilisation: share of a penetration that is undone in a step, and the fastest way out
 # (m/s).
-BAUMGARTE_SHARE, BAUMGARTE_SPEED = 0.2, 0.5
+BAUMGARTE_FRACTION, BAUMGARTE_SPEED = 0.2, 0.5
 
 # Restitution threshold: below this speed of approach (m/s) nothing bounces, above twice that
 # everything does.
@@ -74,18 +74,18 @@ class Contacts(NamedTuple):
     Velocities are those of the lowest points, in the contact frame, in m/s.
 
     Attributes:
-        arm: from the body's origin to the lowest point, world axes, m.
-        coasting: their mean over the step, if the accelerations were those of `Kinematics` alone.
-        wanted: v*; far below any velocity where the point is out of reach.
-        rest: the same without restitution; positive where it lifts a point out of the ground.
+        offset: from the body's origin to the lowest point, world axes, m.
+        unconstrained_velocity: mean over the step, with the accelerations of `Kinematics` alone.
+        target_velocity: v*; far below any velocity where the point is out of reach.
+        rest_velocity: v* without restitution; positive where it lifts a point out of the ground.
         bounce: v_bounce of points that hit the ground within the step; 0 of all others.
         frame: rows are two tangents and the normal of the ground at every contact point.
     """
 
-    arm: Float[Array, "3 p *n"]
-    coasting: Float[Array, "3 p *n"]
-    wanted: Float[Array, "p *n"]
-    rest: Float[Array, "p *n"]
+    offset: Float[Array, "3 p *n"]
+    unconstrained_velocity: Float[Array, "3 p *n"]
+    target_velocity: Float[Array, "p *n"]
+    rest_velocity: Float[Array, "p *n"]
     bounce: Float[Array, "p *n"]
     frame: Float[Array, "3 3 p *n"]
 
@@ -116,21 +116,21 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     """
     bodies = np.array(footing.bodies)
     ground = footing.ground
-    arm, spoke, gap, normal, bend, ahead = contact_points(footing, kin, h)
+    offset, material, gap, normal, curvature, ahead = contact_points(footing, kin, h)
     frame = _frame(normal)
     angular, linear = take(kin.angular, bodies), take(kin.linear, bodies)
-    velocity = linear + cross(angular, arm)
-    turning = cross(angular, linear + cross(angular, spoke)) + bend[None] * normal
-    drift = take(kin.bias_linear, bodies) + cross(take(kin.bias_angular, bodies), arm) + turning
+    velocity = linear + cross(angular, offset)
+    turning = cross(angular, linear + cross(angular, material)) + curvature[None] * normal
+    drift = take(kin.bias_linear, bodies) + cross(take(kin.bias_angular, bodies), offset) + turning
 
-    approach, coasting = -dot(normal, velocity), matvec(frame, velocity + 0.5 * h * drift)
+    approach, unconstrained = -dot(normal, velocity), matvec(frame, velocity + 0.5 * h * drift)
     place, left = gap, h
     if ahead is not None:
         # The gap is that of later on; until then the point comes nearer.
         gap, left = gap + ahead * approach, h - ahead
-    push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
-    share = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
-    bounce = expand_dims_like(footing.restitution, approach) * share * approach
+    push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
+    fraction = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
+    bounce = expand_dims_like(footing.restitution, approach) * fraction * approach
     # Times a reciprocal: to divide takes a processor many times as long.
     rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
     # The law gives way by a share of the speed, and a point that moves farther in a step than the
@@ -141,19 +141,20 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     near = place < jnp.maximum(ground.margin, left * approach)
     bounce = jnp.where(near & (gap <= h * approach), bounce, 0.0)
     rest = jnp.where(near, rest, _OUT_OF_REACH)
-    return Contacts(arm, coasting, rest, rest, bounce, frame)
+    return Contacts(offset, unconstrained, rest, rest, bounce, frame)
 
 
-def bounded(contacts: Contacts, share: Float[Array, "*n"]) -> Contacts:
-    """The contacts of a step in which each individual has a share (0 to 1) of its restitution."""
-    bounce = jnp.expand_dims(share, 0) * contacts.bounce
-    wanted = jnp.where(bounce > 0, jnp.maximum(contacts.rest, bounce), contacts.rest)
-    return contacts._replace(wanted=wanted)
+def bounded(contacts: Contacts, fraction: Float[Array, "*n"]) -> Contacts:
+    """Return the contacts with a fraction (0 to 1) of the restitution for each individual."""
+    bounce = jnp.expand_dims(fraction, 0) * contacts.bounce
+    rest = contacts.rest_velocity
+    target = jnp.where(bounce > 0, jnp.maximum(rest, bounce), rest)
+    return contacts._replace(target_velocity=target)
 
 
 def lifting_power(contacts: Contacts, force: Float[Array, "3 p *n"]) -> Float[Array, "*n"]:
     """Of contact forces (N, contact frame) that lift points out of the ground, W."""
-    return jnp.maximum(contacts.rest * force[2], 0.0).sum(0)
+    return jnp.maximum(contacts.rest_velocity * force[2], 0.0).sum(0)
 
 
 def resting_stiffness(footing: Footing, h: float) -> Float[Numbers, " p"]:
@@ -161,7 +162,7 @@ def resting_stiffness(footing: Footing, h: float) -> Float[Numbers, " p"]:
 
     It holds up to the depth from which the way out is no faster, ``5/2 h`` m/s.
     """
-    return footing.stiffness * BAUMGARTE_SHARE / h**2
+    return footing.stiffness * BAUMGARTE_FRACTION / h**2
 
 
 def cone_radius(
@@ -169,13 +170,13 @@ def cone_radius(
 ) -> Float[Array, "p *n"]:
     """Radius of the friction cone of every point, ``mu(|v_t|) f_n``, N."""
     stiffness = expand_dims_like(footing.stiffness / h, velocity[2])
-    normal_force = stiffness * jnp.maximum(contacts.wanted - velocity[2], 0.0)
+    normal_force = stiffness * jnp.maximum(contacts.target_velocity - velocity[2], 0.0)
     dynamic, more = (
         expand_dims_like(mu, normal_force)
         for mu in (footing.dynamic_friction, footing.static_friction - footing.dynamic_friction)
     )
-    share = _square(velocity) * (1.0 / footing.ground.stribeck_speed**2)
-    return (dynamic + more * (1.0 / (1.0 + share))) * normal_force
+    ratio = _square(velocity) * (1.0 / footing.ground.stribeck_speed**2)
+    return (dynamic + more * (1.0 / (1.0 + ratio))) * normal_force
 
 
 def linearize_contacts(
@@ -195,16 +196,16 @@ def linearize_contacts(
         h: s.
     """
     stiffness = expand_dims_like(footing.stiffness / h, radius)
-    square, short = _square(velocity), contacts.wanted - velocity[2]
+    square, short = _square(velocity), contacts.target_velocity - velocity[2]
     inverse = 1.0 / jnp.sqrt(square)
     sticks = stiffness * square * inverse <= radius
-    share = jnp.where(sticks, stiffness, radius * inverse)
+    secant = jnp.where(sticks, stiffness, radius * inverse)
     normal_force = stiffness * jnp.maximum(short, 0.0)
-    force = jnp.stack([-share * velocity[0], -share * velocity[1], normal_force])
+    force = jnp.stack([-secant * velocity[0], -secant * velocity[1], normal_force])
     # Sliding friction keeps its size and turns with the velocity.
-    along = jnp.where(sticks, 0.0, share * inverse * inverse)
+    along = jnp.where(sticks, 0.0, secant * inverse * inverse)
     x, y, _ = velocity
-    tangential = jnp.stack([share - along * x * x, -along * x * y, share - along * y * y])
+    tangential = jnp.stack([secant - along * x * x, -along * x * y, secant - along * y * y])
     return ContactLinearization(velocity, force, tangential, jnp.where(short > 0, stiffness, 0.0))
 
 
@@ -252,7 +253,7 @@ def contact_inertia(
         ]
     )
     slope = symmetric(h * matmul(turn, matmul_t(K, turn)))
-    shift = skew(contacts.arm)
+    shift = skew(contacts.offset)
     mixed = matmul(shift, slope)
     blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, slope)
     bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), slope.ndim - 3)
@@ -272,7 +273,7 @@ def contact_wrench(
     """
     force = matvec_t(contacts.frame, force)
     bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), force.ndim - 2)
-    return bodies.plus(footing.bodies, Wrench(cross(contacts.arm, force), force)).stacked()
+    return bodies.plus(footing.bodies, Wrench(cross(contacts.offset, force), force)).stacked()
 
 
 def change_of_velocity(
@@ -281,7 +282,7 @@ def change_of_velocity(
     """What accelerations of the bodies change at every contact point, contact frame, m/s."""
     bodies = np.array(footing.bodies)
     angular = take(accelerations.angular, bodies)
-    change = take(accelerations.linear, bodies) + cross(angular, contacts.arm)
+    change = take(accelerations.linear, bodies) + cross(angular, contacts.offset)
     return h * matvec(contacts.frame, change)
 
 

@@ -44,17 +44,17 @@ def contact_points(footing: Footing, kin: Kinematics, h: float = 0.0) -> Contact
         # A mesh meets them with its corners and with an ellipsoid within it.
         found += _corners_on_obstacles(footing, kin, h)
         found += obstacle_points(footing.solids, ground, kin, h)
-    arm, spoke, gap, normal, bend, times = zip(*found, strict=True)
+    offset, material, gap, normal, curvature, times = zip(*found, strict=True)
     ahead = None
     if any(time is not None for time in times):
         each = zip(times, gap, strict=True)
         ahead = jnp.concatenate([jnp.zeros_like(g) if t is None else t for t, g in each])
     return ContactPoints(
-        jnp.concatenate(arm, 1),
-        jnp.concatenate(spoke, 1),
+        jnp.concatenate(offset, 1),
+        jnp.concatenate(material, 1),
         jnp.concatenate(gap),
         jnp.concatenate(normal, 1),
-        jnp.concatenate(bend),
+        jnp.concatenate(curvature),
         ahead,
     )
 
@@ -85,41 +85,41 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
     later = up + h * cross(up, spin)
     found = []
 
-    def on_floor(own: slice, arm: Array, radius: Array | float = 0.0) -> tuple:
+    def on_floor(own: slice, offset: Array, radius: Array | float = 0.0) -> tuple:
         """Gap and normal of points of some bodies, and the time within the step, s."""
-        each = arm.shape[1] // origin[:, own].shape[1]
+        each = offset.shape[1] // origin[:, own].shape[1]
         start, v, w = (jnp.repeat(x[:, own], each, 1) for x in (origin, linear, spin))
-        point = start + arm
+        point = start + offset
         if not sloping:
             return *_surface(floor, point), None
         least = fast_from(footing.ground.margin, jnp.repeat(size[own], each, 0))
-        velocity = v + cross(w, arm)
+        velocity = v + cross(w, offset)
         time = time_of_crossing(floor, point, velocity, radius, least, h)
         return *_surface(floor, point + time[None] * velocity), time
 
     if boxes:
         own = slice(boxes)
-        arm = _lowest_corners(later[:, own], footing.boxes, rotation[:, :, own], centre[:, own])
-        found.append(_material(arm, *on_floor(own, arm)))
+        offset = _lowest_corners(later[:, own], footing.boxes, rotation[:, :, own], centre[:, own])
+        found.append(_material(offset, *on_floor(own, offset)))
     if meshes:
         own = slice(boxes, angular)
-        arm = _arms_of_meshes(footing, rotation[:, :, own], centre[:, own], later[:, own])
-        found.append(_material(arm, *on_floor(own, arm)))
+        offset = _offsets_of_meshes(footing, rotation[:, :, own], centre[:, own], later[:, own])
+        found.append(_material(offset, *on_floor(own, offset)))
     if balls:
         own = slice(angular, angular + balls)
         radii = expand_dims_like(footing.radii, above)
         over, normal, time = above[own], up[:, own], None
         if sloping:
             over, normal, time = on_floor(own, centre[:, own], radii)
-        arm = centre[:, own] - radii[None] * normal
-        found.append(_material(arm, over - radii, normal, time, centre[:, own]))
+        offset = centre[:, own] - radii[None] * normal
+        found.append(_material(offset, over - radii, normal, time, centre[:, own]))
     if ellipsoids:
         own = slice(angular + balls, None)
         turned, radii = rotation[:, :, own], expand_dims_like(footing.semi_axes, centre)
-        spoke, bend = tangent_point(turned, radii, up[:, own], spin[:, own])
-        arm = centre[:, own] + spoke
-        gap, normal, time = on_floor(own, arm)
-        found.append(ContactPoints(arm, arm, gap, normal, bend, time))
+        touching, curvature = tangent_point(turned, radii, up[:, own], spin[:, own])
+        offset = centre[:, own] + touching
+        gap, normal, time = on_floor(own, offset)
+        found.append(ContactPoints(offset, offset, gap, normal, curvature, time))
     return found
 
 
@@ -142,9 +142,9 @@ def _corners_on_obstacles(footing: Footing, kin: Kinematics, h: float) -> list[C
         rotation, origin, centre = now.at.axes, now.origin, now.at.centre - now.origin
         time = jnp.repeat(time, CORNERS, 0)
     _, up = _surface(ground.obstacles, origin + centre)
-    arm = _arms_of_meshes(footing, rotation, centre, up + h * cross(up, spin))
-    corner = jnp.repeat(origin, CORNERS, 1) + arm
-    return [_material(arm, *_surface(ground.obstacles, corner), time)]
+    offset = _offsets_of_meshes(footing, rotation, centre, up + h * cross(up, spin))
+    corner = jnp.repeat(origin, CORNERS, 1) + offset
+    return [_material(offset, *_surface(ground.obstacles, corner), time)]
 
 
 def _counts(footing: Footing) -> tuple[int, ...]:
@@ -160,18 +160,19 @@ def _sizes(footing: Footing) -> Numbers:
     return xp.concatenate([boxes, *ends])
 
 
-def _arms_of_meshes(footing: Footing, turned: Array, centre: Array, later: Array) -> Array:
+def _offsets_of_meshes(footing: Footing, turned: Array, centre: Array, later: Array) -> Array:
     """From the origins of their bodies to the corners of meshes that are lowest."""
     lowest = _lowest_of_meshes(footing.meshes, matvec_t(turned, later))
     return jnp.repeat(centre, CORNERS, 1) + matvec(jnp.repeat(turned, CORNERS, 2), lowest)
 
 
 def _material(
-    arm: Array, gap: Array, normal: Array, time: Array | None, spoke: Array | None = None
+    offset: Array, gap: Array, normal: Array, time: Array | None, material: Array | None = None
 ) -> ContactPoints:
     """Corners and balls: what is lowest there moves with the body, or with its centre."""
     none = jnp.zeros_like(gap)
-    return ContactPoints(arm, arm if spoke is None else spoke, gap, normal, none, time)
+    material = offset if material is None else material
+    return ContactPoints(offset, material, gap, normal, none, time)
 
 
 def clearance(footing: Footing, kin: Kinematics) -> Float[Array, "p *n"]:
@@ -234,11 +235,11 @@ def _lowest_of_meshes(meshes: np.ndarray, up: Float[Array, "3 m *n"]) -> Float[A
         return jnp.moveaxis(table[mesh, jnp.argmax(score, 0)], -1, 0)
 
     first = best(-rise)
-    way = corners - first[:, None]
-    second = best(jnp.sqrt(jnp.maximum(dot(way, way) - (_TILT * rise) ** 2, 0.0)) - rise)
+    edges = corners - first[:, None]
+    second = best(jnp.sqrt(jnp.maximum(dot(edges, edges) - (_TILT * rise) ** 2, 0.0)) - rise)
     edge = second - first
     across = cross(up, edge)
     across = across / jnp.sqrt(dot(across, across) + _FLOOR)[None]
-    aside = (way * across[:, None]).sum(0)
+    aside = (edges * across[:, None]).sum(0)
     four = jnp.stack([first, second, best(aside - rise), best(-aside - rise)], 2)
     return jax.lax.stop_gradient(four).reshape(3, -1, *up.shape[2:])

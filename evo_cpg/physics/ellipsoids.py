@@ -58,12 +58,12 @@ def nearest_to_ball(
         length = dot(p, p) + _FLOOR
         slope = (p * p / (t[None] + square)).sum(0) + _FLOOR
         t = jnp.maximum(t + (jnp.sqrt(length) - 1.0) * length / slope, 0.0)
-    way = square * own / (t[None] + square) - own
-    apart = jnp.sqrt(dot(way, way) + _FLOOR)
+    displacement = square * own / (t[None] + square) - own
+    apart = jnp.sqrt(dot(displacement, displacement) + _FLOOR)
     steep = own / square
     steepness, level = jnp.sqrt(dot(steep, steep) + _FLOOR), jnp.sqrt(dot(own, steep) + _FLOOR)
     inside = level < 1.0
-    normal = jnp.where(inside[None], -steep / steepness[None], way / apart[None])
+    normal = jnp.where(inside[None], -steep / steepness[None], displacement / apart[None])
     depth = (1.0 - level) * level / steepness
     return jnp.where(inside, -depth, apart) - radius, matvec(axes, normal)
 
@@ -87,11 +87,11 @@ def nearest_to_box(
     here = matvec_t(box.axes, centre - box.centre)
     inside = jnp.abs(here) - box.half_extents
     point = _least(metric, here, box.half_extents)
-    way = here - point
-    pull = matvec(metric, way)
+    displacement = here - point
+    pull = matvec(metric, displacement)
     # With the centre inside, the nearest face leads out.
     face = jnp.where(inside >= inside.max(0)[None], jnp.where(here < 0, -1.0, 1.0), 0.0)
-    buried = dot(way, pull) < _AT_CENTRE
+    buried = dot(displacement, pull) < _AT_CENTRE
     point = jnp.where(buried[None], face * box.half_extents, point)
     pull = jnp.where(buried[None], face, pull)
     normal = pull / jnp.sqrt(dot(pull, pull) + _FLOOR)[None]

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from evo_cpg.physics.articulated import Accelerations, solve
 from evo_cpg.physics.body_equations import bias_of_mean, body_equations
 from evo_cpg.physics.contact import Contacts, find_contacts
-from evo_cpg.physics.joints import (
+from evo_cpg.physics.joint_torque import (
     expected_limit_torque,
     passive_torque,
     servo_slope,
@@ -29,7 +29,7 @@ class Equations(NamedTuple):
         state: at the start of the step.
         kin, inertia, bias, passive, derivative: as `solve` takes them, without motors, limits of
             joints and ground.
-        wanted: motor torques at the present rates, N m.
+        start_torque: motor torques at the present rates, N m.
         contacts: None without ground.
         pairs: bodies that may touch each other; None where none can.
     """
@@ -40,7 +40,7 @@ class Equations(NamedTuple):
     bias: Wrench
     passive: Array
     derivative: Array
-    wanted: Array
+    start_torque: Array
     contacts: Contacts | None
     pairs: PairContacts | None
 
@@ -116,12 +116,12 @@ def prepare(
         inertia, bias = body_equations(world, kin, h)
         passive, derivative = passive_torque(tree, state, h)
         derivative = derivative + expand_dims_like(tree.armature, derivative)
-        wanted = servo_torque(tree, state, target_rate, target_angle, h)
+        start_torque = servo_torque(tree, state, target_rate, target_angle, h)
         contacts = None if world.footing is None else find_contacts(world.footing, kin, h)
         pairs = (
             None if world.pairs is None else find_pair_contacts(tree, world.pairs, kin, state.qd, h)
         )
-    return Equations(state, kin, inertia, bias, passive, derivative, wanted, contacts, pairs)
+    return Equations(state, kin, inertia, bias, passive, derivative, start_torque, contacts, pairs)
 
 
 def with_mean_products(
@@ -156,9 +156,9 @@ def with_mean_products(
 
 def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations:
     """The motion of a step without contact whose motors have no limits: no search is needed."""
-    tree, wanted = world.tree, equations.wanted
+    tree, start_torque = world.tree, equations.start_torque
     stop, stop_slope = expected_limit_torque(tree, equations.state, h)
-    torque = equations.passive + wanted + stop
-    derivative = equations.derivative + h * (servo_slope(tree, wanted, h) + stop_slope)
+    torque = equations.passive + start_torque + stop
+    derivative = equations.derivative + h * (servo_slope(tree, start_torque, h) + stop_slope)
     kin, inertia, bias = equations.kin, equations.inertia, equations.bias
     return solve(tree, kin, inertia, bias, torque, derivative)

@@ -12,11 +12,21 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics, Motion, motion_of_bodies
-from evo_cpg.physics.pairs import LARGEST_DRIFT, Pairs, rest_velocity, separations
+from evo_cpg.physics import joints, root
+from evo_cpg.physics.kinematics import Kinematics, motion_of_bodies
+from evo_cpg.physics.pairs import (
+    LARGEST_DRIFT,
+    Pairs,
+    PointMotion,
+    acceleration_field,
+    parting_acceleration,
+    rest_velocity,
+    separations,
+)
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import Separation
-from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew, t_matmul
+from evo_cpg.physics.spatial_algebra import BodyMotion
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, t_matmul
 
 
 class FewPairContacts(NamedTuple):
@@ -33,10 +43,10 @@ class FewPairContacts(NamedTuple):
         h: s.
         gap: m.
         jacobian: J; zeros of joints that are not between the bodies, m.
-        coasting: velocity if all joint accelerations were zero, mean over the step, m/s.
-        wanted: v*.
+        unconstrained_velocity: mean over the step, if all joint accelerations were zero, m/s.
+        target_velocity: v*.
         bias: velocity-product bias, the acceleration along the normal at constant joint rates; it
-            is part of `coasting`, m/s^2.
+            is part of `unconstrained_velocity`, m/s^2.
         where: the nearest points.
     """
 
@@ -47,8 +57,8 @@ class FewPairContacts(NamedTuple):
     h: float
     gap: Float[Array, "p *n"]
     jacobian: Float[Array, "p d *n"]
-    coasting: Float[Array, "p *n"]
-    wanted: Float[Array, "p *n"]
+    unconstrained_velocity: Float[Array, "p *n"]
+    target_velocity: Float[Array, "p *n"]
     bias: Float[Array, "p *n"]
     where: Separation
 
@@ -58,23 +68,34 @@ class FewPairContacts(NamedTuple):
     ) -> "FewPairContacts":
         """Return the contacts of a step; see `evo_cpg.physics.pair_contacts.find_pair_contacts`."""
         where = separations(pairs, kin)
-        wanted = rest_velocity(where.gap, h)
+        target_velocity = rest_velocity(where.gap, h)
         bias = _bias(pairs, kin.origin, kin, where)
         jacobian = _jacobian(tree, pairs, kin, where)
-        coasting = (jacobian * qd[None]).sum(1) + 0.5 * h * bias
-        return cls(tree, pairs, kin, qd, h, where.gap, jacobian, coasting, wanted, bias, where)
+        unconstrained_velocity = (jacobian * qd[None]).sum(1) + 0.5 * h * bias
+        return cls(
+            tree,
+            pairs,
+            kin,
+            qd,
+            h,
+            where.gap,
+            jacobian,
+            unconstrained_velocity,
+            target_velocity,
+            bias,
+            where,
+        )
 
     def with_bias(self, bias: Float[Array, "p *n"]) -> "FewPairContacts":
         """Return the contacts with another velocity-product bias, m/s^2."""
-        coasting = self.coasting + 0.5 * self.h * (bias - self.bias)
-        return self._replace(coasting=coasting, bias=bias)
+        unconstrained_velocity = self.unconstrained_velocity + 0.5 * self.h * (bias - self.bias)
+        return self._replace(unconstrained_velocity=unconstrained_velocity, bias=bias)
 
     def bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
         """Return the velocity-product bias at the joint rates after the step, m/s^2."""
         rates = self.qd + self.h * qdd
         # As if the root lay still.
-        still = jnp.zeros((6, *rates.shape[1:]), rates.dtype)
-        motion = motion_of_bodies(self.tree, self.kin, still, rates)
+        motion = motion_of_bodies(self.tree, self.kin, root.at_rest(rates), rates)
         return _bias(self.pairs, self.kin.origin, motion, self.where)
 
     def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
@@ -83,7 +104,7 @@ class FewPairContacts(NamedTuple):
 
     def velocity(self, qdd: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
         """Return the velocities at which points part at the end of the step, m/s."""
-        return self.coasting + self.change(qdd)
+        return self.unconstrained_velocity + self.change(qdd)
 
     def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
         """Return ``J rates``, m/s."""
@@ -93,19 +114,19 @@ class FewPairContacts(NamedTuple):
         """Return the forces at joint accelerations, and how they change."""
         velocity = self.velocity(qdd)
         stiffness = expand_dims_like(self.pairs.stiffness / self.h, velocity)
-        short = self.wanted - velocity
+        short = self.target_velocity - velocity
         touches = short > 0
         force = stiffness * jnp.maximum(short, 0.0)
         return FewPairForces(self, velocity, force, jnp.where(touches, stiffness, 0.0))
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
         """Return where any pair pushes at joint accelerations."""
-        return (self.wanted > self.velocity(qdd)).any(0)
+        return (self.target_velocity > self.velocity(qdd)).any(0)
 
     def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "p *n"]) -> Bool[Array, "*n"]:
         """Return where another bias would move a touching pair by more than `LARGEST_DRIFT`."""
         velocity, other = self.velocity(qdd), self.with_bias(bias).velocity(qdd)
-        touches = (self.wanted > velocity) | (self.wanted > other)
+        touches = (self.target_velocity > velocity) | (self.target_velocity > other)
         return (touches & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT)).any(0)
 
 
@@ -141,15 +162,15 @@ class FewPairForces(NamedTuple):
     def newton(self) -> tuple[Float[Array, "d *n"], Float[Array, "d d *n"]]:
         """Torques of the linearized forces without joint accelerations, and ``h J^T K J``."""
         J, slope = self.contacts.jacobian, self.slope
-        coasting = self.force + slope * (self.velocity - self.contacts.coasting)
-        return self._pushing(coasting), t_matmul(self.contacts.h * slope[:, None] * J, J)
+        force = self.force + slope * (self.velocity - self.contacts.unconstrained_velocity)
+        return self._pushing(force), t_matmul(self.contacts.h * slope[:, None] * J, J)
 
     def _pushing(self, force: Float[Array, "p *n"]) -> Float[Array, "d *n"]:
         return (self.contacts.jacobian * force[:, None]).sum(0)
 
 
-def _bias(pairs: Pairs, origin: Array, motion: Kinematics | Motion, where: Separation) -> Array:
-    """Acceleration along the normals at constant joint rates.
+def _bias(pairs: Pairs, origin: Array, motion: Kinematics | BodyMotion, where: Separation) -> Array:
+    """Return the acceleration along the normals at constant joint rates.
 
     Args:
         pairs: of a creature.
@@ -158,21 +179,15 @@ def _bias(pairs: Pairs, origin: Array, motion: Kinematics | Motion, where: Separ
         where: the nearest points.
     """
     _, normal, *points, carried = where
-    # Of a body's point at the arm r: velocity v + w x r, acceleration a + A r.
-    spin, square = motion.angular, dot(motion.angular, motion.angular)
-    a = motion.bias_linear + cross(spin, motion.linear)
-    A = skew(motion.bias_angular) + spin[:, None] * spin[None]
-    A = A - square[None, None] * expand_dims_like(np.eye(3), A)
-    velocity, drift, turning = [], [], jnp.zeros_like(normal)
-    for bodies, point, share in zip(pairs.owners, points, carried, strict=True):
+    a, A = acceleration_field(motion)
+
+    def moving(bodies: tuple[int, ...], point: Array) -> PointMotion:
         own = np.array(bodies)
-        arm, angular = point - take(origin, own), take(spin, own)
-        velocity.append(take(motion.linear, own) + cross(angular, arm))
-        drift.append(take(a, own) + matvec(take(A, own, 2), arm))
-        turning = turning + share[None] * angular
-    parting = velocity[1] - velocity[0]
-    # A normal that turns meets another part of what slides past it.
-    return dot(normal, drift[1] - drift[0]) - 2.0 * dot(cross(normal, turning), parting)
+        offset, angular = point - take(origin, own), take(motion.angular, own)
+        velocity = take(motion.linear, own) + cross(angular, offset)
+        return PointMotion(angular, velocity, take(a, own) + matvec(take(A, own, 2), offset))
+
+    return parting_acceleration(normal, carried, map(moving, pairs.owners, points))
 
 
 def _jacobian(
@@ -180,19 +195,16 @@ def _jacobian(
 ) -> Float[Array, "p d *n"]:
     """J of `FewPairContacts`."""
     _, normal, *points, _ = where
-    joints = take(kin.origin, np.array(tree.dof_bodies, int))
-    ways = []
+    origins = take(kin.origin, np.array(tree.dof_bodies, int))
+    speeds = []
     for point in points:
-        arm = point[:, :, None] - joints[:, None]
-        ways.append(
-            dot(kin.axes[:, None], cross(arm, jnp.broadcast_to(normal[:, :, None], arm.shape)))
-        )
+        speeds.append(joints.speed_along(kin.axes, point[:, :, None] - origins[:, None], normal))
     between = [_between(tree, *pair) for pair in zip(*pairs.owners, strict=True)]
     of_first, of_second = (
-        expand_dims_like(np.array([sides[k] for sides in between], float), ways[0])
+        expand_dims_like(np.array([sides[k] for sides in between], float), speeds[0])
         for k in range(2)
     )
-    return of_second * ways[1] - of_first * ways[0]
+    return of_second * speeds[1] - of_first * speeds[0]
 
 
 def _between(tree: Tree, first: int, second: int) -> tuple[list[bool], list[bool]]:

@@ -60,14 +60,14 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     edge = -2.0 * jnp.where(flat, across[0] * corner[0], across[1] * corner[1])
     climb = -2.0 * jnp.where(flat, up[0] * corner[0], up[1] * corner[1])
 
-    def share(end: Array) -> Array:
+    def fraction(end: Array) -> Array:
         """How far along the edge it lies over the side, towards one of its ends."""
-        wanted = jnp.clip(lowest + end * edge, -reach, reach)
-        return jnp.clip((wanted - lowest) / edge, 0.0, 1.0)
+        place = jnp.clip(lowest + end * edge, -reach, reach)
+        return jnp.clip((place - lowest) / edge, 0.0, 1.0)
 
     x_axis, y_axis, z_axis = (here.box.axes[:, k] for k in range(3))
     normal, tangent = (
-        jnp.where(second[None], *ways) for ways in ((y_axis, x_axis), (x_axis, y_axis))
+        jnp.where(second[None], *axes) for axes in ((y_axis, x_axis), (x_axis, y_axis))
     )
     normal = sign[None] * normal
     # In the middle of what they have side by side along z.
@@ -77,8 +77,8 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     )
     base = here.box.centre + middle[None] * z_axis
 
-    def at(share: Array, gap: Array) -> Separation:
-        below = base + height[None] * normal + (lowest + share * edge)[None] * tangent
+    def at(fraction: Array, gap: Array) -> Separation:
+        below = base + height[None] * normal + (lowest + fraction * edge)[None] * tangent
         above = below + gap[None] * normal
         return Separation(
             gap,
@@ -88,7 +88,7 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
             jnp.stack([jnp.where(of_b, own, 1.0 - own) for own in (0.0, 1.0)]),
         )
 
-    near, far = share(jnp.zeros_like(gap)), share(jnp.ones_like(gap))
+    near, far = fraction(jnp.zeros_like(gap)), fraction(jnp.ones_like(gap))
     missing = jnp.abs((far - near) * edge) < same(a, b)
     return [at(near, gap), unless(missing, at(far, gap + (far - near) * climb))]
 

@@ -35,6 +35,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
 from evo_cpg.spatial.choices import Condition, all_hold, chosen
@@ -162,7 +163,7 @@ def make_patches(
     skin: dict[str, Surface],
     law: DragLaw = "normal",
     surfacing: bool = False,
-    apart: bool = False,
+    layout: PointLayout = "merged",
 ) -> tuple[Patch, ...]:
     """Group bodies with the same surface and prepare their constant matrices.
 
@@ -172,7 +173,7 @@ def make_patches(
         skin: points for skin friction; the isotropic law takes the form points for both.
         law: see `Drag`.
         surfacing: the water has a surface.
-        apart: leave bodies and points ungrouped, though they be alike.
+        layout: whether bodies and points that are alike are merged.
     """
     if law == "isotropic":
         skin = form
@@ -185,12 +186,12 @@ def make_patches(
         for i, name in enumerate(tree.names)
     ]
     groups = (
-        [(i,) for i in range(len(placed))]
-        if apart
-        else chosen(lambda: _alike(placed), lambda groups: _still_alike(placed, groups))
+        chosen(lambda: _alike(placed), lambda groups: _still_alike(placed, groups))
+        if layout == "merged"
+        else [(i,) for i in range(len(placed))]
     )
     return tuple(
-        _patch(bodies, *placed[bodies[0]], law == "normal" and not apart, surfacing)
+        _patch(bodies, *placed[bodies[0]], law == "normal" and layout == "merged", surfacing)
         for bodies in groups
         if len(placed[bodies[0]][0].areas)
     )
@@ -261,8 +262,8 @@ def _patch_drag(
         )
         along = speed
     if pose is not None:
-        speed = speed * _wet_share(patch.normal_places, pose)
-        along = along * _wet_share(patch.tangential_places, pose)
+        speed = speed * _wet_fraction(patch.normal_places, pose)
+        along = along * _wet_fraction(patch.tangential_places, pose)
     friction = jnp.concatenate([along * first, along * second])
     wrench = -product(patch.normal.T * normal_factor[None], speed * normal)
     wrench = wrench - product(
@@ -273,7 +274,7 @@ def _patch_drag(
     return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *velocity.shape[1:])
 
 
-def _wet_share(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[Array, "p kn"]:
+def _wet_fraction(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[Array, "p kn"]:
     """Share of the patch around each point that is under water: a cubic in the point's depth.
 
     Raises:
@@ -287,8 +288,8 @@ def _wet_share(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[Arr
     steepness = normals @ up
     spread = extents[:, None] * jnp.sqrt(1.0 - (1.0 - _LEAST_SLOPE**2) * steepness * steepness)
     # Points with the same normal and area share the quotient.
-    share = jnp.clip(0.5 - (height + points @ up) * (0.5 / spread), 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    fraction = jnp.clip(0.5 - (height + points @ up) * (0.5 / spread), 0.0, 1.0)
+    return fraction * fraction * (3.0 - 2.0 * fraction)
 
 
 def _patch(
@@ -337,7 +338,9 @@ def _still_alike(
 
 
 def _places(surface: Surface) -> Places:
-    return Places(surface.points, surface.normals, xp.sqrt(surface.areas) / 2)
+    # Points without area are dry: any extent will do.
+    areas = xp.where(surface.areas > 0, surface.areas, 1.0)
+    return Places(surface.points, surface.normals, xp.sqrt(areas) / 2)
 
 
 def _velocity_rows(surface: Surface) -> list[Numbers]:

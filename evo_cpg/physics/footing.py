@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.mesh import ConvexMesh
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.creature.shapes import ObstaclePart
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.terrain import Block, Boulder, Obstacle, Part, Plane
 from evo_cpg.spatial.choices import chosen
@@ -168,46 +167,34 @@ class ContactPoints(NamedTuple):
     """Where the contact points are now: what is nearest to the ground, or deepest in it.
 
     Attributes:
-        arm: from the body's origin to the point, world axes, m.
-        spoke: from the body's origin to what turns with the body there: a ball's lowest point
-            keeps below its centre, all others' are points of the body.
+        offset: from the body's origin to the point, world axes, m.
+        material_offset: from the body's origin to what turns with the body there. The lowest point
+            of a ball stays below its centre; all others are points of the body.
         gap: the point's distance from the ground, m.
         normal: of the ground, or of the body where its face meets an edge; away from the ground.
-        bend: normal acceleration of the point because it moves along the surface, m/s^2.
+        curvature_acceleration: along the normal, because the point moves along the surface, m/s^2.
         ahead: time (s) within the step at which all of this is so: 0 but for what moves fast
             (`evo_cpg.physics.sweep`); None where it is 0 of all points.
     """
 
-    arm: Float[Array, "3 p *n"]
-    spoke: Float[Array, "3 p *n"]
+    offset: Float[Array, "3 p *n"]
+    material_offset: Float[Array, "3 p *n"]
     gap: Float[Array, "p *n"]
     normal: Float[Array, "3 p *n"]
-    bend: Float[Array, "p *n"]
+    curvature_acceleration: Float[Array, "p *n"]
     ahead: Float[Array, "p *n"] | None = None
 
 
 def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
-    """Find the contact points of a creature.
-
-    Raises:
-        TypeError: a body has a shape without contact points.
-    """
-    boxes, meshes, balls, ellipsoids = [], [], [], []
-    for i, name in enumerate(tree.names):
-        shape, centre = creature.bodies[creature.body_index(name)].shape, tree.com[:, i]
-        if isinstance(shape, Box):
-            boxes.append((i, centre, shape.half_extents))
-        elif isinstance(shape, ConvexMesh):
-            meshes.append((i, centre, shape.corners))
-        elif isinstance(shape, Capsule):
-            end = xp.array([shape.length / 2, 0.0, 0.0])
-            balls += [(i, centre - end, shape.radius), (i, centre + end, shape.radius)]
-        elif isinstance(shape, Sphere):
-            balls.append((i, centre, shape.radius))
-        elif isinstance(shape, Ellipsoid):
-            ellipsoids.append((i, centre, shape.half_extents))
-        else:
-            raise TypeError(f"no contact points for a {type(shape).__name__}")
+    """Find the contact points of a creature."""
+    found: dict[str, list] = {"box": [], "mesh": [], "ball": [], "ellipsoid": []}
+    every = creature.bodies_of(tree.names)
+    for i, body in enumerate(every):
+        for part in body.shape.floor_parts():
+            centre = tree.com[:, i]
+            place = centre if part.centre is None else centre + part.centre
+            found[part.kind].append((i, place, part.size))
+    boxes, meshes, balls, ellipsoids = found.values()
     corners = [i for i, *_ in boxes for _ in range(CORNERS)]
     of_meshes = [i for i, *_ in meshes for _ in range(CORNERS)]
     bodies = corners + of_meshes + [i for i, *_ in balls + ellipsoids]
@@ -215,7 +202,7 @@ def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
     if ground.obstacles:
         solids = _make_solids(creature, tree, ground.obstacles)
         bodies += [*of_meshes, *solids.bodies]
-    materials = [creature.bodies[creature.body_index(tree.names[i])].material for i in bodies]
+    materials = [every[i].material for i in bodies]
 
     def pairs(rule: Combination, name: str) -> Numbers:
         theirs = getattr(ground, name)
@@ -252,29 +239,22 @@ def combine(rule: Combination, first: Number, second: Number) -> Number:
 
 
 def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]) -> Solids:
-    boxes, lines, balls, ellipsoids, outlines = [], [], [], [], []
-    for i, name in enumerate(tree.names):
-        shape = creature.bodies[creature.body_index(name)].shape
-        box, none = shape.rounded_box, np.zeros(3)
-        if isinstance(shape, ConvexMesh):
-            semi_axes, axes = shape.inner_ellipsoid
-            ellipsoids.append((i, none, axes, semi_axes, 0.0))
-            outlines.append(shape.corners @ axes)
-        elif isinstance(shape, Ellipsoid) and not isinstance(shape, Sphere):
-            ellipsoids.append((i, none, None, shape.half_extents, 0.0))
-            outlines.append(np.zeros((1, 3)))
-        else:
-            kind = {Box: boxes, Capsule: lines}.get(type(shape), balls)
-            kind.append((i, box.centre, None, box.half_extents, box.radius))
+    own: dict[str, list] = {"box": [], "line": [], "ball": [], "ellipsoid": []}
+    for i, body in enumerate(creature.bodies_of(tree.names)):
+        for part in body.shape.obstacle_parts():
+            own[part.kind].append((i, part))
 
-    def parts(found: list) -> Parts:
-        bodies, centre, axes, half, radius = zip(*found, strict=True) if found else ((),) * 5
+    def parts(found: list[tuple[int, ObstaclePart]]) -> Parts:
+        bodies = tuple(body for body, _ in found)
+        centre = xp.array([part.centre for _, part in found], float).reshape(-1, 3).T
+        turned = any(part.axes is not None for _, part in found)
+        axes = [np.eye(3) if part.axes is None else part.axes for _, part in found]
         return Parts(
             bodies,
-            tree.com[:, np.array(bodies, int)] + xp.array(centre, float).reshape(-1, 3).T,
-            None if all(x is None for x in axes) else np.stack([*map(_turned, axes)], -1),
-            xp.array(half, float).reshape(-1, 3).T,
-            xp.array(radius, float),
+            tree.com[:, np.array(bodies, int)] + centre,
+            np.stack(axes, -1) if turned else None,
+            xp.array([part.half_extents for _, part in found], float).reshape(-1, 3).T,
+            xp.array([part.radius for _, part in found], float),
         )
 
     blocks, boulders = (
@@ -284,14 +264,13 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
         min(most, blocks * each + boulders) for most, each in zip(_POINTS, _ON_BLOCK, strict=True)
     )
     points = of_box, of_line, of_ball, of_ellipsoid
-    round_ones = parts(ellipsoids)
-    if any(outline.any() for outline in outlines):
-        round_ones = round_ones._replace(corners=_equally_many(outlines))
-    return Solids(parts(boxes), parts(lines), parts(balls), round_ones, points)
-
-
-def _turned(axes: np.ndarray | None) -> np.ndarray:
-    return np.eye(3) if axes is None else axes
+    boxes, lines, balls, ellipsoids = map(parts, own.values())
+    outlines = [part.corners for _, part in own["ellipsoid"]]
+    if any(outline is not None for outline in outlines):
+        none = np.zeros((1, 3))
+        corners = _equally_many([none if outline is None else outline for outline in outlines])
+        ellipsoids = ellipsoids._replace(corners=corners)
+    return Solids(boxes, lines, balls, ellipsoids, points)
 
 
 def _equally_many(corners: list[np.ndarray]) -> np.ndarray:

@@ -236,14 +236,14 @@ class ForceLaw(eqx.Module):
     def parts(self, bodies: Bodies) -> tuple[Part, ...]:
         """Return the law as the step takes it: by default one part, with ``D = -1/2 S_sym``."""
 
-        def whole(kin: Kinematics) -> tuple[Array, Array]:
+        def equations(kin: Kinematics) -> tuple[Array, Array]:
             now = bodies_in(bodies.tree, bodies.gravity, bodies.water, bodies.cells, bodies.h, kin)
             slope = self.derivative(now)
             return self.wrench(now), (-0.25 * bodies.h) * blocks(slope + transpose(slope))
 
         # A program of its own, so that a message names the law that native code cannot take.
         name = f"{type(self).__name__}.wrench"
-        found = fuse(whole, bodies.kin, batch_ndim=bodies.velocity.ndim - 2, name=name)
+        found = fuse(equations, bodies.kin, batch_ndim=bodies.velocity.ndim - 2, name=name)
         return (Part(*found),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"] | None:

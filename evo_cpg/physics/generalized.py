@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics import joints, root
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import PerBody, in_dof_order, of_joints, take
 from evo_cpg.physics.spatial_algebra import (
@@ -30,23 +31,18 @@ from evo_cpg.physics.spatial_algebra import (
     Wrench,
     inertia_at_parent,
     motion_at_child,
-    turned,
     wrench_at_parent,
 )
-from evo_cpg.spatial.linear import dot, matvec, matvec_t, transpose
-
-# Degrees of freedom of the root.
-ROOT_DOFS = 6
 
 
 def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
     """Accelerations ``(3, b, *n)`` of all bodies, on top of those in `Kinematics`."""
-    batch_ndim, qdd = y.ndim - 1, y[ROOT_DOFS:]
-    a = PerBody([Motion(y[:3], y[3:ROOT_DOFS])], batch_ndim)
+    batch_ndim, qdd = y.ndim - 1, root.joint_part(y)
+    a = PerBody([root.acceleration(y)], batch_ndim)
     for i in tree.groups:
         a_i = motion_at_child(a[i.parents], kin.offset[:, i.bodies])
         S, x = (of_joints(value, i, batch_ndim) for value in (kin.axes, qdd))
-        a = a.followed_by(a_i._replace(angular=a_i.angular + matvec(S, x)))
+        a = a.followed_by(joints.accelerated(a_i, S, x))
     return a.stacked()
 
 
@@ -56,11 +52,10 @@ def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Arra
     f, torques = PerBody.of(wrench, batch_ndim), []
     for i in reversed(tree.groups):
         f_i = f[i.bodies]
-        torques.append(
-            in_dof_order(matvec_t(of_joints(kin.axes, i, batch_ndim), f_i.moment), batch_ndim)
-        )
+        torque = joints.torque_of(of_joints(kin.axes, i, batch_ndim), f_i)
+        torques.append(in_dof_order(torque, batch_ndim))
         f = f.plus(i.parents, wrench_at_parent(f_i, kin.offset[:, i.bodies]))
-    return jnp.concatenate([*f.root(), *reversed(torques)])
+    return root.vector(f.root(), torques[::-1])
 
 
 def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "v v *n"]:
@@ -68,12 +63,9 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
     I_c = PerBody.of(inertia, inertia.linear.ndim - 3)
     for i in reversed(tree.groups):
         I_c = I_c.plus(i.parents, inertia_at_parent(I_c[i.bodies], kin.offset[:, i.bodies]))
-    angular, mixed, linear = I_c.root()
-    root = [[angular, mixed], [transpose(mixed), linear]]
-    root = jnp.concatenate([jnp.concatenate(row, 1) for row in root])
-    size = ROOT_DOFS + tree.dof_count
-    H = jnp.zeros((size, size, *kin.axes.shape[2:]), root.dtype)
-    H = H.at[:ROOT_DOFS, :ROOT_DOFS].set(root)
+    block, size = root.mass_block(I_c.root()), root.size_of(tree.dof_count)
+    H = jnp.zeros((size, size, *block.shape[2:]), block.dtype)
+    H = H.at[: len(block), : len(block)].set(block)
     if not tree.dof_count:
         return H
     places, values = _joint_elements(tree, kin, I_c.stacked())
@@ -93,8 +85,8 @@ def _joint_elements(
         Rows and columns, ``(m, 2)``, and the elements.
     """
     body = np.array(tree.dof_bodies, int)
-    f = turned(jax.tree.map(lambda x: take(x, body, 2), composite), kin.axes[:, None])
-    f, dofs = Wrench(f.moment[:, 0], f.force[:, 0]), np.arange(tree.dof_count)
+    f = joints.momentum_of_each(jax.tree.map(lambda x: take(x, body, 2), composite), kin.axes)
+    dofs = np.arange(tree.dof_count)
     places, values = [], []
     while len(dofs):
         met = [
@@ -104,13 +96,13 @@ def _joint_elements(
             if owner == body[one] and other <= dof
         ]
         one, other = np.array(met, int).reshape(-1, 2).T
-        values.append(dot(take(kin.axes, other), take(f.moment, one)))
-        places.append(np.stack([dofs[one], other], 1) + ROOT_DOFS)
+        values.append(joints.torque_on_each(take(kin.axes, other), f, one))
+        places.append(root.joint_rows(np.stack([dofs[one], other], 1)))
         f, body = wrench_at_parent(f, take(kin.offset, body)), np.array(tree.parents)[body]
         top, below = np.flatnonzero(body == 0), np.flatnonzero(body > 0)
-        for k, part in enumerate([*f.moment, *f.force]):
+        for k, part in enumerate(root.components(f)):
             values.append(take(part, top, 0))
-            places.append(np.stack([ROOT_DOFS + dofs[top], np.full(len(top), k)], 1))
+            places.append(np.stack([root.joint_rows(dofs[top]), np.full(len(top), k)], 1))
         f = Wrench(take(f.moment, below), take(f.force, below))
         body, dofs = body[below], dofs[below]
     return np.concatenate(places), jnp.concatenate(values)

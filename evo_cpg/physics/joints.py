@@ -1,122 +1,335 @@
-"""Torques on the joint axes: motors, passive spring and damper, soft limits.
+"""The joints of a tree: frames across them, their motion subspace, and their elimination.
 
-Each law is stated as its torque at the present rates and its derivative: the implicit step then
-uses ``tau_end = tau - T qdd`` with the diagonal T below.
+A joint has one to three degrees of freedom. Each one turns about an axis through the origin of the
+body that hangs on it, in the frame that those before it have left. So a degree of freedom is known
+by its world axis, and S, the motion per rate, has no linear part.
 
-- Passive: ``-k (q + h qd) - c qd``, T = h (c + h k).
-- Limit: a one-sided spring and damper, ``-K max(0, qd_end - v*)`` with ``K = c + h k``: v* brings
-  the joint just to its limit at the end of the step, or, from beyond, back as the spring asks for.
-  It never holds a joint back that returns. Where one solve has to do (without ground and limits of
-  motors), a spring and damper about the limit if the joint would be beyond it at its present rate.
-- Motor: ``g (rate* - qd) + k_m (angle* - q - h qd)``, T = h (g + h k_m), up to a limit that holds
-  for the torque at the *end* of the step. Deciding it on the torque before the step makes the motor
-  chatter and exceed its limit threefold. With k_m = 0 it is a velocity servo (Iwadate 2010:
-  "angular-velocity control"), with rate* = 0 a dashpot (Fukui 2003, 2.6).
+Every recursion over a tree (`kinematics`, `articulated`, `generalized`, `statics`, contacts between
+limbs) uses joints through the functions here. Torques are in `evo_cpg.physics.joint_torque`.
+
+| symbol | name |
+|---|---|
+| S_i | ``axes``: world axes of the degrees of freedom |
+| I^A_i, p^A_i | articulated-body inertia and bias wrench of the body on the joint |
+| U, G, u | ``I^A S``, ``S^T I^A S + T`` and ``tau - S^T p^A`` |
+| I^a_i, p^a_i | what of I^A and p^A the parent feels through the joint |
+| ``K = G^-1 U^T`` | by how much the joint yields to its parent's acceleration |
 """
+
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.state import State
-from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.creature.tree import Group, Tree
+from evo_cpg.fusion.fuse import symmetric
+from evo_cpg.physics.per_body import PerBody, of_joints, take
+from evo_cpg.physics.spatial_algebra import (
+    BodyMotion,
+    Inertia,
+    Motion,
+    Wrench,
+    make_inertia,
+)
+from evo_cpg.spatial.linear import (
+    cross,
+    dot,
+    expand_dims_like,
+    inverse_symmetric,
+    matmul,
+    matmul_t,
+    matvec,
+    matvec_t,
+    t_matmul,
+    transpose,
+)
+from evo_cpg.spatial.rotation import axis_rotation
+
+# With this many axes a joint can turn any way.
+_BALL_AXES = 3
 
 
-def passive_torque(
-    tree: Tree, state: State, h: float
-) -> tuple[Float[Array, "d *n"], Float[Array, "d *#n"]]:
-    """Torque (N m) and T (kg m^2) of springs and dampers over a step of h (s)."""
-    stiffness, damping = (expand_dims_like(x, state.q) for x in (tree.stiffness, tree.damping))
-    torque = -stiffness * (state.q + h * state.qd) - damping * state.qd
-    return torque, h * (damping + h * stiffness)
+# Position.
 
 
-def limit_torque(
-    tree: Tree, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
-) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
-    """Torque of the soft limits (N m), and how much of it is lost per rate (N m s/rad).
+def moved(q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float) -> Float[Array, "d *n"]:
+    """Return the joint angles after h seconds (negative: before) at constant rates."""
+    return q + h * rate
+
+
+def displaced(q: Float[Array, " d"], x: Float[Array, " d"]) -> Float[Array, " d"]:
+    """Return the joint angles at the joints' static coordinates from others."""
+    return q + x
+
+
+def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3 c *n"]]:
+    """Return the rotation of every body to its parent and, behind it, the axes in the parent's.
+
+    Joints with the same axes are computed together.
+    """
+    sine, cosine = jnp.sin(q), jnp.cos(q)
+    alike: dict[tuple[bytes | int, bytes | int], list[int]] = {}
+    first_dof = {body: i for i, body in reversed(list(enumerate(tree.dof_bodies)))}
+    axis_count = np.bincount(tree.dof_bodies, minlength=tree.body_count)
+    for body, dof in sorted(first_dof.items()):
+        axes = tree.joint_axes[:, dof : dof + axis_count[body]]
+        orientation = tree.joint_orientation[:, :, body]
+        alike.setdefault((_key(axes, body), _key(orientation, body)), []).append(body)
+    frames = {}
+    for bodies in alike.values():
+        dof, count = first_dof[bodies[0]], axis_count[bodies[0]]
+        orientation = expand_dims_like(tree.joint_orientation[:, :, bodies[0]], q, q.ndim + 2)
+        columns = [orientation[:, j] for j in range(3)]
+        directions = []
+        for k in range(count):
+            dofs = np.array([first_dof[body] + k for body in bodies])
+            columns, direction = _turn(
+                columns, tree.joint_axes[:, dof + k], take(sine, dofs, 0), take(cosine, dofs, 0)
+            )
+            directions.append(direction)
+        shape = (3, len(bodies), *q.shape[1:])
+        packed = jnp.stack([jnp.broadcast_to(c, shape) for c in columns + directions], 1)
+        frames.update(zip(bodies, jnp.unstack(packed, axis=2), strict=True))
+    # The root has no joint, and its frame is not used.
+    values: list[Any] = [None, *(frames[body] for body in range(1, tree.body_count))]
+    return PerBody(values, q.ndim - 1)
+
+
+def world_frames(
+    parent_rotation: Float[Array, "3 3 b *n"], local: Float[Array, "3 c b *n"]
+) -> tuple[Float[Array, "3 3 b *n"], Float[Array, "3 k b *n"]]:
+    """Return the rotations and the world axes of bodies, of `local_frames`."""
+    frame = matmul(parent_rotation, local)
+    return frame[:, :3], frame[:, 3:]
+
+
+# Motion subspace.
+
+
+def carried(
+    parent: Any, offset: Float[Array, "3 b *n"], axes: Float[Array, "3 k b *n"], rates: Array
+) -> BodyMotion:
+    """Return how bodies move: carried by their parents, and turned by their joints.
 
     Args:
-        tree: the creature.
-        q: joint angles at the start of the step, rad.
-        rate: joint rates at its end, rad/s.
-        h: s; 0 for the law itself, without a step.
+        parent: the parent of each, with the attributes of `BodyMotion`.
+        offset: from the parents' origins, m.
+        axes: S.
+        rates: of the degrees of freedom, ``(k, b, *n)``, rad/s.
     """
-    stiffness, damping, lower, upper = (
-        expand_dims_like(x, q)
-        for x in (tree.limit_stiffness, tree.limit_damping, tree.lower, tree.upper)
+    spin, spin_rate = _across(axes * rates[None])
+    linear = parent.linear + cross(parent.angular, offset)
+    return BodyMotion(
+        parent.angular + spin,
+        linear,
+        parent.bias_angular + cross(parent.angular, spin) + spin_rate,
+        parent.bias_linear + cross(parent.bias_angular, offset) + cross(linear, spin),
     )
-    slope = damping + h * stiffness
-
-    def miss(beyond: Array, outwards: Array) -> Array:
-        """By how much a rate towards a limit is above v*, times K."""
-        back = slope * outwards + stiffness * beyond
-        ahead = slope * (outwards + (1.0 / h) * beyond) if h else jnp.zeros_like(back)
-        return jnp.maximum(jnp.where(beyond > 0, back, ahead), 0.0)
-
-    above, below = miss(q - upper, rate), miss(lower - q, -rate)
-    return below - above, jnp.where((above > 0) | (below > 0), slope, 0.0)
 
 
-def expected_limit_torque(
-    tree: Tree, state: State, h: float
-) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
-    """The same at the present rates, for a step of one solve."""
-    q, rate = state.q, state.qd
-    ahead = q + h * rate
-    over = ahead - jnp.clip(ahead, expand_dims_like(tree.lower, q), expand_dims_like(tree.upper, q))
-    stiffness, damping = (
-        expand_dims_like(x, q) for x in (tree.limit_stiffness, tree.limit_damping)
-    )
-    beyond = over != 0
-    torque = jnp.where(beyond, -stiffness * over - damping * rate, 0.0)
-    return torque, jnp.where(beyond, damping + h * stiffness, 0.0)
-
-
-def servo_torque(
-    tree: Tree,
-    state: State,
-    target_rate: Float[Array, "d *n"],
-    target_angle: Float[Array, "d *n"] | None,
-    h: float,
-) -> Float[Array, "d *n"]:
-    """Torque (N m) that the motors ask for at the present rates, without limit.
+def accelerated(motion: Motion, axes: Float[Array, "3 k b *n"], x: Array) -> Motion:
+    """Return ``a + S x`` of bodies.
 
     Args:
-        tree: the creature.
-        state: its joint angles and rates.
-        target_rate: rad/s.
-        target_angle: rad; None for the neutral pose.
-        h: step, s.
+        motion: a.
+        axes: S.
+        x: accelerations of the degrees of freedom, ``(k, b, *n)``.
     """
-    rates = state.qd
-    torque = expand_dims_like(tree.servo_gain, rates) * (target_rate - rates)
-    if not has_springs(tree):
-        return torque
-    ahead = state.q + h * rates
-    error = -ahead if target_angle is None else target_angle - ahead
-    return torque + expand_dims_like(tree.servo_stiffness, rates) * error
+    return motion._replace(angular=motion.angular + matvec(axes, x))
 
 
-def servo_slope(tree: Tree, like: Array, h: float) -> Float[Array, "d *n"]:
-    """Torque per end-of-step rate, ``g + h k_m`` (N m s/rad); never quite zero."""
-    slope = expand_dims_like(tree.servo_gain + h * tree.servo_stiffness, like)
-    return jnp.maximum(slope, jnp.finfo(like.dtype).tiny)
+def torque_of(axes: Float[Array, "3 k b *n"], wrench: Wrench) -> Float[Array, "k b *n"]:
+    """Return ``S^T f`` of wrenches on bodies, N m."""
+    return matvec_t(axes, wrench.moment)
 
 
-def has_springs(tree: Tree) -> bool:
-    """Whether any motor pulls towards an angle."""
-    stiffness = tree.servo_stiffness
-    return not isinstance(stiffness, np.ndarray) or bool(stiffness.any())
+def torque_on_each(
+    axes: Float[Array, "3 k *n"], wrench: Wrench, which: np.ndarray | None = None
+) -> Float[Array, "k *n"]:
+    """Return ``S^T f``, with a wrench for each degree of freedom.
+
+    Args:
+        axes: S.
+        wrench: about the origin of the body on the joint.
+        which: indices of the wrenches; None for all in their order.
+    """
+    return dot(axes, wrench.moment if which is None else take(wrench.moment, which))
 
 
-def overloaded(tree: Tree, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:
-    """Axes whose servo asks for more than its limit."""
-    return jnp.abs(torque) > expand_dims_like(tree.torque_limit, torque)
+def momentum(inertia: Inertia, axes: Float[Array, "3 k *rest"]) -> Wrench:
+    """Return ``I S``: k wrenches."""
+    return Wrench(matmul(inertia.angular, axes), t_matmul(inertia.mixed, axes))
 
 
-def clamp_torque(tree: Tree, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-    """The servo torque cut off at its limit, N m."""
-    limit = expand_dims_like(tree.torque_limit, torque)
-    return jnp.clip(torque, -limit, limit)
+def momentum_of_each(inertia: Inertia, axes: Float[Array, "3 d *n"]) -> Wrench:
+    """Return ``I S``, with an inertia for each degree of freedom: d wrenches."""
+    found = momentum(inertia, axes[:, None])
+    return Wrench(found.moment[:, 0], found.force[:, 0])
+
+
+def speed_along(
+    axes: Float[Array, "3 d *n"], offset: Float[Array, "3 p d *n"], normal: Float[Array, "3 p *n"]
+) -> Float[Array, "p d *n"]:
+    """Return the speed of points along their normals, per rate of each degree of freedom.
+
+    Args:
+        axes: S.
+        offset: of the points from the origins of the bodies on the joints, m.
+        normal: unit vectors.
+    """
+    lever = cross(offset, jnp.broadcast_to(normal[:, :, None], offset.shape))
+    return dot(axes[:, None], lever)
+
+
+def about(
+    axes: Float[Array, "3 d *n"], origins: Float[Array, "3 d *n"]
+) -> tuple[Float[Array, "3 d *n"], Float[Array, "3 d *n"]]:
+    """Return S about a common point: angular parts, and linear parts with the opposite sign.
+
+    Args:
+        axes: S.
+        origins: of the bodies on the joints from that point, m.
+    """
+    return axes, cross(axes, origins)
+
+
+# Elimination.
+
+
+class Condensed(NamedTuple):
+    """Joints of a group, eliminated from the equations of their bodies.
+
+    Attributes:
+        inertia: I^a.
+        bias: p^a.
+        yielding: K.
+        free: ``G^-1 u``: joint accelerations, the parents' being zero.
+    """
+
+    inertia: Inertia
+    bias: Wrench
+    yielding: Motion
+    free: Array
+
+
+class Joints(NamedTuple):
+    """The joints of a group, in coordinates x of their own.
+
+    With one or two axes x is ``q``. With three it is the rotation across the joint in world axes,
+    where S is 1.
+
+    Attributes:
+        axes: S, (3, k, bodies, ...).
+        torque: tau, in these coordinates.
+        derivative: T, in these coordinates.
+        to_q: from x to ``q``; None where they are the same.
+    """
+
+    axes: Array
+    torque: Array
+    derivative: Array
+    to_q: Array | None
+
+    @classmethod
+    def of(
+        cls,
+        group: Group,
+        axes: Float[Array, "3 d *n"],
+        torque: Float[Array, "d *n"],
+        torque_derivative: Float[Array, "d *n"],
+    ) -> "Joints":
+        """Return the joints of a group; see `evo_cpg.physics.articulated.solve`."""
+        axes, tau, diagonal = (
+            of_joints(x, group, torque.ndim - 1) for x in (axes, torque, torque_derivative)
+        )
+        identity = expand_dims_like(np.eye(group.axes), tau, tau.ndim + 1)
+        if group.axes != _BALL_AXES:
+            return cls(axes, tau, identity * diagonal[None], None)
+        to_q = _inverse_columns(axes)
+        derivative = symmetric(t_matmul(to_q, diagonal[:, None] * to_q))
+        return cls(identity, matvec_t(to_q, tau), derivative, to_q)
+
+    def condensed(self, inertia: Inertia, bias: Wrench) -> Condensed:
+        """Eliminate the joints: ``I^a = I^A - U K`` and ``p^a = p^A + K^T u``.
+
+        Where S is 1, U has the blocks (A, B^T) of I^A themselves, and G is A + T. With
+        ``P = T G^-1 = 1 - A G^-1`` both have a form without cancellation when the joint is free.
+
+        Args:
+            inertia: I^A of the bodies.
+            bias: p^A of the bodies.
+        """
+        U = momentum(inertia, self.axes)
+        G_inverse = inverse_symmetric(t_matmul(self.axes, U.moment) + self.derivative)
+        u = self.torque - torque_of(self.axes, bias)
+        K = Motion(matmul_t(G_inverse, U.moment), matmul_t(G_inverse, U.force))
+        linear = inertia.linear - matmul(U.force, K.linear)
+        if self.to_q is None:
+            angular = inertia.angular - matmul(U.moment, K.angular)
+            mixed = inertia.mixed - matmul(U.moment, K.linear)
+        else:
+            P = matmul(self.derivative, G_inverse)
+            K = Motion(self.axes - transpose(P), K.linear)
+            angular, mixed = matmul(P, inertia.angular), matmul(P, inertia.mixed)
+        felt = make_inertia(angular, mixed, linear)
+        moment, force = matvec_t(K.angular, u), matvec_t(K.linear, u)
+        wrench = Wrench(bias.moment + moment, bias.force + force)
+        return Condensed(felt, wrench, K, matvec(G_inverse, u))
+
+    def accelerations(self, condensed: Condensed, motion: Motion) -> tuple[Motion, Array]:
+        """Return the accelerations of the bodies, and of the joints in q, ``(k, bodies, ...)``.
+
+        Args:
+            condensed: the result of the elimination.
+            motion: accelerations of the bodies as if they had no joints.
+        """
+        K = condensed.yielding
+        x = condensed.free - matvec(K.angular, motion.angular) - matvec(K.linear, motion.linear)
+        moved = accelerated(motion, self.axes, x)
+        return moved, x if self.to_q is None else matvec(self.to_q, x)
+
+
+def _inverse_columns(m: Float[Array, "3 3 *rest"]) -> Float[Array, "3 3 *rest"]:
+    """Return the inverse of a matrix: its rows are cross products of the columns."""
+    a, b, c = m[:, 0], m[:, 1], m[:, 2]
+    rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
+    return rows * (1.0 / dot(a, rows[0]))[None, None]
+
+
+def _key(values: Any, body: int) -> bytes | int:
+    """Return a key that equal values share; traced values are equal to no others."""
+    return values.tobytes() if isinstance(values, np.ndarray) else body
+
+
+def _turn(
+    columns: list[Array], axis: np.ndarray | Array, sine: Array, cosine: Array
+) -> tuple[list[Array], Array]:
+    """Turn a frame, given by its columns, about one of its own axes; also return that axis."""
+    if not isinstance(axis, np.ndarray) or np.count_nonzero(axis) > 1:
+        frame = jnp.stack(jnp.broadcast_arrays(*columns), 1)
+        turned = matmul(frame, axis_rotation(axis, sine, cosine))
+        return [turned[:, j] for j in range(3)], matvec(frame, expand_dims_like(axis, frame[0]))
+    along = int(np.abs(axis).argmax())
+    i, j = (along + 1) % 3, (along + 2) % 3
+    # A Python float takes the arrays' precision; a NumPy one would make float32 float64.
+    direction = float(axis[along])
+    sine, cosine = sine[None] * direction, cosine[None]
+    turned = list(columns)
+    turned[i] = cosine * columns[i] + sine * columns[j]
+    turned[j] = cosine * columns[j] - sine * columns[i]
+    return turned, columns[along] * direction
+
+
+def _across(rates: Float[Array, "3 axes bodies *n"]) -> tuple[Array, Array]:
+    """Return the angular velocity across each joint, and its rate of change seen from the parent.
+
+    Args:
+        rates: of the degrees of freedom, each along its axis.
+    """
+    spin = rates[:, 0]
+    spin_rate = jnp.zeros_like(spin)
+    for k in range(1, rates.shape[1]):
+        spin_rate = spin_rate + cross(spin, rates[:, k])
+        spin = spin + rates[:, k]
+    return spin, spin_rate

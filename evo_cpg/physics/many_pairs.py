@@ -28,9 +28,21 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics, Motion, motion_of_bodies
-from evo_cpg.physics.pairs import KINDS, LARGEST_DRIFT, Alike, Pairs, placed_boxes, rest_velocity
-from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew
+from evo_cpg.physics import joints, root
+from evo_cpg.physics.kinematics import Kinematics, motion_of_bodies
+from evo_cpg.physics.pairs import (
+    KINDS,
+    LARGEST_DRIFT,
+    Alike,
+    Pairs,
+    PointMotion,
+    acceleration_field,
+    parting_acceleration,
+    placed_boxes,
+    rest_velocity,
+)
+from evo_cpg.physics.spatial_algebra import BodyMotion
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
 
 # Steps at present joint rates within which a point is watched.
 _STEPS_AHEAD = 2.0
@@ -199,23 +211,18 @@ class ManyPairContacts:
     def accelerations(self, qdd: Float[Array, "d *n"]) -> tuple[Array, ...]:
         """Return twists, and accelerations at constant joint rates: ``d_0 + A p`` at a place p."""
         motion = self.motion(self.qd + self.h * qdd)
-        spin = motion.angular
-        square = dot(spin, spin)
-        A = skew(motion.bias_angular) + spin[:, None] * spin[None]
-        A = A - square[None, None] * expand_dims_like(np.eye(3), A)
-        linear = motion.linear - cross(spin, self.places)
-        base = motion.bias_linear + cross(spin, motion.linear) - matvec(A, self.places)
-        return spin, linear, base, A
+        a, A = acceleration_field(motion)
+        linear = motion.linear - cross(motion.angular, self.places)
+        return motion.angular, linear, a - matvec(A, self.places), A
 
-    def motion(self, rates: Float[Array, "d *n"]) -> Motion:
+    def motion(self, rates: Float[Array, "d *n"]) -> BodyMotion:
         """Return how all bodies move at joint rates, as if the root lay still."""
-        still = jnp.zeros((6, *rates.shape[1:]), rates.dtype)
-        return motion_of_bodies(self.tree, self.kin, still, rates)
+        return motion_of_bodies(self.tree, self.kin, root.at_rest(rates), rates)
 
     def axes(self) -> tuple[Array, Array]:
         """Return joint axes a and ``a x o``, with one more that is zero: ``(3, d + 1, *n)``."""
-        a = self.kin.axes
-        moments = cross(a, self.places[:, np.array(self.tree.dof_bodies, int)])
+        origins = self.places[:, np.array(self.tree.dof_bodies, int)]
+        a, moments = joints.about(self.kin.axes, origins)
         none = jnp.zeros_like(a[:, :1])
         return jnp.concatenate([a, none], 1), jnp.concatenate([moments, none], 1)
 
@@ -235,15 +242,14 @@ class ManyPairContacts:
         """Return the velocity at which a point parts, mean over the step, m/s."""
         spin, linear, base, A = accelerations
         bodies, n = _bodies(run, q), point.normal
-        moving, drift, turning = [], [], jnp.zeros_like(n)
-        for body, p, share in zip(bodies, (point.first, point.second), point.carried, strict=True):
-            own = _row(spin, body)
-            moving.append(_row(linear, body) + cross(own, p))
-            drift.append(_row(base, body) + matvec(_row(A, body, 2), p))
-            turning = turning + share[None] * own
-        # A normal that turns meets another part of what slides past it.
-        bias = dot(n, drift[1] - drift[0])
-        bias = bias - 2.0 * dot(cross(n, turning), moving[1] - moving[0])
+
+        def moving(body: Array, p: Array) -> PointMotion:
+            angular = _row(spin, body)
+            velocity = _row(linear, body) + cross(angular, p)
+            return PointMotion(angular, velocity, _row(base, body) + matvec(_row(A, body, 2), p))
+
+        points = map(moving, bodies, (point.first, point.second))
+        bias = parting_acceleration(n, point.carried, points)
         return self.turning_apart(run, point, q, twists) + 0.5 * self.h * bias
 
     def jacobian(self, run: _Run, point: "_Point", q: Array, axes: Any) -> tuple[Array, Array]:
@@ -331,12 +337,12 @@ class ManyPairForces:
             J, dofs = contacts.jacobian(run, point, q, axes)
             slope = jnp.where(push > 0, self._stiffness(run, q, push), 0.0)
             own = jnp.take(rates, dofs, axis=0, mode="clip")
-            whole = push + slope * h * (J * own).sum(0)
+            force = push + slope * h * (J * own).sum(0)
             rows = jnp.asarray(run.paths.rows)[q % run.kind.count]
             i, j = np.tril_indices(len(dofs))
             values = (h * slope)[None] * J[i] * J[j]
             return (
-                _plus(torque, dofs, J * whole[None]),
+                _plus(torque, dofs, J * force[None]),
                 _plus(matrix, rows[i] + dofs[j], values),
             )
 
@@ -438,8 +444,8 @@ def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
     centre, half, radius = placed_boxes(pairs, kin)
     own = contacts.motion(contacts.qd)
     size = jnp.sqrt((half * half).sum(0)) + radius
-    arm = centre - contacts.places
-    passing = own.linear + cross(own.angular, arm)
+    offset = centre - contacts.places
+    passing = own.linear + cross(own.angular, offset)
     speed = jnp.sqrt(dot(passing, passing)) + jnp.sqrt(dot(own.angular, own.angular)) * size
     slack = _STEPS_AHEAD * h * speed + _MARGIN * (half.min(0) + radius)
     found, start, points = [], 0, 0

@@ -3,18 +3,56 @@
 One iteration linearises the force laws at the iterate, solves for the accelerations, and searches
 the line to that solution for the least potential. The problem is strictly convex
 (`evo_cpg.physics.step_problem`), so the iteration converges to its only solution.
+
+On the line ``y + a d``, with the length a in [0, 1], everything is linear but the force laws: F of
+the contact points, whose velocities change by a dv, tau of motors and limits, and those of pairs.
+The derivative of the potential along the line is
+
+    phi'(a) = h d . (M (y + a d) - M y_free - tau) - sum dv . F(v + a dv).
+
+Its root is found by regula falsi with the Illinois rule.
 """
 
-import jax.numpy as jnp
-from jaxtyping import Array, Float
+from typing import NamedTuple
 
-from evo_cpg.physics.generalized import ROOT_DOFS
-from evo_cpg.physics.line_search import line_search
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from evo_cpg.fusion.converge import while_each
+from evo_cpg.physics.root import joint_part
 from evo_cpg.physics.step_problem import StepProblem
+from evo_cpg.spatial.linear import dot, matvec
 
 # Largest residual (`StepProblem.residual`) of a solution. The second serves while the friction
 # cones still change. In float64, in which derivatives are checked, the third serves for both.
 _TOLERANCE, _ROUGH, _EXACT = 1e-3, 0.05, 1e-10
+
+# Derivative at which a line search ends, as a fraction of that at the start; evaluations at most.
+_FLAT, _EVALUATIONS = 0.3, 30
+
+
+class _Bracket(NamedTuple):
+    """Interval of lengths that holds the root, and the latest evaluation.
+
+    Attributes:
+        low: a length at which the potential falls.
+        low_slope: derivative there; halved if the upper end has stayed.
+        high: a length at which the potential rises.
+        high_slope: derivative there; halved if the lower end has stayed.
+        length: the latest length.
+        slope: derivative there.
+        moved: end that moved last: 1 the upper, -1 the lower, 0 none.
+        evaluations: number of evaluations.
+    """
+
+    low: Float[Array, "*n"]
+    low_slope: Float[Array, "*n"]
+    high: Float[Array, "*n"]
+    high_slope: Float[Array, "*n"]
+    length: Float[Array, "*n"]
+    slope: Float[Array, "*n"]
+    moved: Int[Array, "*n"]
+    evaluations: Int[Array, "*n"]
 
 
 def tolerances(like: Array) -> tuple[float, float]:
@@ -32,7 +70,7 @@ def full_step(
         radius: of the friction cones, N.
         y: the iterate.
     """
-    return problem.motion(problem.linearized(radius, y[ROOT_DOFS:], problem.velocity(y)))
+    return problem.motion(problem.linearized(radius, joint_part(y), problem.velocity(y)))
 
 
 def damped_step(
@@ -46,8 +84,79 @@ def damped_step(
         y: the iterate.
     """
     velocity = problem.velocity(y)
-    linear = problem.linearized(radius, y[ROOT_DOFS:], velocity)
+    linear = problem.linearized(radius, joint_part(y), velocity)
     # Below this slope rounding would decide the length of the step.
     tolerance, _ = tolerances(y)
     least = problem.h * tolerance**2 * problem.square_of_forces(y, linear)
     return line_search(problem, radius, y, velocity, problem.motion(linear), least)
+
+
+def line_search(
+    problem: StepProblem,
+    radius: Float[Array, "p *n"],
+    start: Float[Array, "v *n"],
+    velocity: Float[Array, "3 p *n"] | None,
+    end: Float[Array, "v *n"],
+    least: Float[Array, "*n"],
+) -> tuple[Float[Array, "v *n"], Float[Array, "3 p *n"] | None]:
+    """Return the accelerations with the least potential on a line, and the points' velocities.
+
+    Args:
+        problem: whose potential it is.
+        radius: of the friction cones, N.
+        start: accelerations at the start of the line.
+        velocity: of the contact points there, m/s.
+        end: accelerations at its end, under the laws linearised at the start.
+        least: steepness (W) below which nothing is searched: the end is returned.
+    """
+    direction, h = end - start, problem.h
+    turning, pairs = joint_part(direction), problem.equations.pairs
+    change = None if velocity is None else problem.change_of_velocity(direction)
+    parting = None if pairs is None else pairs.change(turning)
+    linear_slope = dot(direction, problem.resistance(start))
+    curvature = dot(direction, matvec(problem.mass, direction))
+
+    def at(length: Array) -> tuple[Array, Array | None]:
+        """Return the accelerations and the points' velocities at a length."""
+        y = start + length[None] * direction
+        if velocity is None or change is None:
+            return y, None
+        return y, velocity + length[None, None] * change
+
+    def slope(length: Array) -> Array:
+        """Return phi' at a length, W."""
+        y, point_velocity = at(length)
+        laws = problem.linearized(radius, joint_part(y), point_velocity)
+        total = h * (linear_slope + length * curvature - dot(turning, problem.torque(y, laws)))
+        if change is not None and laws.contact is not None:
+            total = total - (change * laws.contact.force).sum((0, 1))
+        if parting is not None and laws.pairs is not None:
+            total = total - laws.pairs.power(parting)
+        return total
+
+    one = jnp.ones_like(curvature)
+    start_slope, end_slope = slope(0 * one), slope(one)
+
+    def unfinished(bracket: _Bracket) -> Bool[Array, "*n"]:
+        steep = jnp.abs(bracket.slope) > _FLAT * jnp.abs(start_slope)
+        return steep & (bracket.evaluations < _EVALUATIONS)
+
+    def narrowed(bracket: _Bracket) -> _Bracket:
+        low, low_slope, high, high_slope, length, here, moved, evaluations = bracket
+        rises = here > 0
+        end_to_move = jnp.where(rises, 1, -1).astype(jnp.int32)
+        again = moved == end_to_move
+        low, high = jnp.where(rises, low, length), jnp.where(rises, length, high)
+        # Illinois: the derivative at an end that stays twice counts half.
+        low_slope = jnp.where(rises, jnp.where(again, 0.5 * low_slope, low_slope), here)
+        high_slope = jnp.where(rises, here, jnp.where(again, 0.5 * high_slope, high_slope))
+        length = low - low_slope * (high - low) / (high_slope - low_slope)
+        slopes = low, low_slope, high, high_slope, length, slope(length)
+        return _Bracket(*slopes, end_to_move, evaluations + 1)
+
+    none = jnp.zeros(start_slope.shape, jnp.int32)
+    # A line along which the potential falls to its end needs no search.
+    overshoots = (start_slope < -least) & (end_slope > 0)
+    slope_now = jnp.where(overshoots, end_slope, 0.0)
+    first = _Bracket(0 * one, start_slope, one, end_slope, one, slope_now, none, none)
+    return at(while_each(unfinished, narrowed, first).length)

@@ -93,8 +93,8 @@ def meeting_time(solids: Solids, ground: Ground, kin: Kinematics, h: float) -> F
     best = None
     for obstacles in _by_kind(ground.obstacles):
         for near in _nearest(obstacles, placed, outline, ground.margin, h):
-            new = near.way, near.time
-            best = new if best is None else where_each(near.way < best[0], new, best)
+            new = near.distance, near.time
+            best = new if best is None else where_each(near.distance < best[0], new, best)
     assert best is not None
     return best[1]
 
@@ -131,7 +131,7 @@ class _Near(NamedTuple):
         parts: as they are then.
     """
 
-    way: Float[Array, "p *n"]
+    distance: Float[Array, "p *n"]
     obstacle: RoundedBoxes
     time: Float[Array, "p *n"]
     parts: Moving
@@ -156,16 +156,19 @@ def _nearest(
     if not obstacles:
         return []
     boxes = [_as_box(obstacle, parts.at.centre) for obstacle in obstacles]
-    ways = [_apart(parts.at, box) for box in boxes]
-    times = [jnp.zeros_like(way) for way in ways]
+    distances = [_apart(parts.at, box) for box in boxes]
+    times = [jnp.zeros_like(distance) for distance in distances]
     if h > 0:
         # One of each for all parts: what does not depend on individuals is no operation.
         point = jnp.zeros((3, *(1 for _ in parts.origin.shape[1:])), parts.origin.dtype)
         single = [_as_box(obstacle, point) for obstacle in obstacles]
         stacked = jax.tree.map(lambda *each: jnp.stack(each), *single)
         times, swept = times_of_contact(parts, outline, stacked, margin, h)
-        ways = [jnp.where(t > 0, new, way) for t, new, way in zip(times, swept, ways, strict=True)]
-    found = list(zip(ways, boxes, times, strict=True))
+        distances = [
+            jnp.where(t > 0, new, distance)
+            for t, new, distance in zip(times, swept, distances, strict=True)
+        ]
+    found = list(zip(distances, boxes, times, strict=True))
     best = found[: 0 if len(found) > NEAREST else NEAREST]
     for new in found if not best else ():
         for k, old in enumerate(best):
@@ -185,10 +188,10 @@ def _apart(parts: RoundedBoxes, box: RoundedBoxes) -> Float[Array, "p *n"]:
 
     first = nearest(box, parts.centre)
     own = nearest(parts, first)
-    way = nearest(box, own) - own
+    separation = nearest(box, own) - own
     sunk = first - parts.centre
     # Of those that it overlaps with the ones that reach nearer to its middle.
-    gap = jnp.sqrt(dot(way, way) + _FLOOR) - parts.radius - box.radius
+    gap = jnp.sqrt(dot(separation, separation) + _FLOOR) - parts.radius - box.radius
     return gap + _BEHIND * jnp.sqrt(dot(sunk, sunk) + _FLOOR)
 
 
@@ -268,21 +271,21 @@ def _point(parts: Moving, found: Separation, carried: float | None = None) -> Co
         found: what is nearest.
         carried: share of the normal that turns with the part, instead of the separation's.
     """
-    arm = found.second - parts.origin
-    share = found.carried[1] if carried is None else carried * jnp.ones_like(found.gap)
-    velocity = parts.linear + cross(parts.angular, arm)
-    turning = share[None] * parts.angular
+    offset = found.second - parts.origin
+    fraction = found.carried[1] if carried is None else carried * jnp.ones_like(found.gap)
+    velocity = parts.linear + cross(parts.angular, offset)
+    turning = fraction[None] * parts.angular
     # A normal that turns meets another part of what slides past it.
-    bend = -2.0 * dot(cross(found.normal, turning), velocity)
-    spoke = arm + parts.at.radius[None] * found.normal
-    return ContactPoints(arm, spoke, found.gap, found.normal, bend)
+    curvature = -2.0 * dot(cross(found.normal, turning), velocity)
+    material = offset + parts.at.radius[None] * found.normal
+    return ContactPoints(offset, material, found.gap, found.normal, curvature)
 
 
 def _on_ellipsoid(parts: Moving, gap: Array, normal: Array) -> ContactPoints:
     at = parts.at
-    spoke, bend = tangent_point(at.axes, at.half_extents, normal, parts.angular)
-    arm = at.centre + spoke - parts.origin
-    return ContactPoints(arm, arm, gap, normal, bend)
+    touching, curvature = tangent_point(at.axes, at.half_extents, normal, parts.angular)
+    offset = at.centre + touching - parts.origin
+    return ContactPoints(offset, offset, gap, normal, curvature)
 
 
 def tangent_point(
@@ -291,7 +294,7 @@ def tangent_point(
     normal: Float[Array, "3 p *n"],
     angular: Float[Array, "3 p *n"],
 ) -> tuple[Float[Array, "3 p *n"], Float[Array, "p *n"]]:
-    """Where a plane touches an ellipsoid, from its centre, m, and `ContactPoints.bend`, m/s^2.
+    """Return where a plane touches an ellipsoid from its centre, and the curvature acceleration.
 
     Args:
         axes: of the ellipsoid, as columns.
@@ -301,10 +304,10 @@ def tangent_point(
     """
     stretched = semi_axes * matvec_t(axes, normal)
     length = jnp.sqrt(dot(stretched, stretched) + _FLOOR)
-    spoke = -matvec(axes, semi_axes * stretched / length[None])
+    touching = -matvec(axes, semi_axes * stretched / length[None])
     # The centre's height over the plane is s = |A R^T n|, and s'' that of a point of the body and
     # k . B k - s'^2, over s, with k = n x w and B = R A^2 R^T.
     slide = cross(normal, angular)
     across = semi_axes * matvec_t(axes, slide)
-    rate = dot(slide, spoke)
-    return spoke, (rate * rate - dot(across, across)) / length
+    rate = dot(slide, touching)
+    return touching, (rate * rate - dot(across, across)) / length

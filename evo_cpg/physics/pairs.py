@@ -10,6 +10,7 @@ Few pairs are written out one by one (`evo_cpg.physics.few_pairs`). For many the
 """
 
 import itertools
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -31,7 +32,7 @@ from evo_cpg.creature.self_collision import (
 from evo_cpg.creature.shapes import RoundedBox
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.box_separation import separation_of_boxes
-from evo_cpg.physics.contact import BAUMGARTE_SHARE, BAUMGARTE_SPEED
+from evo_cpg.physics.contact import BAUMGARTE_FRACTION, BAUMGARTE_SPEED
 from evo_cpg.physics.flat_separation import separation_of_flat
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import take
@@ -42,8 +43,9 @@ from evo_cpg.physics.separation import (
     separation_of_lines,
     separation_of_rounded,
 )
+from evo_cpg.physics.spatial_algebra import BodyMotion
 from evo_cpg.spatial.choices import Condition, Undecidable, all_hold, chosen
-from evo_cpg.spatial.linear import expand_dims_like, matvec
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew
 from evo_cpg.spatial.numerics import Numbers, is_traced, xp
 
 # c h of a pair: so many times the geometric mean of the two masses.
@@ -130,13 +132,13 @@ class Pairs(eqx.Module):
         return len(self.first) > _MOST_WRITTEN_OUT
 
 
-def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs | None:
+def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs | None:
     """The pairs of a creature that may touch; None where there are none.
 
     Of the pairs of a whole plan (``wanted.only``) those that this creature lets pass have no
     stiffness, and so no force.
     """
-    boxes = [creature.bodies[creature.body_index(name)].shape.rounded_box for name in tree.names]
+    boxes = [body.shape.rounded_box for body in creature.bodies_of(tree.names)]
 
     def in_order(pair: tuple[int, int]) -> tuple[int, int]:
         """Lines first."""
@@ -144,17 +146,17 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
         return (second, first) if _is_line(boxes[second]) else pair
 
     def choose() -> tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]:
-        found = colliding_pairs(creature, tree, wanted)
-        ways = sorted((*_way(tree, turned, boxes, *pair), pair) for pair in map(in_order, found))
-        if wanted.only is None:
-            ways = [way for way in ways if not _passes(way, turned, centres, boxes)]
-        first, second = zip(*(pair for *_, pair in ways), strict=True) if ways else ((), ())
-        groups = itertools.groupby(ways, lambda way: way[:2])
-        return first, second, tuple(Alike(*way, len(list(same))) for way, same in groups)
+        found = colliding_pairs(creature, tree, settings)
+        cases = sorted((*_case(tree, turned, boxes, *pair), pair) for pair in map(in_order, found))
+        if settings.only is None:
+            cases = [case for case in cases if not _passes(case, turned, centres, boxes)]
+        first, second = zip(*(pair for *_, pair in cases), strict=True) if cases else ((), ())
+        groups = itertools.groupby(cases, lambda case: case[:2])
+        return first, second, tuple(Alike(*case, len(list(same))) for case, same in groups)
 
     def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
         """Whether each pair is treated as it has to be."""
-        if wanted.only is None and is_traced(tree, boxes):
+        if settings.only is None and is_traced(tree, boxes):
             raise Undecidable("which limbs can meet")
         kinds = [run for run in made[2] for _ in range(run.count)]
         treated = zip(kinds, *made[:2], strict=True)
@@ -162,16 +164,16 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
 
     def why() -> tuple[LeftOut, list]:
         """Return why the other pairs never meet."""
-        left = left_out(creature, tree, wanted)
-        ways = [(*_way(tree, turned, boxes, *in_order(pair)), pair) for pair in left.others]
-        return left, [way for way in ways if _passes(way, turned, centres, boxes)]
+        left = left_out(creature, tree, settings)
+        cases = [(*_case(tree, turned, boxes, *in_order(pair)), pair) for pair in left.others]
+        return left, [case for case in cases if _passes(case, turned, centres, boxes)]
 
     def stay_left_out(reasons: tuple[LeftOut, list]) -> Condition:
         left, beside = reasons
         passing = [pair for pair in left.others if pair not in [pair for *_, pair in beside]]
-        holds = [_passes(way, turned, centres, boxes) for way in beside]
+        holds = [_passes(case, turned, centres, boxes) for case in beside]
         if passing:
-            holds.append(passing_at_rest(creature, tree, wanted, passing).all())
+            holds.append(passing_at_rest(creature, tree, settings, passing).all())
         return all_hold([still_apart(creature, tree, left), *holds])
 
     order = np.array([creature.body_index(name) for name in tree.names])
@@ -180,15 +182,15 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
         place + turn @ box.centre for place, turn, box in zip(places, turned, boxes, strict=True)
     ]
     first, second, runs = chosen(choose, still)
-    if wanted.only is not None:
+    if settings.only is not None:
         chosen(why, stay_left_out)
     if not first:
         return None
     one, two = (tree.mass[np.array(bodies)] for bodies in _owners(first, second, runs))
     stiffness = _STIFFNESS * xp.sqrt(one * two)
-    if wanted.only is not None:
+    if settings.only is not None:
         pairs = list(zip(first, second, strict=True))
-        passing = passing_at_rest(creature, tree, wanted, pairs)
+        passing = passing_at_rest(creature, tree, settings, pairs)
         of_pair, _ = _owners(tuple(range(len(pairs))), second, runs)
         stiffness = xp.where(passing[np.array(of_pair)], 0.0, stiffness)
     return Pairs(
@@ -222,7 +224,7 @@ def _is_line(box: RoundedBox) -> bool:
     return not box.half_extents[1:].any()
 
 
-def _way(
+def _case(
     tree: Tree, turned: np.ndarray, boxes: list[RoundedBox], first: int, second: int
 ) -> tuple[str, tuple[tuple[int, int, int], tuple[int, int, int]]]:
     """How a pair is treated.
@@ -260,10 +262,10 @@ def _way(
 def _still(
     tree: Tree, turned: Numbers, boxes: list[RoundedBox], run: Alike, first: int, second: int
 ) -> Condition:
-    """Whether a pair may be treated in some way; see `_way`."""
+    """Whether a pair may be treated in some way; see `_case`."""
     both = boxes[first], boxes[second]
     if run.kind in ("flat", "boxes"):
-        return _way(tree, turned, boxes, first, second) == run[:2]
+        return _case(tree, turned, boxes, first, second) == run[:2]
     if run.kind == "rounded":
         # The axis that comes first is the longest.
         halves = zip(both, run.turned, strict=True)
@@ -275,7 +277,7 @@ def _still(
 
 
 def _passes(
-    way: tuple[str, tuple[tuple[int, int, int], ...], tuple[int, int]],
+    case: tuple[str, tuple[tuple[int, int, int], ...], tuple[int, int]],
     turned: Numbers,
     centres: list[Numbers],
     boxes: list[RoundedBox],
@@ -283,12 +285,12 @@ def _passes(
     """Whether two boxes turn beside each other, apart along their common axis for ever.
 
     Args:
-        way: how they are treated, and the pair.
+        case: how they are treated, and the pair.
         turned: rotations ``(b, 3, 3)`` of the bodies in the neutral pose.
         centres: of their boxes there, m.
         boxes: of the bodies.
     """
-    kind, (order, other_order), (first, second) = way
+    kind, (order, other_order), (first, second) = case
     if kind != "flat":
         return False
     aside = turned[first][:, order[2]] @ (centres[second] - centres[first])
@@ -305,8 +307,55 @@ def placed_boxes(pairs: Pairs, kin: Kinematics) -> tuple[Array, Array, Array]:
 
 def rest_velocity(gap: Array, h: float) -> Array:
     """v* of points that are so far apart, m/s."""
-    push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
+    push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
     return jnp.where(gap > 0, (-1.0 / h) * gap, push)
+
+
+def acceleration_field(
+    motion: Kinematics | BodyMotion,
+) -> tuple[Float[Array, "3 b *n"], Float[Array, "3 3 b *n"]]:
+    """Return a and A of all bodies at constant joint rates.
+
+    The point of a body at the offset r from its origin has the acceleration ``a + A r``.
+    """
+    spin = motion.angular
+    square = dot(spin, spin)
+    a = motion.bias_linear + cross(spin, motion.linear)
+    A = skew(motion.bias_angular) + spin[:, None] * spin[None]
+    return a, A - square[None, None] * expand_dims_like(np.eye(3), A)
+
+
+class PointMotion(NamedTuple):
+    """Motion of a body's point of a pair at constant joint rates, ``(3, p, *n)``.
+
+    Attributes:
+        angular: velocity of the body, rad/s.
+        velocity: of the point, m/s.
+        acceleration: of the point, m/s^2.
+    """
+
+    angular: Array
+    velocity: Array
+    acceleration: Array
+
+
+def parting_acceleration(normal: Array, carried: Array, points: Iterable[PointMotion]) -> Array:
+    """Return the acceleration at which points part along their normals, m/s^2.
+
+    Args:
+        normal: from the first body to the second.
+        carried: fractions of the normal that turn with each body.
+        points: of the first body and of the second.
+    """
+    turning, both = jnp.zeros_like(normal), []
+    for fraction, point in zip(carried, points, strict=True):
+        turning = turning + fraction[None] * point.angular
+        both.append(point)
+    first, second = both
+    parting = second.velocity - first.velocity
+    # A normal that turns meets another part of what slides past it.
+    along = dot(normal, second.acceleration - first.acceleration)
+    return along - 2.0 * dot(cross(normal, turning), parting)
 
 
 def separations(pairs: Pairs, kin: Kinematics) -> Separation:

@@ -40,7 +40,7 @@ _OVERHANG = 0.1
 _NOWHERE = 1e4
 
 # The least distance (m) of a further point from the first, and as a share of the smaller body.
-SAME, _SAME_SHARE = 5e-3, 0.25
+SAME, _SAME_FRACTION = 5e-3, 0.25
 
 # Squared length (m^2) added where something is divided by it, and under a root.
 _FLOOR, _TINY = 1e-12, 1e-20
@@ -124,7 +124,7 @@ def _ends(
 
 def same(a: RoundedBoxes, b: RoundedBoxes) -> Array:
     """Distance from the first point below which a further one is the same, m."""
-    return jnp.minimum(SAME, _SAME_SHARE * smaller(a, b))
+    return jnp.minimum(SAME, _SAME_FRACTION * smaller(a, b))
 
 
 def smaller(a: RoundedBoxes, b: RoundedBoxes) -> Array:
@@ -147,24 +147,24 @@ def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separat
     The squared distance of the line's points from the box is convex, and quadratic from one plane
     of a face to the next.
     """
-    middle, way = (matvec_t(b.axes, x) for x in (a.centre - b.centre, a.axes[:, 0]))
+    middle, direction = (matvec_t(b.axes, x) for x in (a.centre - b.centre, a.axes[:, 0]))
     most, extent = a.half_extents[0] + 0 * middle[0], b.half_extents
 
     def nearest(s: Array) -> tuple[Array, Array]:
         """A point of the line, and the nearest one of the box."""
-        point = middle + s[None] * way
+        point = middle + s[None] * direction
         return point, jnp.clip(point, -extent, extent)
 
     def slope(s: Array) -> Array:
         point, inside = nearest(s)
-        return dot(point - inside, way)
+        return dot(point - inside, direction)
 
     # It falls up to where the slope, which is linear from one face's plane to the next, is 0.
     low, high = -most, most
     falls, rises = jnp.minimum(slope(low), 0.0), jnp.maximum(slope(high), 0.0)
-    level = jnp.abs(way) < _LEVEL
+    level = jnp.abs(direction) < _LEVEL
     for side in (-extent, extent):
-        crossing = (side - middle) / jnp.where(level, 1.0, way)
+        crossing = (side - middle) / jnp.where(level, 1.0, direction)
         crossing = jnp.clip(crossing, -most[None], most[None])
         for k in range(3):
             s, here = crossing[k], slope(crossing[k])
@@ -173,8 +173,8 @@ def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separat
             high, rises = jnp.where(upper, s, high), jnp.where(upper, here, rises)
     # In between it is flat where the line passes through the box.
     bends = rises - falls > _TINY
-    share = jnp.where(bends, -falls / jnp.where(bends, rises - falls, 1.0), 0.5)
-    s = low + (high - low) * share
+    fraction = jnp.where(bends, -falls / jnp.where(bends, rises - falls, 1.0), 0.5)
+    s = low + (high - low) * fraction
 
     def at(s: Array) -> Separation:
         point, inside = nearest(s)
@@ -183,21 +183,21 @@ def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separat
         # Out of the box the nearest face leads.
         face = jnp.where(beyond >= deepest[None], jnp.where(point < 0, 1.0, -1.0), 0.0)
         buried = (deepest < _ON_FACE)[None]
-        way = jnp.where(buried, face, inside - point)
-        length = jnp.sqrt(dot(way, way) + _TINY)
-        normal = matvec(b.axes, way / length[None])
+        direction = jnp.where(buried, face, inside - point)
+        length = jnp.sqrt(dot(direction, direction) + _TINY)
+        normal = matvec(b.axes, direction / length[None])
         inside = jnp.where(buried & (face != 0), -face * extent, inside)
         gap = jnp.where(deepest < _ON_FACE, deepest, length) - a.radius - b.radius
         first, second = (b.centre + matvec(b.axes, x) for x in (point, inside))
         first, second = first + a.radius[None] * normal, second - b.radius[None] * normal
         return Separation(gap, normal, first, second, jnp.zeros((2, *gap.shape), gap.dtype))
 
-    near, end = _ends_beside_box(s, middle, way, extent, most, a.radius + b.radius)
+    near, end = _ends_beside_box(s, middle, direction, extent, most, a.radius + b.radius)
     return [at(near), unless(jnp.abs(end - near) < same(a, b), at(end))]
 
 
 def _ends_beside_box(
-    near: Array, middle: Array, way: Array, extent: Array, most: Array, radius: Array
+    near: Array, middle: Array, direction: Array, extent: Array, most: Array, radius: Array
 ) -> tuple[Array, Array]:
     """The near end and the far end of what lies beside a face of a box, or in the box.
 
@@ -208,24 +208,24 @@ def _ends_beside_box(
     Args:
         near: where they are nearest, m from the middle of the line.
         middle: of the line, in the box's frame, m.
-        way: unit vector along the line there.
+        direction: unit vector along the line there.
         extent: of the box, to both sides, m.
         most: half of the line's length, m.
         radius: of both together, m.
     """
     # Where a line leaves a face the nearest point lies a little beyond its edge.
     margin = _ON_FACE + _OVERHANG * radius
-    outside = jnp.abs(middle + near[None] * way) > extent + margin[None]
-    level = jnp.abs(way) < _LEVEL
+    outside = jnp.abs(middle + near[None] * direction) > extent + margin[None]
+    level = jnp.abs(direction) < _LEVEL
     between = ~(outside | level)
-    steep = jnp.where(level, 1.0, way)
+    steep = jnp.where(level, 1.0, direction)
     planes = (-extent - middle) / steep, (extent - middle) / steep
     low = jnp.where(between, jnp.minimum(*planes), -most[None]).max(0)
     high = jnp.where(between, jnp.maximum(*planes), most[None]).min(0)
     # In spite of rounding it is never empty.
     low, high = (jnp.clip(low, -most, near), jnp.clip(high, near, most))
     lower = near - low < high - near
-    sine = 1.0 - jnp.where(outside, 0.0, way * way).max(0)
+    sine = 1.0 - jnp.where(outside, 0.0, direction * direction).max(0)
     bound = jnp.where(outside.sum(0) > 1, PARALLEL, _NEARLY_PARALLEL)
     near = jnp.where(sine < bound, jnp.where(lower, low, high), near)
     return near, jnp.where(lower, high, low)
@@ -246,9 +246,9 @@ def separation_of_rounded(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
         _, y = project(y)
         changed = y - last
     # Changes shrink by about the same share each time: to where they lead.
-    share = dot(before, changed) / jnp.maximum(dot(before, before), _FLOOR)
-    share = jnp.clip(share, 0.0, _SHRINKING)
-    y = y + (share / (1.0 - share))[None] * changed
+    fraction = dot(before, changed) / jnp.maximum(dot(before, before), _FLOOR)
+    fraction = jnp.clip(fraction, 0.0, _SHRINKING)
+    y = y + (fraction / (1.0 - fraction))[None] * changed
     x, _ = project(jnp.clip(y, -b.half_extents, b.half_extents))
     reach = (b.half_extents * jnp.abs(turn[0])).sum(0)
     parallel = 1.0 - turn[0, 0] * turn[0, 0]
@@ -265,13 +265,13 @@ def separation_of_rounded(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
 
 def _rounded(a: RoundedBoxes, b: RoundedBoxes, first: Array, second: Array) -> Separation:
     """Of the balls about the nearest points of two boxes."""
-    way, centres = second - first, b.centre - a.centre
-    square = dot(way, way)
+    direction, centres = second - first, b.centre - a.centre
+    square = dot(direction, direction)
     # Boxes that overlap part along the line of their centres.
     apart = square > _FLOOR
-    way = jnp.where(apart[None], way, centres)
+    direction = jnp.where(apart[None], direction, centres)
     length = jnp.sqrt(jnp.where(apart, square, dot(centres, centres) + _FLOOR))
-    normal = way / length[None]
+    normal = direction / length[None]
     gap = jnp.where(apart, length, 0.0) - a.radius - b.radius
     touching = first + a.radius[None] * normal, second - b.radius[None] * normal
     return Separation(gap, normal, *touching, jnp.zeros((2, *gap.shape), gap.dtype))

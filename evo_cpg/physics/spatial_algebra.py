@@ -25,7 +25,6 @@ from evo_cpg.spatial.linear import (
     matvec,
     matvec_t,
     skew,
-    t_matmul,
 )
 
 
@@ -34,6 +33,22 @@ class Motion(NamedTuple):
 
     angular: Float[Array, "3 *rest"]
     linear: Float[Array, "3 *rest"]
+
+
+class BodyMotion(NamedTuple):
+    """Velocities of bodies, with the accelerations that they have at constant joint rates.
+
+    Attributes:
+        angular: velocity, rad/s.
+        linear: velocity of the origin, m/s.
+        bias_angular: velocity-product acceleration, rad/s^2.
+        bias_linear: velocity-product acceleration of the origin, m/s^2.
+    """
+
+    angular: Float[Array, "3 *rest"]
+    linear: Float[Array, "3 *rest"]
+    bias_angular: Float[Array, "3 *rest"]
+    bias_linear: Float[Array, "3 *rest"]
 
 
 class Wrench(NamedTuple):
@@ -63,11 +78,6 @@ def make_inertia(
 ) -> Inertia:
     """An inertia of blocks that are symmetric up to rounding, or of which the upper half counts."""
     return Inertia(symmetric(angular), mixed, symmetric(linear))
-
-
-def turned(inertia: Inertia, axes: Float[Array, "3 k *rest"]) -> Wrench:
-    """``I S`` for motions S that turn about axes through the origin: k wrenches."""
-    return Wrench(matmul(inertia.angular, axes), t_matmul(inertia.mixed, axes))
 
 
 def motion_at_child(motion: Motion, offset: Float[Array, "3 *#rest"]) -> Motion:

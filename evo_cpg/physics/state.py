@@ -1,5 +1,8 @@
 """What the integrator carries from step to step."""
 
+import dataclasses
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -7,11 +10,15 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics import joints, root
 from evo_cpg.spatial.linear import array_of
 
 
 class State(eqx.Module):
-    """Pose and velocity of a free-floating tree; trailing axes are individuals.
+    """Pose and velocity of a tree; trailing axes are individuals.
+
+    The first three fields are of the root (`evo_cpg.physics.root`), the others of the joints
+    (`evo_cpg.physics.joints`).
 
     Attributes:
         position: of the root's centre in the world, m.
@@ -27,6 +34,54 @@ class State(eqx.Module):
     q: Float[Array, "d *n"]
     qd: Float[Array, "d *n"]
 
+    @property
+    def angular_velocity(self) -> Float[Array, "3 *n"]:
+        """Angular velocity of the root in the world, rad/s."""
+        return root.angular(self.velocity)
+
+    @property
+    def linear_velocity(self) -> Float[Array, "3 *n"]:
+        """Linear velocity of the root's centre in the world, m/s."""
+        return root.linear(self.velocity)
+
+    @property
+    def rates(self) -> Float[Array, "v *n"]:
+        """Velocities of the root and the joints as one generalized vector."""
+        return jnp.concatenate([self.velocity, self.qd])
+
+    def moved(self, h: float) -> "State":
+        """Return the pose after h seconds (negative: before) at these velocities, with them."""
+        return State(
+            *root.moved(self.position, self.orientation, self.velocity, h),
+            self.velocity,
+            joints.moved(self.q, self.qd, h),
+            self.qd,
+        )
+
+    def displaced(self, x: Float[Array, " v"]) -> "State":
+        """Return the pose with static coordinates about this one (`evo_cpg.physics.statics`)."""
+        return State(
+            *root.displaced(self.position, self.orientation, x),
+            self.velocity,
+            joints.displaced(self.q, root.joint_part(x)),
+            self.qd,
+        )
+
+
+def integrate(
+    state: State, acceleration: Float[Array, "6 *n"], qdd: Float[Array, "d *n"], h: float
+) -> State:
+    """Take a semi-implicit Euler step: new velocities first, and they move the positions.
+
+    Args:
+        state: at the start.
+        acceleration: of the root's velocity.
+        qdd: rad/s^2.
+        h: s.
+    """
+    velocity, qd = state.velocity + h * acceleration, state.qd + h * qdd
+    return dataclasses.replace(state, velocity=velocity, qd=qd).moved(h)
+
 
 def resting_state(
     tree: Tree,
@@ -34,7 +89,7 @@ def resting_state(
     dtype: jnp.dtype | type = jnp.float32,
     position: tuple[ArrayLike, ...] = (0.0, 0.0, 0.0),
     orientation: tuple[ArrayLike, ...] = (1.0, 0.0, 0.0, 0.0),
-    angles: tuple[ArrayLike, ...] | None = None,
+    angles: Sequence[ArrayLike] | Array | None = None,
 ) -> State:
     """A pose at rest, the neutral one unless told otherwise.
 
@@ -53,4 +108,5 @@ def resting_state(
 
     still = np.zeros(tree.dof_count)
     bent = still if angles is None else angles
-    return State(fill(position), fill(orientation), fill(np.zeros(6)), fill(bent), fill(still))
+    velocity = np.zeros(root.ROOT_DOFS)
+    return State(fill(position), fill(orientation), fill(velocity), fill(bent), fill(still))

@@ -1,8 +1,8 @@
 """The forces on a creature that holds still, and how they change with its pose.
 
-A pose near another one is told by small coordinates x = (d, r, a): the way d of the root's centre
-(m), its turn by the rotation vector r (rad), both in world axes, and the change a of the joint
-angles (rad). The generalised forces belong to them by virtual work,
+Small coordinates x = (d, r, a) describe a pose near another one: the displacement d of the root's
+centre (m), the rotation vector r of the root (rad), both in world axes, and the change a of the
+joint angles (rad). The generalised forces belong to them by virtual work,
 
     Q = (F, M, axis . M_outward + torque),
 
@@ -28,23 +28,24 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics import joints
 from evo_cpg.physics.contact import resting_stiffness
 from evo_cpg.physics.contact_points import contact_points
 from evo_cpg.physics.footing import Footing
-from evo_cpg.physics.joints import clamp_torque, limit_torque, passive_torque, servo_torque
+from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, passive_torque, servo_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.per_body import take
-from evo_cpg.physics.state import State
+from evo_cpg.physics.spatial_algebra import Wrench
+from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.weight import weight
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
-from evo_cpg.spatial.rotation import integrate_quaternion
 
 # A point that slides less far than this keeps the direction of its friction, m.
-_LEAST_WAY = 1e-12
+_LEAST_DISPLACEMENT = 1e-12
 
 
-class Grip(NamedTuple):
+class FrictionState(NamedTuple):
     """What friction remembers of every contact point.
 
     Attributes:
@@ -66,33 +67,22 @@ class Touch(NamedTuple):
     """What goes on at every contact point in a pose.
 
     Attributes:
-        point: of the body that is lowest there, as `Grip.point`.
+        point: of the body that is lowest there, as `FrictionState.point`.
         place: where that is, m.
         normal_force: N.
-        slip: as `Grip.slip`, there.
-        way: tangential way from the base, m.
+        slip: as `FrictionState.slip`, there.
+        displacement: tangential, from the base, m.
     """
 
     point: Float[Array, "3 p"]
     place: Float[Array, "3 p"]
     normal_force: Float[Array, " p"]
     slip: Float[Array, "3 p"]
-    way: Float[Array, "3 p"]
-
-
-def moved(base: State, x: Float[Array, " k"]) -> State:
-    """The pose with the coordinates x about another one."""
-    return State(
-        base.position + x[:3],
-        integrate_quaternion(base.orientation, x[3:6], 1.0),
-        base.velocity,
-        base.q + x[6:],
-        base.qd,
-    )
+    displacement: Float[Array, "3 p"]
 
 
 def static_forces(
-    world: World, h: float, base: State, grip: Grip, x: Float[Array, " k"]
+    world: World, h: float, base: State, friction: FrictionState, x: Float[Array, " k"]
 ) -> tuple[Float[Array, " k"], Touch]:
     """Generalised forces on a creature that holds still.
 
@@ -100,13 +90,13 @@ def static_forces(
         world: the creature and its surroundings; flowing water does not count.
         h: step of the simulation, which sets how far it sinks into the ground, s.
         base: the pose that x is counted from.
-        grip: what friction remembers at the base.
+        friction: what friction remembers at the base.
         x: coordinates of the pose, m and rad.
 
     Returns:
         Forces (N) and torques (N m), and what the ground does.
     """
-    tree, state = world.tree, moved(base, x)
+    tree, state = world.tree, base.displaced(x)
     kin = kinematics(tree, state)
     bodies = world.bodies(kin, h)
     wrench = weight(bodies)
@@ -115,21 +105,22 @@ def static_forces(
         if not law.of_water:
             wrench = wrench + law.wrench(still)
     moment, force = matvec(kin.rotation, wrench[:3]), matvec(kin.rotation, wrench[3:])
-    touch = Touch(*grip[:2], grip.held, grip.slip, grip.slip)
+    touch = Touch(*friction[:2], friction.held, friction.slip, friction.slip)
     if world.footing is not None:
-        force_on, touch = _ground(world.footing, h, kin, grip)
+        force_on, touch = _ground(world.footing, h, kin, friction)
         owner = np.array(world.footing.bodies)[:, None] == np.arange(tree.body_count)
         owner = owner.astype(float)
-        arm = touch.place - take(kin.origin, np.array(world.footing.bodies))
-        moment, force = moment + cross(arm, force_on) @ owner, force + force_on @ owner
+        offset = touch.place - take(kin.origin, np.array(world.footing.bodies))
+        moment, force = moment + cross(offset, force_on) @ owner, force + force_on @ owner
     # Moments about the world's origin add up over the bodies that a joint carries.
     about = moment + cross(kin.origin, force)
     carried = _carried(tree)
     joint = take(kin.origin, np.array(tree.dof_bodies, int))
-    on_joints = dot(kin.axes, about @ carried - cross(joint, force @ carried))
-    total, whole = force.sum(1), about.sum(1)
-    root = whole - cross(state.position, total)
-    return jnp.concatenate([total, root, on_joints + joint_torque(tree, state.q)]), touch
+    beyond = Wrench(about @ carried - cross(joint, force @ carried), force @ carried)
+    on_joints = joints.torque_on_each(kin.axes, beyond)
+    total, turning = force.sum(1), about.sum(1)
+    on_root = total, turning - cross(state.position, total)
+    return jnp.concatenate([*on_root, on_joints + joint_torque(tree, state.q)]), touch
 
 
 def _carried(tree: Tree) -> Float[np.ndarray, "b d"]:
@@ -140,41 +131,45 @@ def _carried(tree: Tree) -> Float[np.ndarray, "b d"]:
     return chains[:, list(tree.dof_bodies)]
 
 
-def next_grip(footing: Footing, h: float, grip: Grip, touch: Touch) -> Grip:
-    """What friction remembers after a way: Coulomb's law with static friction alone.
+def next_friction(
+    footing: Footing, h: float, friction: FrictionState, touch: Touch
+) -> FrictionState:
+    """Return the friction state after a displacement: Coulomb's law with static friction alone.
 
     A point that friction cannot hold slides, and one that turns back sticks again.
 
     Args:
         footing: what may touch.
         h: step of the simulation, s.
-        grip: before.
-        touch: what the ground does at the end of the way.
+        friction: before.
+        touch: what the ground does at its end.
     """
-    stiffness = expand_dims_like(resting_stiffness(footing, h), grip.held)
-    limit = expand_dims_like(footing.static_friction, grip.held) * touch.normal_force
+    stiffness = expand_dims_like(resting_stiffness(footing, h), friction.held)
+    limit = expand_dims_like(footing.static_friction, friction.held) * touch.normal_force
     pull = -stiffness[None] * touch.slip
     size = jnp.sqrt(dot(pull, pull))
-    sticks = grip.held > 0
+    sticks = friction.held > 0
     over = sticks & (size > limit)
-    back = ~sticks & (dot(touch.way, grip.drag) >= 0)
-    # Against the way, if there is any to speak of.
-    length = jnp.sqrt(dot(touch.way, touch.way))
-    onward = ~sticks & ~back & (length > _LEAST_WAY)
-    along = jnp.where(onward[None], -touch.way, jnp.where(sticks[None], pull, grip.drag))
+    back = ~sticks & (dot(touch.displacement, friction.drag) >= 0)
+    # Against the displacement, if it is large enough to have a direction.
+    length = jnp.sqrt(dot(touch.displacement, touch.displacement))
+    onward = ~sticks & ~back & (length > _LEAST_DISPLACEMENT)
+    along = jnp.where(
+        onward[None], -touch.displacement, jnp.where(sticks[None], pull, friction.drag)
+    )
     norm = jnp.sqrt(dot(along, along))
     drag = (limit / jnp.where(norm > 0, norm, 1.0))[None] * along
     held = ((sticks & ~over) | back) & (touch.normal_force > 0) | (touch.normal_force <= 0)
     slip = jnp.where((sticks & ~over)[None], touch.slip, -drag / stiffness[None])
     slip = jnp.where(touch.normal_force[None] > 0, slip, 0.0)
     drag = jnp.where(held[None], 0.0, drag)
-    return Grip(touch.point, touch.place, slip, held.astype(slip.dtype), drag)
+    return FrictionState(touch.point, touch.place, slip, held.astype(slip.dtype), drag)
 
 
 def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
     """Of springs, soft limits and motors that hold the neutral angle, at rest, N m."""
     zero = jnp.zeros_like(q)
-    state = State(jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(6), q, zero)
+    state = resting_state(tree, (), q.dtype, angles=q)
     motor = clamp_torque(tree, servo_torque(tree, state, zero, None, 0.0))
     return passive_torque(tree, state, 0.0)[0] + limit_torque(tree, q, zero, 0.0)[0] + motor
 
@@ -193,25 +188,26 @@ def radius_of_gyration(tree: Tree) -> float:
 
 
 def _ground(
-    footing: Footing, h: float, kin: Kinematics, grip: Grip
+    footing: Footing, h: float, kin: Kinematics, friction: FrictionState
 ) -> tuple[Float[Array, "3 p"], Touch]:
     """Force on every contact point, N, and what the ground does."""
     bodies = np.array(footing.bodies)
-    stiffness = expand_dims_like(resting_stiffness(footing, h), grip.held)
-    arm, _, gap, normal, *_ = contact_points(footing, kin)
-    point, place = _on_body(footing, kin, arm)
+    stiffness = expand_dims_like(resting_stiffness(footing, h), friction.held)
+    offset, _, gap, normal, *_ = contact_points(footing, kin)
+    point, place = _on_body(footing, kin, offset)
     normal_force = stiffness * jnp.maximum(-gap, 0.0)
-    way = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), grip.point) - grip.place
-    way = way - dot(way, normal)[None] * normal
-    slip = grip.slip + way
-    friction = jnp.where(grip.held[None] > 0, -stiffness[None] * slip, grip.drag)
-    push = normal_force[None] * normal + jnp.where(normal_force[None] > 0, friction, 0.0)
-    return push, Touch(point, place, normal_force, slip, way)
+    now = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), friction.point)
+    displacement = now - friction.place
+    displacement = displacement - dot(displacement, normal)[None] * normal
+    slip = friction.slip + displacement
+    tangential = jnp.where(friction.held[None] > 0, -stiffness[None] * slip, friction.drag)
+    push = normal_force[None] * normal + jnp.where(normal_force[None] > 0, tangential, 0.0)
+    return push, Touch(point, place, normal_force, slip, displacement)
 
 
 def _on_body(
-    footing: Footing, kin: Kinematics, arm: Float[Array, "3 p"]
+    footing: Footing, kin: Kinematics, offset: Float[Array, "3 p"]
 ) -> tuple[Float[Array, "3 p"], Float[Array, "3 p"]]:
-    """Points at the end of arms: in their body's axes, and in the world."""
+    """Return points in their body's axes, and in the world."""
     bodies = np.array(footing.bodies)
-    return matvec_t(take(kin.rotation, bodies, 2), arm), take(kin.origin, bodies) + arm
+    return matvec_t(take(kin.rotation, bodies, 2), offset), take(kin.origin, bodies) + offset

@@ -25,11 +25,10 @@ from evo_cpg.physics.equations import (
     solve_at_once,
     with_mean_products,
 )
-from evo_cpg.physics.joints import servo_slope
-from evo_cpg.physics.state import State
+from evo_cpg.physics.joint_torque import servo_slope
+from evo_cpg.physics.state import State, integrate
 from evo_cpg.physics.step_solver import coldstart, solve_step
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.rotation import integrate_quaternion
 
 
 class Effort(NamedTuple):
@@ -63,7 +62,7 @@ def step(
     h: float,
     target_angle: Float[Array, "d *n"] | None = None,
     warmstart: Warmstart | None = None,
-    grip: Float[Array, " *n"] | None = None,
+    friction_scale: Float[Array, " *n"] | None = None,
 ) -> tuple[State, Effort]:
     """Advance the world by ``h`` seconds.
 
@@ -75,36 +74,36 @@ def step(
         target_angle: for the motors' springs to pull to, rad; None for the neutral pose.
         warmstart: what the step before came to, with which fewer iterations are needed; None for a
             first step. What is found is the same but for the solver's tolerance.
-        grip: by which the world's friction, static and dynamic, is multiplied; None for 1.
+        friction_scale: factor of the world's friction, static and dynamic; None for 1.
     """
-    whole = functools.partial(_whole_step, world, h)
-    given = state, target_rate, target_angle, warmstart, grip
-    return fuse(whole, *given, batch_ndim=state.q.ndim - 1)
+    run = functools.partial(_step, world, h)
+    given = state, target_rate, target_angle, warmstart, friction_scale
+    return fuse(run, *given, batch_ndim=state.q.ndim - 1)
 
 
 def first_warmstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmstart | None:
     """For the first step of a trial; None where one solve is exact."""
-    return coldstart(world, batch, dtype) if searches(world) else None
+    return coldstart(world, batch, dtype) if needs_iteration(world) else None
 
 
-def searches(world: World) -> bool:
+def needs_iteration(world: World) -> bool:
     """Whether steps of a world need a search, because its laws have kinks."""
     contact = world.footing is not None or world.pairs is not None
     return contact or _can_overload(world.tree)
 
 
-def _whole_step(
+def _step(
     world: World,
     h: float,
     state: State,
     target_rate: Array,
     target_angle: Array | None,
     warmstart: Warmstart | None,
-    grip: Array | None,
+    friction_scale: Array | None,
 ) -> tuple[State, Effort]:
-    if grip is not None:
-        world = world.with_friction(grip)
-    if searches(world):
+    if friction_scale is not None:
+        world = world.with_friction(friction_scale)
+    if needs_iteration(world):
         found = solve_step(world, h, state, target_rate, target_angle, warmstart)
         return _finish(h, state, found)
     equations = prepare(world, h, state, target_rate, target_angle)
@@ -113,7 +112,9 @@ def _whole_step(
         equations = with_mean_products(world, h, equations, *first)
         # The same matrices: only the forces are another's.
         found = solve_at_once(world, h, equations)
-    motor = equations.wanted - h * servo_slope(world.tree, equations.wanted, h) * found.qdd
+    motor = (
+        equations.start_torque - h * servo_slope(world.tree, equations.start_torque, h) * found.qdd
+    )
     return _finish(h, state, StepSolution(found.root, found.qdd, motor))
 
 
@@ -138,17 +139,3 @@ def _can_overload(tree: Tree) -> bool:
         return bool((np.isfinite(tree.torque_limit) & (tree.torque_limit > 0)).any())
     driven = (gains[0] > 0) | (gains[1] > 0)
     return bool(np.isfinite(tree.torque_limit[driven]).any())
-
-
-def integrate(
-    state: State, root: Float[Array, "6 *n"], qdd: Float[Array, "d *n"], h: float
-) -> State:
-    """Semi-implicit Euler: new velocities first, and they move the positions."""
-    velocity, qd = state.velocity + h * root, state.qd + h * qdd
-    return State(
-        position=state.position + h * velocity[3:],
-        orientation=integrate_quaternion(state.orientation, velocity[:3], h),
-        velocity=velocity,
-        q=state.q + h * qd,
-        qd=qd,
-    )

@@ -42,28 +42,29 @@ from evo_cpg.physics.contact import (
     linearized_force,
 )
 from evo_cpg.physics.equations import Equations
-from evo_cpg.physics.generalized import (
-    ROOT_DOFS,
-    body_accelerations,
-    generalized_force,
-    mass_matrix,
-)
-from evo_cpg.physics.joints import clamp_torque, limit_torque, overloaded, servo_slope
+from evo_cpg.physics.generalized import body_accelerations, generalized_force, mass_matrix
+from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, overloaded, servo_slope
 from evo_cpg.physics.pair_contacts import PairForces
+from evo_cpg.physics.root import (
+    joint_part,
+    plus_joint_block,
+    plus_joint_diagonal,
+    plus_torque,
+)
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import dot, expand_dims_like, matvec, where_each
 from evo_cpg.spatial.numerics import Number, xp
 
-# Where there is neither weight nor load nor torque, this share of the other forces (drag, springs,
-# what spins need) stands for the forces that there are.
-_OTHERS = 1e-3
+# Fraction of the other forces (drag, springs, velocity products) that counts in the norm of all
+# forces. It matters if there is neither weight nor load nor torque.
+_OTHER_FORCES = 1e-3
 
-# Torques that differ by more than this share of the motor's limit are not the same.
-_OTHERWISE = 1e-3
+# Torques are the same if they differ by less than this fraction of the motor's limit.
+_SAME_TORQUE = 1e-3
 
 # Turn of a joint in a step (rad) beyond which the mass matrix at its start says little of its end.
-_WHIRL = 0.3
+_LARGEST_TURN = 0.3
 
 # Joint axes in a row beyond which equations are solved body by body. Measured in float32 on a chain
 # of boxes on the ground: with 10 joints a step misses the laws by less than 1e-3, with 20 by 1e-3
@@ -111,9 +112,9 @@ class StepProblem(NamedTuple):
     def of(cls, world: World, h: float, equations: Equations) -> "StepProblem":
         """That of a step."""
         tree, kin, bias = world.tree, equations.kin, equations.bias
-        mass = _plus_joint_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
+        mass = plus_joint_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
         force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
-        force = _plus_torque(force, equations.passive)
+        force = plus_torque(force, equations.passive)
         return cls(world, h, equations, mass, force)
 
     def with_restitution(self, restitution: Float[Array, "*n"]) -> "StepProblem":
@@ -135,7 +136,9 @@ class StepProblem(NamedTuple):
     def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
         """Of the contact points at the end of the step, contact frame, m/s; None without ground."""
         contacts = self.equations.contacts
-        return None if contacts is None else contacts.coasting + self.change_of_velocity(y)
+        if contacts is None:
+            return None
+        return contacts.unconstrained_velocity + self.change_of_velocity(y)
 
     def change_of_velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"]:
         """Of the contact points because of accelerations, m/s."""
@@ -157,11 +160,12 @@ class StepProblem(NamedTuple):
             qdd: joint accelerations, rad/s^2.
             velocity: of the contact points, m/s; None without ground.
         """
-        tree, state, wanted = self.world.tree, self.equations.state, self.equations.wanted
+        tree, equations = self.world.tree, self.equations
+        state, start_torque = equations.state, equations.start_torque
         commanded = self.commanded_torque(qdd)
         over = overloaded(tree, commanded)
-        torque = jnp.where(over, clamp_torque(tree, commanded), wanted)
-        slope = jnp.where(over, 0.0, servo_slope(tree, wanted, self.h))
+        torque = jnp.where(over, clamp_torque(tree, commanded), start_torque)
+        slope = jnp.where(over, 0.0, servo_slope(tree, start_torque, self.h))
         change = self.h * qdd
         stop, stop_slope = limit_torque(tree, state.q, state.qd + change, self.h)
         torque, slope = torque + stop + stop_slope * change, slope + stop_slope
@@ -197,12 +201,14 @@ class StepProblem(NamedTuple):
         if footing is not None and contacts is not None and linear.contact is not None:
             blocks = contact_inertia(footing, contacts, linear.contact, equations.inertia, h)
             matrix = matrix + mass_matrix(tree, equations.kin, blocks)
-            force = force + self._ground(linearized_force(linear.contact, contacts.coasting))
-        matrix = _plus_joint_diagonal(matrix, h * linear.slope)
+            force = force + self._ground(
+                linearized_force(linear.contact, contacts.unconstrained_velocity)
+            )
+        matrix = plus_joint_diagonal(matrix, h * linear.slope)
         if linear.pairs is not None:
             pushes, stiffening = linear.pairs.newton()
-            torque, matrix = torque + pushes, _plus_joints(matrix, stiffening)
-        return solve_symmetric(matrix, _plus_torque(force, torque))
+            torque, matrix = torque + pushes, plus_joint_block(matrix, stiffening)
+        return solve_symmetric(matrix, plus_torque(force, torque))
 
     def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
         """The accelerations without pairs, by the articulated-body algorithm."""
@@ -212,12 +218,12 @@ class StepProblem(NamedTuple):
         if footing is not None and contacts is not None and linear.contact is not None:
             blocks = contact_inertia(footing, contacts, linear.contact, inertia, h)
             inertia = jax.tree.map(jnp.add, inertia, blocks)
-            force = linearized_force(linear.contact, contacts.coasting)
+            force = linearized_force(linear.contact, contacts.unconstrained_velocity)
             wrench = contact_wrench(footing, contacts, force, bias)
             bias = jax.tree.map(jnp.subtract, bias, wrench)
         torque, slope = equations.passive + linear.torque, equations.derivative + h * linear.slope
         found = solve(self.world.tree, equations.kin, inertia, bias, torque, slope)
-        return jnp.concatenate([found.root, found.qdd])
+        return jnp.concatenate(found)
 
     def residual(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "*n"]:
         """What the forces at a motion miss the laws by, as a share of the forces that there are.
@@ -229,11 +235,11 @@ class StepProblem(NamedTuple):
             y: a motion.
             linear: the laws linearized there.
         """
-        law = _plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
+        law = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
         if linear.contact is not None:
             law = law + self._ground(linear.contact.force)
         if linear.pairs is not None:
-            law = _plus_torque(law, linear.pairs.torque)
+            law = plus_torque(law, linear.pairs.torque)
         missed = self._square(self.resistance(y) - law)
         return jnp.sqrt(missed / self.square_of_forces(y, linear))
 
@@ -245,9 +251,9 @@ class StepProblem(NamedTuple):
         The weight, or what ground and pairs carry if that is more, as if it lifted the whole
         creature; torques; and a thousandth of the forces that no law is about.
         """
-        torque = _plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
+        torque = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
         total = self.load(linear) ** 2 / self._total_mass() + self._square(torque)
-        return total + _OTHERS**2 * self._square(self.force)
+        return total + _OTHER_FORCES**2 * self._square(self.force)
 
     def resistance(self, y: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
         """What it takes of the laws to have the accelerations: M y less the other forces."""
@@ -255,7 +261,7 @@ class StepProblem(NamedTuple):
 
     def torque(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "d *n"]:
         """Of motors and limits of joints under linearized laws, N m."""
-        return linear.torque - self.h * linear.slope * y[ROOT_DOFS:]
+        return linear.torque - self.h * linear.slope * joint_part(y)
 
     def coulomb_error(
         self,
@@ -295,20 +301,22 @@ class StepProblem(NamedTuple):
             return self.force[:0]
         return cone_radius(footing, contacts, velocity, self.h)
 
-    def injects_energy(self, y: Float[Array, "v *n"], linear: Linearization) -> Bool[Array, "*n"]:
-        """Return where bouncing contacts do positive work on the creature.
+    def must_reduce_restitution(
+        self, y: Float[Array, "v *n"], linear: Linearization
+    ) -> Bool[Array, "*n"]:
+        """Return where bouncing contacts do positive work on the creature, or a limb whirls.
 
         The work is that of the mean of the velocities before and after the step. Lifting points
-        out of the ground does not count. A limb that whirls counts as if it gained energy, because
-        the mass matrix at the start of the step says little of its end.
+        out of the ground does not count. A whirling limb turns by more than `_LARGEST_TURN` in the
+        step: the mass matrix at its start is wrong at its end.
         """
         contacts, state = self.equations.contacts, self.equations.state
         if contacts is None or linear.contact is None:
             return jnp.zeros(linear.torque.shape[1:], bool)
         force = linear.contact.force
-        mean = jnp.concatenate([state.velocity, state.qd]) + 0.5 * self.h * y
+        mean = state.rates + 0.5 * self.h * y
         power = dot(mean, self._ground(force)) - lifting_power(contacts, force)
-        whirls = (self.h * jnp.abs(state.qd + self.h * y[ROOT_DOFS:]) > _WHIRL).any(0)
+        whirls = (self.h * jnp.abs(state.qd + self.h * joint_part(y)) > _LARGEST_TURN).any(0)
         return ((power > 0) | whirls) & (contacts.bounce > 0).any(0)
 
     def touches(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
@@ -316,9 +324,9 @@ class StepProblem(NamedTuple):
         contacts, pairs, velocity = self.equations.contacts, self.equations.pairs, self.velocity(y)
         found = jnp.zeros(y.shape[1:], bool)
         if contacts is not None and velocity is not None:
-            found = found | (contacts.wanted > velocity[2]).any(0)
+            found = found | (contacts.target_velocity > velocity[2]).any(0)
         if pairs is not None:
-            found = found | pairs.touches(y[ROOT_DOFS:])
+            found = found | pairs.touches(joint_part(y))
         return found
 
     def changes_overload(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
@@ -326,20 +334,17 @@ class StepProblem(NamedTuple):
 
         `step_solver.free_motion` holds motors at their limits, so it gives them wrong torques.
         """
-        tree, without, commanded = (
-            self.world.tree,
-            self.equations.wanted,
-            self.commanded_torque(y[ROOT_DOFS:]),
-        )
+        tree, without = self.world.tree, self.equations.start_torque
+        commanded = self.commanded_torque(joint_part(y))
         given = clamp_torque(tree, commanded)
         stays = jnp.where(overloaded(tree, without), clamp_torque(tree, without), commanded)
-        least = _OTHERWISE * expand_dims_like(tree.torque_limit, given) + _NONE
+        least = _SAME_TORQUE * expand_dims_like(tree.torque_limit, given) + _NONE
         return (jnp.abs(given - stays) > least).any(0)
 
     def commanded_torque(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Return the torques that the servos command at the end of the step, N m."""
-        wanted = self.equations.wanted
-        return wanted - self.h * servo_slope(self.world.tree, wanted, self.h) * qdd
+        start_torque = self.equations.start_torque
+        return start_torque - self.h * servo_slope(self.world.tree, start_torque, self.h) * qdd
 
     @property
     def pair_bias(self) -> Float[Array, "k *n"]:
@@ -382,16 +387,3 @@ def _is_long(tree: Tree) -> bool:
         if parent >= 0:
             depth[body] = depth[parent] + axes[body]
     return bool(depth.max() > _LONGEST_ELIMINATED)
-
-
-def _plus_torque(force: Float[Array, "v *n"], torque: Float[Array, "d *n"]) -> Array:
-    return force.at[ROOT_DOFS:].add(torque)
-
-
-def _plus_joints(matrix: Float[Array, "v v *n"], block: Float[Array, "d d *n"]) -> Array:
-    return matrix.at[ROOT_DOFS:, ROOT_DOFS:].add(block)
-
-
-def _plus_joint_diagonal(matrix: Float[Array, "v v *n"], diagonal: Float[Array, "d *#n"]) -> Array:
-    joints = np.arange(ROOT_DOFS, len(matrix))
-    return matrix.at[joints, joints].add(diagonal)

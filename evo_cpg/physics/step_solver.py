@@ -45,10 +45,10 @@ from evo_cpg.physics.equations import (
     prepare,
     with_mean_products,
 )
-from evo_cpg.physics.generalized import ROOT_DOFS
-from evo_cpg.physics.joints import clamp_torque
+from evo_cpg.physics.joint_torque import clamp_torque
 from evo_cpg.physics.newton import damped_step, full_step, tolerances
 from evo_cpg.physics.outer_updates import Cone, PairBias, reduced
+from evo_cpg.physics.root import joint_part, root_part
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step_problem import StepProblem
 from evo_cpg.physics.world import World
@@ -155,13 +155,11 @@ def solve_step(
 def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
     """Return the accelerations without contact.
 
-    Motors that exceed their torque limit at zero acceleration stay at that limit.
-
-
-    They say little where something is touched or a motor leaves its limit: a light limb turns at
-    1000 rad/s under a torque that its motor stops giving at 50.
+    Motors that exceed their torque limit at zero acceleration stay at that limit. So the result is
+    wrong if something is touched, or if a motor leaves its limit: a light limb reaches 1000 rad/s
+    under a torque that its motor stops giving at 50.
     """
-    still = jnp.zeros_like(problem.force[ROOT_DOFS:])
+    still = jnp.zeros_like(joint_part(problem.force))
     linear = problem.linearized(problem.force[:0], still, None)
     return problem.motion(linear._replace(pairs=None))
 
@@ -184,12 +182,12 @@ def _with_velocity_products(
     """Return the problem of a step.
 
     Its velocity products are the mean of start and end of the free motion. Individuals whose free
-    motion says little keep those of the start.
+    motion is wrong (`free_motion`) keep those of the start.
     """
     equations = prepare(world, h, state, target_rate, target_angle)
     problem = StepProblem.of(world, h, equations)
     free = free_motion(problem)
-    later = with_mean_products(world, h, equations, free[:ROOT_DOFS], free[ROOT_DOFS:])
+    later = with_mean_products(world, h, equations, root_part(free), joint_part(free))
     unlike = problem.touches(free) | problem.changes_overload(free)
     bias = where_each(unlike, equations.bias, later.bias)
     return StepProblem.of(world, h, equations._replace(bias=bias))
@@ -228,9 +226,9 @@ def _solve(
     begin = _updated(start, begin, first, start.velocity(first))
 
     def advance(search: _Search) -> _Search:
-        now = problem.with_restitution(search.restitution).with_pair_bias(search.bias.value)
-        y, velocity = damped_step(now, search.cone.radius, search.y)
-        return _updated(now, search._replace(iterations=search.iterations + 1), y, velocity)
+        current = problem.with_restitution(search.restitution).with_pair_bias(search.bias.value)
+        y, velocity = damped_step(current, search.cone.radius, search.y)
+        return _updated(current, search._replace(iterations=search.iterations + 1), y, velocity)
 
     end = while_each(lambda search: ~search.done, advance, begin)
     cones = [end.visited.cones[0]]
@@ -243,7 +241,7 @@ def _solve(
 
 
 def _updated(
-    now: StepProblem,
+    problem: StepProblem,
     search: _Search,
     y: Float[Array, "v *n"],
     velocity: Float[Array, "3 p *n"] | None,
@@ -251,37 +249,37 @@ def _updated(
     """Return the search with a new iterate, after the first outer update that it needs.
 
     Args:
-        now: the problem with the restitution and the pair bias of the search.
+        problem: with the restitution and the pair bias of the search.
         search: before.
         y: the new iterate.
         velocity: of the contact points in it, m/s.
     """
-    rounds, biases, qdd = _cone_rounds(now), _pair_biases(now), y[ROOT_DOFS:]
+    rounds, biases, qdd = _cone_rounds(problem), _pair_biases(problem), joint_part(y)
     cone, bias = search.cone, search.bias
-    linear = now.linearized(cone.radius, qdd, velocity)
+    linear = problem.linearized(cone.radius, qdd, velocity)
 
     # Solved?
     tolerance, rough = tolerances(y)
-    residual = now.residual(y, linear)
+    residual = problem.residual(y, linear)
     last_round = cone.rounds + 1 >= rounds
     solved = residual <= jnp.where(last_round, tolerance, rough)
 
     # Friction cone: float32 stops early once Coulomb's law holds.
-    allowed = now.cone_radius(velocity)
-    coulomb = now.coulomb_error(cone.radius, allowed, velocity, linear) <= _COULOMB
+    allowed = problem.cone_radius(velocity)
+    coulomb = problem.coulomb_error(cone.radius, allowed, velocity, linear) <= _COULOMB
     early = (y.dtype != jnp.float64) & coulomb & (residual <= tolerance)
     cone_done = (solved & last_round) | early
     change_cone = solved & ~cone_done
 
     # Restitution.
-    injects = now.injects_energy(y, linear) & (search.restitution > 0)
-    reduce_restitution = cone_done & injects
+    bounces = problem.must_reduce_restitution(y, linear) & (search.restitution > 0)
+    reduce_restitution = cone_done & bounces
 
     # Pair bias.
-    finished, change_bias, new_bias = cone_done & ~injects, jnp.zeros(injects.shape, bool), None
+    finished, change_bias, new_bias = cone_done & ~bounces, jnp.zeros(bounces.shape, bool), None
     if biases > 1:
-        new_bias = now.pair_bias_at(qdd)
-        change_bias = finished & (bias.updates + 1 < biases) & now.drifts(qdd, new_bias)
+        new_bias = problem.pair_bias_at(qdd)
+        change_bias = finished & (bias.updates + 1 < biases) & problem.drifts(qdd, new_bias)
 
     return _Search(
         y=y,
@@ -321,7 +319,7 @@ def _replay(problem: StepProblem, radius: Float[Array, "p *n"], notes: _Notes) -
         y = full_step(end if k == len(further) else start, cone.radius, point)
     bias = problem.pair_bias
     for k, point in enumerate(notes.visited.biases, 1):
-        new = problem.pair_bias_at(y[ROOT_DOFS:])
+        new = problem.pair_bias_at(joint_part(y))
         there = full_step(end.with_pair_bias(new), cone.radius, point)
         y, bias = where_each(notes.bias_updates >= k, (there, new), (y, bias))
     return _Answer(y, cone.radius, notes.restitution, bias)
@@ -331,7 +329,7 @@ def _solution(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
 ) -> StepSolution:
     """Return accelerations with the forces that the laws give at them."""
-    qdd, velocity = y[ROOT_DOFS:], problem.velocity(y)
+    qdd, velocity = joint_part(y), problem.velocity(y)
     linear, allowed = problem.linearized(radius, qdd, velocity), problem.cone_radius(velocity)
     contacts, forces = problem.equations.contacts, None
     if contacts is not None and linear.contact is not None:
@@ -343,4 +341,4 @@ def _solution(
     push = None if linear.pairs is None else linear.pairs.force
     warmstart = Warmstart(qdd, velocity, allowed)
     residual = Residual(solved, solved + friction)
-    return StepSolution(y[:ROOT_DOFS], qdd, motor, forces, push, residual, warmstart)
+    return StepSolution(root_part(y), qdd, motor, forces, push, residual, warmstart)

@@ -98,10 +98,12 @@ def moved(parts: Moving, time: Float[Array, "p *n"]) -> Moving:
         across = cross(w, x)
         return once[None] * across + twice[None] * cross(w, across)
 
-    at, way = parts.at, time[None] * parts.linear
+    at, displacement = parts.at, time[None] * parts.linear
     axes = jnp.stack([at.axes[:, k] + turn(at.axes[:, k]) for k in range(3)], 1)
-    centre = at.centre + (way + turn(at.centre - parts.origin))
-    return parts._replace(at=at._replace(centre=centre, axes=axes), origin=parts.origin + way)
+    centre = at.centre + (displacement + turn(at.centre - parts.origin))
+    return parts._replace(
+        at=at._replace(centre=centre, axes=axes), origin=parts.origin + displacement
+    )
 
 
 def times_of_contact(
@@ -128,8 +130,8 @@ def times_of_contact(
     size = _reach(parts, outline)
     least = fast_from(margin, size + parts.at.radius)
     # A ball that turns about its centre stays where it is.
-    arm = parts.at.centre - parts.origin
-    speed = _length(parts.linear + cross(parts.angular, arm)) + size * _length(parts.angular)
+    offset = parts.at.centre - parts.origin
+    speed = _length(parts.linear + cross(parts.angular, offset)) + size * _length(parts.angular)
     none = jnp.zeros((len(obstacles.radius), *speed.shape), speed.dtype)
     going = none + (h * speed > least).astype(speed.dtype)[None]
 
@@ -237,10 +239,13 @@ def _apart_along(
     to = obstacle.axes
     first = _within(obstacle, parts.centre)
     own = _within(parts, first)
-    way = own - _within(obstacle, own)
+    displacement = own - _within(obstacle, own)
     away = parts.centre - obstacle.centre
     along = matvec_t(to, away)
-    directions = [way, *(jnp.where(along[k] < 0, -1.0, 1.0)[None] * to[:, k] for k in range(3))]
+    directions = [
+        displacement,
+        *(jnp.where(along[k] < 0, -1.0, 1.0)[None] * to[:, k] for k in range(3)),
+    ]
     if outline.ellipsoids:
         square = parts.half_extents * parts.half_extents
         bent = matvec(parts.axes, matvec_t(parts.axes, first - parts.centre) / square)

@@ -165,9 +165,13 @@ class Block(Part):
         length = jnp.sqrt(dot(outside, outside) + _FLOOR)
         # Inside, the nearest face leads out.
         face = jnp.where(beyond >= deepest[None], 1.0, 0.0)
-        way = jnp.where((deepest > 0)[None], outside / length[None], face)
-        way = way / jnp.sqrt(dot(way, way) + _FLOOR)[None] * jnp.where(own < 0, -1.0, 1.0)
-        normal = jnp.stack([c * way[0] - s * way[1], s * way[0] + c * way[1], way[2]])
+        outward = jnp.where((deepest > 0)[None], outside / length[None], face)
+        outward = (
+            outward / jnp.sqrt(dot(outward, outward) + _FLOOR)[None] * jnp.where(own < 0, -1.0, 1.0)
+        )
+        normal = jnp.stack(
+            [c * outward[0] - s * outward[1], s * outward[0] + c * outward[1], outward[2]]
+        )
         return jnp.where(deepest > 0, length, deepest), normal
 
 

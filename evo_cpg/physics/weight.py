@@ -29,5 +29,5 @@ def buoyancy_alone(bodies: Bodies) -> Float[Array, "6 b *n"]:
     """Return the wrench of buoyancy on every body, in body axes."""
     up = bodies.up
     pull = expand_dims_like(bodies.tree.mass * bodies.gravity, up[0])[None] * up
-    arm = expand_dims_like(bodies.tree.com, up)
-    return weight(bodies) + jnp.concatenate([cross(arm, pull), pull])
+    offset = expand_dims_like(bodies.tree.com, up)
+    return weight(bodies) + jnp.concatenate([cross(offset, pull), pull])

@@ -75,8 +75,8 @@ class Backward(NamedTuple):
         # The least memory for the states between segments and for one segment together.
         length = max(1, math.isqrt(steps * _bytes(jax.tree.leaves(carry)) // kept))
         count, rest = divmod(steps, length)
-        whole = jax.checkpoint(segment(length), prevent_cse=False)
-        carry, _ = jax.lax.scan(whole, carry, length * jnp.arange(count))
+        whole_segment = jax.checkpoint(segment(length), prevent_cse=False)
+        carry, _ = jax.lax.scan(whole_segment, carry, length * jnp.arange(count))
         return segment(rest)(carry, count * length)[0] if rest else carry
 
     def forget(self, state: State, nerves: Any) -> tuple[State, Any]:
@@ -137,9 +137,9 @@ def _faded(x: Array, factor: Array) -> Array:
 
 @_faded.defjvp
 def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
-    (x, factor), (slope, _) = primals, tangents
+    (x, factor), (gradient, _) = primals, tangents
     rows = (1,) * (x.ndim - factor.ndim)
-    return x, factor.reshape(*rows, *factor.shape) * slope
+    return x, factor.reshape(*rows, *factor.shape) * gradient
 
 
 @jax.custom_vjp
@@ -155,17 +155,17 @@ def _cut_forward(state: State) -> tuple[State, None]:
     return state, None
 
 
-def _cut_backward(_: None, slope: State) -> tuple[State]:
-    place, height = slope.position[:2], slope.position[2:]
-    moving = {name: getattr(slope, name) for name in _FADING}
+def _cut_backward(_: None, gradient: State) -> tuple[State]:
+    place, height = gradient.position[:2], gradient.position[2:]
+    moving = {name: getattr(gradient, name) for name in _FADING}
     size = jnp.sqrt(sum((x * x).sum(0) for x in (height, *moving.values())))
     said = jnp.sqrt((place * place).sum(0))
     most = jnp.where(said > 0, _STEEPEST * said, jnp.inf)
-    share = jnp.minimum(1.0, most / jnp.maximum(size, jnp.finfo(size.dtype).tiny))
-    share = jnp.where(jnp.isfinite(size), share, 0.0)
+    fraction = jnp.minimum(1.0, most / jnp.maximum(size, jnp.finfo(size.dtype).tiny))
+    fraction = jnp.where(jnp.isfinite(size), fraction, 0.0)
 
     def shrink(x: Array) -> Array:
-        return jnp.where(share[None] > 0, share[None] * x, 0.0)
+        return jnp.where(fraction[None] > 0, fraction[None] * x, 0.0)
 
     place = jnp.where(jnp.isfinite(place), place, 0.0)
     cut = {name: shrink(x) for name, x in moving.items()}

@@ -11,13 +11,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Array, Float, Int
 
-from evo_cpg.simulation.backward import Backward
-from evo_cpg.simulation.judge import Outcome
-from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.numerics import is_number
 from evo_cpg.spatial.partly import PartlyTraced
@@ -65,14 +61,14 @@ class BatchedSimulation(NamedTuple):
     """Simulations that differ in some numbers, one for each individual.
 
     Attributes:
-        common: what they have in common, a simulation of the same plan.
+        common: a simulation of the same plan, with the numbers in which all agree.
         inputs: the numbers in which they differ.
-        values: of these numbers, leaf by leaf, with the individuals on the last axis.
+        values: values of these numbers, leaf by leaf, with the individuals on the last axis.
     """
 
     common: Simulation
     inputs: Inputs
-    values: tuple[Float[np.ndarray, "_ n"], ...]
+    values: Sequence[Float[np.ndarray | Array, "_ n"]]
 
     def __getitem__(self, individual: int) -> Simulation:
         """The simulation of one individual, all of its numbers known."""
@@ -80,9 +76,9 @@ class BatchedSimulation(NamedTuple):
         leaves, structure = jax.tree.flatten(self.common)
         parts = zip(self.inputs.places, self.inputs.elements, own, strict=True)
         for place, elements, value in parts:
-            whole = np.array(leaves[place], float, order="C")
-            whole.reshape(-1)[elements] = value
-            leaves[place] = whole if whole.ndim else float(whole)
+            array = np.array(leaves[place], float, order="C")
+            array.reshape(-1)[elements] = value
+            leaves[place] = array if array.ndim else float(array)
         return jax.tree.unflatten(structure, leaves)
 
     @property
@@ -134,34 +130,6 @@ def batch(
             raise ValueError(f"{names[place]} differs, and is no input of the program")
     values = zip(*(inputs.of(simulation) for simulation in simulations), strict=True)
     return BatchedSimulation(every[0], inputs, tuple(np.stack(each, axis=-1) for each in values))
-
-
-def rollout_batched(
-    common: Simulation,
-    inputs: Inputs,
-    values: Sequence[Float[Array, "_ n"]],
-    genes: Float[Array, "g n"],
-    keys: UInt32[Array, "w n"] | None = None,
-    trial: Int[Array, " n"] | None = None,
-    backward: Backward | None = None,
-) -> Outcome:
-    """`rollout` of every individual in a simulation of its own.
-
-    Args:
-        common: see `BatchedSimulation`.
-        inputs: likewise.
-        values: likewise; they are taken in the precision of the genes.
-        genes: one genome per individual.
-        keys: see `rollout`.
-        trial: see `rollout`.
-        backward: see `rollout`.
-    """
-
-    def one(values: list[Array], genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
-        return rollout(inputs.put(common, values), genes, keys, trial, backward=backward)
-
-    own = [jnp.asarray(value, genes.dtype) for value in values]
-    return jax.vmap(one, in_axes=-1, out_axes=-1)(own, genes, keys, trial)
 
 
 def _differs(each: np.ndarray) -> np.ndarray | np.bool_:

@@ -17,8 +17,8 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, first_warmstart, step
 from evo_cpg.simulation.genome import Phenotype
-from evo_cpg.simulation.noise import disturb_motion, disturb_start, grip_of
-from evo_cpg.simulation.sensors import fathom, feel, see
+from evo_cpg.simulation.noise import disturb_motion, disturb_start, friction_scale_of
+from evo_cpg.simulation.sensors import depth_readings, light_readings, pressure_readings
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import light_places, starting_state
 from evo_cpg.simulation.snapshot import Forces, Snapshot
@@ -26,15 +26,15 @@ from evo_cpg.simulation.task import Transition
 from evo_cpg.spatial.linear import expand_dims_like
 
 
-class Animal(NamedTuple):
-    """What goes on from one control step to the next.
+class AnimalState(NamedTuple):
+    """State that a control step takes and returns.
 
     Attributes:
-        state: of the body.
-        nerves: of the controller.
-        pressure: what the skin felt last.
-        forces: of the last control step; None unless a sensor may ask for them.
-        warmstart: of the physics; None where a step needs none.
+        state: state of the body.
+        nerves: state of the controller.
+        pressure: latest readings of the pressure sensors.
+        forces: forces of the last control step; None if no sensor reads them.
+        warmstart: warm start of the physics; None if a step needs none.
     """
 
     state: State
@@ -44,31 +44,31 @@ class Animal(NamedTuple):
     warmstart: Warmstart | None = None
 
 
-class Life(NamedTuple):
-    """What stays the same throughout a trial.
+class EpisodeConstants(NamedTuple):
+    """Constants of a trial.
 
     Attributes:
-        phenotype: what the genes became.
-        keys: of the trial's noise.
-        light: where it is for each individual; None where it is the same for all.
-        common_light: where it is for all; None where each has its own, or there is none.
-        grip: by which the ground's friction is multiplied; None for 1.
+        phenotype: decoded genes.
+        keys: random keys of the noise.
+        light: place of the light for each individual; None if it is the same for all.
+        common_light: place of the light for all; None if there is none, or each has its own.
+        friction_scale: factor on the ground's friction; None for 1.
     """
 
     phenotype: Phenotype
     keys: Array | None
     light: Array | None
     common_light: np.ndarray | Array | None
-    grip: Array | None = None
+    friction_scale: Array | None = None
 
 
 class PhysicsStep(NamedTuple):
-    """What happened in a physics step.
+    """Result of a physics step.
 
     Attributes:
         before: the body at its beginning.
         after: the body at its end.
-        effort: of motors and ground.
+        effort: effort of motors and ground.
     """
 
     before: State
@@ -77,17 +77,17 @@ class PhysicsStep(NamedTuple):
 
 
 class Effects(NamedTuple):
-    """What happened in a control step; see `Transition`.
+    """Result of a control step; see `Transition`.
 
     Attributes:
         before: the body at its beginning.
         after: the body at its end.
-        observation: of the controller.
-        command: of the controller.
-        forces: of motors and ground.
-        energy: spent by all motors, J.
-        airborne: share of the time off the ground.
-        residual: of the physics, the largest of its steps; None where one solve is exact.
+        observation: what the controller sensed.
+        command: what the controller commanded.
+        forces: forces of motors and ground.
+        energy: energy spent by all motors, J.
+        airborne: fraction of the time off the ground.
+        residual: largest residual of the physics steps; None where one solve is exact.
         physics: every physics step, stacked; None unless an observer needs them.
     """
 
@@ -102,34 +102,36 @@ class Effects(NamedTuple):
     physics: PhysicsStep | None = None
 
 
-def begin_life(
+def begin_episode(
     simulation: Simulation, genes: Array, keys: Array | None, trial: Array | None
-) -> tuple[Life, Animal]:
-    """The trials as they begin."""
+) -> tuple[EpisodeConstants, AnimalState]:
+    """Return the constants of the trials, and the animals at their start."""
     ndim, own = genes.ndim - 1, trial is not None
 
     def begin(genes: Array, keys: Array | None, trial: Array | None) -> tuple:
         light = light_places(simulation.lights, trial, genes.dtype) if own else None
-        animal = starting_animal(simulation, keys, trial, genes.shape[1:], genes.dtype)
-        grip = grip_of(simulation.noise, keys)
-        return simulation.genome.decode(genes), light, grip, animal
+        animal = initial_animal(simulation, keys, trial, genes.shape[1:], genes.dtype)
+        friction_scale = friction_scale_of(simulation.noise, keys)
+        return simulation.genome.decode(genes), light, friction_scale, animal
 
     name = f"{type(simulation.controller).__name__}.decode"
-    phenotype, light, grip, animal = fuse(begin, genes, keys, trial, batch_ndim=ndim, name=name)
+    phenotype, light, friction_scale, animal = fuse(
+        begin, genes, keys, trial, batch_ndim=ndim, name=name
+    )
     common = None if own else light_places(simulation.lights, None, genes.dtype)
-    return Life(phenotype, keys, light, common, grip), animal
+    return EpisodeConstants(phenotype, keys, light, common, friction_scale), animal
 
 
-def starting_animal(
+def initial_animal(
     simulation: Simulation,
     keys: Array | None,
     trial: Array | None,
     batch: tuple[int, ...],
     dtype: jnp.dtype,
-) -> Animal:
-    """Bodies at their start, nerves at rest."""
+) -> AnimalState:
+    """Return bodies at their start, with controllers at rest."""
     rest = starting_state(simulation.situations, trial, simulation.world.tree, batch, dtype)
-    return Animal(
+    return AnimalState(
         disturb_start(simulation.noise, simulation.world, rest, keys),
         simulation.controller.initial_state(batch, dtype),
         jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
@@ -139,20 +141,24 @@ def starting_animal(
 
 
 def control_step(
-    simulation: Simulation, life: Life, animal: Animal, index: Array, physics: bool = False
-) -> tuple[Animal, Effects]:
+    simulation: Simulation,
+    constants: EpisodeConstants,
+    animal: AnimalState,
+    index: Array,
+    physics: bool = False,
+) -> tuple[AnimalState, Effects]:
     """Push, sense, command, and move for one control step.
 
     Args:
         simulation: the trial.
-        life: what stays the same throughout it.
-        animal: at the beginning of the step.
+        constants: constants of the trial.
+        animal: the animal at the beginning of the step.
         index: number of the step, from 0.
-        physics: with `Effects.physics`; the physics steps are then programs of their own.
+        physics: whether to return `Effects.physics`; physics steps are then separate programs.
     """
 
-    def whole(own: Life, animal: Animal):
-        own = own._replace(common_light=life.common_light)
+    def advance(own: EpisodeConstants, animal: AnimalState):
+        own = own._replace(common_light=constants.common_light)
         animal = push(simulation, own, animal, index)
         observation = sense(simulation, own, animal)
         nerves, command = act(simulation, own, animal, observation)
@@ -160,14 +166,16 @@ def control_step(
         return move(simulation, own, animal, observation, command, physics)
 
     if physics:
-        return whole(life, animal)
+        return advance(constants, animal)
     ndim = animal.state.position.ndim - 1
-    given = life._replace(common_light=None), animal
-    return fuse(whole, *given, batch_ndim=ndim, name="a control step")
+    given = constants._replace(common_light=None), animal
+    return fuse(advance, *given, batch_ndim=ndim, name="a control step")
 
 
-def push(simulation: Simulation, life: Life, animal: Animal, index: Array) -> Animal:
-    """The animal after the noise of one control step."""
+def push(
+    simulation: Simulation, constants: EpisodeConstants, animal: AnimalState, index: Array
+) -> AnimalState:
+    """Return the animal after the noise of one control step."""
     duration = 1.0 / simulation.control_rate
 
     def disturb(state: State, keys: Array | None) -> State:
@@ -175,62 +183,69 @@ def push(simulation: Simulation, life: Life, animal: Animal, index: Array) -> An
 
     ndim = animal.state.position.ndim - 1
     return animal._replace(
-        state=fuse(disturb, animal.state, life.keys, batch_ndim=ndim, name="noise")
+        state=fuse(disturb, animal.state, constants.keys, batch_ndim=ndim, name="noise")
     )
 
 
-def sense(simulation: Simulation, life: Life, animal: Animal) -> Observation:
-    """What the controller gets to know."""
+def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalState) -> Observation:
+    """Return the observation of the controller."""
     world, state = simulation.world, animal.state
 
-    def look(state: State, light: Array | None) -> tuple[Array, Array, Array, Array]:
+    def read_built_in(state: State, light: Array | None) -> tuple[Array, Array, Array, Array]:
         kin = kinematics(world.tree, state)
-        place = _light_of(life, light, state.position)
-        return *see(simulation.sensors, kin, place), fathom(simulation.sensors, world, kin)
+        place = _light_of(constants, light, state.position)
+        return *light_readings(simulation.sensors, kin, place), depth_readings(
+            simulation.sensors, world, kin
+        )
 
     def read(state: State, forces: Forces, light: Array | None) -> Array:
-        snapshot = snapshot_of(simulation, life._replace(light=light), state)
+        snapshot = snapshot_of(simulation, constants._replace(light=light), state)
         return jnp.concatenate([one.sense(snapshot, forces) for one in simulation.extra_sensors])
 
     ndim = state.position.ndim - 1
-    strength, cosine, sine, depth = fuse(look, state, life.light, batch_ndim=ndim, name="sensors")
+    strength, cosine, sine, depth = fuse(
+        read_built_in, state, constants.light, batch_ndim=ndim, name="sensors"
+    )
     custom = None
     if simulation.extra_sensors:
         names = ", ".join(f"{type(one).__name__}.sense" for one in simulation.extra_sensors)
-        custom = fuse(read, state, animal.forces, life.light, batch_ndim=ndim, name=names)
+        custom = fuse(read, state, animal.forces, constants.light, batch_ndim=ndim, name=names)
     return Observation(strength, animal.pressure, cosine, sine, state.q, state.qd, depth, custom)
 
 
 def act(
-    simulation: Simulation, life: Life, animal: Animal, observation: Observation
+    simulation: Simulation,
+    constants: EpisodeConstants,
+    animal: AnimalState,
+    observation: Observation,
 ) -> tuple[Any, Command]:
-    """The controller's next state, and what it asks of the motors."""
+    """Return the controller's next state and its command to the motors."""
     controller, ndim = simulation.controller, animal.state.position.ndim - 1
     name = f"{type(controller).__name__}.act"
-    given = life.phenotype.controller, animal.nerves, observation
+    given = constants.phenotype.controller, animal.nerves, observation
     return fuse(controller.act, *given, batch_ndim=ndim, name=name)
 
 
 def move(
     simulation: Simulation,
-    life: Life,
-    animal: Animal,
+    constants: EpisodeConstants,
+    animal: AnimalState,
     observation: Observation,
     command: Command,
     physics: bool = False,
-) -> tuple[Animal, Effects]:
-    """The physics steps of a control step; see `control_step`."""
+) -> tuple[AnimalState, Effects]:
+    """Take the physics steps of a control step; see `control_step`."""
     world, h, state = simulation.world, simulation.step_length, animal.state
     batch = state.position.shape[1:]
 
     def advance(carry, _):
         before, warmstart, energy, airborne, forces, ground_force, residual = carry
-        told = command.target_rate, h, command.target_angle
-        state, effort = step(world, before, *told, warmstart, life.grip)
+        commanded = command.target_rate, h, command.target_angle
+        state, effort = step(world, before, *commanded, warmstart, constants.friction_scale)
         if effort.contact_frame_force is not None:
             ground_force = effort.contact_frame_force
         airborne = airborne + _is_airborne(effort) / simulation.substeps
-        forces = _add_share(forces, effort, 1.0 / simulation.substeps)
+        forces = _add_fraction(forces, effort, 1.0 / simulation.substeps)
         energy = energy + effort.energy
         residual = jax.tree.map(jnp.maximum, residual, effort.residual)
         carry = state, effort.warmstart, energy, airborne, forces, ground_force, residual
@@ -244,39 +259,43 @@ def move(
     )
 
     def touch(state: State, ground_force: Array) -> Array:
-        return feel(simulation.sensors, world, kinematics(world.tree, state), ground_force)
+        return pressure_readings(
+            simulation.sensors, world, kinematics(world.tree, state), ground_force
+        )
 
     pressure = animal.pressure
     if world.footing is not None and simulation.sensors.pressure_bodies:
         pressure = fuse(touch, moved, ground_force, batch_ndim=len(batch), name="sensors")
     kept = forces if animal.forces else None
-    after = Animal(moved, animal.nerves, pressure, kept, warmstart)
-    told = observation, command, forces, energy, airborne
-    return after, Effects(state, moved, *told, residual, each)
+    after = AnimalState(moved, animal.nerves, pressure, kept, warmstart)
+    means = observation, command, forces, energy, airborne
+    return after, Effects(state, moved, *means, residual, each)
 
 
-def transition(simulation: Simulation, life: Life, effects: Effects, index: Array) -> Transition:
-    """A control step as a task sees it."""
+def transition(
+    simulation: Simulation, constants: EpisodeConstants, effects: Effects, index: Array
+) -> Transition:
+    """Return a control step as a task sees it."""
     before, after = (
-        snapshot_of(simulation, life, state) for state in (effects.before, effects.after)
+        snapshot_of(simulation, constants, state) for state in (effects.before, effects.after)
     )
     return Transition(index, before, after, *effects[2:7])
 
 
-def snapshot_of(simulation: Simulation, life: Life, state: State) -> Snapshot:
-    """The animal in a state, as tasks and sensors see it."""
-    light = _light_of(life, life.light, state.position)
+def snapshot_of(simulation: Simulation, constants: EpisodeConstants, state: State) -> Snapshot:
+    """Return the animal in a state, as tasks and sensors see it."""
+    light = _light_of(constants, constants.light, state.position)
     return Snapshot(simulation.world, 1.0 / simulation.control_rate, state, light)
 
 
-def _light_of(life: Life, own: Array | None, position: Array) -> Array | None:
-    """Where the light is, with axes of individuals."""
-    place = life.common_light if own is None else own
+def _light_of(constants: EpisodeConstants, own: Array | None, position: Array) -> Array | None:
+    """Return the place of the light, with axes of individuals."""
+    place = constants.common_light if own is None else own
     return None if place is None else expand_dims_like(place, position)
 
 
 def no_forces(simulation: Simulation, state: State) -> Forces:
-    """Those of motors that do nothing, off the ground, of limbs apart."""
+    """Return zero forces: idle motors, no contact with the ground or between limbs."""
     footing, pairs = simulation.world.footing, simulation.world.pairs
     points = 0 if footing is None else len(footing.bodies)
     meeting = 0 if pairs is None else len(pairs.owners[0])
@@ -285,19 +304,19 @@ def no_forces(simulation: Simulation, state: State) -> Forces:
     return Forces(jnp.zeros_like(state.q), *none)
 
 
-def _add_share(forces: Forces, effort: Effort, share: float) -> Forces:
-    """The means so far, with those of one more physics step."""
+def _add_fraction(forces: Forces, effort: Effort, fraction: float) -> Forces:
+    """Return mean forces with those of one more physics step."""
     of_step = effort.torque, effort.contact_force, effort.pair_force
     return Forces(
         *(
-            mean if force is None else mean + share * force
+            mean if force is None else mean + fraction * force
             for mean, force in zip(forces, of_step, strict=True)
         )
     )
 
 
 def _is_airborne(effort: Effort) -> Float[Array, " *n"]:
-    """1 where nothing touched the ground in a physics step, else 0; 1 without ground."""
+    """Return 1 if nothing touched the ground in a physics step, else 0; 1 without ground."""
     if effort.contact_frame_force is None:
         return jnp.ones_like(effort.energy)
     return jnp.all(effort.contact_frame_force[2] <= 0, axis=0).astype(effort.energy.dtype)

@@ -43,9 +43,15 @@ class Genome(NamedTuple):
         """Whether genes are bits, 0 or 1."""
         return self.controller.binary
 
-    def random(self, key: Array, batch: tuple[int, ...]) -> Float[Array, "g *n"]:
+    def random(
+        self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type = jnp.float32
+    ) -> Float[Array, "g *n"]:
         """Return genes of a first generation, which a controller may draw as integers or bits."""
-        return jnp.asarray(self.controller.random_genes(key, batch, jnp.float32), jnp.float32)
+        return jnp.asarray(self.controller.random_genes(key, batch, dtype), dtype)
+
+    def with_controller(self, genes: Float[np.ndarray, "g *n"]) -> Float[np.ndarray, "g *n"]:
+        """Return whole genomes that have these genes of the controller."""
+        return genes
 
     def decode(self, genes: Float[Array, "g *n"]) -> Phenotype:
         """Return what the genes become; called once per trial."""

@@ -1,4 +1,4 @@
-"""What a trial amounts to: the terms of its task, the measures of gait, and who is alive."""
+"""Outcome of a trial: terms of the task, measures of gait, and which individuals are alive."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, PyTree
 
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.state import State
-from evo_cpg.simulation.control_step import Animal, Effects, transition
+from evo_cpg.simulation.control_step import AnimalState, Effects, transition
 from evo_cpg.simulation.measures import Trial
 from evo_cpg.simulation.observer import Observer, Seen
 from evo_cpg.simulation.rules import keeps
@@ -22,7 +22,7 @@ _WILDEST_SPEED = 1e2
 
 
 class Outcome(NamedTuple):
-    """What a trial amounted to.
+    """Outcome of a trial.
 
     Attributes:
         terms: the task's terms by name.
@@ -35,21 +35,21 @@ class Outcome(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Judge(Observer):
-    """Keeps what counts in evolution: an `Outcome` of the whole trial."""
+    """Returns the `Outcome` of a whole trial."""
 
-    def begin(self, simulation: Simulation, animal: Animal) -> tuple[PyTree, Array]:
+    def begin(self, simulation: Simulation, animal: AnimalState) -> tuple[PyTree, Array]:
         """Return the tallies before a trial; all are alive."""
         batch, dtype = animal.state.position.shape[1:], animal.state.q.dtype
         return begin_tally(simulation, batch, dtype), jnp.ones(batch, bool)
 
     def update(self, tally: tuple[PyTree, Array], seen: Seen) -> tuple[PyTree, Array]:
-        """Return the tallies after a control step, and who is still alive."""
-        simulation, life, index, animal, effects = seen
+        """Return the tallies after a control step, and which individuals are still alive."""
+        simulation, constants, index, animal, effects = seen
         own, alive = tally
         ndim = alive.ndim
 
         def update(own: Any, effects: Effects, light: Array | None) -> Any:
-            happened = transition(simulation, life._replace(light=light), effects, index)
+            happened = transition(simulation, constants._replace(light=light), effects, index)
             return update_tally(simulation, own, happened)
 
         def keep(state: State, energy: Array) -> Array:
@@ -58,14 +58,14 @@ class Judge(Observer):
             return keeps(simulation.rules, simulation.world, state, energy, duration)
 
         name = f"{type(simulation.task).__name__}.update"
-        own = fuse(update, own, effects, life.light, batch_ndim=ndim, name=name)
+        own = fuse(update, own, effects, constants.light, batch_ndim=ndim, name=name)
         sane = fuse(is_sane, animal.state, batch_ndim=ndim)
         if simulation.rules is not None:
             sane &= fuse(keep, effects.after, effects.energy, batch_ndim=ndim, name="rules")
         return own, alive & sane
 
     def finish(self, simulation: Simulation, tally: tuple[PyTree, Array], steps: tuple) -> Outcome:
-        """Make terms of the tallies."""
+        """Convert the tallies to terms."""
         del steps
         own, alive = tally
 
@@ -80,20 +80,20 @@ JUDGE = Judge()
 
 
 def score(task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]) -> Float[Array, " *n"]:
-    """Fitness of every individual; -inf for those that diverged."""
+    """Return the fitness of every individual; -inf for those that diverged."""
     fitness = task.fitness(outcome.terms, scales)
     return jnp.where(outcome.alive & jnp.isfinite(fitness), fitness, -jnp.inf)
 
 
 def no_terms(simulation: Simulation, batch: tuple[int, ...] = (1,)) -> dict[str, Array]:
-    """Terms of a trial without a step: the task's and the measures of gait."""
+    """Return the terms of a trial without a step: the task's and the measures of gait."""
     return finish_tally(simulation, begin_tally(simulation, batch, jnp.dtype("float32")))
 
 
 def begin_tally(
     simulation: Simulation, batch: tuple[int, ...], dtype: jnp.dtype
 ) -> tuple[PyTree, PyTree]:
-    """The tally of the task and that of the measures of gait, before a trial."""
+    """Return the tallies of the task and of the measures of gait before a trial."""
     own = simulation.task.begin(batch, dtype, simulation.steps)
     return own, simulation.measures.begin(simulation.world, batch, dtype)
 
@@ -101,14 +101,14 @@ def begin_tally(
 def update_tally(
     simulation: Simulation, tally: tuple[PyTree, PyTree], happened: Transition
 ) -> tuple[PyTree, PyTree]:
-    """Both after one more control step."""
+    """Return both tallies after one more control step."""
     own, gait = tally
     own = simulation.task.update(own, happened, simulation.steps)
     return own, simulation.measures.update(gait, happened)
 
 
 def finish_tally(simulation: Simulation, tally: tuple[PyTree, PyTree]) -> dict[str, Array]:
-    """Terms by name."""
+    """Return the terms by name."""
     own, gait = tally
     trial = Trial(simulation.world, simulation.duration)
     terms = simulation.task.terms(own, simulation.steps)
@@ -116,9 +116,9 @@ def finish_tally(simulation: Simulation, tally: tuple[PyTree, PyTree]) -> dict[s
 
 
 def is_sane(state: State) -> Bool[Array, " *n"]:
-    """False where the motion has blown up, NaN included."""
-    speed = jnp.abs(state.velocity[3:]).max(0)
-    rate = jnp.abs(state.velocity[:3]).max(0)
+    """Return False where the motion has diverged or is NaN."""
+    speed = jnp.abs(state.linear_velocity).max(0)
+    rate = jnp.abs(state.angular_velocity).max(0)
     if state.qd.shape[0]:
         rate = jnp.maximum(rate, jnp.abs(state.qd).max(0))
     return (speed < _WILDEST_SPEED) & (rate < _WILDEST_RATE)

@@ -29,8 +29,7 @@ from jaxtyping import Array, Float, PyTree
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.task import Transition
 
-# Nobody has gone nowhere: below this distance (m) what is divided by it is so large that it does
-# not matter.
+# Least distance (m) that is divided by, so that an animal that stays has a finite cost.
 _NOWHERE = 1e-6
 
 
@@ -47,7 +46,7 @@ class Trial(NamedTuple):
 
 
 class Measure(eqx.Module):
-    """A number of a whole trial; it carries a tally of arrays from control step to control step."""
+    """A number of a whole trial, computed from a tally that follows the control steps."""
 
     @abc.abstractmethod
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> PyTree:
@@ -62,42 +61,47 @@ class Measure(eqx.Module):
         """The number."""
 
 
-class Way(NamedTuple):
-    """Where the root set out and where it is, m."""
+class Displacement(NamedTuple):
+    """Place of the root at the start of the trial and at its end so far, m."""
 
     start: Float[Array, "c *n"]
     end: Float[Array, "c *n"]
 
+    def moved(
+        self, step: Array, before: Float[Array, "c *n"], after: Float[Array, "c *n"]
+    ) -> "Displacement":
+        """Return the displacement after a control step; step 0 sets the start."""
+        return Displacement(jnp.where(step == 0, before, self.start), after)
 
-def no_way(batch: tuple[int, ...], dtype: jnp.dtype, components: int = 3) -> Way:
-    """The way before a trial."""
+
+def no_displacement(batch: tuple[int, ...], dtype: jnp.dtype, components: int = 3) -> Displacement:
+    """Return the displacement before a trial."""
     nowhere = jnp.zeros((components, *batch), dtype)
-    return Way(nowhere, nowhere)
+    return Displacement(nowhere, nowhere)
 
 
 class Speed(Measure):
     """Distance by time, m/s."""
 
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Way:
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Displacement:
         """See `Measure.begin`."""
-        return no_way(batch, dtype)
+        return no_displacement(batch, dtype)
 
-    def update(self, tally: Way, transition: Transition) -> Way:
+    def update(self, tally: Displacement, transition: Transition) -> Displacement:
         """See `Measure.update`."""
-        place = transition.before.state.position
-        start = jnp.where(transition.step == 0, place, tally.start)
-        return Way(start, transition.after.state.position)
+        places = (each.state.position for each in (transition.before, transition.after))
+        return tally.moved(transition.step, *places)
 
-    def finish(self, tally: Way, trial: Trial) -> Float[Array, " *n"]:
+    def finish(self, tally: Displacement, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
         return distance(tally, trial.world) / trial.duration
 
 
 class Spent(NamedTuple):
-    """Energy so far, J, and the way."""
+    """Energy so far, J, and the displacement."""
 
     energy: Float[Array, " *n"]
-    way: Way
+    displacement: Displacement
 
 
 class CostOfTransport(Measure):
@@ -105,16 +109,18 @@ class CostOfTransport(Measure):
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Spent:
         """See `Measure.begin`."""
-        return Spent(jnp.zeros(batch, dtype), no_way(batch, dtype))
+        return Spent(jnp.zeros(batch, dtype), no_displacement(batch, dtype))
 
     def update(self, tally: Spent, transition: Transition) -> Spent:
         """See `Measure.update`."""
-        return Spent(tally.energy + transition.energy, Speed().update(tally.way, transition))
+        displacement = Speed().update(tally.displacement, transition)
+        return Spent(tally.energy + transition.energy, displacement)
 
     def finish(self, tally: Spent, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
         weight = jnp.asarray(trial.world.tree.mass).sum() * trial.world.gravity
-        return tally.energy / (weight * jnp.maximum(distance(tally.way, trial.world), _NOWHERE))
+        moved = distance(tally.displacement, trial.world)
+        return tally.energy / (weight * jnp.maximum(moved, _NOWHERE))
 
 
 class _Total(Measure):
@@ -303,9 +309,9 @@ def measures(*names: str) -> Measures:
     return Measures(names, tuple(MEASURES[name]() for name in names))
 
 
-def distance(way: Way, world: World) -> Float[Array, " *n"]:
+def distance(displacement: Displacement, world: World) -> Float[Array, " *n"]:
     """In a straight line, m; over ground heights do not count."""
-    x, y, z = way.end - way.start
+    x, y, z = displacement.end - displacement.start
     level = x * x + y * y
     return jnp.sqrt(level if world.footing is not None else level + z * z)
 

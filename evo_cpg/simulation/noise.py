@@ -113,8 +113,10 @@ def disturb_motion(
     return eqx.tree_at(lambda s: s.velocity, state, velocity)
 
 
-def grip_of(noise: Noise, keys: UInt32[Array, "w *n"] | None) -> Float[Array, " *n"] | None:
-    """By which friction is multiplied throughout each trial; None where it is always the same."""
+def friction_scale_of(
+    noise: Noise, keys: UInt32[Array, "w *n"] | None
+) -> Float[Array, " *n"] | None:
+    """Return the factor on friction in each trial; None if it is always 1."""
     if keys is None or _is_none(noise.friction):
         return None
 

@@ -1,10 +1,8 @@
-"""What is kept of a trial: an observer follows it and says what remains.
+"""Observers: what `evo_cpg.simulation.rollout.rollout` returns of a trial.
 
-`evo_cpg.simulation.rollout.rollout` lives the trial, observers look on:
-
-| observer | in | what it keeps | of |
+| observer | in | result | of |
 |---|---|---|---|
-| `Judge` | `evo_cpg.simulation.judge` | terms of the task, who is alive | the whole trial |
+| `Judge` | `evo_cpg.simulation.judge` | terms of the task, survivors | the whole trial |
 | `Recorder` | `evo_cpg.simulation.recording` | poses, commands, forces | every control step |
 | `States` | here | states of the body | every control step |
 | `EachPhysicsStep` | `evo_cpg.simulation.physics_steps` | states, forces | every physics step |
@@ -18,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
 from evo_cpg.physics.state import State
-from evo_cpg.simulation.control_step import Animal, Effects, Life
+from evo_cpg.simulation.control_step import AnimalState, Effects, EpisodeConstants
 from evo_cpg.simulation.simulation import Simulation
 
 
@@ -27,22 +25,22 @@ class Seen(NamedTuple):
 
     Attributes:
         simulation: the trial.
-        life: what stays the same throughout it.
+        constants: constants of the trial.
         index: number of the control step, from 0.
-        animal: at the end of the step.
-        effects: what happened in the step.
+        animal: the animal at the end of the step.
+        effects: result of the step.
     """
 
     simulation: Simulation
-    life: Life
+    constants: EpisodeConstants
     index: Array
-    animal: Animal
+    animal: AnimalState
     effects: Effects
 
 
 @dataclasses.dataclass(frozen=True)
 class Observer:
-    """Follows a trial and returns what it kept; subclasses override what they need.
+    """Follows a trial and returns a result; subclasses override what they need.
 
     All methods are pure JAX functions of arrays whose trailing axes are individuals.
 
@@ -55,7 +53,7 @@ class Observer:
     every_step = False
     physics = False
 
-    def begin(self, simulation: Simulation, animal: Animal) -> PyTree[Array]:
+    def begin(self, simulation: Simulation, animal: AnimalState) -> PyTree[Array]:
         """Return the tally before the first control step."""
         del simulation, animal
         return ()
@@ -82,7 +80,7 @@ class States(Observer):
 
     every_step = True
 
-    def begin(self, simulation: Simulation, animal: Animal) -> State:
+    def begin(self, simulation: Simulation, animal: AnimalState) -> State:
         """Return the state at the start."""
         del simulation
         return animal.state

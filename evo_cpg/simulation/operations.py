@@ -16,7 +16,7 @@ from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.footing import CORNERS, Footing
 from evo_cpg.physics.pairs import KINDS, Pairs
-from evo_cpg.physics.step import searches
+from evo_cpg.physics.step import needs_iteration
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.simulation import Simulation
 
@@ -108,7 +108,7 @@ def _counts(simulation: Simulation) -> dict[str, dict[str, float]]:
     below = sum(other in chains[one] for one in tree.dof_bodies for other in tree.dof_bodies)
     return {
         "bodies": {"body": tree.body_count, "axis": axes},
-        "limits": {"axis": axes, "axis below axis": below} if searches(world) else {},
+        "limits": {"axis": axes, "axis below axis": below} if needs_iteration(world) else {},
         "ground": {} if world.footing is None else _on_ground(tree, world.footing),
         "obstacles": {} if world.footing is None else _at_obstacles(world.footing),
         "pairs": {} if world.pairs is None else _of_pairs(tree, chains, world.pairs),

@@ -20,7 +20,7 @@ _Program = TypeVar("_Program")
 _MOST = 8
 
 
-class Plan:
+class WorldPlan:
     """What worlds have in common that differ in numbers alone.
 
     Args:
@@ -56,7 +56,7 @@ class Plan:
 class _Made(NamedTuple):
     """A program with what it was made for."""
 
-    plan: Plan
+    plan: WorldPlan
     settings: tuple[Any, ...]
     program: Any
 
@@ -82,7 +82,7 @@ class Programs(Generic[_Program]):
             if made.plan.is_of(world) and all(map(np.array_equal, made.settings, settings)):
                 self.kept.append(self.kept.pop(i))
                 return made.program, made.plan.numbers(world)
-        plan = Plan(world)
+        plan = WorldPlan(world)
         self.kept.append(_Made(plan, settings, self._make(plan, *settings)))
         del self.kept[:-_MOST]
         return self.kept[-1].program, plan.numbers(world)

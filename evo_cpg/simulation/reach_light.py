@@ -21,7 +21,7 @@ from evo_cpg.spatial.numerics import Number, Triple
 # wild individual cannot dominate averages.
 _FARTHEST = 1.5
 
-# The energy yardstick: this percentile of the first generation counts as E_max.
+# Scale of the energy: this percentile of the first generation is E_max.
 _ENERGY_PERCENTILE = 95.0
 
 

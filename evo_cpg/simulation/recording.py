@@ -162,7 +162,7 @@ def as_recording(
     arrays = {name: np.asarray(values[..., individual]) for name, values in frames.items()}
     position = np.moveaxis(arrays["position"], -1, 1)
     root = position[:, 0]
-    way = root - light if light else (root - root[0])[:, :2]
+    path = root - light if light else (root - root[0])[:, :2]
     return Recording(
         time=np.arange(simulation.steps) / simulation.control_rate,
         position=position[:, order],
@@ -171,7 +171,7 @@ def as_recording(
         target_rate=arrays["target_rate"],
         cpg_output=arrays["cpg_output"],
         torque=arrays["torque"],
-        distance=np.linalg.norm(way, axis=-1),
+        distance=np.linalg.norm(path, axis=-1),
         goal=np.array(light, float) if light else np.full(3, np.nan),
         dof_names=tree.dof_names,
     )

@@ -1,4 +1,4 @@
-"""A trial: an animal with its controller in a world, while an observer looks on.
+"""A trial: an animal with its controller in a world, and observers that record it.
 
 One trial is ``steps`` control steps of ``1 / control_rate`` seconds (2000 steps of 1/60 s in
 Iwadate 2010), each as in `evo_cpg.simulation.control_step`.
@@ -15,7 +15,8 @@ from evo_cpg.fusion.engine import using
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.state import State
 from evo_cpg.simulation.backward import Backward
-from evo_cpg.simulation.control_step import begin_life, control_step
+from evo_cpg.simulation.batched import BatchedSimulation
+from evo_cpg.simulation.control_step import begin_episode, control_step
 from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.observer import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
@@ -25,7 +26,7 @@ Observers = PyTree[Observer]
 
 
 def rollout(
-    simulation: Simulation,
+    simulation: Simulation | BatchedSimulation,
     genes: Float[Array, "g *n"],
     keys: UInt32[Array, "w *n"] | None = None,
     trial: Int[Array, " *n"] | None = None,
@@ -34,35 +35,47 @@ def rollout(
     backward: Backward | None = None,
     begin: Callable[[State], State] | None = None,
 ) -> Any:
-    """Let every individual live through one trial.
+    """Run one trial of every individual.
 
     Args:
-        simulation: the trial.
+        simulation: the trial; or one trial for each individual, which then have one axis, the last
+            of every result.
         genes: one genome per individual, on the trailing axes.
-        keys: a raw random key for each trial's noise; None lets all live without noise.
-        trial: number of the situation in each lane; None puts all into the first.
-        observers: say what is kept of the trial: one, or a tuple or dict of several.
-        backward: how to differentiate it, where it will be; not for observers of every step.
-        begin: makes another state of the one that the trial starts with.
+        keys: a raw random key for each trial's noise; None for no noise.
+        trial: number of the situation in each lane; None for the first in all lanes.
+        observers: one observer, or a tuple or dict of several.
+        backward: how to differentiate the trial, if needed; not for observers of every step.
+        begin: changes the state that the trial starts with.
 
     Returns:
         The result of each observer: of `JUDGE` an `evo_cpg.simulation.judge.Outcome`.
     """
-    # What makes no difference is no argument of the program.
+    if isinstance(simulation, BatchedSimulation):
+        common, inputs, values = simulation
+
+        def alone(
+            values: list[Array], genes: Array, keys: Array | None, trial: Array | None
+        ) -> Any:
+            own = inputs.put(common, values)
+            return rollout(own, genes, keys, trial, observers, backward=backward, begin=begin)
+
+        own = [jnp.asarray(value, genes.dtype) for value in values]
+        return jax.vmap(alone, in_axes=-1, out_axes=-1)(own, genes, keys, trial)
+    # An argument without effect is dropped from the program.
     keys = None if simulation.noise.silent else keys
     trial = None if len(simulation.situations) == 1 else trial
 
-    def live(genes: Array, keys: Array | None, trial: Array | None) -> Any:
-        return _live(simulation, genes, keys, trial, observers, backward, begin)
+    def run(genes: Array, keys: Array | None, trial: Array | None) -> Any:
+        return _run(simulation, genes, keys, trial, observers, backward, begin)
 
     with using(simulation.engine):
-        # What is stacked along time cannot become native code, the control steps can.
+        # Results that are stacked along time cannot become native code, the control steps can.
         if any(one.every_step for one in jax.tree.leaves(observers)) or backward is not None:
-            return live(genes, keys, trial)
-        return fuse(live, genes, keys, trial, batch_ndim=genes.ndim - 1, name="a trial")
+            return run(genes, keys, trial)
+        return fuse(run, genes, keys, trial, batch_ndim=genes.ndim - 1, name="a trial")
 
 
-def _live(
+def _run(
     simulation: Simulation,
     genes: Array,
     keys: Array | None,
@@ -71,9 +84,9 @@ def _live(
     backward: Backward | None,
     begin: Callable[[State], State] | None,
 ) -> Any:
-    """One trial: its control steps are programs of their own, or parts of one."""
+    """Run one trial; its control steps are separate programs, or parts of one."""
     physics = any(one.physics for one in jax.tree.leaves(observers))
-    life, animal = begin_life(simulation, genes, keys, trial)
+    constants, animal = begin_episode(simulation, genes, keys, trial)
     if begin is not None:
         animal = animal._replace(state=begin(animal.state))
 
@@ -83,8 +96,8 @@ def _live(
             inner = animal.nerves, animal.warmstart
             state, (nerves, warmstart) = backward.forget(animal.state, inner)
             animal = animal._replace(state=state, nerves=nerves, warmstart=warmstart)
-        animal, effects = control_step(simulation, life, animal, index, physics)
-        seen = Seen(simulation, life, index, animal, effects)
+        animal, effects = control_step(simulation, constants, animal, index, physics)
+        seen = Seen(simulation, constants, index, animal, effects)
         tally = jax.tree.map(lambda one, own: one.update(own, seen), observers, tally)
         return (animal, tally), jax.tree.map(lambda one: one.of_step(seen), observers)
 

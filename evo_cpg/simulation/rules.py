@@ -47,18 +47,18 @@ def keeps(
         energy: spent by all motors in it, J.
         duration: of a control step, s.
     """
-    kept = jnp.ones(energy.shape, bool)
+    valid = jnp.ones(energy.shape, bool)
     if rules.speed is not None:
-        linear = state.velocity[3:]
-        kept &= (linear * linear).sum(0) <= rules.speed**2
+        linear = state.linear_velocity
+        valid &= (linear * linear).sum(0) <= rules.speed**2
     if rules.power is not None:
-        kept &= energy <= rules.power * duration
+        valid &= energy <= rules.power * duration
     kin = kinematics(world.tree, state)
     if rules.penetration is not None and world.footing is not None:
-        kept &= (clearance(world.footing, kin) >= -rules.penetration).all(0)
+        valid &= (clearance(world.footing, kin) >= -rules.penetration).all(0)
     if rules.overlap is not None and rules.pairs is not None:
         gap = separations(rules.pairs, kin).gap
         # Pairs without stiffness are those of other bodies of a plan.
         passes = expand_dims_like(rules.pairs.stiffness, gap) == 0
-        kept &= ((gap >= -rules.overlap) | passes).all(0)
-    return kept
+        valid &= ((gap >= -rules.overlap) | passes).all(0)
+    return valid

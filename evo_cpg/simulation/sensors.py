@@ -1,4 +1,4 @@
-"""What the animal feels: light, pressure, its attitude (Iwadate 2010, eq. 1 and Table 2), depth."""
+"""Readings of the sensors: light, pressure, attitude (Iwadate 2010, eq. 1 and Table 2), depth."""
 
 from typing import NamedTuple
 
@@ -71,10 +71,10 @@ def place_sensors(creature: Creature, tree: Tree) -> Sensors:
     )
 
 
-def feel(
+def pressure_readings(
     sensors: Sensors, world: World, kin: Kinematics, force: Float[Array, "3 p *n"] | None
 ) -> Float[Array, "s *n"]:
-    """What the skin tells: 1 where something solid presses harder than the water there, else 0.
+    """Return the pressure readings: 1 where the ground presses harder than the water, else 0.
 
     The paper (2.1) compares the outer pressure with the water's. Here the pressure of the ground is
     its normal force on the body over the body's mean cross-section, ``volume^(2/3)``, and that of
@@ -100,8 +100,8 @@ def feel(
     return (normal > pressing).astype(normal.dtype)
 
 
-def fathom(sensors: Sensors, world: World, kin: Kinematics) -> Float[Array, "k *n"]:
-    """What the depth gauges tell: 0 at the surface and above, 1 from their full scale down.
+def depth_readings(sensors: Sensors, world: World, kin: Kinematics) -> Float[Array, "k *n"]:
+    """Return the depth readings: 0 at the surface and above, 1 from full scale down.
 
     That is the hydrostatic pressure in units of the one at full scale. They read 0 on land, and
     where the water has no surface to be deep under.
@@ -119,7 +119,7 @@ def _depth(
     bodies: np.ndarray,
     places: np.ndarray | Array | PartlyTraced,
 ) -> Float[Array, "k *n"]:
-    """How far places of bodies are under the water's surface, m; negative above it."""
+    """Return the depth of places of bodies under the water's surface, m; negative above it."""
     own = take(kin.origin[2], bodies, 0)
     lever = take(kin.rotation[2], bodies) * expand_dims_like(places, own, own.ndim + 1)
     return jnp.asarray(surface - own - lever.sum(0))
@@ -128,7 +128,7 @@ def _depth(
 def light_strength(
     angle_cosine: Float[Array, "eyes *n"], field_of_view: Float[Array, "eyes *#n"]
 ) -> Float[Array, "eyes *n"]:
-    """Light seen, ``cos(pi theta / R)`` within half the field of view R, else 0 (eq. 1).
+    """Return the light seen, ``cos(pi theta / R)`` within half the field of view R, else 0 (eq. 1).
 
     Differs from the printed condition ``theta <= R``, under which the value would reach -1 while
     Table 2 says it lies in [0, 1].
@@ -137,10 +137,10 @@ def light_strength(
     return jnp.maximum(jnp.cos(jnp.pi * jnp.minimum(angle / field_of_view, 0.5)), 0.0)
 
 
-def see(
+def light_readings(
     sensors: Sensors, kin: Kinematics, light: Float[Array, "3 *#n"] | None
 ) -> tuple[Float[Array, "eyes *n"], Float[Array, "eyes *n"], Float[Array, "eyes *n"]]:
-    """What the eyes tell: light strength, and cosine and sine of their angle to the vertical.
+    """Return light strength, and cosine and sine of the eyes' angle to the vertical.
 
     Args:
         sensors: where the eyes are.

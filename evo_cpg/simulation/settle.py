@@ -28,10 +28,17 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.jax_internals import quick_jit
+from evo_cpg.physics import root
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.statics import Grip, Touch, moved, next_grip, radius_of_gyration, static_forces
+from evo_cpg.physics.statics import (
+    FrictionState,
+    Touch,
+    next_friction,
+    radius_of_gyration,
+    static_forces,
+)
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.plans import Plan, Programs
+from evo_cpg.simulation.plans import Programs, WorldPlan
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.spatial.choices import Undecidable, chosen, searched
 from evo_cpg.spatial.numerics import is_traced
@@ -80,7 +87,7 @@ class Rest(NamedTuple):
         normal_force: of the ground on every contact point, N.
         stiffness: eigenvalues of the stiffness in units of weight over radius of gyration, the
             smallest first; angles count by the radius of gyration.
-        grip: what friction remembers there.
+        friction: what friction remembers there.
         give: how it gives way to forces in these units: the inverse of the stiffness, but for where
             there is none.
     """
@@ -88,7 +95,7 @@ class Rest(NamedTuple):
     state: State
     normal_force: Float[np.ndarray, " p"]
     stiffness: Float[np.ndarray, " k"]
-    grip: Grip
+    friction: FrictionState
     give: Float[np.ndarray, "k k"]
 
 
@@ -97,13 +104,13 @@ class _Settled(NamedTuple):
 
     Attributes:
         state: the pose.
-        grip: what friction remembers there.
+        friction: what friction remembers there.
         give: how all coordinates of the pose give way to forces on them, in m, rad, N and N m.
         start: x and y (m) and heading (rad) with which it was let down.
     """
 
     state: State
-    grip: Grip
+    friction: FrictionState
     give: Float[np.ndarray, "k k"]
     start: tuple[float, float, float]
 
@@ -140,17 +147,19 @@ class Settling:
         tree = world.tree
         self.world, self.h = world, h
         # Coordinates are scaled to lengths, forces to the creature's weight.
-        self.free = np.flatnonzero(np.concatenate([np.ones(6, bool), _gives_way(tree)]))
+        self.free = np.flatnonzero(
+            np.concatenate([np.ones(root.ROOT_DOFS, bool), _gives_way(tree)])
+        )
         self.size = radius_of_gyration(tree)
         # Without gravity nothing acts but springs that are at rest already.
         self.weight = float(tree.mass.sum() * abs(world.gravity)) or 1.0
-        self.scale = np.where(self.free < 3, self.size, 1.0)
-        self.stay = np.where(np.isin(self.free, (0, 1, 5)), _STAY, 0.0)
+        self.scale = np.where(self.free < root.LENGTHS, self.size, 1.0)
+        self.stay = np.where(np.isin(self.free, root.SYMMETRIES), _STAY, 0.0)
         self.farthest = _FARTHEST if world.footing is None else _FARTHEST_ON_GROUND
         moment = self.weight * self.size
         search, numbers = _searches.of(world, self.free, h)
         given = numbers, self.scale, moment
-        self._look = functools.partial(search.look, given)
+        self._evaluate = functools.partial(search.evaluate, given)
         self._go = functools.partial(search.go, given)
         self._chord = functools.partial(search.chord, given)
 
@@ -170,13 +179,13 @@ class Settling:
                 self.world.tree, (), jnp.float64, situation.start_position, situation.orientation
             )
             found = self.rest(start)
-            scale = np.zeros((6 + self.world.tree.dof_count, len(self.free)))
+            scale = np.zeros((root.size_of(self.world.tree.dof_count), len(self.free)))
             scale[self.free, np.arange(len(self.free))] = self.scale
             give = scale @ found.give @ scale.T / (self.weight * self.size)
-            grip = jax.tree.map(np.asarray, found.grip)
+            friction = jax.tree.map(np.asarray, found.friction)
             state = jax.tree.map(np.asarray, found.state)
             return _Settled(
-                state, grip, give, (*situation.start_position[:2], situation.start_heading)
+                state, friction, give, (*situation.start_position[:2], situation.start_heading)
             )
 
     def rest(self, start: State) -> Rest:
@@ -188,103 +197,107 @@ class Settling:
         Raises:
             NoRestError: it does not come to rest, or not as it stands.
         """
-        state, grip = start, self._first_grip(start)
+        state, friction = start, self._first_friction(start)
         for _ in range(_SADDLES):
-            state, grip = self._root(state, grip)
-            here = self._at(np.zeros(len(self.free)), state, grip)
-            values, ways = np.linalg.eigh(here.stiffness)
+            state, friction = self._root(state, friction)
+            here = self._at(np.zeros(len(self.free)), state, friction)
+            values, modes = np.linalg.eigh(here.stiffness)
             if values[0] > -_UNSTABLE:
                 break
-            way = ways[:, 0] * np.sign(ways[np.abs(ways[:, 0]).argmax(), 0])
-            state, grip = self._move(_KICK * way, state, grip)
+            direction = modes[:, 0] * np.sign(modes[np.abs(modes[:, 0]).argmax(), 0])
+            state, friction = self._move(_KICK * direction, state, friction)
         else:
             raise NoRestError(f"it is balanced {_SADDLES} times, but never in a stable pose")
         self._require_hold(here.total)
         stiff = np.abs(values) > _SOFTEST
-        give = (ways[:, stiff] / values[stiff]) @ ways[:, stiff].T
+        give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
         if _is_alike_everywhere(self.world):
-            state, grip = _put_back(start, state, grip)
+            state, friction = _put_back(start, state, friction)
         tilt = _tilt(start, state)
         if tilt > _LARGEST_TILT:
             raise NoRestError(
                 f"it falls over: it would come to rest turned by {np.rad2deg(tilt):.0f} degrees"
             )
-        return Rest(state, np.asarray(here.touch.normal_force), values, grip, give)
+        return Rest(state, np.asarray(here.touch.normal_force), values, friction, give)
 
-    def _at(self, y: np.ndarray, state: State, grip: Grip) -> _Here:
+    def _at(self, y: np.ndarray, state: State, friction: FrictionState) -> _Here:
         """All about the pose with the coordinates y."""
-        slope, (force, total, touch) = self._look(jnp.asarray(y), state, grip)
-        slope = np.asarray(slope)
-        return _Here(np.asarray(force), np.asarray(total), touch, -(slope + slope.T) / 2)
+        derivative, (force, total, touch) = self._evaluate(jnp.asarray(y), state, friction)
+        derivative = np.asarray(derivative)
+        return _Here(np.asarray(force), np.asarray(total), touch, -(derivative + derivative.T) / 2)
 
-    def _first_grip(self, start: State) -> Grip:
+    def _first_friction(self, start: State) -> FrictionState:
         """Of an animal none of whose places has touched anything yet."""
         places = 0 if self.world.footing is None else len(self.world.footing.bodies)
         none, nothing = jnp.zeros((3, places)), jnp.zeros(places)
         touch = self._at(
-            np.zeros(len(self.free)), start, Grip(none, none, none, nothing, none)
+            np.zeros(len(self.free)), start, FrictionState(none, none, none, nothing, none)
         ).touch
-        return Grip(touch.point, touch.place, none, jnp.ones(places), none)
+        return FrictionState(touch.point, touch.place, none, jnp.ones(places), none)
 
-    def _move(self, y: np.ndarray, state: State, grip: Grip) -> tuple[State, Grip]:
+    def _move(
+        self, y: np.ndarray, state: State, friction: FrictionState
+    ) -> tuple[State, FrictionState]:
         """The pose with the coordinates y, and what friction remembers there."""
-        return self._go(jnp.asarray(y), state, grip, self._at(y, state, grip).touch)
+        return self._go(jnp.asarray(y), state, friction, self._at(y, state, friction).touch)
 
-    def _root(self, state: State, grip: Grip) -> tuple[State, Grip]:
+    def _root(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
         """A pose without forces, downhill."""
         for _ in range(_ROUNDS):
-            state, grip = self._polish(*self._descend(state, grip))
-            here = self._at(np.zeros(len(self.free)), state, grip)
+            state, friction = self._polish(*self._descend(state, friction))
+            here = self._at(np.zeros(len(self.free)), state, friction)
             if np.abs(here.force).max() < _EXACT:
-                return state, grip
+                return state, friction
         raise NoRestError("its feet keep sliding: the forces do not come to balance")
 
-    def _descend(self, state: State, grip: Grip) -> tuple[State, Grip]:
+    def _descend(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
         """Downhill until hardly any force is left."""
         for _ in range(_STEPS):
-            here = self._at(np.zeros(len(self.free)), state, grip)
+            here = self._at(np.zeros(len(self.free)), state, friction)
             if not np.isfinite(here.force).all():
                 break
             if np.abs(here.force).max() < _NEARLY:
-                return state, grip
-            values, ways = np.linalg.eigh(here.stiffness)
+                return state, friction
+            values, modes = np.linalg.eigh(here.stiffness)
             # What is soft follows the force, no farther than the size of the creature.
             largest = np.abs(here.force).max()
             stiff = np.maximum(np.abs(values), largest)
             stay = np.diag(largest * self.stay)
-            y = np.linalg.solve((ways * stiff) @ ways.T + stay, here.force)
-            far = np.abs(y) / np.where(self.free < 3, self.farthest, _LARGEST_TURN)
+            y = np.linalg.solve((modes * stiff) @ modes.T + stay, here.force)
+            far = np.abs(y) / np.where(self.free < root.LENGTHS, self.farthest, _LARGEST_TURN)
             y = y / max(1.0, far.max())
-            y = y * self._share(y, here, state, grip)
-            state, grip = self._move(y, state, grip)
+            y = y * self._step_length(y, here, state, friction)
+            state, friction = self._move(y, state, friction)
         raise NoRestError(f"it slides, rolls or drifts away: no rest within {_STEPS} steps")
 
-    def _share(self, y: np.ndarray, here: _Here, state: State, grip: Grip) -> float:
+    def _step_length(
+        self, y: np.ndarray, here: _Here, state: State, friction: FrictionState
+    ) -> float:
         """Of a step, at which the energy changes at most half as steeply as at first."""
-        low, high, share, steepest = 0.0, 1.0, 1.0, 0.5 * float(here.force @ y)
+        low, high, fraction, steepest = 0.0, 1.0, 1.0, 0.5 * float(here.force @ y)
         for _ in range(_HALVINGS):
-            ahead = float(self._at(share * y, state, grip).force @ y)
+            ahead = float(self._at(fraction * y, state, friction).force @ y)
             if ahead < -steepest:
-                high = share
-            elif ahead > steepest and share < 1.0:
-                low = share
+                high = fraction
+            elif ahead > steepest and fraction < 1.0:
+                low = fraction
             else:
                 break
-            share = (low + high) / 2
-        return share
+            fraction = (low + high) / 2
+        return fraction
 
-    def _polish(self, state: State, grip: Grip) -> tuple[State, Grip]:
+    def _polish(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
         """The root near by, as exactly as the numbers allow."""
-        stiffness = self._at(np.zeros(len(self.free)), state, grip).stiffness
-        values, ways = np.linalg.eigh(stiffness)
+        stiffness = self._at(np.zeros(len(self.free)), state, friction).stiffness
+        values, modes = np.linalg.eigh(stiffness)
         values = np.where(values < 0, -1.0, 1.0) * np.maximum(np.abs(values), _SOFTEST)
-        y = self._chord(state, grip, jnp.asarray((ways / values) @ ways.T))
-        return self._move(np.asarray(y), state, grip)
+        y = self._chord(state, friction, jnp.asarray((modes / values) @ modes.T))
+        return self._move(np.asarray(y), state, friction)
 
     def _require_hold(self, total: np.ndarray) -> None:
         """Check that motors without a spring can hold their joints."""
         tree = self.world.tree
-        torque = np.abs(total[6:])
+        torque = np.abs(total[root.JOINTS])
         for i in np.flatnonzero(~_gives_way(tree) & (torque > tree.torque_limit)):
             raise NoRestError(
                 f"the motor of {tree.dof_names[i]} would have to hold {torque[i]:.3g} N m, and its "
@@ -301,38 +314,40 @@ class _Search:
         h: step of the simulation, s.
     """
 
-    def __init__(self, plan: Plan, free: Int[np.ndarray, " k"], h: float):
+    def __init__(self, plan: WorldPlan, free: Int[np.ndarray, " k"], h: float):
         def force(
-            y: Array, given: tuple, base: State, grip: Grip
+            y: Array, given: tuple, base: State, friction: FrictionState
         ) -> tuple[Array, tuple[Array, Array, Touch]]:
             numbers, length, moment = given
             world = plan.world(numbers)
-            x = jnp.zeros(6 + world.tree.dof_count).at[free].set(length * y)
-            total, touch = static_forces(world, h, base, grip, x)
+            x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
+            total, touch = static_forces(world, h, base, friction, x)
             scaled = total[free] * length / moment
             return scaled, (scaled, total, touch)
 
-        def look(given: tuple, y: Array, base: State, grip: Grip) -> tuple:
-            return jax.jacfwd(force, has_aux=True)(y, given, base, grip)
+        def evaluate(given: tuple, y: Array, base: State, friction: FrictionState) -> tuple:
+            return jax.jacfwd(force, has_aux=True)(y, given, base, friction)
 
-        def go(given: tuple, y: Array, base: State, grip: Grip, touch: Touch) -> tuple[State, Grip]:
+        def go(
+            given: tuple, y: Array, base: State, friction: FrictionState, touch: Touch
+        ) -> tuple[State, FrictionState]:
             numbers, length, _ = given
             world = plan.world(numbers)
             if world.footing is not None:
-                grip = next_grip(world.footing, h, grip, touch)
-            x = jnp.zeros(6 + world.tree.dof_count).at[free].set(length * y)
-            return moved(base, x), grip
+                friction = next_friction(world.footing, h, friction, touch)
+            x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
+            return base.displaced(x), friction
 
-        def chord(given: tuple, base: State, grip: Grip, give: Array) -> Array:
+        def chord(given: tuple, base: State, friction: FrictionState, give: Array) -> Array:
             return optimistix.fixed_point(
-                lambda y, _: y + give @ force(y, given, base, grip)[0],
+                lambda y, _: y + give @ force(y, given, base, friction)[0],
                 optimistix.FixedPointIteration(rtol=1e-13, atol=1e-13),
                 jnp.zeros(len(free)),
                 max_steps=_CHORDS,
                 throw=False,
             ).value
 
-        self.look, self.go, self.chord = quick_jit(look), quick_jit(go), quick_jit(chord)
+        self.evaluate, self.go, self.chord = quick_jit(evaluate), quick_jit(go), quick_jit(chord)
 
 
 _searches = Programs(_Search)
@@ -360,15 +375,17 @@ def settled(
     state = found.state
     if is_traced(world, situation):
         x, y, heading = found.start
-        way = jnp.stack([situation.start_position[0] - x, situation.start_position[1] - y])
-        base, grip = jax.tree.map(lambda leaf: jnp.asarray(leaf, way.dtype), (state, found.grip))
-        turn = jnp.asarray(situation.start_heading - heading, way.dtype)
-        base, grip = _carried(base, grip, way, turn)
-        still = jnp.zeros(len(found.give), way.dtype)
-        force, _ = static_forces(world, h, base, grip, still)
-        state = moved(base, jnp.asarray(found.give, way.dtype) @ force)
+        displacement = jnp.stack([situation.start_position[0] - x, situation.start_position[1] - y])
+        base, friction = jax.tree.map(
+            lambda leaf: jnp.asarray(leaf, displacement.dtype), (state, found.friction)
+        )
+        turn = jnp.asarray(situation.start_heading - heading, displacement.dtype)
+        base, friction = _carried(base, friction, displacement, turn)
+        still = jnp.zeros(len(found.give), displacement.dtype)
+        force, _ = static_forces(world, h, base, friction, still)
+        state = base.displaced(jnp.asarray(found.give, displacement.dtype) @ force)
         if alike_everywhere:
-            state, _ = _put_back(base, state, grip)
+            state, _ = _put_back(base, state, friction)
     position, orientation, angles = (
         tuple(values if is_traced(values) else values.tolist())
         for values in (state.position, state.orientation, state.q)
@@ -423,32 +440,34 @@ def _is_alike_everywhere(world: World) -> bool:
     return world.ground is None or world.ground.level is not None
 
 
-def _put_back(start: State, state: State, grip: Grip) -> tuple[State, Grip]:
+def _put_back(start: State, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
     """To the place and heading of the start."""
     turn = _heading(start) - _heading(state)
-    return _carried(state, grip, start.position[:2] - state.position[:2], turn)
+    return _carried(state, friction, start.position[:2] - state.position[:2], turn)
 
 
-def _carried(state: State, grip: Grip, way: Array, turn: Array) -> tuple[State, Grip]:
+def _carried(
+    state: State, friction: FrictionState, displacement: Array, turn: Array
+) -> tuple[State, FrictionState]:
     """A pose, and what friction remembers, elsewhere on level ground.
 
     Args:
         state: the pose.
-        grip: what friction remembers.
-        way: in the plane ``(2,)``, m.
+        friction: what friction remembers.
+        displacement: displacement in the plane ``(2,)``, m.
         turn: about the upright axis through the root's centre, rad.
     """
     about_z = jnp.stack([jnp.zeros_like(turn), jnp.zeros_like(turn), turn])
     rotation = axis_rotation(np.array([0.0, 0.0, 1.0]), jnp.sin(turn), jnp.cos(turn))
-    position = state.position + jnp.concatenate([way, jnp.zeros_like(way[:1])])
-    place = position[:, None] + rotation @ (grip.place - state.position[:, None])
+    position = state.position + jnp.concatenate([displacement, jnp.zeros_like(displacement[:1])])
+    place = position[:, None] + rotation @ (friction.place - state.position[:, None])
     carried = dataclasses.replace(
         state,
         position=position,
         orientation=integrate_quaternion(state.orientation, about_z, 1.0),
     )
-    turned = {name: rotation @ getattr(grip, name) for name in ("slip", "drag")}
-    return carried, grip._replace(place=place, **turned)
+    turned = {name: rotation @ getattr(friction, name) for name in ("slip", "drag")}
+    return carried, friction._replace(place=place, **turned)
 
 
 def _heading(state: State) -> Array:

@@ -99,17 +99,17 @@ class Snapshot:
     @property
     def contact_position(self) -> Float[Array, "3 p *n"]:
         """The point of each place that is nearest to the ground, m."""
-        arm, _ = self._lowest
-        return take(self.kinematics.origin, self.contact_bodies) + arm
+        offset, _ = self._lowest
+        return take(self.kinematics.origin, self.contact_bodies) + offset
 
     @property
     def contact_velocity(self) -> Float[Array, "3 p *n"]:
         """Of the material that is at this point, m/s."""
-        arm, _ = self._lowest
+        offset, _ = self._lowest
         linear, angular = (
             take(x, self.contact_bodies) for x in (self.kinematics.linear, self.angular_velocity)
         )
-        return linear + cross(angular, arm)
+        return linear + cross(angular, offset)
 
     @property
     def clearance(self) -> Float[Array, "p *n"]:
@@ -151,8 +151,8 @@ class Snapshot:
         if self.world.footing is None:
             origin = self.kinematics.origin
             return origin[:, :0], origin[0, :0]
-        arm, _, gap, *_ = contact_points(self.world.footing, self.kinematics)
-        return arm, gap
+        offset, _, gap, *_ = contact_points(self.world.footing, self.kinematics)
+        return offset, gap
 
     def _mean(self, of_bodies: Float[Array, "3 b *n"]) -> Float[Array, "3 *n"]:
         """Over the mass."""

@@ -75,12 +75,12 @@ def track(
     length = 1.0 / float(simulation.control_rate)
     place = np.clip(times / length, 0.0, simulation.steps)
     first = np.minimum(place.astype(int), simulation.steps - 1)
-    share = (place - first)[:, None]
+    fraction = (place - first)[:, None]
 
     def curve(value: Array, rate: Array) -> Array:
         a, b = value[first], value[first + 1]
         da, db = length * rate[first], length * rate[first + 1]
-        u = share
+        u = fraction
         return (
             a * (1 - u) ** 2 * (1 + 2 * u)
             + da * u * (1 - u) ** 2
@@ -92,7 +92,7 @@ def track(
     a, b = jnp.asarray(states.orientation)[first], states.orientation[first + 1]
     # The nearer of the two quaternions of an orientation.
     b = b * jnp.where((a * b).sum(1, keepdims=True) < 0, -1.0, 1.0)
-    turn = (1 - share) * a + share * b
+    turn = (1 - fraction) * a + fraction * b
     turn = turn / jnp.sqrt((turn * turn).sum(1, keepdims=True))
     rotation = quaternion_to_matrix(jnp.asarray(turn).T)
     attitude = [

@@ -12,7 +12,7 @@ and `Walk` takes from it what running has and walking has not, each term from th
 The thesis is silent on what "distance" is. Here D is the straight line over ground (heights do not
 count) from where the torso's centre was at the start to where it is at the last control step, and
 the torso is the root of the creature. Lengths are measured in torso lengths l, so a weight says how
-many torso lengths of way a term of 1 is worth.
+many torso lengths of displacement a term of 1 costs.
 
 | symbol | name |
 |---|---|
@@ -31,20 +31,20 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.simulation.measures import Way, no_way
+from evo_cpg.simulation.measures import Displacement, no_displacement
 from evo_cpg.simulation.task import Task, Transition
 from evo_cpg.spatial.numerics import Number
 
-# ``any`` counts the way made whatever its direction; ``forward`` what of it leads along the world's
-# +x, which an animal faces at the start unless it is turned, and counts a way back as negative.
+# ``any``: the displacement in any direction. ``forward``: its part along the world's +x,
+# which an animal faces at the start unless it is turned; backwards is negative.
 Heading = Literal["any", "forward"]
 
 
 class Gait(NamedTuple):
-    """The way and sums over the trial so far.
+    """Displacement and sums over the trial so far.
 
     Attributes:
-        way: from the start.
+        displacement: of the torso.
         tilt: of 1 - cos(angle to the vertical).
         rise: of the height above that at the start, m; it is small, so the variance keeps its
             digits.
@@ -52,7 +52,7 @@ class Gait(NamedTuple):
         airborne: of the share of each control step off the ground.
     """
 
-    way: Way
+    displacement: Displacement
     tilt: Float[Array, " *n"]
     rise: Float[Array, " *n"]
     squared_rise: Float[Array, " *n"]
@@ -70,17 +70,18 @@ class Distance(Task):
     light: None = eqx.field(default=None, init=False)
     heading: Heading = eqx.field(static=True, default="any")
 
-    def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Way:
+    def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Displacement:
         """See `Task.begin`."""
         del steps
-        return no_way(batch, dtype)
+        return no_displacement(batch, dtype)
 
-    def update(self, tally: Way, transition: Transition, steps: int) -> Way:
+    def update(self, tally: Displacement, transition: Transition, steps: int) -> Displacement:
         """See `Task.update`."""
         del steps
-        return _go_on(tally, transition)
+        place = transition.before.state.position
+        return tally.moved(transition.step, place, place)
 
-    def terms(self, tally: Way, steps: int) -> dict[str, Float[Array, " *n"]]:
+    def terms(self, tally: Displacement, steps: int) -> dict[str, Float[Array, " *n"]]:
         """``distance`` and, of it, what leads ``forward`` (m)."""
         del steps
         return _measured(tally)
@@ -117,16 +118,18 @@ class Walk(Task):
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Gait:
         """See `Task.begin`."""
         del steps
-        return Gait(no_way(batch, dtype), *(jnp.zeros(batch, dtype) for _ in Gait._fields[1:]))
+        sums = (jnp.zeros(batch, dtype) for _ in Gait._fields[1:])
+        return Gait(no_displacement(batch, dtype), *sums)
 
     def update(self, tally: Gait, transition: Transition, steps: int) -> Gait:
         """See `Task.update`."""
         del steps
-        way = _go_on(tally.way, transition)
+        place = transition.before.state.position
+        displacement = tally.displacement.moved(transition.step, place, place)
         _, x, y, _ = transition.before.state.orientation
-        rise = way.end[2] - way.start[2]
+        rise = displacement.end[2] - displacement.start[2]
         return Gait(
-            way,
+            displacement,
             # The torso's up axis has the height 1 - 2 (x^2 + y^2).
             tally.tilt + 2.0 * (x * x + y * y),
             tally.rise + rise,
@@ -137,7 +140,7 @@ class Walk(Task):
     def terms(self, tally: Gait, steps: int) -> dict[str, Float[Array, " *n"]]:
         """``distance`` and ``forward`` (m), ``tilt``, ``bounce`` (m) and ``airborne``."""
         mean = tally.rise / steps
-        return _measured(tally.way) | {
+        return _measured(tally.displacement) | {
             "tilt": tally.tilt / steps,
             "bounce": jnp.sqrt(jnp.maximum(tally.squared_rise / steps - mean * mean, 0.0)),
             "airborne": tally.airborne / steps,
@@ -146,7 +149,7 @@ class Walk(Task):
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
-        """What it made of the way, in torso lengths."""
+        """Displacement less what the posture costs, in torso lengths."""
         del scales
         return (
             self.distance_weight * _headed(terms, self.heading) / self.torso_length
@@ -156,13 +159,8 @@ class Walk(Task):
         )
 
 
-def _go_on(way: Way, transition: Transition) -> Way:
-    place = transition.before.state.position
-    return Way(jnp.where(transition.step == 0, place, way.start), place)
-
-
-def _measured(way: Way) -> dict[str, Float[Array, " *n"]]:
-    ahead, aside, _ = way.end - way.start
+def _measured(displacement: Displacement) -> dict[str, Float[Array, " *n"]]:
+    ahead, aside, _ = displacement.end - displacement.start
     return {"distance": jnp.sqrt(ahead * ahead + aside * aside), "forward": ahead}
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.spatial.inlined import inlined
+from evo_cpg.spatial.linear import inlined
 
 
 class Factors(NamedTuple):

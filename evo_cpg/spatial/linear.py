@@ -6,6 +6,7 @@ as broadcast-and-sum over the leading axes: measured on a 3x3 product with 96 in
 takes 0.17 us a kernel, whereas ``jnp.einsum`` would move the population away from the last axis.
 """
 
+import functools
 from typing import Any
 
 import jax
@@ -13,9 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.spatial.inlined import inlined
 from evo_cpg.spatial.numerics import is_traced, xp
 from evo_cpg.spatial.partly import PartlyTraced
+
+inlined = functools.partial(jax.jit, inline=True)
+"""Decorator of a function of arrays alone: JAX traces it once for arguments of each shape and type.
+
+A program has the operations in its own text all the same, as if they had been written there, and so
+do derivatives; outside of programs the function is compiled as one. A step of the quadruped is
+traced in four fifths of the time.
+"""
 
 # Between these powers of two products of three numbers stay within float32.
 _SMALL, _LARGE = 2.0**-32, 2.0**32

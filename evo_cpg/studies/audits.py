@@ -58,7 +58,7 @@ def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
                     for each in done.verdict.checks
                 },
                 "opinions": [
-                    {"program": one.program, "way": one.way, "upright": one.upright}
+                    {"program": one.program, "way": one.displacement, "upright": one.upright}
                     for one in done.opinions
                 ],
             }

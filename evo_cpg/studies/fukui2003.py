@@ -290,7 +290,8 @@ def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = Non
 
 def _held(workshop: Workshop, model: str) -> float:
     simulation = workshop.experiment(model).simulation
-    genes = one_posture(simulation.controller, HELD_ANGLE)[:, None]
+    held = one_posture(simulation.controller, HELD_ANGLE)[:, None]
+    genes = simulation.genome.with_controller(held)
     return float(compile_trials(simulation, population_mesh())(genes).terms["distance"][0])
 
 

@@ -69,10 +69,8 @@ def still(workshop: "Workshop", name: str) -> list[str]:
     Its fitness is by the yardsticks of the first run.
     """
     simulation = workshop.experiment(name).simulation
-    terms = {
-        key: x.mean()
-        for key, x in lived(simulation, silent_genes(simulation.controller)[:, None]).items()
-    }
+    silent = simulation.genome.with_controller(silent_genes(simulation.controller)[:, None])
+    terms = {key: x.mean() for key, x in lived(simulation, silent).items()}
     scales = {key: jnp.asarray(x) for key, x in workshop.champions(name)[0].scales.items()}
     fitness = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)
     shown = f"{float(fitness):.3f}", percent(terms["distance"]), f"{terms['light']:.2f}"

@@ -40,9 +40,10 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
         shown: names of the runs, by what is written in the picture.
         picture: name of the picture; that of the part where it is the only one.
     """
-    from evo_cpg.training.loop import compile_replay
+    from evo_cpg.training.replay import compile_replay
     from evo_cpg.view.film import side_by_side
-    from evo_cpg.view.panel import panel_of
+    from evo_cpg.view.frames import Film
+    from evo_cpg.view.scene import panel_of
 
     rows, panels = [], []
     for title, name in shown.items():
@@ -65,7 +66,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
         )
     if panels:
         path = workshop.picture(picture)
-        side_by_side(panels, path, size=_SIZE, sheet=(_MOMENTS, 1), columns=1)
+        side_by_side(panels, path, Film(_SIZE, sheet=(_MOMENTS, 1), columns=1))
     return Table("", HEAD, rows)
 
 

@@ -192,7 +192,7 @@ class Workshop:
 
     def recordings(self, name: str) -> Iterator[tuple[Champion, Recording]]:
         """The champions, living once more."""
-        from evo_cpg.training.loop import compile_replay
+        from evo_cpg.training.replay import compile_replay
 
         live = compile_replay(self.experiment(name), self.devices)
         for champion in self.champions(name):

@@ -40,8 +40,8 @@ _LONGEST = 10.0
 _LENGTH_DECAY = 0.9
 
 
-class SlopeLengths(NamedTuple):
-    """State of `cut_long_slopes`.
+class GradientLengths(NamedTuple):
+    """State of `clip_long_gradients`.
 
     Attributes:
         mean: length of a slope, a mean that forgets; 0 before the first.
@@ -52,35 +52,35 @@ class SlopeLengths(NamedTuple):
     finite: Int[Array, ""]
 
 
-def cut_long_slopes() -> optax.GradientTransformation:
+def clip_long_gradients() -> optax.GradientTransformation:
     """A guard against slopes that explode, which would fill Adam's memory.
 
     A slope that is not finite counts as none; one much longer than those before is cut.
     (`optax.adaptive_grad_clip` compares with the parameters, which says nothing of a cliff.)
     """
 
-    def init(params: Any) -> SlopeLengths:
+    def init(params: Any) -> GradientLengths:
         del params
-        return SlopeLengths(jnp.zeros(()), jnp.zeros((), jnp.int32))
+        return GradientLengths(jnp.zeros(()), jnp.zeros((), jnp.int32))
 
-    def update(updates: Any, state: Any, params: Any = None) -> tuple[Any, SlopeLengths]:
+    def update(updates: Any, state: Any, params: Any = None) -> tuple[Any, GradientLengths]:
         del params
         length = optax.tree.norm(updates)
         finite = jnp.isfinite(length)
         first = state.mean == 0
         longest = jnp.where(first, length, _LONGEST * state.mean)
-        share = jnp.minimum(1.0, longest / jnp.maximum(length, jnp.finfo(length.dtype).tiny))
-        kept = jax.tree.map(lambda x: jnp.where(finite, share * x, 0.0), updates)
-        usual = _LENGTH_DECAY * state.mean + (1 - _LENGTH_DECAY) * share * length
+        factor = jnp.minimum(1.0, longest / jnp.maximum(length, jnp.finfo(length.dtype).tiny))
+        kept = jax.tree.map(lambda x: jnp.where(finite, factor * x, 0.0), updates)
+        usual = _LENGTH_DECAY * state.mean + (1 - _LENGTH_DECAY) * factor * length
         mean = jnp.where(finite, jnp.where(first, length, usual), state.mean)
-        return kept, SlopeLengths(mean, state.finite + finite)
+        return kept, GradientLengths(mean, state.finite + finite)
 
     return optax.GradientTransformation(init, update)
 
 
 # The mean of squares forgets sooner than usual, for a climb has few steps.
 _ADAM = optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-12)
-_GUARDED_ADAM = optax.chain(cut_long_slopes(), _ADAM, optax.scale(-1.0))
+_GUARDED_ADAM = optax.chain(clip_long_gradients(), _ADAM, optax.scale(-1.0))
 
 
 class _Descended(eqx.Module):
@@ -100,7 +100,7 @@ class _Descended(eqx.Module):
 
 
 class GuardedAdam(optimistix.AbstractDescent):
-    """The direction of descent of Kingma and Ba (2015), by optax, behind `cut_long_slopes`."""
+    """The direction of descent of Kingma and Ba (2015), by optax, behind `clip_long_gradients`."""
 
     def init(self, y: Any, f_info_struct: Any) -> _Descended:
         """Nothing seen yet, so there is no loss that is not less."""
@@ -139,7 +139,7 @@ class Climber(optimistix.AbstractGradientDescent):
         return state.descent_state.best, aux, {}
 
 
-class Ways(NamedTuple):
+class ClimbSettings(NamedTuple):
     """How individuals climb.
 
     Attributes:
@@ -151,12 +151,12 @@ class Ways(NamedTuple):
     retentions: Float[np.ndarray, " n"]
 
 
-def draw_ways(
+def draw_settings(
     rng: np.random.Generator,
     simulation: Simulation,
     count: int,
     stretched: float = 1.0,
-) -> Ways:
+) -> ClimbSettings:
     """Step sizes and horizons, the horizons from the shortest to where they hardly fade.
 
     Args:
@@ -165,12 +165,12 @@ def draw_ways(
         count: individuals.
         stretched: factor on the shortest horizon.
     """
-    whole = simulation.duration
+    duration = simulation.duration
     shortest = stretched * (_SHORTEST_ON_GROUND if _is_rough(simulation) else _SHORTEST_HORIZON)
-    horizons = log_uniform(rng, min(shortest, whole), 10 * whole, count)
+    horizons = log_uniform(rng, min(shortest, duration), 10 * duration, count)
     horizons[rng.random(count) < _EXACT] = np.inf
     sizes = reach(simulation) * log_uniform(rng, *_STEP_SIZES, count)
-    return Ways(sizes, retention(horizons, simulation.control_rate))
+    return ClimbSettings(sizes, retention(horizons, simulation.control_rate))
 
 
 def reach(simulation: Simulation) -> float:
@@ -236,7 +236,7 @@ def compile_ascent(
 
     Returns:
         A function of host arrays, compiled at its first call: of the genes, the ways, the task's
-        yardsticks and, where there is noise, the keys of every individual's trials; individuals on
+        scales and, where there is noise, the keys of every individual's trials; individuals on
         the last axis.
     """
     simulation, gene_count = experiment.simulation, experiment.simulation.genome.count
@@ -251,20 +251,20 @@ def compile_ascent(
         keys: UInt32[Array, "w trials"] | None,
     ) -> Float[Array, ""]:
         own, shifts = genes[:gene_count], genes[gene_count:]
-        crowd = jnp.broadcast_to(own[:, None], (gene_count, experiment.trials))
+        replicas = jnp.broadcast_to(own[:, None], (gene_count, experiment.trials))
         trial = simulation
         if free:
             trial = free.simulation(free.at(shifts).astype(genes.dtype))
         backward = Backward(kept, width, rough)
-        outcome = rollout(trial, crowd, keys, numbers, backward=backward)
+        outcome = rollout(trial, replicas, keys, numbers, backward=backward)
         return judge(simulation.task, outcome, scales)[0]
 
     def climb(
-        genes: Array, way: Any, scales: dict[str, Array], keys: Array | None
+        genes: Array, settings: Any, scales: dict[str, Array], keys: Array | None
     ) -> tuple[Array, Array, Array]:
         solution = optimistix.minimise(
-            lambda genes, _: -fitness(genes, scales, way.retentions, keys),
-            Climber(search=optimistix.LearningRate(way.sizes)),
+            lambda genes, _: -fitness(genes, scales, settings.retentions, keys),
+            Climber(search=optimistix.LearningRate(settings.sizes)),
             genes,
             # The first sees where it stands, and one more where the last move led.
             max_steps=steps + 1,
@@ -282,12 +282,12 @@ def compile_ascent(
 
     def run(
         genes: Float[np.ndarray, "g n"],
-        ways: Ways,
+        settings: ClimbSettings,
         scales: dict[str, Float[np.ndarray, " n"]],
         keys: UInt32[np.ndarray, "w trials n"] | None = None,
     ) -> Climbed:
         def pick(lanes: Int[np.ndarray, " block"]) -> tuple:
-            return jax.tree.map(lambda x: x[..., lanes], (genes, ways, scales, keys))
+            return jax.tree.map(lambda x: x[..., lanes], (genes, settings, scales, keys))
 
         spread = Layout(mesh, width)
         best, value, finite = run_in_blocks(program, spread, genes.shape[1], pick)

@@ -23,7 +23,7 @@ class Champion(NamedTuple):
         fitness: as evaluated in training.
         generation: in which it was found.
         terms: the task's terms.
-        scales: the task's yardsticks.
+        scales: the task's scales.
         run: number of its run.
         index: its place in its run's population; with the run and the generation it selects the
             random numbers of its trials.
@@ -63,7 +63,7 @@ class Checkpoint(NamedTuple):
         genes: the populations of the next generation, run by run.
         records: the best individual that each run has evaluated so far.
         history: rows of metrics.csv.
-        scales: the task's yardsticks in each run; empty before the first generation.
+        scales: the task's scales in each run; empty before the first generation.
         state: what the strategy remembers, by `state_arrays`.
         chosen: of each run the best in fresh draws of chance, where there is any and all
             generations are done.
@@ -96,8 +96,8 @@ def genes_digest(genes: np.ndarray) -> str:
 
 def outcome_digest(champion: Champion) -> str:
     """SHA-256 of what is recorded about a champion beside its genome."""
-    told = (champion.fitness, champion.generation, champion.terms, champion.scales)
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    content = (champion.fitness, champion.generation, champion.terms, champion.scales)
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def history_columns(
@@ -123,7 +123,7 @@ def history_columns(
 
 def champion_arrays(champion: Champion) -> dict[str, Any]:
     """A champion as named arrays, with the digests that `verify` compares."""
-    told = {} if champion.expected is None else {"expected": champion.expected}
+    content = {} if champion.expected is None else {"expected": champion.expected}
     return {
         "genes": champion.genes,
         "genes_sha256": genes_digest(champion.genes),
@@ -134,7 +134,7 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
         "index": champion.index,
         "lives": champion.lives,
         "ended_early": champion.ended_early,
-        **told,
+        **content,
         **{TERM_PREFIX + name: value for name, value in champion.terms.items()},
         **{SCALE_PREFIX + name: value for name, value in champion.scales.items()},
     }
@@ -188,8 +188,8 @@ def checkpoint_arrays(
         for run, champion in enumerate(champions):
             if champion is not None:
                 prefix = _prefix(kind, run)
-                told = champion_arrays(champion)
-                arrays |= {prefix + name: value for name, value in told.items()}
+                content = champion_arrays(champion)
+                arrays |= {prefix + name: value for name, value in content.items()}
     if checkpoint.chosen:
         arrays["chose"] = True
     return arrays

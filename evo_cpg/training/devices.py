@@ -108,9 +108,9 @@ def chunk_width(count: int, devices: int) -> int:
         count: individuals, on all devices.
         devices: that share them; those that stay idle make no difference.
     """
-    share = -(-count // (devices * LANES))
-    chunks = -(-share // machine_constants.WIDEST_CHUNK) if jax.default_backend() == "cpu" else 1
-    return LANES * -(-share // chunks)
+    vectors = -(-count // (devices * LANES))
+    chunks = -(-vectors // machine_constants.WIDEST_CHUNK) if jax.default_backend() == "cpu" else 1
+    return LANES * -(-vectors // chunks)
 
 
 def sharded(
@@ -154,13 +154,13 @@ def run_in_blocks(
         Host arrays of all individuals.
     """
 
-    def share(x: np.ndarray) -> jax.Array:
+    def placed(x: np.ndarray) -> jax.Array:
         return jax.device_put(x, NamedSharding(spread.mesh, _spec(x.ndim)))
 
     results: list = []
     for first in range(0, count, spread.block):
         numbers = np.minimum(np.arange(first, first + spread.block), count - 1)
-        results.append(program(*jax.tree.map(share, pick(numbers))))
+        results.append(program(*jax.tree.map(placed, pick(numbers))))
         # While one block is computed the next one waits, and no more: each takes memory.
         if len(results) > 1:
             jax.block_until_ready(results[-2])

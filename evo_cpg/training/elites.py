@@ -1,4 +1,4 @@
-"""Individuals from the map of a run: anybody who is the best of his kind."""
+"""Elites: individuals from the map of behaviour of a run."""
 
 from typing import NamedTuple
 
@@ -6,68 +6,65 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.evolution.map_elites import Archive, Axis, MapStrategy
+from evo_cpg.evolution.archive import Archive, Axis
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.experiment import Experiment, begin
 from evo_cpg.training.strategy_state import StrategyError, state_from
 
 
 class GaitMap(NamedTuple):
-    """The map of one run.
+    """The map of behaviour of one run.
 
     Attributes:
-        axes: of it.
-        fitness: of the elites, NaN where there is none; one axis for each of those.
-        archive: the same, cells along the last axis.
+        axes: axes of the map.
+        fitness: fitness of the elites, NaN in empty cells; one array axis for each axis.
+        archive: the elites, with cells along the last axis.
     """
 
     axes: tuple[Axis, ...]
     fitness: Float[np.ndarray, "..."]
     archive: Archive
 
-    @property
-    def coverage(self) -> float:
-        """Share of cells that are filled."""
-        return float(np.isfinite(self.fitness).mean())
-
 
 def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMap | None:
-    """The map of a run; None where its strategy has none.
+    """Return the map of a run; None if its strategy has none.
 
     Raises:
-        StrategyError: the checkpoint is that of another strategy.
+        StrategyError: the checkpoint comes from another strategy.
     """
     strategy = experiment.strategy
-    if not isinstance(strategy, MapStrategy) or not checkpoint.state:
+    axes = strategy.map_axes
+    if not axes or not checkpoint.state:
         return None
     like = jax.eval_shape(lambda: begin(experiment))[1]
     state = jax.tree.map(lambda x: x[run], state_from(checkpoint.state, like))
-    archive = strategy.archive(state)
+    archive = strategy.map_of(state)
+    assert archive is not None
     fitness = np.where(np.isfinite(archive.fitness), archive.fitness, np.nan)
-    return GaitMap(strategy.axes, fitness.reshape(strategy.shape), archive)
+    return GaitMap(axes, fitness.reshape([axis.cells for axis in axes]), archive)
 
 
 def elite(
     experiment: Experiment, checkpoint: Checkpoint, cell: tuple[int, ...], run: int
 ) -> Champion:
-    """The individual of a cell, with what it takes to let it live again.
+    """Return the individual of a cell, ready to be replayed.
 
     Args:
-        experiment: that it was evolved in.
-        checkpoint: of the run.
+        experiment: the experiment that it was evolved in.
+        checkpoint: checkpoint of the run.
         cell: a number for each axis, from 0.
         run: number of the run.
 
     Raises:
-        StrategyError: there is no map, no such cell, or nobody in it.
+        StrategyError: there is no map, no such cell, or the cell is empty.
     """
     found = gait_map(experiment, checkpoint, run)
     if found is None:
         raise StrategyError("there is no map: evolution.type is not one that fills cells")
     axes, shape = found.axes, found.fitness.shape
     if len(cell) != len(shape) or not all(0 <= i < n for i, n in zip(cell, shape, strict=True)):
-        asked = ", ".join(f"{axis.name} 0 to {axis.cells - 1}" for axis in axes)
-        raise StrategyError(f"there is no cell {','.join(map(str, cell))}; a cell is {asked}")
+        allowed = ", ".join(f"{axis.name} 0 to {axis.cells - 1}" for axis in axes)
+        raise StrategyError(f"there is no cell {','.join(map(str, cell))}; a cell is {allowed}")
     number = int(np.ravel_multi_index(cell, shape))
     archive = found.archive
     if not np.isfinite(archive.fitness[number]):

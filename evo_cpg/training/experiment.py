@@ -19,14 +19,13 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped, UInt32
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation, Strategy
-from evo_cpg.simulation.batched import Inputs, rollout_batched
-from evo_cpg.simulation.judge import JUDGE, Outcome, score
-from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.batched import BatchedSimulation, Inputs
+from evo_cpg.simulation.judge import Outcome, no_terms, score
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.devices import Layout, chunk_width, layout, run_in_blocks, sharded
+from evo_cpg.training.devices import Layout, layout, run_in_blocks, sharded
 
 # Tags that keep the random streams of one seed apart.
 _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
@@ -97,7 +96,7 @@ class Generation(NamedTuple):
         fitness: of every individual, the mean over its trials; -inf where it diverged in any.
         terms: the task's terms, likewise averaged.
         alive: False where an individual diverged.
-        scales: the task's yardsticks.
+        scales: the task's scales.
         best: index of the fittest within its run.
         best_genes: its genome.
         next_genes: the population of the next generation, all runs side by side.
@@ -132,8 +131,8 @@ def begin(
         if given is None:
             given = genome.random(_stream(seed, _FIRST_POPULATION), size)
         state = strategy.init(_stream(seed, _STRATEGY), given)
-        asked, state = strategy.ask(_ask_key(seed, 0), state)
-        return jnp.asarray(asked, given.dtype), state
+        next_genes, state = strategy.ask(_ask_key(seed, 0), state)
+        return jnp.asarray(next_genes, given.dtype), state
 
     given = None if start is None else start.reshape(len(start), experiment.runs, -1)
     genes, state = jax.vmap(of_run, in_axes=(0, 1), out_axes=(1, 0))(_seeds(experiment), given)
@@ -193,6 +192,13 @@ def situation_numbers(experiment: Experiment) -> Int[np.ndarray, " trials"] | No
     return np.arange(experiment.trials) if several else None
 
 
+def placeholder_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
+    """Return ones for the scales of each run, which generation 0 will measure."""
+    simulation = experiment.simulation
+    shapes = jax.eval_shape(lambda: simulation.task.scales(no_terms(simulation)))
+    return dict.fromkeys(shapes, (1.0,) * experiment.runs)
+
+
 def compile_trials(
     simulation: Simulation, mesh: Mesh, width: int | None = None, inputs: Inputs | None = None
 ) -> Callable[..., Outcome]:
@@ -220,9 +226,8 @@ def compile_trials(
     """
 
     def rollouts(values: Any, genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
-        if inputs is None:
-            return rollout(simulation, genes, keys, trial)
-        return rollout_batched(simulation, inputs, values, genes, keys, trial)
+        own = BatchedSimulation(simulation, inputs, values) if inputs else simulation
+        return rollout(own, genes, keys, trial)
 
     @functools.cache
     def program(busy: Mesh) -> Callable[..., Outcome]:
@@ -265,7 +270,7 @@ def breed(
         outcome: of their trials.
         index: number of the generation, from 0; it alone selects the random stream, so a resumed
             run draws the same numbers as one that was never stopped.
-        scales: the task's yardsticks; measured anew, and these ignored, in generation 0.
+        scales: the task's scales; measured anew, and these ignored, in generation 0.
         state: what the strategy remembers.
     """
     simulation, strategy = experiment.simulation, experiment.strategy
@@ -285,12 +290,12 @@ def breed(
         key = jax.random.fold_in(_stream(seed, _GENERATIONS), index)
         about = mean.terms, descriptors(simulation, mean.terms)
         worth = Evaluation(fitness, *about, judge_each(task, outcome, scales))
-        told = strategy.tell(key, state, genes, worth)
-        asked, state = strategy.ask(_ask_key(seed, index + 1), told)
+        updated = strategy.tell(key, state, genes, worth)
+        next_genes, state = strategy.ask(_ask_key(seed, index + 1), updated)
         best = jnp.argmax(fitness)
         found = fitness, mean.terms, mean.alive, scales, best, genes[:, best]
-        asked = jnp.asarray(asked, genes.dtype)
-        return Generation(*found, asked, state, strategy.metrics(state))
+        next_genes = jnp.asarray(next_genes, genes.dtype)
+        return Generation(*found, next_genes, state, strategy.metrics(state))
 
     runs, gene_count = experiment.runs, len(genes)
     places = (runs, experiment.strategy.population, experiment.trials)
@@ -321,7 +326,7 @@ def judge(
     Args:
         task: what they are judged by.
         outcome: of all trials; the last axis is the trials of one individual.
-        scales: the task's yardsticks.
+        scales: the task's scales.
 
     Returns:
         The mean fitness, -inf for an individual that diverged in any trial, and the mean outcome.
@@ -345,55 +350,6 @@ def judge_each(
 ) -> Float[Array, "trials *n"]:
     """Fitness in each of the trials that `judge` takes together; -inf where it diverged."""
     return jax.vmap(lambda trial: score(task, trial, scales), in_axes=-1)(outcome)
-
-
-def replay(
-    experiment: Experiment,
-    devices: int,
-    genes: Float[Array, " g"],
-    keys: UInt32[Array, "w trials"] | None = None,
-    numbers: Int[Array, " trials"] | None = None,
-    recorded: int = 0,
-    full: bool = False,
-) -> tuple[Outcome, dict[str, Array]]:
-    """One individual's trials, on one device, in chunks as wide as those of training.
-
-    Compiled code may round differently for different array lengths, and where an array is a
-    constant of it; with equal lengths and the same arguments the numbers are those of the training
-    run.
-
-    Args:
-        experiment: that the individual was evolved in.
-        devices: how many shared the population in training.
-        genes: of the individual.
-        keys: of its trials; None without noise.
-        numbers: of its trials, see `situation_numbers`.
-        recorded: which of its trials is recorded.
-        full: see `evo_cpg.simulation.recording.Recorder`.
-
-    Returns:
-        What each of its trials amounted to, and one of them step by step.
-    """
-    simulation, trials = experiment.simulation, experiment.trials
-    count = experiment.runs * experiment.strategy.population * trials
-    lanes = chunk_width(count, devices)
-    crowd = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
-
-    def beginning_with(first: int) -> tuple[Array | None, Array | None]:
-        """Keys and numbers of the trials in all lanes."""
-        order = (np.arange(lanes) + first) % trials
-        return jax.tree.map(lambda x: x[..., order], (keys, numbers))
-
-    # A chunk may hold fewer trials than an individual has.
-    parts, frames = [], {}
-    for start in range(0, trials, lanes):
-        if start <= recorded < start + lanes:
-            observers = JUDGE, Recorder(first=recorded - start, full=full)
-            outcome, frames = rollout(simulation, crowd, *beginning_with(start), observers)
-        else:
-            outcome = rollout(simulation, crowd, *beginning_with(start))
-        parts.append(outcome)
-    return jax.tree.map(lambda *x: jnp.concatenate(x)[:trials], *parts), frames
 
 
 def _seeds(experiment: Experiment) -> Int[Array, " runs"]:

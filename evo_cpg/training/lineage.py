@@ -32,10 +32,10 @@ def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Cha
     """
     known = {(each.run, each.generation): each for each in lineage}
     known |= {(each.run, each.generation): each for each in found}
-    whole = [known[place] for place in sorted(known)]
+    ordered = [known[place] for place in sorted(known)]
     return [
         each
-        for _, own in itertools.groupby(whole, lambda champion: champion.run)
+        for _, own in itertools.groupby(ordered, lambda champion: champion.run)
         for each in _thinned(list(own))
     ]
 
@@ -65,7 +65,7 @@ def champion_at(lineage: Sequence[Champion], generation: int) -> Champion | None
     return found[-1] if found else None
 
 
-def telling(lineage: Sequence[Champion], count: int) -> list[Champion]:
+def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
     """The first champion, the last, and others in between, evenly in ratios of generations.
 
     Args:
@@ -76,10 +76,10 @@ def telling(lineage: Sequence[Champion], count: int) -> list[Champion]:
         return list(lineage)[-count:]
     age = [_age(each.generation) for each in lineage]
     chosen = {0, len(lineage) - 1}
-    for share in range(1, count - 1):
-        wanted = age[0] + (age[-1] - age[0]) * share / (count - 1)
+    for place in range(1, count - 1):
+        target = age[0] + (age[-1] - age[0]) * place / (count - 1)
         rest = [i for i in range(len(lineage)) if i not in chosen]
-        chosen.add(min(rest, key=lambda i: abs(age[i] - wanted)))
+        chosen.add(min(rest, key=lambda i: abs(age[i] - target)))
     return [lineage[i] for i in sorted(chosen)]
 
 
@@ -87,14 +87,14 @@ def lineage_arrays(lineage: Sequence[Champion]) -> dict[str, Any]:
     """A lineage, of one champion or more, as named arrays with a row for each."""
     arrays: dict[str, Any] = {"genes": np.stack([each.genes for each in lineage])}
     arrays |= {name: np.array([getattr(each, name) for each in lineage]) for name in _OF_ALL}
-    for prefix, told in (
+    for prefix, rows in (
         (TERM_PREFIX, [each.terms for each in lineage]),
         (SCALE_PREFIX, [each.scales for each in lineage]),
     ):
         # A configuration may have been given other measures on the way.
-        names = dict.fromkeys(name for one in told for name in one)
+        names = dict.fromkeys(name for one in rows for name in one)
         arrays |= {
-            prefix + name: np.array([one.get(name, math.nan) for one in told]) for name in names
+            prefix + name: np.array([one.get(name, math.nan) for one in rows]) for name in names
         }
     return arrays
 

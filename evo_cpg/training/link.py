@@ -40,6 +40,7 @@ class Link:
         connection.settimeout(SILENCE)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._connection, self._name, self._on_lost = connection, name, on_lost
+        self._incoming = connection.makefile("rb")
         self._sending = threading.Lock()
         self._frames: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
         self._left = False
@@ -100,10 +101,7 @@ class Link:
             return f"{self._name} is gone"
 
     def _take(self, count: int) -> bytes:
-        taken = bytearray()
-        while len(taken) < count:
-            piece = self._connection.recv(min(count - len(taken), _PIECE))
-            if not piece:
-                raise EOFError
-            taken += piece
-        return bytes(taken)
+        content = self._incoming.read(count)
+        if len(content) < count:
+            raise EOFError
+        return content

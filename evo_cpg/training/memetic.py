@@ -11,11 +11,11 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Float
 
-from evo_cpg.training.ascent import compile_ascent, draw_ways
+from evo_cpg.training.ascent import compile_ascent, draw_settings
 from evo_cpg.training.experiment import Experiment, trial_keys
 
 # Tag that keeps these draws apart from others of the same seed.
-_WAYS = 3
+_CLIMB = 3
 
 
 def compile_learning(
@@ -25,7 +25,7 @@ def compile_learning(
 
     Returns:
         A function of a population whose runs begin with their elites, the number of the generation
-        that will live with it, and the task's yardsticks in each run; compiled at its first call.
+        that will live with it, and the task's scales in each run; compiled at its first call.
         It gives the population with the elites as they are afterwards. Each run draws from its own
         seed.
     """
@@ -40,18 +40,18 @@ def compile_learning(
         population = genes.shape[1] // runs
         places = (population * np.arange(runs)[:, None] + np.arange(elites)).ravel()
         draws = [
-            draw_ways(
-                np.random.default_rng((experiment.seed + run, generation, _WAYS)),
+            draw_settings(
+                np.random.default_rng((experiment.seed + run, generation, _CLIMB)),
                 experiment.simulation,
                 elites,
             )
             for run in range(runs)
         ]
-        ways = jax.tree.map(lambda *x: np.concatenate(x), *draws)
-        yardsticks = {
+        settings = jax.tree.map(lambda *x: np.concatenate(x), *draws)
+        own_scales = {
             name: np.repeat(np.array(values, np.float32), elites) for name, values in scales.items()
         }
-        climbed = climb(genes[:, places], ways, yardsticks, _keys(experiment, generation))
+        climbed = climb(genes[:, places], settings, own_scales, _keys(experiment, generation))
         genes = genes.copy()
         genes[:, places] = climbed.genes
         return genes

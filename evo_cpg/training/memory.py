@@ -22,7 +22,7 @@ from evo_cpg.training.experiment import Experiment, begin
 _REST, _COPIES = 2**29, 6
 _GENE = 4  # bytes
 # What a search remembers is told from so many bytes on.
-_TOLD = 2**20
+_MENTIONED = 2**20
 
 _CONTROL_GROUPS = (
     "/sys/fs/cgroup/memory.max",
@@ -68,15 +68,17 @@ def require_memory(experiment: Experiment) -> None:
     Raises:
         TooLargeError: it does not.
     """
-    asked, there = needed(experiment), available()
-    if there is None or asked <= there:
+    need, there = needed(experiment), available()
+    if there is None or need <= there:
         return
     genes = experiment.simulation.genome.count
     individuals = experiment.runs * experiment.strategy.population
     state = remembered(experiment)
     most = (there - _REST - _COPIES * state) // (_COPIES * _GENE * genes) // experiment.runs
     beside = (
-        f" and the {state / 2**30:.2g} GiB that their search remembers" if state > _TOLD else ""
+        f" and the {state / 2**30:.2g} GiB that their search remembers"
+        if state > _MENTIONED
+        else ""
     )
     smaller = (
         f"allowed here: {most}"
@@ -86,5 +88,5 @@ def require_memory(experiment: Experiment) -> None:
     )
     raise TooLargeError(
         f"evolution.population: {individuals} individuals in all, of {genes} genes,{beside} need "
-        f"up to {asked / 2**30:.1f} GiB, and there are {there / 2**30:.1f}; {smaller}"
+        f"up to {need / 2**30:.1f} GiB, and there are {there / 2**30:.1f}; {smaller}"
     )

@@ -41,9 +41,9 @@ class Probe(NamedTuple):
     alive: Bool[np.ndarray, " n"]
     paths: Float[np.ndarray, "n t 3"]
 
-    def reached(self, share: float) -> Bool[np.ndarray, " n"]:
+    def reached(self, fraction: float) -> Bool[np.ndarray, " n"]:
         """Where no more than this share of the distance was left."""
-        return self.alive & (self.distance <= share)
+        return self.alive & (self.distance <= fraction)
 
     @property
     def displacement(self) -> float:

@@ -5,13 +5,15 @@ The trials are shared. In each generation every process tries some of the indivi
 exchange the outcomes, as bytes. Nothing is summed, so the bits do not depend on the number of
 processes. A digest of the population goes along.
 
-The lead, process 0, writes the run folder and gives the others the checkpoint. Every other process
-has a connection to the lead, which passes on what all need. A lone process is a team of one, whose
-methods return what they are given.
+The lead, process 0, writes the run folder and sends the others the checkpoint. Every other process
+has a connection to the lead, which passes all rows on. A single process is a team of one, whose
+methods return their arguments.
 
-The connections are ours, and not those of `jax.distributed`. That would do the exchange, but on a
-missing, lost or stopped process it ends the others from C++ (JAX 0.10.2): no message of ours, no
-exit code, and no clean-up. Each of these parts does what the operating system does not:
+The connections are ours for two reasons. `jax.distributed` would do the exchange, but on a missing,
+lost or stopped process it ends the others from C++ (JAX 0.10.2): no message of ours, no exit code,
+and no clean-up. `multiprocessing.connection` has no time limits: `accept` waits for ever, and so
+does a receive of which the first byte has come. Each of these parts does what the operating system
+does not:
 
 - the roll call names the process that did not come, or that does not fit;
 - the heartbeat finds a process that is stopped, or whose machine or network is gone;
@@ -25,19 +27,16 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn, TypeVar
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.errors import UserError
 from evo_cpg.fusion.machine_constants import LANES
-from evo_cpg.training.checkpoint import Checkpoint, checkpoint_arrays, read_checkpoint
 from evo_cpg.training.link import BEAT, Link
 from evo_cpg.training.roll_call import Place, call_roll
-from evo_cpg.training.run_folder import RunFolder
 
 Tree = TypeVar("Tree")
 
@@ -55,10 +54,6 @@ _COMPILED = "/jax/core/compile/backend_compile_duration"
 
 class TeamError(Exception):
     """The team cannot go on; the message says what this process knows of the reason."""
-
-
-class Disagreement(UserError):
-    """Processes that were started with different things; the message says which."""
 
 
 class Team:
@@ -104,16 +99,16 @@ class Team:
         jax.monitoring.register_event_duration_secs_listener(self._note)
         threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
 
-    def share(self, count: int, trials: int = 1) -> slice:
-        """The individuals that this process tries.
+    def part(self, count: int, trials: int = 1) -> slice:
+        """Return the individuals that this process tries.
 
         Parts differ by a vector of trials at most, and only the last holds less than full vectors.
-        Where there are fewer vectors than processes the others try the last individual once more,
-        and nobody looks at what that gives.
+        If there are fewer vectors than processes, the others try the last individual again, and
+        the result is ignored.
 
         Args:
-            count: individuals.
-            trials: of each.
+            count: number of individuals.
+            trials: trials of each individual.
         """
         part = self._parts(count, trials)[self.index]
         return part if part.stop > part.start else slice(count - 1, count)
@@ -125,16 +120,16 @@ class Team:
         generation: int,
         trials: int = 1,
     ) -> Tree:
-        """What the trials of all individuals came to.
+        """Return the outcome of the trials of all individuals.
 
         Args:
-            part: of those that are this process's `share`: host arrays, trials on the last axis.
-            population: that all processes should have.
+            part: outcome of this process's `part`: host arrays, trials on the last axis.
+            population: the population, which should be equal in all processes.
             generation: its number.
-            trials: of each individual.
+            trials: trials of each individual.
 
         Raises:
-            TeamError: a process is gone, or does not come, or has another population.
+            TeamError: a process is lost, does not answer in time, or has another population.
         """
         if self.count == 1:
             return part
@@ -144,61 +139,47 @@ class Team:
         ]
         own = [np.asarray(leaf)[..., : sizes[self.index]] for leaf in leaves]
         row = _digest(population, generation) + b"".join(leaf.tobytes() for leaf in own)
-        rows = self._exchange(row, f"the others' results of generation {generation}")
+        rows = self.exchange(row, f"the others' results of generation {generation}")
         self._require_same([row[:_DIGEST] for row in rows], generation)
         parts = [
             _unpacked(one[_DIGEST:], leaves, size) for one, size in zip(rows, sizes, strict=True)
         ]
-        whole = [np.concatenate(pieces, axis=-1) for pieces in zip(*parts, strict=True)]
-        return jax.tree.unflatten(structure, whole)
+        joined = [np.concatenate(pieces, axis=-1) for pieces in zip(*parts, strict=True)]
+        return jax.tree.unflatten(structure, joined)
 
-    def agree(self, what: str, value: bytes) -> None:
-        """Make sure that all processes have the same.
-
-        Args:
-            what: it is, in words.
-            value: of this process.
-
-        Raises:
-            Disagreement: in all processes, where one has another.
-        """
-        if self.count == 1:
-            return
-        digest = hashlib.sha256(value).digest()
-        groups = _alike(self._exchange(digest, f"the others, to compare {what}"))
-        if len(groups) > 1:
-            raise Disagreement(f"{what} differs between the processes: {_listed(groups)}")
-
-    def broadcast(self, arrays: Mapping[str, Any] | None) -> dict[str, np.ndarray]:
-        """The lead's arrays.
+    def broadcast(self, arrays: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """Return the lead's arrays.
 
         Args:
-            arrays: by name; ignored in all processes but the lead.
+            arrays: arrays by name; ignored in all processes but the lead.
         """
         if self.count == 1:
-            return {name: np.asarray(array) for name, array in (arrays or {}).items()}
+            return {name: np.asarray(array) for name, array in arrays.items()}
         file = io.BytesIO()
         if self.leads:
-            np.savez(file, allow_pickle=False, **(arrays or {}))
-        # The lead may have to begin the run first. Heartbeats tell whether it is alive.
+            np.savez(file, allow_pickle=False, **arrays)
+        # The lead may have to prepare the run first. Heartbeats show whether it is alive.
         self._compiled = True
-        lead = self._exchange(file.getvalue(), "the lead's checkpoint")[0]
+        lead = self.exchange(file.getvalue(), "the lead's checkpoint")[0]
         with np.load(io.BytesIO(lead)) as sent:
             return dict(sent)
 
     def leave(self) -> None:
-        """Part in good order: from here on each process is on its own."""
+        """Leave the team in good order: from here on each process may end."""
         for link in self._links.values():
             link.leave()
 
     def _parts(self, count: int, trials: int) -> list[slice]:
-        """Of every process, possibly empty. The lead, which writes, too, has none of the larger."""
+        """Return the part of each process, possibly empty.
+
+        The lead also writes files, so its part is one of the smaller ones.
+        """
         step = LANES // math.gcd(LANES, trials)
         vectors = -(-count // step)
         ends = [min(count, step * (vectors * i // self.count)) for i in range(self.count + 1)]
         return [slice(*pair) for pair in itertools.pairwise(ends)]
 
-    def _exchange(self, row: bytes, what: str) -> list[bytes]:
+    def exchange(self, row: bytes, what: str) -> list[bytes]:
         """Return the rows of all processes.
 
         Args:
@@ -240,13 +221,13 @@ class Team:
         return rows
 
     def _require_same(self, digests: list[bytes], generation: int) -> None:
-        groups = _alike(digests)
-        if len(groups) > 1:
+        unlike = difference(digests)
+        if unlike:
             # All processes know the reason, so none may report that it lost another one.
             self.leave()
             self._fail(
                 f"the population of generation {generation} differs between the processes: "
-                f"{_listed(groups)}; processors of different kinds may round differently, so take "
+                f"{unlike}; processors of different kinds may round differently, so take "
                 "machines of one kind"
             )
 
@@ -278,7 +259,7 @@ class Team:
 
 
 ALONE = Team()
-"""A lone process."""
+"""The team of a single process."""
 
 
 def join(
@@ -305,21 +286,17 @@ def join(
     return team
 
 
-def load_together(team: Team, folder: RunFolder) -> Checkpoint | None:
-    """The newest checkpoint of the lead's folder; None before the first generation is done."""
-    if team.count == 1:
-        return folder.load()
-    checkpoint = folder.load() if team.leads else None
-    arrays = team.broadcast(checkpoint_arrays(checkpoint) if checkpoint else None)
-    return read_checkpoint(arrays) if arrays else None
-
-
-def start_together(team: Team, folder: RunFolder) -> Float[np.ndarray, "g all"] | None:
-    """The genomes of the lead's folder that the run begins with; None for random ones."""
-    if team.count == 1:
-        return folder.load_start()
-    start = folder.load_start() if team.leads else None
-    return team.broadcast(None if start is None else {"genes": start}).get("genes")
+def difference(rows: Sequence[bytes]) -> str:
+    """Say which processes have unlike rows, the lead's group first; empty if all are alike."""
+    groups: dict[bytes, list[int]] = {}
+    for index, row in enumerate(rows):
+        groups.setdefault(row, []).append(index)
+    # Most of many processes are alike.
+    shown = [
+        ", ".join(map(str, group[:8])) + (f" and {len(group) - 8} more" if len(group) > 8 else "")
+        for group in list(groups.values())[:4]
+    ]
+    return "process " + " unlike ".join(shown) if len(groups) > 1 else ""
 
 
 def _digest(population: np.ndarray, generation: int) -> bytes:
@@ -337,20 +314,3 @@ def _unpacked(content: bytes, leaves: list[Any], size: int) -> list[np.ndarray]:
         found.append(np.frombuffer(content, leaf.dtype, math.prod(shape), start).reshape(shape))
         start += leaf.dtype.itemsize * math.prod(shape)
     return found
-
-
-def _alike(rows: list[bytes]) -> list[list[int]]:
-    """Numbers of the processes that have equal rows, the lead's first."""
-    groups: dict[bytes, list[int]] = {}
-    for index, row in enumerate(rows):
-        groups.setdefault(row, []).append(index)
-    return list(groups.values())
-
-
-def _listed(groups: list[list[int]]) -> str:
-    """Which processes are alike: most of many are."""
-    shown = [
-        ", ".join(map(str, group[:8])) + (f" and {len(group) - 8} more" if len(group) > 8 else "")
-        for group in groups[:4]
-    ]
-    return "process " + " unlike ".join(shown)

@@ -22,7 +22,7 @@ from evo_cpg.training.experiment import Experiment
 CANDIDATES = 16
 """Of each run, at most."""
 
-LIVES = 16
+EVALUATIONS = 16
 """Rounds end when those that are left have lived so often."""
 
 FIRST_ROUND = 2**30
@@ -67,14 +67,16 @@ class Contest:
         self._population = population
         count = len(self.candidates)
         self._left = np.arange(count)
-        self._lives, self._deaths = np.zeros(count, int), np.zeros(count, int)
+        self._evaluations, self._failures = np.zeros(count, int), np.zeros(count, int)
         self._sum = np.zeros(count)
 
     @property
     def done(self) -> bool:
         """Whether one is left, or those that are have lived often enough."""
-        lived = self._lives[self._left]
-        return not len(lived) or bool(lived[0] and (len(lived) == 1 or lived[0] >= LIVES))
+        results = self._evaluations[self._left]
+        return not len(results) or bool(
+            results[0] and (len(results) == 1 or results[0] >= EVALUATIONS)
+        )
 
     def places(self) -> Places:
         """Who lives where in the next round; places that are over repeat the last one's life."""
@@ -91,12 +93,12 @@ class Contest:
             fitness: of every place; -inf where a life ended early.
         """
         each = self._population // len(self._left)
-        lived = fitness[: each * len(self._left)].reshape(len(self._left), each)
-        self._lives[self._left] += each
-        self._deaths[self._left] += (~np.isfinite(lived)).sum(1)
-        self._sum[self._left] += np.where(np.isfinite(lived), lived, 0.0).sum(1)
+        results = fitness[: each * len(self._left)].reshape(len(self._left), each)
+        self._evaluations[self._left] += each
+        self._failures[self._left] += (~np.isfinite(results)).sum(1)
+        self._sum[self._left] += np.where(np.isfinite(results), results, 0.0).sum(1)
         mean = self._means()[self._left]
-        self._left = self._left[np.lexsort((-mean, self._deaths[self._left]))]
+        self._left = self._left[np.lexsort((-mean, self._failures[self._left]))]
         if not self.done:
             self._left = self._left[: -(-len(self._left) // 2)]
 
@@ -104,31 +106,31 @@ class Contest:
         """The best of those that are left, with what it came to; None without any candidate."""
         if not len(self._left):
             return None
-        return self._told(int(self._left[0]))
+        return self._result(int(self._left[0]))
 
     def rows(self) -> list[dict[str, float]]:
         """Of candidates.csv, one for each candidate."""
         rows = []
         for number, one in enumerate(self.candidates):
             row = {"run": one.run, "generation": one.generation, "index": one.index}
-            row |= {"fitness": one.fitness, "lives": int(self._lives[number])}
-            row |= {"ended_early": int(self._deaths[number])}
+            row |= {"fitness": one.fitness, "lives": int(self._evaluations[number])}
+            row |= {"ended_early": int(self._failures[number])}
             row |= {"expected": float(self._means()[number])}
             rows.append(row | {"chosen": int(number == self._left[0])})
         return rows
 
-    def _told(self, number: int) -> Champion:
+    def _result(self, number: int) -> Champion:
         mean = float(self._means()[number])
         return self.candidates[number]._replace(
-            lives=int(self._lives[number]),
+            lives=int(self._evaluations[number]),
             expected=mean if np.isfinite(mean) else None,
-            ended_early=int(self._deaths[number]),
+            ended_early=int(self._failures[number]),
         )
 
     def _means(self) -> Float[np.ndarray, " candidates"]:
         """Mean fitness over the lives that did not end early; -inf where all did."""
-        whole = self._lives - self._deaths
-        return np.where(whole > 0, self._sum / np.maximum(whole, 1), -np.inf)
+        completed = self._evaluations - self._failures
+        return np.where(completed > 0, self._sum / np.maximum(completed, 1), -np.inf)
 
 
 class Choice:
@@ -157,13 +159,13 @@ class Choice:
             genes: of the populations, which a run keeps whose contest is over.
         """
         population = genes.shape[1] // len(self._contests)
-        crowd = genes.copy()
+        population_genes = genes.copy()
         for run, contest in enumerate(self._contests):
             if not contest.done:
                 given = np.stack([one.genes for one in contest.candidates], axis=1)
                 own = slice(run * population, (run + 1) * population)
-                crowd[:, own] = given[:, contest.places().candidates]
-        return crowd
+                population_genes[:, own] = given[:, contest.places().candidates]
+        return population_genes
 
     def keys(self, keys: UInt32[np.ndarray, "w n"], trials: int) -> UInt32[np.ndarray, "w n"]:
         """Those of its trials.

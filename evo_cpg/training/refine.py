@@ -17,7 +17,7 @@ from jax.sharding import Mesh
 from jaxtyping import Float
 
 from evo_cpg.fusion.machine_constants import LANES
-from evo_cpg.training.ascent import Free, compile_ascent, draw_ways, log_uniform, reach
+from evo_cpg.training.ascent import Free, compile_ascent, draw_settings, log_uniform, reach
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.experiment import (
@@ -66,11 +66,11 @@ class Round(NamedTuple):
     """
 
     number: int
-    began: float
+    initial_fitness: float
     champion: Champion
     values: Float[np.ndarray, " k"]
     gain: float
-    slopes: int
+    gradients: int
     finite: int
     seconds: float
 
@@ -136,14 +136,14 @@ def compile_refinement(
         scales = {name: np.full(lanes, x, np.float32) for name, x in champion.scales.items()}
         alive = evaluate(champion.genes[:, None], champion)
         champion = alive[0] if alive else champion._replace(fitness=-np.inf)
-        began = champion.fitness
+        initial_fitness = champion.fitness
         parents = [_Parent(champion, np.zeros(count, np.float32))]
         for number in range(settings.rounds):
             start = time.perf_counter()
             rng = np.random.default_rng((settings.seed, number))
             starts = _starts(parents, rng, lanes, reach(experiment.simulation))
-            ways = draw_ways(rng, experiment.simulation, lanes, 2.0**number)
-            climbed = climb(starts, ways, scales, keys)
+            climbs = draw_settings(rng, experiment.simulation, lanes, 2.0**number)
+            climbed = climb(starts, climbs, scales, keys)
             chosen = np.argsort(-climbed.fitness)[: 2 * _PARENTS]
             chosen = chosen[np.isfinite(climbed.fitness[chosen])]
             found = try_out(climbed.genes[:, chosen], champion) if len(chosen) else []
@@ -153,9 +153,9 @@ def compile_refinement(
             parents = ranked[:_PARENTS]
             values = np.asarray(free.at(parents[0].shifts), float) if free else np.zeros(0)
             seconds = time.perf_counter() - start
-            slopes, finite = lanes * (settings.steps + 1), int(climbed.finite.sum())
+            gradients, finite = lanes * (settings.steps + 1), int(climbed.finite.sum())
             best = parents[0].champion
-            on_round(Round(number, began, best, values, gain, slopes, finite, seconds))
+            on_round(Round(number, initial_fitness, best, values, gain, gradients, finite, seconds))
         return parents[0].champion
 
     return refine
@@ -164,7 +164,7 @@ def compile_refinement(
 def compile_evaluation(
     experiment: Experiment, mesh: Mesh, devices: int
 ) -> Callable[[Float[np.ndarray, "g n"], Champion], list[Champion]]:
-    """Trials of any genomes as the champion's were: in its place, with its noise and yardsticks.
+    """Trials of any genomes as the champion's were: in its place, with its noise and scales.
 
     Args:
         experiment: in which they live.
@@ -174,9 +174,9 @@ def compile_evaluation(
     Returns:
         A function of genomes and the champion whose place they take; it gives those that live.
     """
-    everybody = experiment.runs * experiment.strategy.population * experiment.trials
-    width = chunk_width(everybody, devices)
-    live = compile_trials(experiment.simulation, mesh, width)
+    count = experiment.runs * experiment.strategy.population * experiment.trials
+    width = chunk_width(count, devices)
+    run_trials = compile_trials(experiment.simulation, mesh, width)
     assess = jax.jit(lambda *given: judge(experiment.simulation.task, *given))
 
     def evaluate(genes: Float[np.ndarray, "g n"], champion: Champion) -> list[Champion]:
@@ -185,7 +185,7 @@ def compile_evaluation(
             lambda x: np.tile(x, count),
             (jax.device_get(champion_keys(experiment, champion)), situation_numbers(experiment)),
         )
-        outcome = live(genes, keys, numbers, trials)
+        outcome = run_trials(genes, keys, numbers, trials)
         outcome = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
         scales = {name: np.float32(value) for name, value in champion.scales.items()}
         fitness, mean = jax.device_get(assess(outcome, scales))

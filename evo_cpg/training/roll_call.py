@@ -11,7 +11,7 @@ import json
 import os
 import socket
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from evo_cpg.errors import UserError
@@ -38,10 +38,10 @@ class Place(NamedTuple):
 
     Attributes:
         index: its number, from 0; 0 is the lead.
-        count: processes in all.
-        host: of the lead.
-        port: at which the lead listens.
-        names: of the hosts of all processes; empty where they are not known.
+        count: number of processes.
+        host: host of the lead.
+        port: port at which the lead listens.
+        names: hosts of all processes; empty if they are not known.
     """
 
     index: int
@@ -52,29 +52,25 @@ class Place(NamedTuple):
 
     @property
     def address(self) -> str:
-        """Of the lead, in words."""
+        """Address of the lead."""
         return f"{self.host}:{self.port}"
 
     def name(self, index: int) -> str:
-        """Of a process, with its host where that is known."""
+        """Return the name of a process, with its host if that is known."""
         return f"process {index}" + (f" ({self.names[index]})" if self.names else "")
-
-
-class _Present(NamedTuple):
-    connection: socket.socket
-    told: dict[str, Any]
 
 
 def call_roll(place: Place, common: Mapping[str, str], timeout: float) -> dict[int, socket.socket]:
     """Connect the processes.
 
     Args:
-        place: of this process.
+        place: place of this process.
         common: values that must be equal in all processes, by name, such as versions.
-        timeout: time that the processes have to come, s.
+        timeout: time that the processes have to connect, s.
 
     Returns:
-        Connections by the number of the other process: of the lead to all, of the others to it.
+        Connections by the number of the other process. The lead has one to each process, every
+        other process has one to the lead.
 
     Raises:
         JoinError: a process is missing or does not fit. All processes that came raise it.
@@ -86,38 +82,39 @@ def call_roll(place: Place, common: Mapping[str, str], timeout: float) -> dict[i
 
 def _lead(place: Place, common: Mapping[str, str], timeout: float) -> dict[int, socket.socket]:
     end = time.monotonic() + timeout
-    present: dict[int, _Present] = {}
+    joined: list[socket.socket] = []
+    connections: dict[int, socket.socket] = {}
+    hellos: dict[int, dict[str, Any]] = {}
     with contextlib.ExitStack() as open_connections, _listen(place) as server:
-        while len(present) < place.count - 1:
-            server.settimeout(max(end - time.monotonic(), 0.001))
-            try:
-                connection, _ = server.accept()
-            except TimeoutError:
-                _refuse(present, _missing(place, present, timeout))
-            open_connections.enter_context(connection)
-            told = _read(connection, _SILENCE)
-            if not _is_hello(told):
-                connection.close()
-                continue
-            new = _Present(connection, told)
-            wrong = _misfit(place, common, present, told)
-            if wrong:
-                _refuse({**present, -1: new}, wrong)
-            present[told["index"]] = new
-        for one in present.values():
-            _send(one.connection, {"error": None})
+        try:
+            while len(hellos) < place.count - 1:
+                server.settimeout(max(end - time.monotonic(), 0.001))
+                try:
+                    connection, _ = server.accept()
+                except TimeoutError:
+                    raise JoinError(_missing(place, hellos, timeout)) from None
+                open_connections.enter_context(connection)
+                hello = _read(connection, _SILENCE)
+                if not _is_hello(hello):
+                    connection.close()
+                    continue
+                joined.append(connection)
+                _require_fit(place, common, hellos, hello)
+                index = hello["index"]
+                connections[index], hellos[index] = connection, hello
+        except JoinError as error:
+            for connection in joined:
+                _send(connection, {"error": str(error)})
+            raise
+        for connection in joined:
+            _send(connection, {"error": None})
         open_connections.pop_all()
-    return {index: one.connection for index, one in present.items()}
+    return connections
 
 
 def _follow(place: Place, common: Mapping[str, str], timeout: float) -> socket.socket:
-    hello = {
-        "index": place.index,
-        "count": place.count,
-        "host": socket.gethostname(),
-        "id": os.getpid(),
-        "common": dict(common),
-    }
+    host, process = socket.gethostname(), os.getpid()
+    hello = {"index": place.index, "host": host, "id": process, "common": _common(place, common)}
     with contextlib.ExitStack() as open_connection:
         connection = open_connection.enter_context(_reach(place, timeout))
         _send(connection, hello)
@@ -164,7 +161,12 @@ def _reach(place: Place, timeout: float) -> socket.socket:
             time.sleep(_PAUSE)
 
 
-def _missing(place: Place, present: Mapping[int, _Present], timeout: float) -> str:
+def _common(place: Place, common: Mapping[str, str]) -> dict[str, str]:
+    """Return what must be equal in all processes."""
+    return {**common, "the number of processes": str(place.count)}
+
+
+def _missing(place: Place, present: Container[int], timeout: float) -> str:
     absent = [i for i in range(1, place.count) if i not in present]
     named = ", ".join(place.name(i) for i in absent[:5])
     more = f" and {len(absent) - 5} more" if len(absent) > 5 else ""
@@ -174,52 +176,45 @@ def _missing(place: Place, present: Mapping[int, _Present], timeout: float) -> s
     )
 
 
-def _misfit(
+def _require_fit(
     place: Place,
     common: Mapping[str, str],
-    present: Mapping[int, _Present],
-    told: Mapping[str, Any],
-) -> str | None:
-    """What is wrong with somebody who came."""
-    index, who = told["index"], f"the one of {told['host']} (process id {told['id']})"
-    if told["count"] != place.count:
-        return (
-            f"the processes do not agree on how many they are: {place.count} says process 0, "
-            f"{told['count']} says process {index}, {who}"
-        )
+    present: Mapping[int, dict[str, Any]],
+    hello: Mapping[str, Any],
+) -> None:
+    """Check a process that has connected.
+
+    Raises:
+        JoinError: it does not fit.
+    """
+    index, sender = hello["index"], f"the one of {hello['host']} (process id {hello['id']})"
+    for name, value in _common(place, common).items():
+        if hello["common"].get(name) != value:
+            raise JoinError(
+                f"{name} differs between the processes: {value} in process 0, "
+                f"{hello['common'].get(name)} in process {index}, {sender}"
+            )
     if not 0 < index < place.count:
-        return f"there is no process {index} among {place.count}, counted from 0: {who}"
+        raise JoinError(
+            f"there is no process {index} among {place.count}, counted from 0: {sender}"
+        )
     if index in present:
-        other = present[index].told
-        return (
-            f"two processes have the number {index}: {who} and the one of {other['host']} "
+        other = present[index]
+        raise JoinError(
+            f"two processes have the number {index}: {sender} and the one of {other['host']} "
             f"(process id {other['id']})"
         )
-    for name, value in common.items():
-        if told["common"].get(name) != value:
-            return (
-                f"{name} differs between the processes: {value} in process 0, "
-                f"{told['common'].get(name)} in process {index}, {who}"
-            )
-    return None
 
 
-def _refuse(present: Mapping[int, _Present], why: str) -> None:
-    """Tell everybody who came, and give up."""
-    for one in present.values():
-        _send(one.connection, {"error": why})
-    raise JoinError(why)
+def _is_hello(message: Mapping[str, Any]) -> bool:
+    kinds = {"index": int, "host": str, "id": int, "common": dict}
+    return all(isinstance(message.get(name), kind) for name, kind in kinds.items())
 
 
-def _is_hello(told: Mapping[str, Any]) -> bool:
-    kinds = {"index": int, "count": int, "host": str, "id": int, "common": dict}
-    return all(isinstance(told.get(name), kind) for name, kind in kinds.items())
-
-
-def _send(connection: socket.socket, told: Mapping[str, Any]) -> None:
+def _send(connection: socket.socket, message: Mapping[str, Any]) -> None:
     """Send a line. A process that has ended meanwhile is reported later, by its link."""
     with contextlib.suppress(OSError):
-        connection.sendall(json.dumps(told).encode() + b"\n")
+        connection.sendall(json.dumps(message).encode() + b"\n")
 
 
 def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
@@ -235,10 +230,10 @@ def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
             if not byte:
                 break
             line += byte
-        told = json.loads(line)
+        message = json.loads(line)
     except (OSError, ValueError):
         return {}
-    return told if isinstance(told, dict) else {}
+    return message if isinstance(message, dict) else {}
 
 
 def _reason(error: OSError) -> str:

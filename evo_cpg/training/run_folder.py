@@ -44,7 +44,7 @@ from jaxtyping import Float
 
 from evo_cpg import locks
 from evo_cpg.errors import UserError
-from evo_cpg.files import cannot_write, write_table, write_text, write_whole
+from evo_cpg.files import cannot_write, read_json, write_table, write_text, write_whole
 from evo_cpg.simulation.recording import Recording, require_shapes
 from evo_cpg.training.array_files import DAMAGED, read_arrays
 from evo_cpg.training.checkpoint import (
@@ -139,7 +139,7 @@ class RunFolder:
             if self.path.exists() and not self.path.is_dir():
                 raise RunFolderError(f"{self.path} is a file; choose another --out")
             if self.config.exists():
-                raise RunFolderError(f"{self.path} already holds a run; {self._way_on()}")
+                raise RunFolderError(f"{self.path} already holds a run; {self._how_to_continue()}")
             leftover = (
                 locks.FILE,
                 f".{self.config.name}.",
@@ -162,7 +162,7 @@ class RunFolder:
         self.reopen(config_text)
         self.update_meta(**meta)
 
-    def _way_on(self) -> str:
+    def _how_to_continue(self) -> str:
         """How one may go on with the run that is here."""
         if self.read_meta().get("replaced"):
             return (
@@ -224,12 +224,10 @@ class RunFolder:
     def read_meta(self) -> dict[str, Any]:
         """The contents of meta.json; empty where it is missing or broken."""
         try:
-            meta = json.loads(self.meta.read_text(encoding="utf-8"))
-        except (OSError, RecursionError, ValueError):
+            meta = read_json(self.meta, dict[str, Any])
+        except (OSError, ValueError):
             return {}
-        sound = isinstance(meta, dict) and all(
-            isinstance(meta[key], kind) for key, kind in _META.items() if key in meta
-        )
+        sound = all(isinstance(meta[key], kind) for key, kind in _META.items() if key in meta)
         # So many devices would take the machine's memory, whoever wrote the file.
         return meta if sound and 0 < meta.get("devices", 1) <= _MOST_DEVICES else {}
 

@@ -46,11 +46,11 @@ class Scalars:
         self._files: dict[Path, Any] = {}
         done = list(history)
         took = {row["generation"]: row.get("seconds", 0.0) for row in done}
-        began = time.time() - sum(took.values())
+        start = time.time() - sum(took.values())
         ends = {}
         for generation, seconds in took.items():
-            began += seconds
-            ends[generation] = began
+            start += seconds
+            ends[generation] = start
         self._add(done, ends)
 
     def add(self, rows: Rows) -> None:

@@ -25,7 +25,7 @@ def state_arrays(state: PyTree) -> dict[str, np.ndarray]:
     Where two have the same path, the later one's has a prime.
     """
     leaves, _ = jax.tree.flatten_with_path(jax.device_get(state))
-    return {name: _kept(leaf) for name, leaf in _named(leaves).items()}
+    return {name: _stored(leaf) for name, leaf in _named(leaves).items()}
 
 
 def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
@@ -40,16 +40,16 @@ def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
     """
     leaves, structure = jax.tree.flatten_with_path(like)
     named = _named(leaves)
-    wanted = {name: _kept_like(leaf) for name, leaf in named.items()}
+    expected = {name: _stored_like(leaf) for name, leaf in named.items()}
 
     def kinds(given: Mapping[str, Any]) -> dict[str, tuple]:
         return {name: (leaf.shape, np.dtype(leaf.dtype)) for name, leaf in given.items()}
 
-    if kinds(arrays) != kinds(wanted):
-        found, asked = (_described(given) for given in (arrays, wanted))
+    if kinds(arrays) != kinds(expected):
+        found, described = (_described(given) for given in (arrays, expected))
         raise StrategyError(
             f"the checkpoint holds what another strategy remembers ({found}), and this one "
-            f"{asked}: was the section `evolution` changed?"
+            f"{described}: was the section `evolution` changed?"
         )
     return jax.tree.unflatten(
         structure, [_restored(arrays[name], leaf) for name, leaf in named.items()]
@@ -81,7 +81,7 @@ def _bits(leaf: Any) -> np.dtype:
     return np.dtype(f"u{np.dtype(leaf.dtype).itemsize}")
 
 
-def _kept(leaf: Any) -> np.ndarray:
+def _stored(leaf: Any) -> np.ndarray:
     """A leaf as files hold it."""
     if _is_key(leaf):
         return np.asarray(jax.random.key_data(leaf))
@@ -89,15 +89,15 @@ def _kept(leaf: Any) -> np.ndarray:
     return array.view(_bits(array)) if _is_foreign(array) else array
 
 
-def _kept_like(leaf: Any) -> Any:
-    """Something of the shape and type that `_kept` gives."""
+def _stored_like(leaf: Any) -> Any:
+    """Something of the shape and type that `_stored` gives."""
     if _is_key(leaf):
         return jax.eval_shape(jax.random.key_data, leaf)
     return jax.ShapeDtypeStruct(leaf.shape, _bits(leaf)) if _is_foreign(leaf) else leaf
 
 
 def _restored(array: np.ndarray, like: Any) -> Any:
-    """The inverse of `_kept`."""
+    """The inverse of `_stored`."""
     if _is_key(like):
         made = []
         jax.eval_shape(lambda key: made.append(jax.random.key_impl(key)), like)

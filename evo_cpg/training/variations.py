@@ -1,7 +1,7 @@
-"""One individual under circumstances that it did not evolve in: how much of its way does it keep?
+"""One individual under conditions that it did not evolve in: how much displacement does it keep?
 
-A gait that a little more friction, half the step or a hair's breadth at the start undoes is a trick
-of one simulation, and no way to move.
+A gait that fails with a little more friction, half the step or a slightly different start exploits
+one simulation.
 """
 
 import dataclasses
@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.fusion.engine import Engine
-from evo_cpg.simulation.batched import batch, rollout_batched
+from evo_cpg.simulation.batched import batch
+from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.simulation.way import WAY, with_way
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment, champion_keys, judge, situation_numbers
 
@@ -28,13 +28,13 @@ _SEED = 20
 
 
 class Variation(NamedTuple):
-    """Circumstances of one kind.
+    """Conditions of one kind.
 
     Attributes:
-        name: for tables.
-        simulations: one or several that differ in numbers alone.
-        draws: of chance, in each of them.
-        double: in float64.
+        name: name for tables.
+        simulations: one simulation, or several that differ in numbers only.
+        draws: draws of noise in each simulation.
+        double: whether the trials are computed in float64.
     """
 
     name: str
@@ -43,64 +43,61 @@ class Variation(NamedTuple):
     double: bool = False
 
 
-class Kept(NamedTuple):
-    """What became of an individual; an element for each of the simulations and draws.
+class Varied(NamedTuple):
+    """Results of an individual, one for each simulation and draw.
 
     Attributes:
-        way: mean over its trials, m; NaN where it diverged.
-        fitness: likewise; -inf where it diverged.
-        alive: False where it diverged in any trial.
-        terms: the task's terms and the measures, means likewise.
+        displacement: mean over its trials, m; NaN if it diverged.
+        fitness: mean over its trials; -inf if it diverged.
+        alive: False if it diverged in any trial.
+        terms: means of the task's terms and of the measures.
     """
 
-    way: Float[np.ndarray, " n"]
+    displacement: Float[np.ndarray, " n"]
     fitness: Float[np.ndarray, " n"]
     alive: Bool[np.ndarray, " n"]
     terms: dict[str, Float[np.ndarray, " n"]]
 
-    def mean_ways(self, variation: Variation) -> Float[np.ndarray, " simulations"]:
-        """Means over the draws of chance, m; a life that diverged made none."""
-        ways = np.where(self.alive, np.nan_to_num(self.way), 0.0)
-        return ways.reshape(len(variation.simulations), variation.draws).mean(1)
+    def mean_displacements(self, variation: Variation) -> Float[np.ndarray, " simulations"]:
+        """Return means over the draws of noise, m; a rollout that diverged counts as 0."""
+        each = np.where(self.alive, np.nan_to_num(self.displacement), 0.0)
+        return each.reshape(len(variation.simulations), variation.draws).mean(1)
 
 
-def live(experiment: Experiment, champion: Champion, variation: Variation) -> Kept:
-    """Let an individual live through its trials.
+def compile_variation(experiment: Experiment, variation: Variation) -> Callable[[Champion], Varied]:
+    """Compile an individual's trials under other conditions, before there is a champion.
 
     Args:
-        experiment: that it was evolved in.
-        champion: the individual.
-        variation: where it lives now.
+        experiment: the experiment that the champion evolves in.
+        variation: the conditions.
+
+    Returns:
+        A function of the champion.
     """
-    return compile_lives(experiment, variation)(champion)
-
-
-def compile_lives(experiment: Experiment, variation: Variation) -> Callable[[Champion], Kept]:
-    """Compile `live` before there is a champion."""
-    trials, sims = experiment.trials, tuple(map(with_way, variation.simulations))
-    lives = len(sims) * variation.draws
+    trials, sims = experiment.trials, tuple(map(with_displacement, variation.simulations))
+    rollouts = len(sims) * variation.draws
     numbers = situation_numbers(experiment)
-    numbers = None if numbers is None else np.tile(numbers, lives)
-    # Lives are neighbours, trial by trial; so are their simulations.
+    numbers = None if numbers is None else np.tile(numbers, rollouts)
+    # The lanes of a simulation are neighbours, and in it those of a draw.
     owners = np.repeat(np.arange(len(sims)), variation.draws * trials)
     dtype = np.float64 if variation.double else np.float32
     gene_count = experiment.simulation.genome.count
-    nobody = Champion(np.zeros(gene_count), 0.0, 0, {}, {}, 0, 0)
+    placeholder = Champion(np.zeros(gene_count), 0.0, 0, {}, {}, 0, 0)
     with jax.enable_x64(variation.double):
-        keys = jax.eval_shape(lambda: _keys(experiment, nobody, variation))
-        crowd = jax.ShapeDtypeStruct((gene_count, lives * trials), dtype)
-        program = jax.jit(_program(sims, owners)).lower(crowd, keys, numbers).compile()
+        keys = jax.eval_shape(lambda: _keys(experiment, placeholder, variation))
+        lanes = jax.ShapeDtypeStruct((gene_count, rollouts * trials), dtype)
+        program = jax.jit(_program(sims, owners)).lower(lanes, keys, numbers).compile()
 
-    def of(champion: Champion) -> Kept:
+    def of(champion: Champion) -> Varied:
         with jax.enable_x64(variation.double):
-            genes = np.asarray(champion.genes, dtype)[:, None].repeat(lives * trials, 1)
+            genes = np.asarray(champion.genes, dtype)[:, None].repeat(rollouts * trials, 1)
             outcome = program(genes, _keys(experiment, champion, variation), numbers)
-            shaped = jax.tree.map(lambda x: x.reshape(lives, trials), outcome)
+            shaped = jax.tree.map(lambda x: x.reshape(rollouts, trials), outcome)
             scales = {name: jnp.asarray(value, dtype) for name, value in champion.scales.items()}
             fitness, mean = jax.device_get(judge(sims[0].task, shaped, scales))
-        way = np.where(mean.alive, mean.terms[WAY], np.nan)
-        terms = {name: np.asarray(x, float) for name, x in mean.terms.items() if name != WAY}
-        return Kept(way.astype(float), fitness.astype(float), np.asarray(mean.alive), terms)
+        displacement = np.where(mean.alive, mean.terms[DISPLACEMENT], np.nan).astype(float)
+        terms = {k: np.asarray(x, float) for k, x in mean.terms.items() if k != DISPLACEMENT}
+        return Varied(displacement, fitness.astype(float), np.asarray(mean.alive), terms)
 
     return of
 
@@ -159,18 +156,16 @@ def on_engine(simulation: Simulation, engine: Engine) -> Simulation:
 
 
 def _program(sims: Sequence[Simulation], owners: np.ndarray) -> Callable[..., Outcome]:
-    """All lives in one program."""
-    if len(sims) == 1:
-        return lambda genes, keys, numbers: rollout(sims[0], genes, keys, numbers)
-    together = batch(sims[0], sims)
-    values = tuple(jnp.asarray(value[:, owners]) for value in together.values)
-    return lambda genes, keys, numbers: rollout_batched(
-        together.common, together.inputs, values, genes, keys, numbers
-    )
+    """Return one program for all rollouts."""
+    every = sims[0]
+    if len(sims) > 1:
+        every = batch(sims[0], sims)
+        every = every._replace(values=[jnp.asarray(value[:, owners]) for value in every.values])
+    return lambda genes, keys, numbers: rollout(every, genes, keys, numbers)
 
 
 def _keys(experiment: Experiment, champion: Champion, variation: Variation) -> Array | None:
-    """Raw keys of all lives' trials: those that it had, unless chance is drawn anew."""
+    """Return raw keys of all trials: the champion's own, or new ones for several draws."""
     if variation.simulations[0].noise.silent:
         return None
     if variation.draws == 1:
@@ -179,5 +174,5 @@ def _keys(experiment: Experiment, champion: Champion, variation: Variation) -> A
     else:
         each = jax.random.split(jax.random.key(_SEED), variation.draws * experiment.trials)
         keys = jax.random.key_data(each).T
-    # The same in all simulations: only what they differ in makes a difference.
+    # Equal keys in all simulations, so that only their numbers differ.
     return jnp.tile(keys, (1, len(variation.simulations)))

@@ -96,7 +96,7 @@ def _draw_energy(axes: Axes, ledger: Ledger, step: float) -> None:
 
 def _draw_paths(axes: Axes, paths: Mapping[str, Float[np.ndarray, "3 t"]]) -> None:
     """Draw where the root goes in each program, from above."""
-    axes.set_title("Ways of the root, from above")
+    axes.set_title("Paths of the root, from above")
     for (name, path), color in zip(paths.items(), _OPINIONS[: len(paths)], strict=True):
         axes.plot(path[0], path[1], color=color, lw=1.6, label=name)
         axes.plot(*path[:2, -1], "o", color=color, ms=5)
@@ -125,4 +125,4 @@ def _draw_fractions(axes: Axes, kept: Sequence[Check]) -> None:
             axes.text(limit, row, f" {side} {limit:.0f}", va="center", fontsize=8, zorder=4)
     name_rows(axes, [check.question for check in kept])
     axes.set_xlim(0, 105)
-    axes.set_xlabel("share of the way as it evolved (%)")
+    axes.set_xlabel("percentage of the displacement as it evolved")

@@ -1,7 +1,7 @@
 """A calm camera: it follows the smoothed middle of the animal from behind and above.
 
 Where there is no light to which the animal goes, it is seen from the side. Other cameras look from
-a fixed bearing to its way: right from the side, or from above. One goes once around the animal.
+a fixed bearing to its course: right from the side, or from above. One goes once around the animal.
 
 The whole recording is known before the first frame, so the path is smoothed with a symmetric
 window, which does not lag; the distance stays fixed, as does the viewing direction but of the one
@@ -20,19 +20,19 @@ from jaxtyping import Float
 # Half-width of the Gaussian window, s: longer than a tail beat, shorter than a turn.
 SMOOTHING = 0.8
 VIEW_ANGLE = 32.0
-# Share of the frame's height that the sphere around the animal may fill. The animal itself is
+# Fraction of the frame's height that the sphere around the animal may fill. The animal itself is
 # flatter than its sphere and the frame wider than high, so this is still close.
 _FILL = 1.5
-# The focus lies this share of the animal's radius further towards the goal, or, where there is
-# none, further along the way.
+# The focus lies this fraction of the animal's radius further towards the goal. Without a goal it
+# lies further along the path.
 _LEAD, _LEAD_UNLIT = 0.6, 0.4
-# Angles between the line of sight and the way to the goal that are tried, best first, on either
-# side: near enough to the way that the goal is in the picture, but not from right behind.
+# Angles between the line of sight and the direction of the goal that are tried, best first, on
+# either side: small enough that the goal is in the picture, but not from right behind.
 _BEARINGS = np.radians([32.0, 62.0, 90.0, 130.0, 180.0])
 # The same angle where there is no goal: the animal crosses the picture to the right, and shows
 # its side and a little of its front.
 _SIDE = np.radians(112.0)
-# The cameras that look from a fixed side: angle between the line of sight and the way, with which
+# The cameras that look from a fixed side: angle between the line of sight and the course, so that
 # the animal crosses the picture to the right, and elevation of the eye. Low from the side, but not
 # along the ground; from above a little less than upright, so that the picture has an upper edge.
 _SIDEWAYS = np.radians(90.0)
@@ -40,13 +40,13 @@ _ASPECTS = {"side": np.radians(4.0), "top": np.radians(88.0)}
 # One that goes around sees the ground behind the animal, and the horizon.
 _AROUND = np.radians(14.0)
 CAMERAS = ("follow", *_ASPECTS, "orbit")
-# Points along a line of sight at which it is looked whether something stands in the way, and the
-# number of frames in which that is done.
+# Points along a line of sight at which obstacles are looked for, and the number of frames in which
+# that is done.
 _SAMPLES, _LOOKS = 24, 60
 
 
 class CameraPath(NamedTuple):
-    """Where the camera is and looks in every frame.
+    """Place and direction of the camera in every frame.
 
     Attributes:
         position: of the eye ``(frames, 3)``, m.
@@ -77,7 +77,7 @@ def follow(
         rate: frames per second of recorded time.
         aspect: width of the picture over its height.
         elevation: height of the eye above the focus as an angle, rad.
-        turn: angle between the line of sight and the animal's way, rad, in every frame where it
+        turn: angle between the line of sight and the animal's course, rad, in every frame where it
             changes; None for one that has the light in the picture or, where there is none, shows
             the animal's side.
     """
@@ -88,11 +88,11 @@ def follow(
     if not lit:
         # So far ahead that the animal never gets there.
         goal = centre.mean(0) + 1e3 * (radius + np.ptp(centre)) * _direction(bearing, 0.0)
-    way = goal - centre
-    away = np.linalg.norm(way, axis=-1, keepdims=True)
-    # Whoever is circled is in the middle.
-    ahead = 0.0 if isinstance(turn, np.ndarray) else _LEAD if lit else _LEAD_UNLIT
-    lead = way * (ahead * radius / np.maximum(away, 2 * radius))
+    ahead = goal - centre
+    away = np.linalg.norm(ahead, axis=-1, keepdims=True)
+    # An animal that is circled is in the middle.
+    reached = 0.0 if isinstance(turn, np.ndarray) else _LEAD if lit else _LEAD_UNLIT
+    lead = ahead * (reached * radius / np.maximum(away, 2 * radius))
     focus = smooth(centre + lead, SMOOTHING * rate)
     # An animal that leaps may come near the edge of the frame, rather than be small all the time.
     spread = np.linalg.norm(position - focus[:, None], axis=-1).max(1)
@@ -116,7 +116,7 @@ def follow(
 def aspect_of(
     camera: str, frames: int = 1
 ) -> tuple[float | Float[np.ndarray, " frames"], float] | None:
-    """Turn and elevation of a camera, rad; None of one that follows.
+    """Return turn and elevation of a camera, rad; None for one that follows.
 
     Args:
         camera: one of `CAMERAS`.
@@ -138,41 +138,41 @@ def hidden(
     height: Callable[[np.ndarray], np.ndarray],
     margin: float,
 ) -> float:
-    """Share of points, over all frames, before which something solid stands.
+    """Return the fraction of points, over all frames, that something solid hides.
 
     Args:
         path: the camera of every frame.
         points: what is looked at ``(frames, n, 3)``, m.
-        height: of what may stand in the way, m; a function of x and y ``(..., 2)``.
-        margin: by which the camera must be above it, m; at the points nothing is asked.
+        height: of what may hide them, m; a function of x and y ``(..., 2)``.
+        margin: by which a line of sight must be above it at the camera, m; 0 at the points.
     """
     every = max(len(points) // _LOOKS, 1)
     points, eye = points[::every], path.position[::every, None]
     # A point may itself be within a stone or the ground.
-    share = np.linspace(0.1, 1.0, _SAMPLES)[:, None, None]
-    line = points + share[..., None] * (eye - points)
-    free = line[..., 2] - height(line[..., :2]) >= margin * share
+    along = np.linspace(0.1, 1.0, _SAMPLES)[:, None, None]
+    line = points + along[..., None] * (eye - points)
+    free = line[..., 2] - height(line[..., :2]) >= margin * along
     return float((~free.all(0)).mean())
 
 
 def course(
     centre: Float[np.ndarray, "frames 3"], goal: Float[np.ndarray, "3"], least: float
 ) -> float:
-    """Bearing from the x axis of the way to the goal, or to where the animal ends up, rad.
+    """Return the bearing from the x axis of the goal, or of where the animal ends up, rad.
 
     Args:
         centre: of the animal ``(frames, 3)``, m.
         goal: place of the light ``(3,)``, m; NaN where there is none.
-        least: a shorter way has no bearing, and 0 is returned, m.
+        least: a shorter distance has no bearing, and 0 is returned, m.
     """
-    way = ((goal if np.isfinite(goal).all() else centre[-1]) - centre[0])[:2]
-    return float(np.arctan2(way[1], way[0])) if np.linalg.norm(way) > least else 0.0
+    east, north, _ = (goal if np.isfinite(goal).all() else centre[-1]) - centre[0]
+    return float(np.arctan2(north, east)) if np.hypot(east, north) > least else 0.0
 
 
 def project(
     path: CameraPath, points: Float[np.ndarray, "frames n 3"], aspect: float
 ) -> Float[np.ndarray, "frames n 2"]:
-    """Place of points in the picture.
+    """Return the places of points in the picture.
 
     Args:
         path: the camera of every frame.
@@ -193,7 +193,7 @@ def project(
 
 
 def turned_about_vertical(vector: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3"]:
-    """A vector, turned to the left as seen from above.
+    """Return a vector, turned to the left as seen from above.
 
     Args:
         vector: to be turned.
@@ -203,8 +203,14 @@ def turned_about_vertical(vector: Float[np.ndarray, "3"], angle: float) -> Float
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
 
 
+def level_axes(sight: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return level unit vectors to the right and ahead in the picture ``(3,)``."""
+    ahead = np.array([sight[0], sight[1], 0.0]) / np.hypot(*sight[:2])
+    return np.cross(ahead, [0.0, 0.0, 1.0]), ahead
+
+
 def smooth(path: Float[np.ndarray, "frames 3"], width: float) -> Float[np.ndarray, "frames 3"]:
-    """Gaussian average of a path ``(frames, 3)`` without lag.
+    """Return the Gaussian average of a path ``(frames, 3)`` without lag.
 
     Args:
         path: one point per frame.
@@ -229,7 +235,7 @@ def _sight_of_goal(
     bearing: float,
     elevation: float,
 ) -> np.ndarray:
-    """Line of sight that has the goal in the picture but keeps the eye off it."""
+    """Return a line of sight that has the goal in the picture but keeps the eye off it."""
     sights = [
         _direction(bearing + sign * turn, elevation) for turn in _BEARINGS for sign in (1, -1)
     ]
@@ -245,19 +251,19 @@ def _sight_of_goal(
 def _direction(
     bearing: float | Float[np.ndarray, " frames"], elevation: float
 ) -> Float[np.ndarray, "*frames 3"]:
-    """Unit vectors that point along bearings and down by an elevation."""
+    """Return unit vectors that point along bearings and down by an elevation."""
     flat, down = np.cos(elevation), np.full(np.shape(bearing), -np.sin(elevation))
     return np.stack([flat * np.cos(bearing), flat * np.sin(bearing), down], -1)
 
 
 def _apparent_width(position: np.ndarray, sight: np.ndarray) -> float:
-    """Mean extent of the animal across a line of sight, m."""
+    """Return the mean extent of the animal across a line of sight, m."""
     across = np.cross(sight, [0.0, 0.0, 1.0])
     return float(np.ptp(position @ across, axis=1).mean())
 
 
 def _axes(path: CameraPath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unit vectors ``(frames, 3)`` to the right, up and ahead in the picture."""
+    """Return unit vectors ``(frames, 3)`` to the right, up and ahead in the picture."""
     ahead = path.focus - path.position
     ahead = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
@@ -266,7 +272,7 @@ def _axes(path: CameraPath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _overshoot(path: CameraPath, position: np.ndarray, reach: float, aspect: float) -> float:
-    """How far the bodies stick out of the frame: their largest picture coordinate."""
+    """Return how far the bodies stick out of the frame: their largest picture coordinate."""
     # Cubes around the bodies, square to the line of sight, whichever way the animal goes.
     corners = reach * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     offset = corners @ np.stack(_axes(path), 1)

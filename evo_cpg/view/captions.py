@@ -1,4 +1,4 @@
-"""Words of a film: title, time, distance left and speed over it, and headings of moments."""
+"""Write the words of a film: title, time, distance and speed, and headings of moments."""
 
 from collections.abc import Callable
 

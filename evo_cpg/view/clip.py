@@ -1,4 +1,4 @@
-"""A recording sampled at the frames of a film."""
+"""A recording sampled at the frames of a film, and its rotations as quaternions."""
 
 from typing import NamedTuple
 
@@ -21,6 +21,7 @@ class Clip(NamedTuple):
         rotation: body to world.
         distance: to the goal, or, where there is none, from the start over ground, m.
         speed: of the mean of the bodies' centres, smoothed, m/s.
+        rate: frames per second of recorded time.
     """
 
     time: Float[np.ndarray, " frames"]
@@ -28,6 +29,7 @@ class Clip(NamedTuple):
     rotation: Float[np.ndarray, "frames b 3 3"]
     distance: Float[np.ndarray, " frames"]
     speed: Float[np.ndarray, " frames"]
+    rate: float
 
 
 def sample(
@@ -53,8 +55,8 @@ def sample(
     weight = np.clip((time - recording.time[before]) / np.where(step > 0, step, 1), 0, 1)
 
     def between(values: np.ndarray) -> np.ndarray:
-        share = weight.reshape(-1, *(1,) * (values.ndim - 1))
-        return (1 - share) * values[before] + share * values[after]
+        part = weight.reshape(-1, *(1,) * (values.ndim - 1))
+        return (1 - part) * values[before] + part * values[after]
 
     # The nearest rotation to a mean of two near rotations: its polar factor.
     left, _, right = np.linalg.svd(between(recording.rotation))
@@ -67,4 +69,20 @@ def sample(
         left @ right,
         between(recording.distance),
         np.linalg.norm(velocity, axis=-1),
+        fps / speed,
     )
+
+
+def quaternions(rotation: Float[np.ndarray, "t *b 3 3"]) -> Float[np.ndarray, "t *b 4"]:
+    """Return unit quaternions x, y, z, w of rotation matrices.
+
+    Neighbours in time lie on the same side: none jumps to its negative.
+    """
+    # SciPy takes long to import.
+    from scipy.spatial.transform import Rotation
+
+    found = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat()
+    found = found.reshape(*rotation.shape[:-2], 4)
+    flips = np.where((found[1:] * found[:-1]).sum(-1) < 0, -1.0, 1.0)
+    found[1:] *= np.cumprod(flips, axis=0)[..., None]
+    return found

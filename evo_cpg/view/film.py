@@ -2,104 +2,80 @@
 
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+
+import numpy as np
+from PIL import Image
 
 from evo_cpg.view.camera import aspect_of
 from evo_cpg.view.frame_processes import drawing_processes, drawn_frames
-from evo_cpg.view.frames import Frames, Plan
+from evo_cpg.view.frames import Film, Frames
 from evo_cpg.view.output import (
     FILM_SUFFIXES,
+    PICTURE_SUFFIXES,
     SettingError,
     check_size,
-    frame_writer,
+    film_writer,
     is_numbered,
     numbered_path,
     output_path,
+    picture_of,
+    save_numbered,
+    save_picture,
 )
-from evo_cpg.view.panel import Panel, check_panel
+from evo_cpg.view.scene import Panel, check_panel
 from evo_cpg.view.signals import SMALLEST
 
 
-def film_path(
-    path: str | os.PathLike[str],
-    size: tuple[int, int],
-    fps: float = 30.0,
-    seconds: float | None = None,
-    speed: float = 1.0,
-    camera: str = "follow",
-    sheet: tuple[int, int] | None = None,
-    signals: bool = False,
-) -> Path:
+def film_path(path: str | os.PathLike[str], film: Film, signals: bool = False) -> Path:
     """Check how a film is to be made, before there is anything to show.
 
     Args:
         path: see `side_by_side`.
-        size: likewise.
-        fps: likewise.
-        seconds: likewise.
-        speed: likewise.
-        camera: likewise.
-        sheet: likewise.
-        signals: whether an animal's are shown under it.
+        film: its settings.
+        signals: whether signals are shown below an animal.
 
     Raises:
         OutputError: nothing can be written there, or not this kind of file.
         SettingError: a setting out of range.
-        ValueError: a camera that there is not.
+        ValueError: an unknown camera.
     """
     path = Path(path)
-    if sheet is None and is_numbered(path):
+    if film.sheet is None and is_numbered(path):
         path = numbered_path(path)
     else:
-        path = output_path(path, FILM_SUFFIXES if sheet is None else (".png",))
-    check_size(size)
+        path = output_path(path, FILM_SUFFIXES if film.sheet is None else PICTURE_SUFFIXES)
+    check_size(film.size)
     if signals:
-        check_size(size, SMALLEST, " with signals")
-    for name, value in (("fps", fps), ("speed", speed)):
+        check_size(film.size, SMALLEST, " with signals")
+    for name, value in (("fps", film.fps), ("speed", film.speed)):
         if not 0 < value < math.inf:
             raise SettingError(f"{name} is {value:g}; it must be positive and finite")
-    if seconds is not None and not seconds >= 0:
-        raise SettingError(f"seconds is {seconds:g}; it must be a number that is not negative")
-    aspect_of(camera)
+    if film.seconds is not None and not film.seconds >= 0:
+        raise SettingError(f"seconds is {film.seconds:g}; it must be a number that is not negative")
+    aspect_of(film.camera)
     return path
 
 
 def side_by_side(
     panels: Sequence[Panel],
     path: str | os.PathLike[str],
+    film: Film,
     *,
-    size: tuple[int, int] = (640, 360),
-    fps: float = 30.0,
-    seconds: float | None = None,
-    speed: float = 1.0,
-    camera: str = "follow",
-    sheet: tuple[int, int] | None = None,
-    columns: int | None = None,
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Render recordings in one film, row by row; those that are shorter wait at their end.
+    """Render recordings in one film, row by row; shorter ones stop at their last frame.
 
     Args:
         panels: the animals.
         path: ``.mp4`` (H.264), ``.webp`` or ``.gif`` for a film, ``.png`` for a still or a sheet;
             a name such as ``frames/%04d.png`` for a picture of every frame, counted from 0, in a
             new folder.
-        size: width and height of each animal's picture, pixels; rounded down to even numbers.
-        fps: frames per second of the film.
-        seconds: recorded time to show, s; all of it by default. Of a still: the instant it
-            shows, the middle by default.
-        speed: recorded seconds per second of film.
-        camera: from where the animals are seen: ``follow`` (from behind towards the light, or else
-            from the side and a little ahead), ``side``, ``top`` or ``orbit`` (once around).
-        sheet: columns and rows of one picture of so many moments, the first and the last of the
-            film and others evenly in between, each of which shows all animals; those of a shorter
-            recording lie closer together. Of several animals each moment is a column with a
-            heading: its time or, where their recordings are not equally long, its number.
-        columns: of animals; as many as rows, or one more, by default, and one on a sheet.
-        processes: that draw a film; for a still or a sheet it is always this one. Each takes some
-            400 MB of memory and a few seconds to start.
+        film: its settings.
+        processes: that draw a film; a still or a sheet is drawn by this one. Each takes some 400 MB
+            of memory and a few seconds to start.
         progress: called with the number of frames done and their total.
 
     Returns:
@@ -110,25 +86,53 @@ def side_by_side(
         OutputError: nothing can be written there, or not this kind of file.
         RecordingError: a recording that does not fit its creature, is empty or not finite.
         SettingError: a setting out of range.
-        ValueError: a world or a camera that there is not.
+        ValueError: an unknown world or camera.
     """
-    strips = any(panel.signals is not None for panel in panels)
-    path = film_path(path, size, fps, seconds, speed, camera, sheet, strips)
-    numbered = sheet is None and is_numbered(path)
-    still = path.suffix.lower() == ".png" and sheet is None and not numbered
+    path = film_path(path, film, any(panel.signals is not None for panel in panels))
     for panel in panels:
         check_panel(panel)
-    plan = Plan(tuple(panels), size, fps, seconds, speed, camera, still, sheet, columns)
-    frames = Frames(plan)
-    if still or sheet is not None:
-        processes = 1
+    numbered = film.sheet is None and is_numbered(path)
+    if path.suffix.lower() in PICTURE_SUFFIXES and not numbered:
+        save_picture(picture(panels, film, progress), path)
+        return path
+    frames = Frames(panels, film)
     processes = drawing_processes(frames.count, processes)
-    with (
-        drawn_frames(plan, frames, processes) as drawn,
-        frame_writer(path, frames.size, frames.rendered, fps, sheet, frames.gap) as write,
-    ):
-        for done, picture in enumerate(drawn, 1):
-            write(picture)
-            if progress is not None:
-                progress(done, frames.count)
-    return path.parent if numbered else path
+    with drawn_frames(panels, film, frames, processes) as drawn:
+        counted = _counted(drawn, frames.count, progress)
+        if numbered:
+            save_numbered((picture_of(frame, frames.size) for frame in counted), path)
+            return path.parent
+        with film_writer(path, frames.size, frames.rendered, film.fps) as write:
+            for frame in counted:
+                write(frame)
+    return path
+
+
+def picture(
+    panels: Sequence[Panel],
+    film: Film,
+    progress: Callable[[int, int], None] | None = None,
+) -> Image.Image:
+    """Return a still, or a sheet of moments.
+
+    Args:
+        panels: the animals.
+        film: settings; without a sheet it is a still.
+        progress: called with the number of frames done and their total.
+
+    Raises:
+        SettingError: a sheet of more moments than the film has frames.
+    """
+    frames = Frames(panels, film, still=film.sheet is None)
+    with frames.drawn() as draw:
+        counted = _counted(map(draw, range(frames.count)), frames.count, progress)
+        return frames.sheet(picture_of(frame, frames.size) for frame in counted)
+
+
+def _counted(
+    drawn: Iterable[np.ndarray], count: int, progress: Callable[[int, int], None] | None
+) -> Iterator[np.ndarray]:
+    for done, frame in enumerate(drawn, 1):
+        yield frame
+        if progress is not None:
+            progress(done, count)

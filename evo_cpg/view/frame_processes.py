@@ -1,4 +1,4 @@
-"""Frames drawn by several processes: a software renderer leaves cores idle, most with many bodies.
+"""Draw frames in several processes: a software renderer leaves cores idle, most with many bodies.
 
 Each process sets the whole scene once. A frame does not depend on the process that draws it, except
 on uneven ground: the horizon follows the focus in steps, so an opacity may differ by one of 255
@@ -12,13 +12,14 @@ import itertools
 import multiprocessing
 import signal
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 
 import jax
 import numpy as np
 
-from evo_cpg.view.frames import Frames, Plan
+from evo_cpg.view.frames import Film, Frames
+from evo_cpg.view.scene import Panel
 
 # To start a process and to set its scene takes as long as so many frames: of the swimmer, on two
 # cores, 240 frames took two processes as long as one, 1000 took them 40 s instead of 47.
@@ -28,8 +29,8 @@ _MOST = 8
 # Frames for each process that are drawn, or in memory, at once.
 _AHEAD = 3
 
-# In a process that draws: what to draw.
-_plans: list[Plan] = []
+# In a process that draws: the animals and the settings.
+_films: list[tuple[Sequence[Panel], Film]] = []
 
 
 class DrawingError(RuntimeError):
@@ -47,12 +48,15 @@ def drawing_processes(frames: int, cores: int) -> int:
 
 
 @contextlib.contextmanager
-def drawn_frames(plan: Plan, frames: Frames, processes: int) -> Iterator[Iterator[np.ndarray]]:
+def drawn_frames(
+    panels: Sequence[Panel], film: Film, frames: Frames, processes: int
+) -> Iterator[Iterator[np.ndarray]]:
     """Draw all frames, one after the other.
 
     Args:
-        plan: of the frames.
-        frames: laid out by that plan.
+        panels: the animals.
+        film: settings.
+        frames: laid out by these.
         processes: that draw them; with one it is this process.
 
     Yields:
@@ -67,7 +71,7 @@ def drawn_frames(plan: Plan, frames: Frames, processes: int) -> Iterator[Iterato
             yield map(draw, range(frames.count))
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, context, _prepare, (plan,)) as pool:
+    with ProcessPoolExecutor(processes, context, _prepare, (panels, film)) as pool:
         try:
             yield _in_order(pool, frames.count, _AHEAD * processes)
         finally:
@@ -86,13 +90,13 @@ def _in_order(pool: ProcessPoolExecutor, count: int, ahead: int) -> Iterator[np.
         awaited.extend(pool.submit(_draw, number) for number in itertools.islice(numbers, 1))
 
 
-def _prepare(plan: Plan) -> None:
-    """Take note of what this process is to draw."""
+def _prepare(panels: Sequence[Panel], film: Film) -> None:
+    """Store what this process draws."""
     # The process that started this one stops it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Heights of the ground need no more.
     jax.config.update("jax_platforms", "cpu")
-    _plans[:] = [plan]
+    _films[:] = [(panels, film)]
 
 
 def _draw(number: int) -> np.ndarray:
@@ -103,4 +107,4 @@ def _draw(number: int) -> np.ndarray:
 def _scene() -> Callable[[int], np.ndarray]:
     stack = contextlib.ExitStack()
     atexit.register(stack.close)
-    return stack.enter_context(Frames(_plans[0]).drawn())
+    return stack.enter_context(Frames(*_films[0]).drawn())

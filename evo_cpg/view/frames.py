@@ -1,105 +1,109 @@
-"""The frames of a film, a still or a sheet: which instants they show, and how they are laid out.
+"""The frames of a film, a still or a sheet: their instants and their layout.
 
-Frames are rendered larger than the film and averaged down by ffmpeg, which smooths edges, thin
-lines and text.
+Frames are rendered larger than the film and averaged down, which smooths edges, thin lines and
+text.
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
+from PIL import Image
 
-from evo_cpg.view.captions import heading
+from evo_cpg.view.captions import captions, heading
 from evo_cpg.view.clip import Clip, sample
+from evo_cpg.view.drawing import set_scene
+from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
-from evo_cpg.view.output import GUTTER, SettingError, oversampling
-from evo_cpg.view.panel import Panel
-from evo_cpg.view.signals import LOWEST, SHARE, Strip
-from evo_cpg.view.stage import Stage, seen_world, set_scene
+from evo_cpg.view.output import SettingError, oversampling
+from evo_cpg.view.scene import Panel, scene_of
+from evo_cpg.view.signals import FRACTION, LOWEST, Strip
+from evo_cpg.view.stage import Stage, camera_path
 
 # Pixels rendered per pixel of the result, a side. On one core of a software renderer a frame of
 # 1280 x 720 costs 46 ms at 1.25, 58 ms at 1.5, which looks hardly better, and 100 ms at 2.
 _FILM_OVERSAMPLING = 1.25
 _STILL_OVERSAMPLING = 3.0
-# On a sheet of several animals: the heading of a moment, and what sets moments apart, pixels.
-_HEAD, _GAP = 40, 24
+# Between the pictures of a sheet and animals side by side, pixels. A sheet of several animals has a
+# heading above each moment, and moments are this far apart.
+_GUTTER, _HEAD, _GAP = 4, 40, 24
 # Columns of so many animals side by side; of more the square root, rounded up.
 _COLUMNS = (1, 1, 2, 3, 2)
 
 
-class Plan(NamedTuple):
-    """What is to be drawn; another process can be told of it.
+@dataclasses.dataclass(frozen=True)
+class Film:
+    """Settings of a film, a still or a sheet.
 
     Attributes:
-        panels: the animals, row by row.
-        size: width and height of each animal's picture, pixels.
+        size: width and height of each animal's picture, pixels; rounded down to even numbers.
         fps: frames per second of the film.
         seconds: recorded time to show, s; all of it if None. Of a still: the instant it shows, the
             middle if None.
         speed: recorded seconds per second of film.
-        camera: one of `evo_cpg.view.camera.CAMERAS`.
-        still: one instant.
-        sheet: columns and rows of moments; None for a film or a still.
-        columns: of animals; None for as many as rows, or one more, and for one on a sheet.
+        camera: from where the animals are seen: ``follow`` (from behind towards the light; without
+            a light from the side and a little ahead), ``side``, ``top`` or ``orbit`` (once around).
+        sheet: columns and rows of one picture of so many moments, the first and the last of the
+            film and others evenly in between, each of which shows all animals. Moments of a shorter
+            recording lie closer together. Of several animals each moment is a column with a
+            heading: its time or, if their recordings differ in length, its number. None for a film
+            or a still.
+        columns: of animals; as many as rows, or one more, if None, and one on a sheet.
     """
 
-    panels: tuple[Panel, ...]
-    size: tuple[int, int]
-    fps: float
-    seconds: float | None
-    speed: float
-    camera: str
-    still: bool
-    sheet: tuple[int, int] | None
-    columns: int | None
+    size: tuple[int, int] = (640, 360)
+    fps: float = 30.0
+    seconds: float | None = None
+    speed: float = 1.0
+    camera: str = "follow"
+    sheet: tuple[int, int] | None = None
+    columns: int | None = None
 
 
 class Frames:
     """Frames, laid out and ready to be drawn in any order.
 
     Args:
-        plan: what they show.
+        panels: the animals, row by row.
+        film: its settings.
+        still: show one instant.
 
     Raises:
         SettingError: a sheet of more moments than the film has frames.
 
     Attributes:
         count: how many there are.
-        size: width and height of the result, pixels.
-        rendered: width and height of what is drawn, pixels.
-        gap: between the moments of a sheet, pixels.
+        size: width and height of a frame in the result, pixels.
+        rendered: width and height of a frame as it is drawn, pixels.
     """
 
-    def __init__(self, plan: Plan):
-        self._plan = plan
-        rate, sheet = plan.fps / plan.speed, plan.sheet
-        end = None if plan.still else plan.seconds
-        self._clips = [sample(one.recording, plan.fps, plan.speed, end) for one in plan.panels]
-        self._instants = [_instants(clip, plan.seconds, plan.still, sheet) for clip in self._clips]
+    def __init__(self, panels: Sequence[Panel], film: Film, still: bool = False):
+        self._panels, self._film, sheet = panels, film, film.sheet
+        end = None if still else film.seconds
+        self._clips = [sample(one.recording, film.fps, film.speed, end) for one in panels]
+        self._instants = [_instants(clip, film.seconds, still, sheet) for clip in self._clips]
         self.count = max(map(len, self._instants))
-        still = plan.still or sheet is not None
-        wanted = _STILL_OVERSAMPLING if still else _FILM_OVERSAMPLING
-        self._scale = scale = oversampling(plan.size, wanted)
-        self._one = width, height = plan.size[0] // 2 * 2, plan.size[1] // 2 * 2
-        # Of several animals a sheet has a column for each moment, with a heading.
-        self._grouped = sheet is not None and len(plan.panels) > 1
-        self._columns, self._rows = _grid(
-            len(plan.panels), 1 if self._grouped and plan.columns is None else plan.columns
+        finely = still or sheet is not None
+        self._scale = scale = oversampling(
+            film.size, _STILL_OVERSAMPLING if finely else _FILM_OVERSAMPLING
         )
+        self._one = width, height = film.size[0] // 2 * 2, film.size[1] // 2 * 2
+        self._grouped = sheet is not None and len(panels) > 1
+        columns = 1 if self._grouped and film.columns is None else film.columns
+        self._columns, rows = _grid(len(panels), columns)
         head = _HEAD if self._grouped else 0
         self.size = (
-            self._columns * (width + GUTTER) - GUTTER,
-            self._rows * (height + GUTTER) - GUTTER + head,
+            self._columns * (width + _GUTTER) - _GUTTER,
+            rows * (height + _GUTTER) - _GUTTER + head,
         )
         self._head = round(head * scale)
-        self._pitch = round((width + GUTTER) * scale), round((height + GUTTER) * scale)
+        self._pitch = round((width + _GUTTER) * scale), round((height + _GUTTER) * scale)
+        self._rows = rows
         self.rendered = (
             (self._columns - 1) * self._pitch[0] + round(width * scale),
-            (self._rows - 1) * self._pitch[1] + round(height * scale) + self._head,
+            (rows - 1) * self._pitch[1] + round(height * scale) + self._head,
         )
-        self.gap = _GAP if self._grouped else GUTTER
-        self._rate = rate
 
     @contextlib.contextmanager
     def drawn(self) -> Iterator[Callable[[int], np.ndarray]]:
@@ -107,21 +111,20 @@ class Frames:
 
         Yields:
             A function of a frame's number that draws it: ``(height, width, 3)`` bytes, bottom row
-            first. What it returns may be overwritten by the next one.
+            first. The next call may overwrite the result.
         """
         # Filled where an animal is shown.
         picture = np.full((self.rendered[1], self.rendered[0], 3), 255, np.uint8)
         with contextlib.ExitStack() as stack:
             shows = [
                 stack.enter_context(self._panel(panel, clip))
-                for panel, clip in zip(self._plan.panels, self._clips, strict=True)
+                for panel, clip in zip(self._panels, self._clips, strict=True)
             ]
 
             def draw(number: int) -> np.ndarray:
                 if self._grouped:
-                    picture[-self._head :] = heading(
-                        self._moment(number), self.rendered[0], self._head
-                    )
+                    words = self._moment(number)
+                    picture[-self._head :] = heading(words, self.rendered[0], self._head)
                 for i, (show, own) in enumerate(zip(shows, self._instants, strict=True)):
                     seen = show(own[min(number, len(own) - 1)])
                     if len(shows) == 1:
@@ -134,6 +137,16 @@ class Frames:
 
             yield draw
 
+    def sheet(self, pictures: Iterable[Image.Image]) -> Image.Image:
+        """Return a sheet of moments, row by row; a still is a sheet of one."""
+        columns, rows = self._film.sheet or (1, 1)
+        gap = _GAP if self._grouped else _GUTTER
+        across, down = self.size[0] + gap, self.size[1] + gap
+        sheet = Image.new("RGB", (columns * across - gap, rows * down - gap), "white")
+        for number, picture in enumerate(pictures):
+            sheet.paste(picture, (number % columns * across, number // columns * down))
+        return sheet
+
     def _moment(self, number: int) -> str:
         instants = {
             f"{clip.time[own[number]] - clip.time[0]:.1f} s"
@@ -144,35 +157,27 @@ class Frames:
 
     @contextlib.contextmanager
     def _panel(self, panel: Panel, clip: Clip) -> Iterator[Callable[[int], np.ndarray]]:
-        """An animal's picture, instant by instant: ``(height, width, 3)``, bottom row first."""
-        creature, size, scale = panel.creature, self._one, self._scale
-        look, surface = seen_world(creature, clip, panel.world, panel.ground, panel.surface)
-        rendered = round(size[0] * scale), round(size[1] * scale)
-        strip, above = None, size[1]
+        """Draw an animal's picture, frame by frame: ``(height, width, 3)``, bottom row first."""
+        scene, film, scale = scene_of(panel, clip), self._film, self._scale
+        (width, height), above = self._one, self._one[1]
+        strip, strip_height = None, 0
         if panel.signals is not None:
-            above = size[1] - max(round(SHARE * size[1]), LOWEST)
-            strip = Strip(panel.signals, look, (size[0], size[1] - above), scale)
-        stage = Stage(
-            look=look,
-            title=creature.name if panel.title is None else panel.title,
-            size=(size[0], above),
-            oversampling=scale,
-            rate=self._rate,
-            speed=self._plan.speed,
-            ground=panel.ground,
-            surface=surface,
-            camera=self._plan.camera,
-            note=panel.note,
-        )
-        high = rendered[1] if strip is None else rendered[1] - strip.height
-        with canvas((rendered[0], high)) as plotter:
-            show = set_scene(plotter, creature, panel.recording, clip, stage)
+            above -= max(round(FRACTION * height), LOWEST)
+            strip = Strip(panel.signals, scene.look, (width, height - above), scale)
+            strip_height = strip.height
+        title = panel.creature.name if panel.title is None else panel.title
+        pace = f", {film.speed:g} x speed" if film.speed != 1 else ""
+        note = "; ".join(filter(None, [panel.note, f"grid {scene.grid:g} m{pace}"]))
+        caption = captions(scene.look, title, scene.measured, note, (width, above), scale)
+        with canvas((round(width * scale), round(height * scale) - strip_height)) as plotter:
+            stage = Stage(plotter, scene, camera_path(scene, film.camera, width / above), scale)
+            bodies = add_bodies(plotter, panel.creature, scene.look.ambient)
+            show = set_scene(stage, bodies)
 
             def draw(instant: int) -> np.ndarray:
-                seen = show(instant)
-                if strip is None:
-                    return seen
-                return np.concatenate([strip.at(clip.time[instant]), seen])
+                seen, time = show(instant), clip.time[instant]
+                caption(seen, time - clip.time[0], clip.distance[instant], clip.speed[instant])
+                return seen if strip is None else np.concatenate([strip.at(time), seen])
 
             yield draw
 
@@ -180,16 +185,13 @@ class Frames:
 def _instants(
     clip: Clip, seconds: float | None, still: bool, sheet: tuple[int, int] | None
 ) -> Sequence[int]:
-    """The frames of a clip that are shown: all, that of an instant, or those of a sheet."""
+    """Return the frames of a clip that are shown: all, one, or those of a sheet."""
     if still:
         instant = np.median(clip.time) if seconds is None else clip.time[0] + seconds
         return [int(np.abs(clip.time - instant).argmin())]
-    return range(len(clip.time)) if sheet is None else _moments(len(clip.time), sheet)
-
-
-def _moments(frames: int, sheet: tuple[int, int]) -> list[int]:
-    """The frames that a sheet of so many columns and rows shows."""
-    columns, rows = sheet
+    if sheet is None:
+        return range(len(clip.time))
+    frames, (columns, rows) = len(clip.time), sheet
     if min(sheet) < 1:
         raise SettingError(f"sheet is {columns}x{rows}; it needs a column and a row at least")
     if frames < columns * rows:
@@ -201,7 +203,7 @@ def _moments(frames: int, sheet: tuple[int, int]) -> list[int]:
 
 
 def _grid(count: int, columns: int | None) -> tuple[int, int]:
-    """Columns and rows of so many pictures."""
+    """Return columns and rows of so many pictures."""
     if columns is None:
         columns = _COLUMNS[count] if count < len(_COLUMNS) else int(np.ceil(np.sqrt(count)))
     return columns, -(-count // columns)

@@ -1,10 +1,10 @@
-"""Names in any script, in pictures: in a font that is always there, or spelt out.
+"""Write names of any script into pictures: in a font that is always there, or spelt out.
 
 Matplotlib brings DejaVu Sans, which has the Latin, Greek, Cyrillic, Arabic and Hebrew scripts and
-many symbols. Pillow writes with it into pictures that VTK has drawn. It lacks Chinese, Japanese and
-Korean characters and most emoji, which are not on every computer either, and which would all look
-like the same box. They are spelt out by their names in Unicode: a syllable by its sound, an emoji
-by what it shows, and an ideograph, which has no name, by its number.
+many symbols. Pillow writes with it into pictures that VTK has drawn. The font lacks Chinese,
+Japanese and Korean characters and most emoji, which would all look like the same box. They are
+spelt out by their names in Unicode: a syllable by its sound, an emoji by what it shows, and an
+ideograph by its number.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ _PLATE = 184
 
 
 def legible(text: str) -> str:
-    """The text with what the font lacks spelt out."""
+    """Return the text, with characters that the font lacks spelt out."""
     if text.isascii():
         return text
     text = unicodedata.normalize("NFC", text)
@@ -98,13 +98,13 @@ def font(size: float, bold: bool = True) -> ImageFont.FreeTypeFont:
 
 @functools.cache
 def _letters() -> frozenset[int]:
-    """What both faces of the font have."""
+    """Return the characters that both faces of the font have."""
     regular, bold = (set(FT2Font(str(file)).get_charmap()) for file in (_REGULAR, _BOLD))
     return frozenset(regular & bold)
 
 
 def _spelt(letter: str) -> str:
-    """A character in ASCII."""
+    """Return a character spelt out in ASCII."""
     name = unicodedata.name(letter, "")
     kind = unicodedata.category(letter)
     if kind in ("Mn", "Mc", "Me", "Cf"):

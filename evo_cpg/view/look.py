@@ -3,6 +3,14 @@
 import dataclasses
 
 import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.view.camera import level_axes
+
+# The sun in a sky stands to the left of the viewer and behind the viewer. It lights the visible
+# sides, and shadows fall to the right, ahead and up in the picture.
+_SUN_SEEN = (-0.62, -0.45, 1.0)
+_SUN_AT_SEA = (-0.4, -0.6, 1.6)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,3 +121,16 @@ SHORE = dataclasses.replace(
     side_elevation=np.radians(15),
     particles=True,
 )
+
+
+def sun_direction(look: Look, sight: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return the unit vector towards the sun.
+
+    Args:
+        look: of the world.
+        sight: the camera's direction of view in the first frame.
+    """
+    towards = np.array(_SUN_AT_SEA)
+    if look.zenith is not None:
+        towards = np.array(_SUN_SEEN) @ np.stack([*level_axes(sight), [0.0, 0.0, 1.0]])
+    return towards / np.linalg.norm(towards)

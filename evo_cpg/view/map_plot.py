@@ -9,7 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.evolution.archive import Axis
 from evo_cpg.view.figure import RED, framed, new_figure
 from evo_cpg.view.units import UNITS, in_words
 
@@ -49,7 +49,7 @@ def map_figure(axes: Sequence[Axis], fitness: Float[np.ndarray, "..."], title: s
 def _at_most_three(
     axes: Sequence[Axis], fitness: Float[np.ndarray, "..."]
 ) -> tuple[Sequence[Axis], np.ndarray]:
-    """What is drawn of a map: of the rest the best."""
+    """Return at most three axes of a map, and the best fitness over all others."""
     most = 3 if len(axes) > 2 and axes[2].cells <= _MOST_PANELS else 2
     rest = tuple(range(most, len(axes)))
     filled = np.where(np.isfinite(fitness), fitness, -np.inf)

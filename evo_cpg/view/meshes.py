@@ -4,33 +4,34 @@ Colours run from a warm head over cream to a cool tail. Orange against blue, wit
 tone between them, is told apart with every common kind of colour blindness, and on sea and sand.
 """
 
+import functools
+from typing import NamedTuple
+
 import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, LightSensor, neutral_pose
-from evo_cpg.creature.mesh import ConvexMesh
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape
+from evo_cpg.creature.shapes import Shape
 
 _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
-# Vertices along a quarter circle; 6 looks round on a body that fills a third of a frame.
-_QUARTER = 6
-# Edge radius of a box and radius of an eye, relative to the body's smallest half size.
-_ROUNDING = 0.28
+# Radius of an eye, relative to the body's smallest half size.
 _EYE = 0.44
+# Colours of an eye.
+_WHITE, _PUPIL = "#fdfdf8", "#10151c"
 # Brightness of bodies on the left (y > 0), the far side where there is no light to walk to, and how
 # far off the middle they begin, relative to the one furthest out.
 _LEFT, _ASIDE = 0.72, 0.1
 
 
 def head_index(creature: Creature) -> int:
-    """The body that carries the eyes, or the root of a blind animal."""
+    """Return the number of the body that carries the eyes, or of a blind animal's root."""
     if creature.light_sensors:
         return creature.body_index(creature.light_sensors[0].body)
     return next(i for i, body in enumerate(creature.bodies) if body.joint is None)
 
 
 def body_colors(creature: Creature) -> np.ndarray:
-    """Colours ``(bodies, 3)``, red, green and blue from 0 to 1.
+    """Return colours ``(bodies, 3)``: red, green and blue from 0 to 1.
 
     A body without a colour of its own takes one from the palette by how many joints lie between
     it and the head; on the animal's left it is darker, so that legs are told apart.
@@ -59,42 +60,19 @@ def body_colors(creature: Creature) -> np.ndarray:
 
 
 def shape_mesh(shape: Shape) -> pv.PolyData:
-    """Surface of a shape in its own frame, in m, with a ``Normals`` array for smooth shading.
+    """Return the surface of a shape in its own frame, m, with normals for smooth shading.
 
     A mesh's edges stay sharp: every triangle has corners of its own. One without area, which has no
     normal, is left out.
-
-    Raises:
-        TypeError: a shape that this module does not know.
     """
-    directions, signs, faces = _split_sphere()
-    if isinstance(shape, ConvexMesh):
-        points = shape.triangles.reshape(-1, 3)
-        faces = np.arange(len(points)).reshape(-1, 3)
-        normals = np.asarray(pv.PolyData.from_regular_faces(points, faces).face_normals)
-        seen = np.linalg.norm(normals, axis=1) > 0
-        points, normals = shape.triangles[seen].reshape(-1, 3), np.repeat(normals[seen], 3, 0)
-        faces = faces[: seen.sum()]
-    elif isinstance(shape, Box):
-        radius = _ROUNDING * shape.half_extents.min()
-        points = signs * (shape.half_extents - radius) + radius * directions
-        normals = directions
-    elif isinstance(shape, Ellipsoid):
-        points = directions * shape.half_extents
-        normals = directions / shape.half_extents
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    elif isinstance(shape, Capsule):
-        points = signs * [shape.length / 2, 0, 0] + shape.radius * directions
-        normals = directions
-    else:
-        raise TypeError(f"no picture for a {type(shape).__name__}; add it to shape_mesh")
+    points, normals, faces = shape.skin()
     mesh = pv.PolyData.from_regular_faces(points, faces)
     mesh.point_data.active_normals = normals
     return mesh
 
 
 def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv.PolyData]:
-    """White and pupil of an eye, in the frame of the body that carries it.
+    """Return white and pupil of an eye, in the frame of the body that carries it.
 
     A sensor inside the body is drawn where its line of sight leaves it.
     """
@@ -112,73 +90,51 @@ def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv
     )
 
 
+class Piece(NamedTuple):
+    """A surface that moves with a body, in its frame.
+
+    Attributes:
+        mesh: the surface.
+        color: its colour, as six hexadecimal digits after ``#``.
+        name: of a part of an eye, such as ``pupil1``; empty for the body's own surface.
+    """
+
+    mesh: pv.PolyData
+    color: str
+    name: str = ""
+
+
+def pieces(creature: Creature) -> list[list[Piece]]:
+    """Return the pieces of every body: its own surface, then white and pupil of its eyes."""
+    colors = [pv.Color(color).hex_rgb for color in body_colors(creature)]
+    found = [
+        [Piece(shape_mesh(body.shape), color)]
+        for body, color in zip(creature.bodies, colors, strict=True)
+    ]
+    for number, sensor in enumerate(creature.light_sensors, 1):
+        white, pupil = eye_meshes(creature, sensor)
+        found[creature.body_index(sensor.body)] += [
+            Piece(white, _WHITE, f"eye{number}"),
+            Piece(pupil, _PUPIL, f"pupil{number}"),
+        ]
+    return found
+
+
 def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[list[pv.Actor]]:
     """Draw the bodies and eyes, each in its own frame at the origin.
 
     Args:
         plotter: draws them.
         creature: the animal.
-        ambient: share of light that comes from everywhere.
+        ambient: fraction of light that comes from everywhere.
 
     Returns:
         The actors of each body, to be moved together.
     """
-    bodies = [
-        [
-            plotter.add_mesh(
-                shape_mesh(body.shape),
-                color=color,
-                smooth_shading=True,
-                ambient=ambient,
-                diffuse=0.8,
-                specular=0.25,
-                specular_power=18,
-                culling="back",
-            )
-        ]
-        for body, color in zip(creature.bodies, body_colors(creature), strict=True)
+    skin = {"ambient": ambient, "diffuse": 0.8, "specular": 0.25, "specular_power": 18}
+    finish = {False: skin, True: {"ambient": 0.4, "specular": 0.8}}
+    draw = functools.partial(plotter.add_mesh, smooth_shading=True, culling="back")
+    return [
+        [draw(piece.mesh, color=piece.color, **finish[bool(piece.name)]) for piece in own]
+        for own in pieces(creature)
     ]
-    for sensor in creature.light_sensors:
-        carrier = bodies[creature.body_index(sensor.body)]
-        for mesh, color in zip(eye_meshes(creature, sensor), ("#fdfdf8", "#10151c"), strict=True):
-            carrier.append(
-                plotter.add_mesh(
-                    mesh,
-                    color=color,
-                    smooth_shading=True,
-                    ambient=0.4,
-                    specular=0.8,
-                    culling="back",
-                )
-            )
-    return bodies
-
-
-def _split_sphere() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A cube blown up to a sphere, cut along the three coordinate planes.
-
-    Moving each octant outwards turns it into a rounded box or a capsule.
-
-    Returns:
-        Unit vectors ``(n, 3)``, the octant's signs ``(n, 3)``, and triangles ``(m, 3)``.
-    """
-    half = np.linspace(0, np.pi / 4, _QUARTER)
-    along = np.tan(np.concatenate([-half[::-1], half]))
-    side = np.repeat([-1.0, 1.0], _QUARTER)
-    u, v = (grid.ravel() for grid in np.meshgrid(along, along, indexing="ij"))
-    sign_u, sign_v = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
-    count = 2 * _QUARTER
-    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
-    quads = corner[:, None] + np.array([0, count, count + 1, 0, count + 1, 1])
-    triangles = quads.reshape(-1, 3)
-    points, signs, faces = [], [], []
-    for axis in range(3):
-        for outward in (1.0, -1.0):
-            cube, octant = np.zeros((u.size, 3)), np.zeros((u.size, 3))
-            order = [axis, (axis + 1) % 3, (axis + 2) % 3]
-            cube[:, order] = np.column_stack([np.full(u.size, outward), u, v])
-            octant[:, order] = np.column_stack([np.full(u.size, outward), sign_u, sign_v])
-            faces.append(triangles[:, :: int(outward)] + u.size * len(points))
-            points.append(cube / np.linalg.norm(cube, axis=1, keepdims=True))
-            signs.append(octant)
-    return np.concatenate(points), np.concatenate(signs), np.concatenate(faces)

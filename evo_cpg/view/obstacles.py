@@ -1,6 +1,6 @@
-"""What stands on the ground, as stone."""
+"""Obstacles on the ground, drawn as stone."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import cast
 
 import numpy as np
@@ -19,14 +19,14 @@ _GRAIN, _ROUGHNESS = 0.07, 0.25
 # With five boulders and two blocks a frame of 1280 x 720 took 82 ms to draw at twice as many of
 # both, 58 ms at these, and 43 ms without the sides that face away.
 _SEEN, _SHADE = (24, 72), (8, 36)
-# What lies deeper in the ground than this share of an obstacle's size is not drawn.
+# What lies deeper in the ground than this fraction of an obstacle's size is not drawn.
 _SUNK = 0.02
 
 
 def obstacle_mesh(
     obstacle: Part, *, shade: bool = False
 ) -> tuple[pv.PolyData, np.ndarray, np.ndarray]:
-    """Surface of an obstacle in its own frame, its place ``(3,)`` and rotation ``(3, 3)``, m.
+    """Return an obstacle's surface in its frame, its place ``(3,)``, m, and rotation ``(3, 3)``.
 
     Args:
         obstacle: of the ground.
@@ -52,7 +52,7 @@ def obstacle_mesh(
 
 
 def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
-    """Height of an obstacle's upper side, m; -inf beside it.
+    """Return the height of an obstacle's upper side, m; -inf beside it.
 
     Args:
         obstacle: of the ground.
@@ -74,18 +74,18 @@ def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
 
 def add_obstacles(
     plotter: pv.Plotter,
-    obstacles: tuple[Part, ...],
+    obstacles: Sequence[Part],
     ambient: float,
     height: Callable[[np.ndarray], np.ndarray],
 ) -> None:
-    """Stones where the obstacles are; only their shading is rough, not their surface.
+    """Draw obstacles as stones. Their shading is rough, their surface is not.
 
-    What is buried is left out: nobody sees it.
+    Buried parts are left out.
 
     Args:
         plotter: draws them.
         obstacles: of the ground.
-        ambient: share of light that comes from everywhere.
+        ambient: fraction of light that comes from everywhere.
         height: of the ground as it is drawn, of x and y ``(n, 2)``, m.
     """
     generator = np.random.default_rng(_SEED)
@@ -97,9 +97,9 @@ def add_obstacles(
         wave = generator.normal(size=(_WAVES, 3))
         wave *= size[:, None] / np.linalg.norm(wave, axis=1, keepdims=True)
         phase = own @ wave.T * (2 * np.pi / extent) + generator.random(_WAVES) * 2 * np.pi
-        share = size**-0.5 / np.sqrt((1 / size).sum() / 2)
-        grain = np.cos(phase) @ share
-        tilt = -np.sin(phase) * share @ (wave / np.linalg.norm(wave, axis=1, keepdims=True))
+        strength = size**-0.5 / np.sqrt((1 / size).sum() / 2)
+        grain = np.cos(phase) @ strength
+        tilt = -np.sin(phase) * strength @ (wave / np.linalg.norm(wave, axis=1, keepdims=True))
         normal = np.asarray(mesh.point_data.active_normals) - _ROUGHNESS * tilt
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         mesh.point_data.active_normals = normal
@@ -125,7 +125,7 @@ def add_obstacles(
 
 
 def _heading(block: Block) -> np.ndarray:
-    """From a block's axes to the world's ``(3, 3)``."""
+    """Return the rotation ``(3, 3)`` from a block's axes to the world's."""
     c, s = np.cos(block.heading), np.sin(block.heading)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 

@@ -14,7 +14,7 @@ from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
 
 @contextlib.contextmanager
 def canvas(size: tuple[int, int]) -> Iterator[pv.Plotter]:
-    """A plotter that needs no display.
+    """Open a plotter that needs no display.
 
     Args:
         size: width and height, pixels.
@@ -34,7 +34,7 @@ def canvas(size: tuple[int, int]) -> Iterator[pv.Plotter]:
 
 
 def pixels(plotter: pv.Plotter) -> np.ndarray:
-    """The picture just rendered, ``(height, width, 3)`` bytes, bottom row first."""
+    """Return the picture just rendered, ``(height, width, 3)`` bytes, bottom row first."""
     width, height = plotter.window_size
     buffer = vtkUnsignedCharArray()
     window = cast(vtkRenderWindow, plotter.render_window)

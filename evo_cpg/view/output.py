@@ -1,19 +1,20 @@
-"""Where pictures and films go: a path is checked before any work, and written in one piece."""
+"""Check where pictures and films go before any work, and write them whole."""
 
 import contextlib
 import os
 import re
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, cast
 
 import imageio_ffmpeg
 import numpy as np
+from PIL import Image
 
 from evo_cpg.errors import UserError
-from evo_cpg.files import OutputError, in_one_piece, require_place
+from evo_cpg.files import OutputError, cannot_write, in_one_piece, require_place
 from evo_cpg.system import scratch_file
 
 # A palette per frame: one for the whole film would make ffmpeg hold all of it in memory.
@@ -24,13 +25,10 @@ _ENCODERS = {
     ".mp4": "-c:v libx264 -pix_fmt yuv420p -crf 19 -preset veryfast -movflags +faststart",
     ".webp": "-c:v libwebp_anim -pix_fmt yuv420p -quality 60 -compression_level 5 -loop 0",
     ".gif": "-c:v gif -loop 0",
-    ".png": "-c:v png -pix_fmt rgb24 -update 1",
 }
-_NUMBERED = "-c:v png -pix_fmt rgb24 -start_number 0"
-FILM_SUFFIXES = tuple(_ENCODERS)
+PICTURE_SUFFIXES = (".png",)
+FILM_SUFFIXES = (*_ENCODERS, *PICTURE_SUFFIXES)
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
-# Between the pictures of a sheet and animals side by side, pixels.
-GUTTER = 4
 # Sides of a picture, and of what is drawn of it (software renderers go no further), pixels; and how
 # many of these in all, for which VTK takes some 3 GB of memory.
 _SMALLEST, _LARGEST, _LARGEST_DRAWN, _MOST_DRAWN = 16, 8192, 16384, 2**26
@@ -63,23 +61,23 @@ def check_size(
     raise SettingError(f"size is {width} x {height} pixels; the {limit}")
 
 
-def oversampling(size: tuple[int, int], wanted: float) -> float:
-    """Pixels drawn per pixel of a picture, a side: as wanted, or as many as can be drawn.
+def oversampling(size: tuple[int, int], desired: float) -> float:
+    """Return pixels drawn per pixel of a picture, a side, limited by what can be drawn.
 
     Args:
         size: width and height of the picture, pixels, as `check_size` allows them.
-        wanted: at least 1.
+        desired: at least 1.
     """
     width, height = size
     most = min(_LARGEST_DRAWN / max(size), (_MOST_DRAWN / (width * height)) ** 0.5)
-    return min(wanted, most)
+    return min(desired, most)
 
 
 def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     """Check that a file of one of these kinds can be written here.
 
     Args:
-        path: wanted by the user; an existing file is replaced.
+        path: from the user; an existing file is replaced.
         suffixes: the kinds that the caller can write, such as ``(".mp4", ".gif")``.
 
     Raises:
@@ -95,7 +93,7 @@ def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
 
 
 def is_numbered(path: Path) -> bool:
-    """Whether a name such as ``%04d.png`` asks for a picture of every frame."""
+    """Return whether a name such as ``%04d.png`` requests a picture of every frame."""
     return re.fullmatch(r"[^%]*%(0\d)?d[^%]*\.png", path.name, re.IGNORECASE) is not None
 
 
@@ -103,7 +101,7 @@ def numbered_path(path: Path) -> Path:
     """Check that a new folder of numbered pictures can be written here.
 
     Args:
-        path: wanted by the user, such as ``frames/%04d.png``.
+        path: from the user, such as ``frames/%04d.png``.
 
     Raises:
         OutputError: the folder exists and is not empty, or cannot be made.
@@ -120,42 +118,65 @@ def numbered_path(path: Path) -> Path:
     return path
 
 
-@contextlib.contextmanager
-def folder_in_one_piece(folder: Path) -> Iterator[Path]:
-    """Fill a neighbour of ``folder``, which is new or empty; it takes its place at the end."""
-    folder = folder.absolute()
-    with tempfile.TemporaryDirectory(prefix=".frames.", dir=folder.parent) as kept:
-        partial = Path(kept) / "frames"
-        partial.mkdir()
-        yield partial
-        if folder.is_dir():
-            folder.rmdir()
-        os.rename(partial, folder)
-
-
-@contextlib.contextmanager
-def frame_writer(
-    path: Path,
-    size: tuple[int, int],
-    rendered: tuple[int, int],
-    fps: float,
-    sheet: tuple[int, int] | None = None,
-    gap: int = GUTTER,
-) -> Iterator[Callable[[np.ndarray], None]]:
-    """Write frames to a film (H.264, WebP or GIF), to a picture, or each to a picture of its own.
+def picture_of(frame: np.ndarray, size: tuple[int, int]) -> Image.Image:
+    """Return a picture of this width and height, whose pixels are averages over a frame.
 
     Args:
-        path: checked by `output_path` or, if it is numbered, by `numbered_path`; its suffix
-            decides the kind.
+        frame: bytes ``(height, width, 3)``, bottom row first as OpenGL returns it.
+        size: width and height, pixels.
+    """
+    return Image.fromarray(frame[::-1]).resize(size, Image.Resampling.BOX)
+
+
+def save_picture(picture: Image.Image, path: Path) -> None:
+    """Write a picture whole.
+
+    Raises:
+        OutputError: it cannot be written, for instance because the disk is full.
+    """
+    with in_one_piece(path) as partial:
+        picture.save(partial)
+
+
+def save_numbered(pictures: Iterable[Image.Image], path: Path) -> None:
+    """Write pictures to files with numbers, all of them or none.
+
+    Args:
+        pictures: counted from 0.
+        path: such as ``frames/%04d.png``, checked by `numbered_path`; the folder is new or empty.
+
+    Raises:
+        OutputError: they cannot be written, for instance because the disk is full.
+    """
+    folder = path.parent.absolute()
+    try:
+        with tempfile.TemporaryDirectory(prefix=".frames.", dir=folder.parent) as kept:
+            partial = Path(kept) / "frames"
+            partial.mkdir()
+            for number, picture in enumerate(pictures):
+                picture.save(partial / (path.name % number))
+            if folder.is_dir():
+                folder.rmdir()
+            os.rename(partial, folder)
+    except OSError as error:
+        raise cannot_write(path, error) from None
+
+
+@contextlib.contextmanager
+def film_writer(
+    path: Path, size: tuple[int, int], rendered: tuple[int, int], fps: float
+) -> Iterator[Callable[[np.ndarray], None]]:
+    """Write frames to a film: H.264, WebP or GIF.
+
+    Args:
+        path: checked by `output_path`; its suffix decides the kind.
         size: width and height of the film, pixels; even numbers for ``.mp4``.
         rendered: width and height of the frames, pixels; ffmpeg averages them down to ``size``.
         fps: frames per second.
-        sheet: columns and rows of a picture that shows all frames; None where it shows one.
-        gap: between the frames of a sheet, pixels.
 
     Yields:
         A function that takes one frame ``(height, width, 3)`` of bytes, bottom row first as
-        OpenGL hands it out.
+        OpenGL returns it.
 
     Raises:
         OutputError: ffmpeg failed, for instance because the disk is full.
@@ -164,23 +185,13 @@ def frame_writer(
     filters = f"vflip,scale={size[0]}:{size[1]}:flags=area"
     if suffix == ".gif":
         filters = f"{filters},{_GIF_PALETTE}"
-    encoder = _ENCODERS[suffix]
-    if sheet is not None:
-        filters = f"{filters},tile={sheet[0]}x{sheet[1]}:padding={gap}:color=white"
-    elif is_numbered(path):
-        encoder = _NUMBERED
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y"]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{rendered[0]}x{rendered[1]}"]
-    command += ["-r", f"{fps:.6f}", "-i", "-", "-vf", filters, *encoder.split()]
-    numbered = encoder == _NUMBERED
-    whole = folder_in_one_piece(path.parent) if numbered else in_one_piece(path)
-    with whole as partial, scratch_file() as complaints:
+    command += ["-r", f"{fps:.6f}", "-i", "-", "-vf", filters, *_ENCODERS[suffix].split()]
+    with in_one_piece(path) as partial, scratch_file() as complaints:
+        # A relative path with a colon would be a protocol to ffmpeg.
         process = subprocess.Popen(
-            # A relative path with a colon would be a protocol to ffmpeg.
-            [*command, path.name if numbered else str(partial.absolute())],
-            stdin=subprocess.PIPE,
-            stderr=complaints,
-            cwd=partial if numbered else None,
+            [*command, str(partial.absolute())], stdin=subprocess.PIPE, stderr=complaints
         )
         try:
             with contextlib.suppress(BrokenPipeError), cast(IO[bytes], process.stdin) as pipe:
@@ -190,7 +201,7 @@ def frame_writer(
             raise
         finally:
             code = process.wait()
-        if code != 0 or not (numbered or partial.stat().st_size):
+        if code != 0 or not partial.stat().st_size:
             complaints.seek(0)
             said = complaints.read().decode(errors="replace").split()
             reason = " ".join(said) or f"code {code}"

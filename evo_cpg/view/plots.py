@@ -4,13 +4,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import ConnectionPatch
 from matplotlib.ticker import MaxNLocator
 
-from evo_cpg.analysis.gait import bending_axis, level
+from evo_cpg.analysis.gait import bending_axis, dominant_frequency, fourier_component
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.figure import (
     BLUE,
@@ -33,6 +34,8 @@ _WINDOW = 5.0
 # Title of a row of joint signals.
 _NAME: dict[str, Any] = {"fontsize": 9, "fontweight": "bold", "pad": 2}
 _SNAPSHOTS = 7
+# Fewer periods than this in the window are no rhythm. The spectrum of a drift has its peak at 2.
+_PERIODS = 2.1
 
 
 @framed
@@ -131,14 +134,7 @@ def joint_signals_figure(
     axis = bending_axis(recording) if axis is None else axis
     if axis not in available:
         raise ValueError(f"no joint turns about axis {axis!r}; axes are {', '.join(available)}")
-    end = recording.time[-1]
-    start, stop = window or (max(0.0, 0.75 * end - _WINDOW / 2), 0.75 * end + _WINDOW / 2)
-    shown = (recording.time >= start) & (recording.time <= stop)
-    if shown.sum() < 2:
-        raise ValueError(
-            f"the window from {start:g} s to {stop:g} s holds {shown.sum()} instants; the "
-            f"recording runs from {recording.time[0]:g} s to {end:g} s"
-        )
+    shown = _in_window(recording, window)
     groups = _in_chains([i for i, name in enumerate(names) if name[2] == axis], chains)
     rows = [row for group in groups for row in group]
     time = recording.time[shown]
@@ -148,25 +144,10 @@ def joint_signals_figure(
 
     figure = new_figure(8.0, 1.3 + 0.86 * len(rows))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    tallest = max(float(np.abs(angle).max()), 1e-3) * 1.25
-    loudest = max(float(np.abs(output).max()), 1e-3) * 1.25
-    for i, (panel, dof) in enumerate(zip(panels, rows, strict=True)):
-        panel.axhline(0, color=GREY, lw=0.5, alpha=0.6)
-        (angle_line,) = panel.plot(time, angle[:, i], color=BLUE, lw=1.8)
-        right = right_axis(panel)
-        (output_line,) = right.plot(time, output[:, i], color=RED, lw=1.2, ls=(0, (4, 2)))
-        panel.set_ylim(-tallest, tallest)
-        right.set_ylim(-loudest, loudest)
-        panel.set_xlim(time[0], time[-1])
-        panel.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
-        right.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
-        if i == len(rows) // 2:
-            panel.set_ylabel("joint angle (deg)", color=BLUE)
-            right.set_ylabel(signal, color=RED)
-        right.tick_params(labelsize=8)
-        panel.tick_params(labelsize=8)
+    lines = _draw_rows(panels, time, {"joint angle (deg)": angle, signal: output})
+    for panel, row in zip(panels, rows, strict=True):
         # Above the row, where no curve is.
-        panel.set_title(legible(names[dof][0]), loc="left", **_NAME)
+        panel.set_title(legible(names[row][0]), loc="left", **_NAME)
     caption = f"{legible(title)}: joint signals about {axis}" if title else f"rotation about {axis}"
     first = 0
     for group in groups:
@@ -183,13 +164,55 @@ def joint_signals_figure(
         first += len(group)
     panels[-1].set_xlabel("time (s)")
     figure.suptitle(caption, fontsize=11)
-    drawn = {"joint angle": angle_line, signal.partition(" (")[0]: output_line}
-    figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=2)
+    words = ["joint angle", signal.partition(" (")[0]]
+    figure.legend(lines, words, loc="outside lower center", ncols=2)
     return figure
 
 
+def _in_window(recording: Recording, window: tuple[float, float] | None) -> Bool[np.ndarray, " t"]:
+    """Return which instants of a recording are shown; see `joint_signals_figure`."""
+    end = recording.time[-1]
+    start, stop = window or (max(0.0, 0.75 * end - _WINDOW / 2), 0.75 * end + _WINDOW / 2)
+    shown = (recording.time >= start) & (recording.time <= stop)
+    if shown.sum() < 2:
+        raise ValueError(
+            f"the window from {start:g} s to {stop:g} s holds {shown.sum()} instants; the "
+            f"recording runs from {recording.time[0]:g} s to {end:g} s"
+        )
+    return shown
+
+
+def _draw_rows(
+    panels: np.ndarray, time: np.ndarray, signals: Mapping[str, np.ndarray]
+) -> list[Line2D]:
+    """Draw a row for each joint, with a scale on the left and on the right; return two lines.
+
+    Args:
+        panels: axes of the rows.
+        time: s.
+        signals: of the joints ``(t, d)``, by their label: a line, and a dashed line.
+    """
+    looks = ((BLUE, 1.8, "solid"), (RED, 1.2, (0, (4, 2))))
+    tops = [1.25 * max(float(np.abs(values).max()), 1e-3) for values in signals.values()]
+    lines = []
+    for i, panel in enumerate(panels):
+        panel.axhline(0, color=GREY, lw=0.5, alpha=0.6)
+        panel.set_xlim(time[0], time[-1])
+        scales = panel, right_axis(panel)
+        for axes, (label, values), (color, width, style), top in zip(
+            scales, signals.items(), looks, tops, strict=True
+        ):
+            lines += axes.plot(time, values[:, i], color=color, lw=width, ls=style)
+            axes.set_ylim(-top, top)
+            axes.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
+            axes.tick_params(labelsize=8)
+            if i == len(panels) // 2:
+                axes.set_ylabel(label, color=color)
+    return lines[:2]
+
+
 def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[int]]:
-    """The rows chain by chain, each where it comes first; what is in no chain is one of its own."""
+    """Return the rows chain by chain; rows of no chain form the last one."""
     if not chains:
         return [rows]
     groups, left = [], list(rows)
@@ -209,13 +232,13 @@ def path_figure(recording: Recording) -> Figure:
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
     root = recording.position[:, 0, :2]
     steps = np.stack([root[:-1], root[1:]], 1)
-    way = LineCollection(list(steps), cmap="viridis", lw=2.2)
-    way.set_array(recording.time[:-1])
-    above.add_collection(way)
+    trace = LineCollection(list(steps), cmap="viridis", lw=2.2)
+    trace.set_array(recording.time[:-1])
+    above.add_collection(trace)
     chosen = np.linspace(0, len(recording.time) - 1, _SNAPSHOTS).astype(int)
     bodies = recording.position[chosen]
     instant = np.repeat(recording.time[chosen], bodies.shape[1])
-    dots = above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=way.norm, lw=0)
+    dots = above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=trace.norm, lw=0)
     every = (recording.time[-1] - recording.time[0]) / (_SNAPSHOTS - 1)
     dots.set(alpha=0.6, label=f"its bodies, every {every:.3g} s")
     above.plot(*root[0], "o", color=INK, ms=6, label="start of its root", zorder=3)
@@ -228,10 +251,10 @@ def path_figure(recording: Recording) -> Figure:
     above.set_xlabel("x (m)")
     above.set_ylabel("y (m)")
     above.legend()
-    figure.colorbar(way, ax=above, label="time (s)", shrink=0.85, pad=0.02)
+    figure.colorbar(trace, ax=above, label="time (s)", shrink=0.85, pad=0.02)
     later.plot(recording.time, recording.distance, color=BLUE, lw=2)
     later.set_xlabel("time (s)")
-    later.set_ylabel("distance to the light (m)" if lit else "way made (m)")
+    later.set_ylabel("distance to the light (m)" if lit else "distance from the start (m)")
     later.set_ylim(0, 1.08 * np.nanmax(recording.distance, initial=1e-3))
     later.set_xlim(recording.time[0], recording.time[-1])
     return figure
@@ -240,31 +263,22 @@ def path_figure(recording: Recording) -> Figure:
 def _crests(
     time: np.ndarray, angle: np.ndarray
 ) -> tuple[float, np.ndarray, list[np.ndarray]] | None:
-    """Common frequency (Hz), lag of each joint behind its neighbour (rad), and crest times (s).
+    """Return frequency (Hz), lag of each joint behind its neighbour (rad), and crest times (s).
 
-    Returns None where there is no oscillation: what has fewer than two periods is drift.
+    The frequency is that of the joint that swings most. None without a rhythm.
     """
-    swing = level(angle)
-    span = time[-1] - time[0]
-    slowest, fastest = 2 / span, min(0.5 * (len(time) - 1) / span, 10.0)
-    if slowest >= fastest:
+    step, span = float(time[1] - time[0]), float(time[-1] - time[0])
+    frequency = float(dominant_frequency(angle, step)[angle.std(0).argmax()])
+    if frequency * span < _PERIODS:
         return None
-    trial = np.linspace(slowest, fastest, 2000)
-    window = np.hanning(len(time))[:, None]
-    spectrum = np.exp(-2j * np.pi * np.outer(trial, time)) @ (window * swing)
-    total = np.square(np.abs(spectrum)).sum(1)
-    if not total.max() > 1e-9 or total.argmax() == 0:
-        return None
-    frequency = float(trial[total.argmax()])
-    phase = np.angle(spectrum[total.argmax()])
-    lag = np.angle(np.exp(1j * (phase[:-1] - phase[1:])))
+    component = fourier_component(angle, step, frequency)
+    lag = np.angle(component[:-1] / component[1:])
     behind = np.concatenate([[0.0], np.cumsum(lag)])
-    first = -phase[0] / (2 * np.pi * frequency)
+    turn = 2 * np.pi
     # A wave that runs along the body may have begun, or may end, outside the shown time.
-    margin = np.ceil(np.abs(behind).max() / (2 * np.pi)) + 1
-    beats = np.floor((time[0] - first) * frequency) + np.arange(-margin, span * frequency + margin)
-    crests = [first + (beat + behind / (2 * np.pi)) / frequency for beat in beats]
-    return frequency, lag, crests
+    margin = np.ceil(np.abs(behind).max() / turn) + 1
+    beats = np.arange(-margin, span * frequency + margin) - np.angle(component[0]) / turn
+    return frequency, lag, [time[0] + (beat + behind / turn) / frequency for beat in beats]
 
 
 def _join_crests(

@@ -1,30 +1,45 @@
-"""A picture of a body plan: the neutral pose with names, joint axes, sensors and a scale."""
+"""A picture of a body plan: a still of the animal at rest, with names, joint axes, sensors, scale.
+
+The scene is that of a film, in pale colours and parallel projection.
+"""
 
 import dataclasses
+import math
 import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.creature.creature import Body, Creature, lowest_height, neutral_pose
 from evo_cpg.physics.footing import Ground
-from evo_cpg.view.ground import grid_spacing
+from evo_cpg.physics.terrain import Plane
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.view.camera import VIEW_ANGLE, CameraPath, level_axes
+from evo_cpg.view.clip import sample
+from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.legible import font, legible, lettering, write
+from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import add_bodies, shape_mesh
-from evo_cpg.view.offscreen import canvas, pixels, placed
-from evo_cpg.view.output import check_size, frame_writer, output_path, oversampling
-from evo_cpg.view.preview_ground import (
-    SEA,
-    add_preview_ground,
-    add_preview_water,
-    obstacles_near,
-    tint_under_water,
-    water_note,
-)
+from evo_cpg.view.obstacles import obstacle_mesh
+from evo_cpg.view.offscreen import canvas
+from evo_cpg.view.output import check_size, output_path, oversampling, picture_of, save_picture
+from evo_cpg.view.scene import Panel, Scene, grid_spacing, scene_of
+from evo_cpg.view.stage import Stage
 
+# Names and axes stand out from these colours of dry land, a shore and the bottom of the sea.
 _BACKGROUND = "#f4f6f8"
+_DRY = dataclasses.replace(
+    LOOKS["land"],
+    distance=_BACKGROUND,
+    floor=("#d3cab8", "#ece5d8"),
+    grid="#a89c84",
+    cast_strength=0.0,
+    visibility=1.7,
+)
+_SHORE = dataclasses.replace(_DRY, distance="#dcedf3")
+_SUNK = dataclasses.replace(_DRY, distance="#cde5ec", floor=("#86b5bd", "#a9d0d4"), grid="#4f8b95")
 _TEXT = "#1d2530"
 # Okabe and Ito's palette: told apart with every common kind of colour blindness.
 _AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}
@@ -34,10 +49,12 @@ _PRESSURE = "#CC79A7"
 _DEPTH = "#56B4E9"
 # The camera looks along this direction, onto the animal's left front.
 _VIEW = np.array([-0.55, -0.95, -0.62])
-# Share of the picture that the animal fills.
+# Fraction of the picture that the animal fills.
 _FILL = 0.72
-_AMBIENT = 0.35
+# Opacity of the bodies: joints lie inside.
 _OPACITY = 0.72
+# Obstacles that are nearer than this many lengths of the creature are in the picture.
+_NEAR = 5.5
 # Names of more bodies than this would cover the picture.
 _MOST_NAMES = 24
 # Sizes of a name and of other words, and height of a name's line relative to its size.
@@ -90,86 +107,102 @@ def preview(
         SettingError: the size is too small, or too large.
     """
     path = preview_path(path, size)
-    centres, rotations = neutral_pose(creature) if pose is None else pose
-    half_extents = np.array([body.shape.half_extents for body in creature.bodies])
-    meshes = [
-        shape_mesh(body.shape).transform(placed(turn, centre), inplace=False)
-        for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True)
-    ]
-    hull = np.concatenate([np.asarray(mesh.points) for mesh in meshes])
-    sunk = surface is not None and surface >= hull[:, 2].max()
-    world = ground if isinstance(ground, Ground) else None
-    stones, far = obstacles_near(world, hull)
+    scene = _at_rest(creature, ground, pose, surface)
+    hull = np.concatenate(
+        [
+            np.asarray(shape_mesh(body.shape).points) @ turn.T + centre
+            for body, centre, turn in _posed(scene)
+        ]
+    )
+    stones, far = obstacles_near(scene.ground, hull)
     shown = np.concatenate([hull, stones])
-    scale = np.median(half_extents.min(1))
-    scale_up = oversampling(size, _OVERSAMPLING)
-    unit = scale_up * max(min(size[0] / _SCREEN[0], size[1] / _SCREEN[1]), 0.5)
-    rendered = (round(size[0] * scale_up), round(size[1] * scale_up))
+    middle = (shown.min(0) + shown.max(0)) / 2
+    scene = scene._replace(radius=float(np.linalg.norm(shown - middle, axis=1).max()))
+    camera, half_height = _camera(shown, size)
+    scale = oversampling(size, _OVERSAMPLING)
+    rendered = round(size[0] * scale), round(size[1] * scale)
     with canvas(rendered) as plotter:
-        plotter.background_color = pv.Color(SEA if sunk else _BACKGROUND)
-        for place, intensity in (((0.3, 0.6, 1.6), 0.75), ((1.2, 0.9, 0.2), 0.4)):
-            light = pv.Light(position=place, intensity=intensity, light_type="scene light")
-            light.positional = False
-            plotter.add_light(light)
-        if ground:
-            add_preview_ground(plotter, creature, centres, rotations, shown, world, sunk)
-        bodies = add_bodies(plotter, creature, _AMBIENT)
-        for actors, centre, turn in zip(bodies, centres, rotations, strict=True):
-            for actor in actors:
-                actor.user_matrix = placed(turn, centre)
-            # The joints lie inside: let them show.
-            actors[0].prop.SetOpacity(_OPACITY)
-            actors[0].prop.SetBackfaceCulling(True)
-        hidden = sunk or (surface is not None and world is not None and _below(surface, world))
-        sheet = None if hidden else surface
-        if sheet is not None:
-            add_preview_water(plotter, sheet, shown)
-        # What is translucent is drawn in the order of adding: the farthest first.
-        for i in np.argsort(-centres @ _VIEW):
-            plotter.renderer.RemoveViewProp(bodies[i][0])
-            plotter.renderer.AddViewProp(bodies[i][0])
-        if sheet is not None:
-            tint_under_water(plotter, sheet, meshes)
-        legend = _add_joints(plotter, creature, centres, rotations, scale)
-        legend |= _add_sensors(plotter, creature, centres, rotations, scale, bool(ground))
-        view = _frame(plotter, shown, size)
-        notes = [f"{far} obstacle{'s' if far > 1 else ''} farther away"] if far else []
-        if surface is not None:
-            notes.append(water_note(surface, hull))
-        plotter.show(auto_close=False, interactive=False)
-        picture = pixels(plotter)
-        if size[0] >= _ROOM[0] and size[1] >= _ROOM[1]:
-            _write(picture, creature, centres, view, legend, notes, unit)
-        with frame_writer(path, size, rendered, 1) as send:
-            send(picture)
+        bodies = add_bodies(plotter, creature, scene.look.ambient)
+        show = set_scene(Stage(plotter, scene, camera, scale), bodies)
+        plotter.camera.parallel_projection = True
+        plotter.camera.parallel_scale = half_height
+        legend = _add_joints(plotter, scene) | _add_sensors(plotter, scene)
+        opaque = show(0)
+        for body, *_ in bodies:
+            body.visibility = False
+        picture = (_OPACITY * opaque + (1 - _OPACITY) * show(0)).astype(np.uint8)
+    notes = [f"{far} obstacle{'s' if far > 1 else ''} farther away"] if far else []
+    if surface is not None:
+        notes.append(water_note(surface, hull))
+    if size[0] >= _ROOM[0] and size[1] >= _ROOM[1]:
+        unit = scale * max(min(size[0] / _SCREEN[0], size[1] / _SCREEN[1]), 0.5)
+        places = _places(camera, scene.clip.position[0], half_height, rendered)
+        _write(picture, creature, places, rendered[1] / 2 / half_height, legend, notes, unit)
+    save_picture(picture_of(picture, size), path)
     return path
 
 
-def _below(surface: float, ground: Ground) -> bool:
-    """Return whether water lies under the ground everywhere, as far as that is known."""
-    level = dataclasses.replace(ground, obstacles=()).level
-    return level is not None and surface <= level
-
-
-class _View(NamedTuple):
-    """The picture's centre in the world, its right and up, and pixels rendered per metre."""
-
-    focus: np.ndarray
-    right: np.ndarray
-    up: np.ndarray
-    pixels_per_metre: float
-
-
-def _add_joints(
-    plotter: pv.Plotter,
+def _at_rest(
     creature: Creature,
-    centres: np.ndarray,
-    rotations: np.ndarray,
-    scale: float,
-) -> dict[str, str]:
-    """Arrows along the joint axes; returns what the colours mean."""
+    ground: Ground | bool,
+    pose: tuple[np.ndarray, np.ndarray] | None,
+    surface: float | None,
+) -> Scene:
+    """Return the scene of one instant, in pale colours; see `preview`."""
+    centres, rotations = neutral_pose(creature) if pose is None else pose
+    if ground is True:
+        ground = Ground(floor=Plane(height=float(lowest_height(creature, (centres, rotations)))))
+    none, start, nowhere = np.zeros((1, 0)), np.zeros(1), np.full(3, np.nan)
+    rest = Recording(
+        start, centres[None], rotations[None], none, none, none, none, start, nowhere, ()
+    )
+    world = "land" if surface is None else "water"
+    seen = surface if surface is not None and math.isfinite(surface) else None
+    panel = Panel(creature, rest, world=world, ground=ground or None, surface=seen)
+    scene = scene_of(panel, sample(rest, 1.0))
+    dry = _DRY if surface is None else _SUNK
+    return scene._replace(look=dry if scene.surface is None else _SHORE)
+
+
+def obstacles_near(ground: Ground, hull: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return points of near obstacles ``(n, 3)``, m, and the number of obstacles farther away.
+
+    Args:
+        ground: with its obstacles.
+        hull: points of the creature ``(n, 3)`` in the world, m.
+    """
+    middle = (hull.min(0) + hull.max(0)) / 2
+    length = float(np.ptp(hull, axis=0).max())
+    near, far = [np.zeros((0, 3))], 0
+    for obstacle in ground.obstacles:
+        mesh, place, turn = obstacle_mesh(obstacle)
+        points = np.asarray(mesh.points) @ turn.T + place
+        if np.linalg.norm(points - middle, axis=1).min() <= _NEAR * length:
+            near.append(points)
+        else:
+            far += 1
+    return np.concatenate(near), far
+
+
+def water_note(surface: float, hull: np.ndarray) -> str:
+    """Return in words where a creature is in the water.
+
+    Args:
+        surface: height of the water, m; infinite for water everywhere.
+        hull: points of the creature ``(n, 3)``, m.
+    """
+    low, high = float(hull[:, 2].min()), float(hull[:, 2].max())
+    if surface == math.inf:
+        return "water everywhere"
+    if surface >= high:
+        return f"{surface - high:.2g} m under water"
+    return "partly under water" if surface > low else f"{low - surface:.2g} m above the water"
+
+
+def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
+    """Draw arrows along the joint axes, and return what the colours mean."""
     meaning = {}
-    for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True):
+    for body, centre, turn in _posed(scene):
         if body.joint is None:
             continue
         anchor = centre + turn @ np.array(body.joint.child_anchor)
@@ -178,41 +211,44 @@ def _add_joints(
             name = names[0] if names else "other"
             meaning[f"{name} axis"] = color = _AXES.get(name, _OTHER_AXIS)
             # Long enough to come out of the bodies on either side.
-            _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * scale, color)
+            _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * _thickness(scene), color)
     return dict(sorted(meaning.items()))
 
 
-def _add_sensors(
-    plotter: pv.Plotter,
-    creature: Creature,
-    centres: np.ndarray,
-    rotations: np.ndarray,
-    scale: float,
-    on_ground: bool,
-) -> dict[str, str]:
-    """Lines of sight, gauges, and dots on the bodies that feel; returns what the colours mean."""
-    meaning = {}
+def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
+    """Draw lines of sight, gauges, and dots on bodies that feel; return what the colours mean."""
+    creature, scale, meaning = scene.creature, _thickness(scene), {}
+    posed = {body.name: (body, centre, turn) for body, centre, turn in _posed(scene)}
+
+    def add_ball(place: np.ndarray, radius: float, color: str) -> None:
+        plotter.add_mesh(pv.Sphere(radius=radius, center=place), color=color, lighting=False)
+
     for sensor in creature.light_sensors:
-        i = creature.body_index(sensor.body)
-        eye = centres[i] + rotations[i] @ np.array(sensor.position)
-        _add_arrow(plotter, eye, rotations[i] @ np.array(sensor.axis), 3.2 * scale, _SIGHT)
+        _, centre, turn = posed[sensor.body]
+        eye = centre + turn @ np.array(sensor.position)
+        _add_arrow(plotter, eye, turn @ np.array(sensor.axis), 3.2 * scale, _SIGHT)
         meaning["line of sight"] = _SIGHT
     for gauge in creature.depth_sensors:
-        i = creature.body_index(gauge.body)
-        place = centres[i] + rotations[i] @ np.array(gauge.position)
-        ball = pv.Sphere(radius=0.3 * scale, center=place)
-        plotter.add_mesh(ball, color=_DEPTH, lighting=False)
+        _, centre, turn = posed[gauge.body]
+        add_ball(centre + turn @ np.array(gauge.position), 0.3 * scale, _DEPTH)
         meaning["depth gauge"] = _DEPTH
-    for name in creature.pressure_sensors if on_ground else ():
-        i = creature.body_index(name)
-        shape = creature.bodies[i].shape
-        for axis in (1, 2):
-            for side in (1, -1):
-                place = centres[i] + rotations[i] @ shape.support(side * np.eye(3)[axis])
-                dot = pv.Sphere(radius=0.22 * scale, center=place)
-                plotter.add_mesh(dot, color=_PRESSURE, lighting=False)
+    for name in creature.pressure_sensors if scene.stands else ():
+        body, centre, turn = posed[name]
+        for outward in (*np.eye(3)[1:], *-np.eye(3)[1:]):
+            add_ball(centre + turn @ body.shape.support(outward), 0.22 * scale, _PRESSURE)
         meaning["feels contact"] = _PRESSURE
     return meaning
+
+
+def _posed(scene: Scene) -> Iterator[tuple[Body, np.ndarray, np.ndarray]]:
+    """Yield every body with its centre and rotation."""
+    clip = scene.clip
+    return zip(scene.creature.bodies, clip.position[0], clip.rotation[0], strict=True)
+
+
+def _thickness(scene: Scene) -> float:
+    """Return half the thickness of a typical body, m."""
+    return float(np.median(scene.half_extents.min(1)))
 
 
 def _add_arrow(
@@ -229,34 +265,39 @@ def _add_arrow(
     plotter.add_mesh(arrow, color=color, ambient=0.6, diffuse=0.5)
 
 
-def _frame(plotter: pv.Plotter, hull: np.ndarray, size: tuple[int, int]) -> _View:
-    """Point the camera so that the animal fills the picture, in parallel projection."""
+def _camera(shown: np.ndarray, size: tuple[int, int]) -> tuple[CameraPath, float]:
+    """Return a camera that points ``(n, 3)`` fill, and half the height that it shows, m."""
     ahead = _VIEW / np.linalg.norm(_VIEW)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    up = np.cross(right, ahead)
-    place = hull @ np.column_stack([right, up])
+    axes = np.stack(_picture_axes())
+    place = shown @ axes.T
     low, high = place.min(0), place.max(0)
-    middle = (low + high) / 2
-    depth = hull.mean(0) @ ahead
-    focus = middle[0] * right + middle[1] * up + depth * ahead
-    aspect = size[0] / size[1]
-    half_height = max((high[0] - low[0]) / aspect / _FILL, (high[1] - low[1]) / _FILL) / 2
-    span = np.ptp(hull, axis=0).max()
-    plotter.camera.parallel_projection = True
-    plotter.camera.focal_point = focus
-    plotter.camera.position = focus - 5 * span * ahead
-    plotter.camera.up = up
-    plotter.camera.parallel_scale = half_height
-    plotter.camera.clipping_range = (0.5 * span, 10 * span)
-    return _View(focus, right, up, plotter.window_size[1] / 2 / half_height)
+    focus = (low + high) / 2 @ axes + shown.mean(0) @ ahead * ahead
+    width, height = (high - low) / _FILL
+    eye = focus - 5 * np.ptp(shown, axis=0).max() * ahead
+    half_height = max(width * size[1] / size[0], height) / 2
+    return CameraPath(eye[None], focus[None], VIEW_ANGLE), float(half_height)
+
+
+def _picture_axes() -> tuple[np.ndarray, np.ndarray]:
+    """Return unit vectors to the right and up in the picture."""
+    right, _ = level_axes(_VIEW)
+    return right, np.cross(right, _VIEW / np.linalg.norm(_VIEW))
+
+
+def _places(
+    camera: CameraPath, points: np.ndarray, half_height: float, rendered: tuple[int, int]
+) -> np.ndarray:
+    """Return the pixels to the right and down at which points ``(n, 3)`` are drawn."""
+    right, up = _picture_axes()
+    offset = (points - camera.focus[0]) @ np.column_stack([right, -up])
+    return np.array(rendered) / 2 + rendered[1] / 2 / half_height * offset
 
 
 def _write(
     picture: np.ndarray,
     creature: Creature,
-    centres: np.ndarray,
-    view: _View,
+    places: np.ndarray,
+    pixels_per_metre: float,
     legend: dict[str, str],
     notes: list[str],
     unit: float,
@@ -266,8 +307,8 @@ def _write(
     Args:
         picture: bytes ``(height, width, 3)``, bottom row first.
         creature: that is drawn.
-        centres: of its bodies, m.
-        view: where the camera is.
+        places: of its bodies, pixels to the right and down.
+        pixels_per_metre: of the picture.
         legend: what the colours mean.
         notes: about what is not in the picture.
         unit: pixels drawn for each of a letter's size.
@@ -278,8 +319,6 @@ def _write(
     with lettering(picture) as draw:
         if len(creature.bodies) <= _MOST_NAMES:
             names, size = [body.name for body in creature.bodies], _NAME * unit
-            middle = (centres - view.focus) @ np.column_stack([view.right, -view.up])
-            places = [width / 2, height / 2] + view.pixels_per_metre * middle
             boxes = [(font(size).getlength(legible(name)), _LINE * size) for name in names]
             for name, place in zip(names, _apart(places, np.array(boxes)), strict=True):
                 write(draw, name, tuple(place), size, _TEXT, anchor="mm", plate=_BACKGROUND)
@@ -291,8 +330,8 @@ def _write(
         write(draw, facts, below, small, _TEXT, bold=False, anchor="la")
         for i, (meaning, color) in enumerate(legend.items()):
             write(draw, meaning, (right, margin + 24 * unit * i), small, color, anchor="ra")
-        length = grid_spacing(width / view.pixels_per_metre / 3)
-        left, foot, tick = right - length * view.pixels_per_metre, height - margin, 5 * unit
+        length = grid_spacing(width / pixels_per_metre / 3)
+        left, foot, tick = right - length * pixels_per_metre, height - margin, 5 * unit
         for line in (
             (left, foot, right, foot),
             (left, foot - tick, left, foot + tick),

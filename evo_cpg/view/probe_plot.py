@@ -1,4 +1,4 @@
-"""A picture of how an animal does in many situations: its paths, seen from above."""
+"""Picture of an animal's paths in many situations, seen from above."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,32 +22,33 @@ _LABEL = np.array([27.0, 19.0])
 
 
 @framed
-def probe_figure(probe: Probe, share: float, title: str) -> Figure:
+def probe_figure(probe: Probe, fraction: float, title: str) -> Figure:
     """Draw where the animal went in each situation; each path has the colour of its light.
 
     A light that was reached is filled. The disc around a light is where it counts as reached.
 
     Args:
         probe: what became of the animal.
-        share: fraction of the initial distance within which a light counts as reached.
+        fraction: of the initial distance within which a light counts as reached.
         title: above the picture.
     """
     bearings = np.array([seen_from_start(situation)[1] for situation in probe.situations])
     widest = max(float(np.abs(bearings).max()), 1e-9)
     colours = _COLOURS(0.5 + 0.5 * bearings / widest)
-    reached = probe.reached(share)
+    reached = probe.reached(fraction)
     starts = np.array([situation.start_position for situation in probe.situations])
     lights = np.array([situation.light for situation in probe.situations], float)
     figure = new_figure(*_size(probe, lights), title)
     axes = figure.subplots()
     for i, colour in enumerate(colours):
         place, away = lights[i, :2], (lights - starts)[i, :2]
-        near = Circle(tuple(place.tolist()), share * probe.start_distance[i], color=colour, lw=0)
+        near = Circle(tuple(place.tolist()), fraction * probe.start_distance[i], color=colour, lw=0)
         near.set_alpha(0.07)
         axes.add_patch(near)
-        way = probe.paths[i][np.isfinite(probe.paths[i]).all(1)]
-        axes.plot(way[:, 0], way[:, 1], color=colour, lw=1.5, zorder=3)
-        axes.plot(way[-1:, 0], way[-1:, 1], "o", color=colour, mec="white", mew=0.8, ms=7, zorder=5)
+        path = probe.paths[i][np.isfinite(probe.paths[i]).all(1)]
+        axes.plot(*path[:, :2].T, color=colour, lw=1.5, zorder=3)
+        end = path[-1:, :2].T
+        axes.plot(*end, "o", color=colour, mec="white", mew=0.8, ms=7, zorder=5)
         face = colour if reached[i] else "white"
         axes.plot(*place, "*", mfc=face, mec=colour, mew=1.4, ms=17, zorder=4)
         axes.annotate(
@@ -65,12 +66,12 @@ def probe_figure(probe: Probe, share: float, title: str) -> Figure:
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
     axes.grid()
-    figure.legend(handles=_legend(share), loc="outside lower center", ncols=2)
+    figure.legend(handles=_legend(fraction), loc="outside lower center", ncols=2)
     return figure
 
 
 def _size(probe: Probe, lights: np.ndarray) -> tuple[float, float]:
-    """Of a picture that is as wide and as high as what it shows, inches."""
+    """Return width and height of a picture that fits what it shows, inches."""
     places = np.concatenate([lights, probe.paths[np.isfinite(probe.paths).all(-1)]])
     extent = np.ptp(places[:, :2], axis=0) + 1e-9
     width, height = np.maximum(_LONG * extent / extent.max(), _SHORT)
@@ -79,25 +80,25 @@ def _size(probe: Probe, lights: np.ndarray) -> tuple[float, float]:
 
 
 def _bearing(angle: float) -> str:
-    """In degrees, with a sign; none for straight ahead."""
+    """Return an angle in degrees with a sign; no sign for straight ahead."""
     text = f"{np.rad2deg(angle):+.0f}".replace("-", "\N{MINUS SIGN}")
     return f"{text if text[1:] != '0' else '0'}\N{DEGREE SIGN}"
 
 
 def _draw_starts(axes: Axes, probe: Probe) -> None:
-    """A wedge at every start, which points where the animal looks."""
+    """Draw a wedge at every start, which points where the animal looks."""
     for (x, y, _), heading in {s[:2] for s in probe.situations}:
         marker = MarkerStyle(">", transform=Affine2D().rotate(heading))
         axes.plot(x, y, marker=marker, color=INK, mec="white", mew=0.8, ms=12, zorder=6)
 
 
-def _legend(share: float) -> list[Line2D]:
+def _legend(fraction: float) -> list[Line2D]:
     def star(face: str, label: str) -> Line2D:
         return Line2D([], [], ls="", marker="*", mfc=face, mec=GREY, ms=13, label=label)
 
     return [
         Line2D([], [], ls="", marker=">", color=INK, ms=9, label="start"),
         Line2D([], [], ls="-", color=GREY, marker="o", ms=5, label="path and its end"),
-        star(GREY, f"light, reached: {share:.0%} left or less"),
+        star(GREY, f"light, reached: {fraction:.0%} left or less"),
         star("white", "light, not reached"),
     ]

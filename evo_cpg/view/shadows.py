@@ -1,28 +1,20 @@
 """Soft spots and shadows on the ground: cast shadows, patches under bodies, and contacts."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.mesh import ConvexMesh
-from evo_cpg.creature.shapes import Box, Shape
-from evo_cpg.view.look import Look
-from evo_cpg.view.meshes import shape_mesh
+from evo_cpg.creature.shapes import Shape
 from evo_cpg.view.offscreen import add_faded, write_depth
+from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Level, Terrain
 from evo_cpg.view.textures import spot_texture
 
 # Opacity of the spot under a foot that touches the ground.
 _CONTACT = 0.85
-# What lies on the ground is lifted by this fraction of the animal's radius.
-LIFT = 0.008
 # Points along a side of a spot on uneven ground.
 _POINTS = 9
-
-# A function of the bodies' centres ``(bodies, 3)``, m, and rotations ``(bodies, 3, 3)``.
-Pose = Callable[[np.ndarray, np.ndarray], None]
 
 
 class Spots:
@@ -74,45 +66,32 @@ class Spots:
             self._mesh["rgba"] = self._rgba
 
 
-def add_sun_shadows(
-    plotter: pv.Plotter,
-    look: Look,
-    meshes: Sequence[pv.PolyData],
-    ground: Level | Terrain,
-    sun: np.ndarray,
-    radius: float,
-) -> Pose:
+def add_sun_shadows(stage: Stage, meshes: Sequence[pv.PolyData]) -> Update:
     """Draw the shadows that bodies or obstacles cast on the ground in the sun.
 
     Args:
-        plotter: draws them.
-        look: of the world; nothing is drawn where it casts no shadows.
+        stage: where they fall; nothing is drawn if its look has no cast shadows.
         meshes: of the bodies, in their own frames.
-        ground: on which the shadows lie.
-        sun: unit vector towards the sun ``(3,)``.
-        radius: of the animal, m.
-
-    Returns:
-        A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
     """
+    look, ground, sun = stage.look, stage.ground, stage.sun
     if not look.cast_strength or not meshes:
-        return lambda position, rotation: None
+        return lambda shot: None
     own = [np.asarray(mesh.points).astype(float) for mesh in meshes]
     first = np.cumsum([0, *map(len, own)])
     faces = [mesh.triangulate().regular_faces + i for mesh, i in zip(meshes, first, strict=False)]
     shadow = pv.PolyData.from_regular_faces(np.concatenate(own), np.concatenate(faces))
-    actor = plotter.add_mesh(
+    actor = stage.plotter.add_mesh(
         shadow, color=look.shadow, opacity=look.cast_strength, lighting=False, culling="back"
     )
     # Where shadows overlap the ground is darkened once: they write their depth, each a little below
     # the one before.
     write_depth(actor)
-    layer = np.repeat(LIFT * radius * np.linspace(1.0, 0.5, len(own)), [len(p) for p in own])
+    layer = np.repeat(stage.lift * np.linspace(1.0, 0.5, len(own)), [len(p) for p in own])
     slant = sun[:2] / sun[2]
 
-    def update(position: np.ndarray, rotation: np.ndarray) -> None:
+    def update(shot: Shot) -> None:
         points = np.concatenate(
-            [c + p @ turn.T for p, c, turn in zip(own, position, rotation, strict=True)]
+            [c + p @ turn.T for p, c, turn in zip(own, shot.position, shot.rotation, strict=True)]
         )
         place, high = points[:, :2], points[:, 2]
         # Where the ray through each point meets the ground.
@@ -126,60 +105,31 @@ def add_sun_shadows(
     return update
 
 
-def add_shadows(
-    plotter: pv.Plotter,
-    look: Look,
-    ground: Level | Terrain,
-    half_extents: np.ndarray,
-    radius: float,
-) -> Pose:
-    """Draw soft patches on the ground under the bodies.
+def add_shadows(stage: Stage, half_extents: np.ndarray) -> Update:
+    """Draw soft patches on the ground under bodies with these half extents ``(n, 3)``, m."""
+    texture = spot_texture(stage.look.shadow, stage.look.shadow_strength, sharpness=2.2)
+    spots = Spots(stage.plotter, texture, stage.ground, stage.lift, len(half_extents))
 
-    Args:
-        plotter: draws them.
-        look: of the world.
-        ground: on which they lie.
-        half_extents: of the bodies ``(bodies, 3)``, m.
-        radius: of the animal, m.
-
-    Returns:
-        A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
-    """
-    texture = spot_texture(look.shadow, look.shadow_strength, sharpness=2.2)
-    spots = Spots(plotter, texture, ground, LIFT * radius, len(half_extents))
-
-    def update(position: np.ndarray, rotation: np.ndarray) -> None:
-        gap = position[:, 2] - ground.height(position[:, :2])
-        under = [patch_under(*each) for each in zip(rotation, half_extents, gap, strict=True)]
-        spots.lay(position[:, :2], np.array(under))
+    def update(shot: Shot) -> None:
+        gap = shot.position[:, 2] - stage.ground.height(shot.position[:, :2])
+        under = [patch_under(*each) for each in zip(shot.rotation, half_extents, gap, strict=True)]
+        spots.lay(shot.position[:, :2], np.array(under))
 
     return update
 
 
-def add_contacts(
-    plotter: pv.Plotter, look: Look, creature: Creature, ground: Level | Terrain, radius: float
-) -> Pose:
-    """Draw dark soft spots where bodies touch the ground; they pale as the gap opens.
+def add_contacts(stage: Stage) -> Update:
+    """Draw dark soft spots where bodies touch the ground; they pale as the gap opens."""
+    bodies, ground = stage.scene.creature.bodies, stage.ground
+    texture = spot_texture(stage.look.shadow, _CONTACT, sharpness=2.6)
+    spots = Spots(stage.plotter, texture, ground, stage.lift, len(bodies))
+    points = [soles(body.shape) for body in bodies]
+    sizes = [float(body.shape.half_extents.min()) for body in bodies]
 
-    Args:
-        plotter: draws them.
-        look: of the world.
-        creature: the animal.
-        ground: on which they lie.
-        radius: of the animal, m.
-
-    Returns:
-        A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
-    """
-    texture = spot_texture(look.shadow, _CONTACT, sharpness=2.6)
-    spots = Spots(plotter, texture, ground, LIFT * radius, len(creature.bodies))
-    points = [soles(body.shape) for body in creature.bodies]
-    sizes = [float(body.shape.half_extents.min()) for body in creature.bodies]
-
-    def update(position: np.ndarray, rotation: np.ndarray) -> None:
+    def update(shot: Shot) -> None:
         places = [
             centre + own @ turn.T
-            for own, centre, turn in zip(points, position, rotation, strict=True)
+            for own, centre, turn in zip(points, shot.position, shot.rotation, strict=True)
         ]
         heights = ground.height(np.concatenate(places)[:, :2])
         lows = np.split(heights, np.cumsum([*map(len, places)])[:-1])
@@ -194,7 +144,7 @@ def add_contacts(
 
 
 def patch_under(turn: np.ndarray, half: np.ndarray, gap: float) -> np.ndarray:
-    """The half axes of the soft patch under a body, the columns of ``(2, 2)``, m.
+    """Return half axes of the soft patch under a body, the columns of ``(2, 2)``, m.
 
     Args:
         turn: body to world ``(3, 3)``.
@@ -209,20 +159,15 @@ def patch_under(turn: np.ndarray, half: np.ndarray, gap: float) -> np.ndarray:
 
 
 def soles(shape: Shape) -> np.ndarray:
-    """Points of a body that may touch the ground ``(n, 3)``, in its own frame, m."""
+    """Return points of a body that may touch the ground ``(n, 3)``, in its own frame, m."""
     # Meshes of boxes are rounded, the physics' boxes are not.
-    if isinstance(shape, Box):
-        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        return corners * shape.half_extents
-    if isinstance(shape, ConvexMesh):
-        return shape.corners
-    return np.asarray(shape_mesh(shape).points)
+    return shape.skin().points if shape.corners is None else shape.corners
 
 
 def spot_under(
     place: np.ndarray, gap: np.ndarray, size: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """The dark spot where a body touches the ground.
+    """Return the dark spot where a body touches the ground.
 
     Args:
         place: x and y of points of the body ``(n, 2)``, m.

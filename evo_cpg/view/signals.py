@@ -1,7 +1,7 @@
 """A strip under a film: the joints' angles, what drives them, and the feet on the ground.
 
-It shows a page of some seconds, over which a cursor moves; then it turns to the next. A page is
-drawn once.
+It shows a page of some seconds, over which a cursor moves. Then it turns to the next page. A page
+is drawn once.
 """
 
 from typing import NamedTuple
@@ -21,47 +21,47 @@ from evo_cpg.view.legible import legible
 from evo_cpg.view.look import Look
 
 # Of a picture's height, but no less than so many pixels; the smallest picture that leaves room.
-SHARE, LOWEST, SMALLEST = 0.3, 44, (160, 110)
+FRACTION, LOWEST, SMALLEST = 0.3, 44, (160, 110)
 # The least, in pixels, of what is written and of a row of each kind.
 _LETTER, _ROW, _FOOT = 9.0, 16.0, 11.0
 # Of a letter, of its height.
 _WIDTH = 0.58
-# Letters in shares of the strip's height, where that is more.
+# Letters in fractions of the strip's height, where that is more.
 _LETTERS = 0.062
 # A page shows about so much time for every hundred pixels of width, and no more than this, s.
 _PACE, _LONGEST = 0.75, 8.0
-# Joints that swing by less than this share of the one that swings most are still.
+# Joints that swing by less than this fraction of the one that swings most are still.
 _STILL = 0.05
-# Curves are as high as their rows where they are larger than in this share of the time.
+# Curves are as high as their rows where they are larger than in this fraction of the time.
 _TYPICAL = 0.99
-# Feet that come down in less than this share of the steps of the busiest one are left out.
+# Feet that come down in less than this fraction of the steps of the busiest one are left out.
 _SELDOM = 0.2
 # Angle, signal and feet in a dark look and in a bright one.
 _DARK, _BRIGHT = ("#8fe3ff", "#ffb454", "#8fe3a8"), ("#0067a8", "#c2410c", "#2f7d4f")
 
 
 class Signals(NamedTuple):
-    """What a strip shows.
+    """Contents of a strip.
 
     Attributes:
         names: of the joints' axes.
         angle: of each, rad.
         signal: of the controller for each.
         word: what the controller's signal is.
-        same_unit: whether it is an angle, too, to be drawn on the same scale.
         time: of the samples, s.
         feet: names of what touches the ground; none where there is no ground.
         touched: whether each does.
+        highest: angle, rad, and signal whose curves are as high as their rows.
     """
 
     names: tuple[str, ...]
     angle: Float[np.ndarray, "t d"]
     signal: Float[np.ndarray, "t d"]
     word: str
-    same_unit: bool
     time: Float[np.ndarray, " t"]
-    feet: tuple[str, ...] = ()
-    touched: Bool[np.ndarray, "t f"] | None = None
+    feet: tuple[str, ...]
+    touched: Bool[np.ndarray, "t f"]
+    highest: tuple[float, float]
 
 
 def signals_of(
@@ -71,16 +71,17 @@ def signals_of(
     feet: tuple[str, ...] = (),
     touched: Bool[np.ndarray, "t f"] | None = None,
 ) -> Signals:
-    """The signals of a recording: of every joint the axis about which the animal bends, y or z.
+    """Return the signals of a recording, with one axis of every joint.
 
-    A joint that has no such axis is shown with the one about which it turns most.
+    It is the axis about which the animal bends, y or z. A joint without this axis is shown with the
+    axis about which it turns most.
 
     Args:
         recording: the motion.
         word: what the controller's signal is.
-        same_unit: whether it is an angle, too.
+        same_unit: whether it is an angle, too, to be drawn on the same scale.
         feet: names of what touches the ground.
-        touched: whether each does, at the recording's times.
+        touched: whether each does, at the recording's times; None without ground.
     """
     swing = recording.joint_angle.std(0)
     bending = bending_axis(recording) if recording.dof_names else ""
@@ -93,16 +94,13 @@ def signals_of(
             joints[body] = i
     most = max((swing[i] for i in joints.values()), default=0.0)
     chosen = [i for i in joints.values() if swing[i] >= _STILL * most]
-    return Signals(
-        tuple(recording.dof_names[i] for i in chosen),
-        recording.joint_angle[:, chosen],
-        recording.cpg_output[:, chosen],
-        word,
-        same_unit,
-        recording.time,
-        feet,
-        touched,
-    )
+    names = tuple(recording.dof_names[i] for i in chosen)
+    angle, signal = recording.joint_angle[:, chosen], recording.cpg_output[:, chosen]
+    touched = np.zeros((len(recording.time), 0), bool) if touched is None else touched
+    highest = _highest(angle), _highest(signal)
+    if same_unit:
+        highest = max(highest), max(highest)
+    return Signals(names, angle, signal, word, recording.time, feet, touched, highest)
 
 
 class Strip:
@@ -116,11 +114,11 @@ class Strip:
     """
 
     def __init__(self, signals: Signals, look: Look, size: tuple[int, int], scale: float):
-        self._signals, self._look, self._scale = signals, look, scale
+        self._look, self._scale = look, scale
         self._size = round(size[0] * scale), round(size[1] * scale)
         self._letter = scale * max(_LETTER, _LETTERS * size[1])
         height = size[1] - 2.6 * self._letter / scale
-        self._joints, self._feet = _rows(signals, height, max(1.0, self._letter / scale / _LETTER))
+        self._signals = _shown(signals, height / max(1.0, self._letter / scale / _LETTER))
         first, last = float(signals.time[0]), float(signals.time[-1])
         self._length = max(min(_PACE * size[0] / 100, _LONGEST, last - first), 1e-3)
         # A last page of next to nothing would be turned to for a moment only.
@@ -131,11 +129,11 @@ class Strip:
 
     @property
     def height(self) -> int:
-        """Of the strip as it is drawn, pixels."""
+        """Height of the strip as it is drawn, pixels."""
         return self._size[1]
 
     def at(self, time: float) -> np.ndarray:
-        """The strip at an instant of the recording, s: ``(height, width, 3)``, bottom row first."""
+        """Draw the strip at a time, s: ``(height, width, 3)`` bytes, bottom row first."""
         first = float(self._signals.time[0])
         page = int(np.clip((time - first) / self._length, 0, self._pages - 1))
         if page != self._drawn:
@@ -143,22 +141,20 @@ class Strip:
             self._drawn = page
         picture = self._picture.copy()
         left, right, bottom, top = self._box
-        share = (time - first - page * self._length) / self._length
-        place = left + round(min(max(share, 0.0), 1.0) * (right - left))
+        fraction = (time - first - page * self._length) / self._length
+        place = left + round(min(max(fraction, 0.0), 1.0) * (right - left))
         half = max(round(0.75 * self._scale), 1)
         picture[bottom:top, max(place - half, 0) : place + half] = self._ink
         return picture
 
     @framed
     def _page(self, start: float) -> tuple[np.ndarray, tuple[int, int, int, int]]:
-        """A page from an instant on, and the edges of its axes: left, right, bottom, top."""
+        """Draw a page; return it and the edges of its axes: left, right, bottom, top."""
         signals, look, (width, height) = self._signals, self._look, self._size
         figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=look.distance)
         canvas = FigureCanvasAgg(figure)
-        names = [legible(signals.names[i]) for i in self._joints]
-        names += [legible(signals.feet[i]) for i in self._feet]
-        letter = self._letter
-        longest = max((len(name) for name in names), default=0)
+        names = [legible(name) for name in (*signals.names, *signals.feet)]
+        letter, longest = self._letter, max(map(len, names), default=0)
         left = round(min(0.62 * letter * longest + 1.4 * letter, 0.3 * width))
         right, bottom, top = round(width - 1.2 * letter), round(1.45 * letter), round(1.35 * letter)
         box = left / width, bottom / height, (right - left) / width, 1 - (bottom + top) / height
@@ -167,7 +163,7 @@ class Strip:
         axes.spines[:].set_visible(False)
         end = start + self._length
         axes.set_xlim(start, end)
-        self._curves(axes, start, end)
+        axes.set_yticks(self._curves(axes, start, end), names)
         points = letter * 72 / 100
         axes.tick_params(length=0, pad=0.25 * points, labelsize=points, labelcolor=look.text)
         axes.grid(axis="x", color=look.text, alpha=0.16, lw=0.5 * self._scale)
@@ -177,16 +173,16 @@ class Strip:
         picture = np.asarray(canvas.buffer_rgba())[::-1, :, :3].copy()
         return picture, (left, right, bottom, height - top)
 
-    def _curves(self, axes: Axes, start: float, end: float) -> None:
-        """Rows of joints, then of feet, from the top down; a foot's row is lower."""
-        signals, joints, feet = self._signals, self._joints, self._feet
+    def _curves(self, axes: Axes, start: float, end: float) -> list[float]:
+        """Draw rows of joints, then lower rows of feet, from the top down; return their places."""
+        signals = self._signals
         inside = (signals.time >= start) & (signals.time <= end)
         time = signals.time[inside]
         colours = _DARK if self._look.zenith is None else _BRIGHT
-        tallest, loudest = _largest(signals)
+        tallest, loudest = signals.highest
         places: list[float] = []
-        for row, i in enumerate(joints):
-            middle = row + 0.5
+        for i in range(len(signals.names)):
+            middle = i + 0.5
             places.append(middle)
             axes.axhline(middle, color=self._look.text, alpha=0.12, lw=0.5 * self._scale)
             shown = (
@@ -198,70 +194,59 @@ class Strip:
                 axes.plot(time, curve, color=colour, lw=0.72 * wide * self._scale, ls=style)
         high = _FOOT / _ROW
         step = float(np.median(np.diff(signals.time))) if len(signals.time) > 1 else 1.0
-        for row, i in enumerate(feet):
-            assert signals.touched is not None
-            middle = len(joints) + (row + 0.5) * high
+        for i, touched in enumerate(signals.touched.T):
+            middle = len(signals.names) + (i + 0.5) * high
             places.append(middle)
-            stances = signals.time[0] + footfalls.stances(signals.touched[:, i], step)
+            stances = signals.time[0] + footfalls.stances(touched, step)
             draw_stances(axes, stances, (start, end), middle, 0.64 * high, colours[2])
-        names = [signals.names[i] for i in joints] + [signals.feet[i] for i in feet]
-        axes.set_yticks(places, [legible(name) for name in names])
-        axes.set_ylim(len(joints) + len(feet) * high, 0.0)
+        axes.set_ylim(len(signals.names) + len(signals.feet) * high, 0.0)
+        return places
 
     def _legend(self, figure: Figure, left: float, top: float, points: float) -> None:
-        """What the lines and bars are, in a line above them."""
+        """Write in a line above them what the lines and bars are."""
         signals = self._signals
         colours = _DARK if self._look.zenith is None else _BRIGHT
-        degrees = np.degrees(_largest(signals)[0])
+        degrees = np.degrees(signals.highest[0])
         words: list[tuple[str, str]] = []
-        if self._joints:
+        if signals.names:
             words = [(f"joint angle, to {degrees:.0f} deg", colours[0])]
             if np.abs(signals.signal).max(initial=0.0) > 0:
                 words.append((f"- - {signals.word}", colours[1]))
-        if self._feet:
+        if signals.feet:
             words.append(("on the ground", colours[2]))
         # Smaller where they would run out of the picture.
         per_letter = self._letter / self._size[0]
-        wanted = sum(_WIDTH * len(word) + 2 for word, _ in words) * per_letter
-        share = min(1.0, (1.0 - left) / max(wanted, 1e-9))
+        needed = sum(_WIDTH * len(word) + 2 for word, _ in words) * per_letter
+        smaller = min(1.0, (1.0 - left) / max(needed, 1e-9))
         for word, colour in words:
-            figure.text(left, top, legible(word), color=colour, va="top", fontsize=points * share)
-            left += (_WIDTH * len(word) + 2) * per_letter * share
+            figure.text(left, top, legible(word), color=colour, va="top", fontsize=points * smaller)
+            left += (_WIDTH * len(word) + 2) * per_letter * smaller
 
 
-def _rows(signals: Signals, height: float, larger: float) -> tuple[list[int], list[int]]:
-    """Which joints and which feet have room.
+def _shown(signals: Signals, room: float) -> Signals:
+    """Return the joints and the feet that have room.
 
     Args:
         signals: all of them.
-        height: of the rows together, pixels of the film.
-        larger: than the least rows are those of this strip.
+        room: for the rows together, pixels, if they are as low as can be.
     """
-    room = height / larger
-    feet = _most_stepping(signals, max(int(0.45 * room / _FOOT), 1)) if signals.feet else []
-    left = int((room - len(feet) * _FOOT) / _ROW)
-    if not signals.names:
-        return [], feet
-    # Every second or third one, so that they are evenly along the body.
-    every = -(-len(signals.names) // max(left, 1))
-    return list(range(0, len(signals.names), every)), feet
-
-
-def _most_stepping(signals: Signals, most: int) -> list[int]:
-    """The feet that come down most often, in their order."""
-    assert signals.touched is not None
     steps = [len(footfalls.touch_downs(foot, 1.0)) for foot in signals.touched.T]
-    # Who hardly ever comes down leaves its row empty.
+    # A foot that hardly ever comes down would leave its row empty.
     often = [i for i, count in enumerate(steps) if count >= _SELDOM * max(steps)]
-    return sorted(sorted(often, key=lambda i: -steps[i])[:most])
+    most = max(int(0.45 * room / _FOOT), 1)
+    feet = sorted(sorted(often, key=lambda i: -steps[i])[:most])
+    # Every second or third joint, so that they are evenly along the body.
+    left = max(int((room - len(feet) * _FOOT) / _ROW), 1)
+    every = max(-(-len(signals.names) // left), 1)
+    return signals._replace(
+        names=signals.names[::every],
+        angle=signals.angle[:, ::every],
+        signal=signals.signal[:, ::every],
+        feet=tuple(signals.feet[i] for i in feet),
+        touched=signals.touched[:, feet],
+    )
 
 
-def _largest(signals: Signals) -> tuple[float, float]:
-    """What a curve is drawn as high as its row for: an angle and a signal."""
-    if not signals.names:
-        return 1.0, 1.0
-    angle = max(float(np.quantile(np.abs(signals.angle), _TYPICAL)), 1e-3)
-    signal = float(np.quantile(np.abs(signals.signal), _TYPICAL)) or 1.0
-    if signals.same_unit:
-        return max(angle, signal), max(angle, signal)
-    return angle, signal
+def _highest(values: Float[np.ndarray, "t d"]) -> float:
+    """Return what hardly any absolute value exceeds."""
+    return max(float(np.quantile(np.abs(values), _TYPICAL)), 1e-3) if values.size else 1.0

@@ -1,6 +1,6 @@
 """Ground as it is drawn: level, or a mesh of its heights.
 
-The mesh is a grid whose lines are close together along the animal's way and ever further apart
+The mesh is a grid whose lines are close together along the animal's path and ever further apart
 towards the horizon; they run along the creases of the ground, where it has any.
 """
 
@@ -13,12 +13,12 @@ from jaxtyping import Array, Float
 
 from evo_cpg.physics.terrain import Part, Plane, Relief, Shore
 
-# Distance of the grid's lines near the way and how far to both sides they are as close, in radii of
-# the animal; most lines of that kind; growth of their distance further out. A frame of 960 x 540
+# Distance of the grid's lines near the path and how far to both sides they are as close, in radii
+# of the animal; most lines of that kind; growth of their distance further out. A frame of 960 x 540
 # with 100,000 crossings took 126 ms on one core of a software renderer.
 _STEP, _NEAR, _LINES, _GROWTH = 0.08, 5.0, 100, 1.18
 
-# Places whose heights are asked for at once: a mesh has tens of thousands, the camera's way some
+# Places whose heights are asked for at once: a mesh has tens of thousands, the camera's path some
 # hundreds, and each number of them would be a program of its own to compile.
 _BLOCK = 4096
 
@@ -42,7 +42,7 @@ class Terrain(NamedTuple):
 
     Attributes:
         x: of the lines, ascending, m.
-        y: likewise.
+        y: coordinates of the other lines, ascending, m.
         z: heights, m.
     """
 
@@ -51,24 +51,24 @@ class Terrain(NamedTuple):
     z: Float[np.ndarray, "nx ny"]
 
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """The crossings, m; the last axis of the grid counts fastest."""
+        """Return the crossings, m; the last axis of the grid counts fastest."""
         x, y = np.meshgrid(self.x, self.y, indexing="ij")
         return np.stack([x, y, self.z], -1).reshape(-1, 3)
 
     def normals(self) -> Float[np.ndarray, "n 3"]:
-        """Unit vectors out of the ground at the crossings."""
+        """Return unit vectors out of the ground at the crossings."""
         along_x, along_y = np.gradient(self.z, self.x, self.y)
         normal = np.stack([-along_x, -along_y, np.ones_like(self.z)], -1).reshape(-1, 3)
         return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
     def triangles(self) -> np.ndarray:
-        """Numbers of their corners among the crossings ``(m, 3)``."""
+        """Return the numbers of their corners among the crossings ``(m, 3)``."""
         first = np.arange(self.z.size).reshape(self.z.shape)
         a, b, c, d = first[:-1, :-1], first[1:, :-1], first[1:, 1:], first[:-1, 1:]
         return np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2).reshape(-1, 3)
 
     def height(self, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-        """Height of the mesh, m; beyond its edges that of the nearest edge.
+        """Return the height of the mesh, m; beyond its edges that of the nearest edge.
 
         Args:
             place: x and y, m.
@@ -83,7 +83,7 @@ class Terrain(NamedTuple):
 
 
 def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-    """Height of the ground above the world's origin, m.
+    """Return the height of the ground above the world's origin, m.
 
     From a point at z = 0 the surface is ``gap / n_z`` straight down, for planes exactly and for
     z = H(x, y) by what their distance is.
@@ -108,13 +108,13 @@ def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, 
 
 
 def make_terrain(floor: Part, path: Float[np.ndarray, "n 2"], radius: float, far: float) -> Terrain:
-    """Mesh the ground around a way.
+    """Mesh the ground around a path.
 
     Args:
         floor: its shape.
         path: x and y of what is filmed, m.
         radius: of the animal, m.
-        far: how far beyond the way the mesh reaches, m.
+        far: how far beyond the path the mesh reaches, m.
     """
     low, high = path.min(0) - _NEAR * radius, path.max(0) + _NEAR * radius
     step = max(_STEP * radius, float((high - low).max()) / _LINES)
@@ -131,7 +131,7 @@ def _heights(floor: Part, point: Float[Array, "3 n"]) -> Float[Array, " n"]:
 def _lines(
     low: float, high: float, far: float, step: float, creases: np.ndarray
 ) -> Float[np.ndarray, " n"]:
-    """Coordinates of grid lines."""
+    """Return coordinates of grid lines."""
     near = np.linspace(low, high, int(np.ceil((high - low) / step)) + 1)
     count = int(np.ceil(np.log1p(far * (_GROWTH - 1) / step) / np.log(_GROWTH)))
     beyond = step * (_GROWTH ** np.arange(1, count + 1) - 1) / (_GROWTH - 1)
@@ -153,7 +153,7 @@ def _lines(
 
 
 def _creases(floor: Part, axis: str) -> np.ndarray:
-    """Where along an axis the slope of the ground jumps, m."""
+    """Return the coordinates along an axis where the slope of the ground jumps, m."""
     if isinstance(floor, Shore) and floor.axis == axis:
         return np.array([floor.start, floor.stop], float)
     if isinstance(floor, Relief):
@@ -163,7 +163,7 @@ def _creases(floor: Part, axis: str) -> np.ndarray:
 
 
 def _cell(value: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Number of the cell between lines, and the place in it from 0 to 1."""
+    """Return the number of the cell between lines, and the place in it from 0 to 1."""
     inside = np.clip(value, lines[0], lines[-1])
     cell = np.clip(np.searchsorted(lines, inside, "right") - 1, 0, len(lines) - 2)
     return cell, (inside - lines[cell]) / (lines[cell + 1] - lines[cell])

@@ -17,7 +17,7 @@ _SPOT_TEXELS = 128
 def floor_texture(
     tints: tuple[str, str], grid: str, checkered: bool, marked: bool = False
 ) -> pv.Texture:
-    """Ground with soft relief and a grid: a checkered one, or one under a net of light.
+    """Return ground with soft relief and a grid: a checkered one, or one under a net of light.
 
     Args:
         tints: of the ground, from dark to light.
@@ -58,7 +58,7 @@ def tile_texture(image: np.ndarray) -> pv.Texture:
 
 
 def spot_texture(color: str, strength: float, sharpness: float) -> pv.Texture:
-    """A round spot whose opacity falls smoothly from ``strength`` to 0 at the edge.
+    """Return a round spot whose opacity falls smoothly from ``strength`` to 0 at the edge.
 
     Args:
         color: of the spot.
@@ -78,7 +78,7 @@ def spot_texture(color: str, strength: float, sharpness: float) -> pv.Texture:
 
 
 def _periodic_noise(lowest: float, highest: float) -> np.ndarray:
-    """Random field of unit variance with wavelengths between 1/highest and 1/lowest of a tile."""
+    """Return a random field of unit variance; wavelengths are 1/highest to 1/lowest of a tile."""
     generator = np.random.default_rng(int(_SEED + 1000 * lowest + highest))
     frequency = np.hypot(
         np.fft.fftfreq(_TEXELS, 1 / _TEXELS)[:, None], np.fft.rfftfreq(_TEXELS, 1 / _TEXELS)
@@ -90,7 +90,7 @@ def _periodic_noise(lowest: float, highest: float) -> np.ndarray:
 
 
 def _caustics() -> np.ndarray:
-    """Light that waves have gathered into a net, 0 to 1: the borders of warped random cells."""
+    """Return light that waves gather into a net, 0 to 1: the borders of warped random cells."""
     generator = np.random.default_rng(_SEED)
     seeds = generator.random((45, 2))
     axis = np.arange(_TEXELS, dtype=np.float32) / _TEXELS

@@ -10,12 +10,12 @@ UNITS = {
 
 
 def in_words(name: str) -> str:
-    """The name of a term, such as ``duty factor``."""
+    """Return the name of a term, such as ``duty factor``."""
     return legible(name.replace("_", " "))
 
 
-def told(terms: dict[str, float]) -> str:
-    """Terms with their values and units, such as ``speed 0.31 m/s, duty factor 0.62``."""
+def terms_text(terms: dict[str, float]) -> str:
+    """Return terms with their values and units, such as ``speed 0.31 m/s, duty factor 0.62``."""
     return ", ".join(
         f"{in_words(name)} {value:.3g} {UNITS.get(name, '')}".rstrip()
         for name, value in terms.items()

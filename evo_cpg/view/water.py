@@ -6,16 +6,14 @@ waves on deep water do, omega^2 = g k, on a tile that repeats. They are for the 
 physics' surface is level, and so are both sheets.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.view.camera import turned_about_vertical
+from evo_cpg.view.camera import level_axes, turned_about_vertical
 from evo_cpg.view.ground import fading_disc
-from evo_cpg.view.look import Look
 from evo_cpg.view.offscreen import add_faded
 from evo_cpg.view.shadows import Spots
+from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Level, Terrain
 from evo_cpg.view.textures import spot_texture, tile_texture
 
@@ -28,7 +26,7 @@ _CLEAR, _OPAQUE, _DEEPENS, _SHORE = 0.26, 0.52, 0.5, 0.1
 _TILE, _TEXELS, _LONGEST, _SHORTEST, _STEEPNESS = 5.0, 256, 6.0, 50.0, 0.12
 _SEED = 20103
 _GRAVITY = 9.81
-# Share of light that water mirrors when it falls straight down, 0 to 1 (Schlick 1994).
+# Fraction of light that water mirrors when it falls straight down, 0 to 1 (Schlick 1994).
 _REFLECTION = 0.02
 # Glints are sharp and bright where a ripple throws the sun towards the viewer.
 _GLINT, _GLINT_SHARPNESS, _GLINT_HEIGHT = 0.8, 320.0, 0.62
@@ -59,88 +57,43 @@ class Ripples:
         self._start *= _STEEPNESS / steepness
 
     def slopes(self, time: float) -> np.ndarray:
-        """Slopes along x and y ``(2, n, n)`` at a time, s; the first axis of the tile is x."""
+        """Return slopes along x and y ``(2, n, n)`` at a time, s; the tile's first axis is x."""
         now = self._start * np.exp(1j * self._rate * time)
         shape = (_TEXELS, _TEXELS)
         return np.stack([np.fft.irfft2(1j * k * now, shape) for k in self._number])
 
 
-def add_water(
-    plotter: pv.Plotter,
-    look: Look,
-    terrain: Terrain,
-    surface: float,
-    radius: float,
-    sight: np.ndarray,
-) -> Callable[[np.ndarray, np.ndarray, float, float], None]:
-    """The surface of the water.
-
-    Args:
-        plotter: draws it.
-        look: of the world.
-        terrain: what lies below it.
-        surface: its height, m.
-        radius: of the animal, m.
-        sight: the camera's direction of view in the first frame ``(3,)``; the sun glints there.
-
-    Returns:
-        A function of the focus ``(3,)`` and the camera's place ``(3,)``, m, time, s, and how far
-        the camera has turned since, rad.
-    """
-    visible = look.visibility * radius
-    tint = _add_tint(plotter, terrain, surface, radius, visible)
-    mirror = _add_mirror(plotter, look, surface, radius, visible, sight)
-
-    def update(focus: np.ndarray, eye: np.ndarray, time: float, turned: float) -> None:
-        tint(focus)
-        mirror(focus, eye, time, turned)
-
-    return update
-
-
-def add_waterlines(
-    plotter: pv.Plotter, surface: float, half_extents: np.ndarray, radius: float
-) -> Callable[[np.ndarray, np.ndarray], None]:
-    """Bright rings where bodies break through the surface.
-
-    Args:
-        plotter: draws them.
-        surface: its height, m.
-        half_extents: of the bodies ``(bodies, 3)``, m.
-        radius: of the animal, m.
-
-    Returns:
-        A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
-    """
+def add_waterlines(stage: Stage, surface: float) -> Update:
+    """Draw bright rings where bodies break through the surface at a height (m)."""
+    half_extents = stage.scene.half_extents
     texture = spot_texture("#ffffff", _RING, sharpness=2.0)
-    rings = Spots(plotter, texture, Level(surface), 0.004 * radius, len(half_extents))
+    level = Level(surface)
+    rings = Spots(stage.plotter, texture, level, 0.004 * stage.radius, len(half_extents))
 
-    def update(position: np.ndarray, rotation: np.ndarray) -> None:
+    def update(shot: Shot) -> None:
         # Ellipsoids of these half axes, cut by the surface.
-        shape = (rotation * half_extents[:, None] ** 2) @ rotation.mT
-        off = surface - position[:, 2]
-        share = 1 - off**2 / shape[:, 2, 2]
+        shape = (shot.rotation * half_extents[:, None] ** 2) @ shot.rotation.mT
+        off = surface - shot.position[:, 2]
+        inside = 1 - off**2 / shape[:, 2, 2]
         lean = shape[:, :2, 2] / shape[:, 2:, 2]
         cut = shape[:, :2, :2] - lean[:, :, None] * shape[:, None, :2, 2]
-        spread, axes = np.linalg.eigh(cut * np.maximum(share, 0.0)[:, None, None])
+        spread, axes = np.linalg.eigh(cut * np.maximum(inside, 0.0)[:, None, None])
         size = _RING_WIDTH * np.sqrt(np.maximum(spread, 0.0)) + 0.6 * half_extents.min(1)[:, None]
-        middle = position[:, :2] + lean * off[:, None]
-        rings.lay(middle, axes * size[:, None], np.clip(3 * share, 0.0, 1.0))
+        middle = shot.position[:, :2] + lean * off[:, None]
+        rings.lay(middle, axes * size[:, None], np.clip(3 * inside, 0.0, 1.0))
 
     return update
 
 
-def _add_tint(
-    plotter: pv.Plotter, terrain: Terrain, surface: float, radius: float, visible: float
-) -> Callable[[np.ndarray], None]:
-    """The sheet that colours what is below it."""
+def add_tint(stage: Stage, terrain: Terrain, surface: float) -> Update:
+    """Draw the lower sheet, at a height (m), which colours what is below it."""
     # Its corners lie over those of the ground, where the depth is known.
     points, triangles = terrain.points(), terrain.triangles()
-    depth = (surface - points[:, 2]) / radius
+    depth = (surface - points[:, 2]) / stage.radius
     wet = triangles[(depth[triangles] > 0).any(1)]
     used, wet = np.unique(wet, return_inverse=True)
     if not len(used):
-        return lambda focus: None
+        return lambda shot: None
     depth = np.maximum(depth[used], 0.0)
     place = points[used, :2]
     mesh = pv.PolyData.from_regular_faces(
@@ -151,53 +104,48 @@ def _add_tint(
     rgba = np.empty((len(used), 4), np.uint8)
     rgba[:, :3] = colors[0] + deep[:, None] * (colors[1] - colors[0])
     opacity = (_CLEAR + (_OPAQUE - _CLEAR) * deep) * np.clip(depth / _SHORE, 0.25, 1.0)
-    add_faded(plotter, mesh, rgba)
+    add_faded(stage.plotter, mesh, rgba)
 
-    def update(focus: np.ndarray) -> None:
-        away = ((place - focus[:2]) ** 2).sum(1)
-        rgba[:, 3] = 255 * opacity * np.exp(-away / visible**2)
+    def update(shot: Shot) -> None:
+        away = ((place - shot.focus[:2]) ** 2).sum(1)
+        rgba[:, 3] = 255 * opacity * np.exp(-away / stage.visible**2)
         mesh["rgba"] = rgba
 
     return update
 
 
-def _add_mirror(
-    plotter: pv.Plotter,
-    look: Look,
-    surface: float,
-    radius: float,
-    visible: float,
-    sight: np.ndarray,
-) -> Callable[[np.ndarray, np.ndarray, float, float], None]:
-    """The sheet that mirrors the sky: a disc below the focus."""
-    disc, place, fade = fading_disc(visible, 0.02)
+def add_mirror(stage: Stage, surface: float) -> Update:
+    """Draw the upper sheet, at a height (m), which mirrors the sky: a disc below the focus."""
+    sight, look = stage.sight, stage.look
+    disc, place, fade = fading_disc(stage.visible, 0.02)
     rgba = np.full((len(place), 4), 255, np.uint8)
-    side = _TILE * radius
+    side = _TILE * stage.radius
     disc.active_texture_coordinates = place / side
     ripples = Ripples(side)
     texture = tile_texture(np.zeros((_TEXELS, _TEXELS, 4), np.uint8))
-    actor = add_faded(plotter, disc, rgba, texture=texture)
+    actor = add_faded(stage.plotter, disc, rgba, texture=texture)
     pixels = pv.wrap(texture.GetInput())
     haze, zenith = (np.array(pv.Color(c).int_rgb) for c in (look.distance, look.zenith))
-    level = np.hypot(*sight[:2])
     # A sun that stands ahead of the viewer at first.
-    sun = np.array([*(sight[:2] / level * np.sqrt(1 - _GLINT_HEIGHT**2)), _GLINT_HEIGHT])
+    _, ahead = level_axes(sight)
+    sun = ahead * np.sqrt(1 - _GLINT_HEIGHT**2) + [0.0, 0.0, _GLINT_HEIGHT]
 
-    def update(focus: np.ndarray, eye: np.ndarray, time: float, turned: float) -> None:
-        seen = turned_about_vertical(sight, turned)
+    def update(shot: Shot) -> None:
+        focus, eye, seen = shot.focus, shot.eye, turned_about_vertical(sight, shot.turned)
         half = (sun - seen) / np.linalg.norm(sun - seen)
-        along_x, along_y = ripples.slopes(time)
+        along_x, along_y = ripples.slopes(shot.time)
         upward = 1 / np.sqrt(1 + along_x**2 + along_y**2)
         normal = np.stack([-along_x * upward, -along_y * upward, upward], -1)
         facing = np.clip(-(normal @ seen), 0.0, 1.0)
-        share = _REFLECTION + (1 - _REFLECTION) * (1 - facing) ** 5
+        reflected = _REFLECTION + (1 - _REFLECTION) * (1 - facing) ** 5
         mirrored = np.clip(2 * facing * upward + sight[2], 0.0, 1.0)[..., None]
         glint = _GLINT * np.clip(normal @ half, 0.0, 1.0) ** _GLINT_SHARPNESS
         sky = haze + np.minimum(1.2 * mirrored, 1.0) * (zenith - haze)
         rgb = sky + glint[..., None] * (255 - sky)
-        shown = np.concatenate([rgb, 255 * np.clip(share + glint, 0, 0.95)[..., None]], -1)
+        opacity = 255 * np.clip(reflected + glint, 0, 0.95)[..., None]
         # Texels count along x fastest.
-        pixels.point_data.active_scalars[:] = shown.swapaxes(0, 1).reshape(-1, 4)
+        shown = np.concatenate([rgb, opacity], -1).swapaxes(0, 1)
+        pixels.point_data.active_scalars[:] = shown.reshape(-1, 4)
         pixels.Modified()
         actor.position = (focus[0], focus[1], surface)
         disc.active_texture_coordinates = (place + focus[:2]) / side

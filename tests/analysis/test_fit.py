@@ -297,7 +297,7 @@ def test_the_constants_of_an_oscillator():
     keys = ["controller.cpg.time_scale", "controller.cpg.pair_weight"]
     parameters = parametrise(config, "wag.yaml", keys)
     simulation = parameters.experiment.simulation
-    genes = simulation.controller.random_genes(jax.random.key(1), (), np.float64)
+    genes = simulation.genome.random(jax.random.key(1), (), np.float64)
     times = np.arange(1, 61) / 30
 
     def model(values):

@@ -40,9 +40,9 @@ def test_touch_downs_and_stances_are_where_they_were_put():
 def test_airborne_share_of_a_hop():
     """Both feet are up together for 0.4 of the time."""
     touched = square_waves(1.0, 0.6, [0.0, 0.0])
-    assert footfalls.airborne_share(touched) == pytest.approx(0.4, abs=0.01)
+    assert footfalls.airborne_fraction(touched) == pytest.approx(0.4, abs=0.01)
     # With half a stride between them one is always down.
-    assert footfalls.airborne_share(square_waves(1.0, 0.6, [0.0, 0.5])) == 0.0
+    assert footfalls.airborne_fraction(square_waves(1.0, 0.6, [0.0, 0.5])) == 0.0
 
 
 def test_chatter_is_taken_out_and_what_the_record_cuts_stays():
@@ -88,8 +88,8 @@ def test_feet_that_never_touch_or_never_leave_have_no_phase():
     assert np.isnan(duty[[0, 2]]).all() and duty[1] == 1.0
     found = footfalls.phases(touched, STEP)
     assert found.reference is None and np.isnan(found.phase).all()
-    assert footfalls.airborne_share(touched) == 0.0
-    assert footfalls.airborne_share(touched[:, [0, 2]]) == 1.0
+    assert footfalls.airborne_fraction(touched) == 0.0
+    assert footfalls.airborne_fraction(touched[:, [0, 2]]) == 1.0
 
 
 def test_a_foot_with_one_stride_is_no_reference_where_another_has_several():

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
-from evo_cpg.analysis.overlap import fills_its_rounded_box, gaps
+from evo_cpg.analysis.overlap import gaps
 from evo_cpg.creature.mesh import convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 
@@ -80,5 +80,5 @@ def test_ellipsoids_that_are_apart_are_as_far_apart_as_their_nearest_points():
 
 def test_which_shapes_are_their_rounded_boxes():
     fill = (Sphere(0.1), Box((0.1, 0.2, 0.3)), Capsule(0.05, 0.2))
-    assert all(map(fills_its_rounded_box, fill))
-    assert not any(map(fills_its_rounded_box, (EGG, OCTAHEDRON)))
+    assert all(shape.fills_rounded_box for shape in fill)
+    assert not any(shape.fills_rounded_box for shape in (EGG, OCTAHEDRON))

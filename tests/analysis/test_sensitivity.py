@@ -12,7 +12,7 @@ from evo_cpg.analysis.sensitivity import changed, differentiate, measured, sensi
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.simulation import measures as gait
 from evo_cpg.simulation.judge import Outcome, finish_tally
-from evo_cpg.simulation.measures import Way
+from evo_cpg.simulation.measures import Displacement
 from trials import OneTerm
 
 KEYS = ("squared", "inverse", "step", "zero", "idle")
@@ -86,11 +86,17 @@ def test_speed_is_no_term_of_the_task_and_no_measure(monkeypatch, names):
     start, end = jnp.zeros((3, 1)), jnp.array([[3.0], [4.0], [1.0]])
 
     def lived(simulation, genes, keys):
-        tally = jnp.array([7.0]), {name: Way(start, end) for name in simulation.measures.names}
+        tally = (
+            jnp.array([7.0]),
+            {name: Displacement(start, end) for name in simulation.measures.names},
+        )
         return Outcome(finish_tally(simulation, tally), jnp.array([True]))
 
     monkeypatch.setattr(sensitivity, "rollout", lived)
     # In 1.5 s 5 m over ground, where heights do not count, and more through water.
-    for lives, way in ((simulation, 26**0.5), (dataclasses.replace(simulation, world=world), 5)):
+    for lives, displacement in (
+        (simulation, 26**0.5),
+        (dataclasses.replace(simulation, world=world), 5),
+    ):
         speed, fitness = measured(lives, jnp.zeros((2, 1)), {})
-        np.testing.assert_allclose([speed[0], fitness[0]], [way / 1.5, 7.0], rtol=1e-6)
+        np.testing.assert_allclose([speed[0], fitness[0]], [displacement / 1.5, 7.0], rtol=1e-6)

@@ -15,7 +15,14 @@ from creatures import AXES, STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import ledger, mechanical_energy
 from evo_cpg.analysis.excursions import excursions
 from evo_cpg.analysis.verdict import Limits
-from evo_cpg.api.audit import Trial, _carried, _shares, books, draws_of, lived_trials
+from evo_cpg.api.audit import (
+    Trial,
+    _carried,
+    _shares,
+    books,
+    compile_audited_trials,
+    draws_of,
+)
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Ellipsoid
@@ -34,7 +41,15 @@ from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.walk import Distance
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.variations import Kept, Variation, finer, limp, live, with_drag, with_friction
+from evo_cpg.training.variations import (
+    Variation,
+    Varied,
+    compile_variation,
+    finer,
+    limp,
+    with_drag,
+    with_friction,
+)
 from trials import SineController, experiment
 
 # Gains of 5 % a step, and a push of 2 cm/s.
@@ -92,14 +107,14 @@ def walker(slope=0.0, height=0.0, torque_limit=5.0, light=None, short=False):
 def honest():
     """A row that crawls on level ground, under a light."""
     made = walker(light=(2.0, 0.0, 0.5))
-    return made, lived_trials(made, champion())
+    return made, compile_audited_trials(made)(champion())
 
 
 @pytest.fixture(scope="module")
 def swimming():
     """The pair of `trials`, in water."""
     made = experiment(steps=60)
-    return made, lived_trials(made, champion())
+    return made, compile_audited_trials(made)(champion())
 
 
 def test_energy_is_mujocos():
@@ -173,14 +188,14 @@ def test_a_solver_that_gives_is_found(monkeypatch, cheat):
 
     monkeypatch.setattr(evo_cpg.physics.step, "integrate", wrong)
     made = experiment(steps=60)
-    assert f"simulator_{cheat}" in failed((made, lived_trials(made, champion())))
+    assert f"simulator_{cheat}" in failed((made, compile_audited_trials(made)(champion())))
 
 
 @pytest.fixture(scope="module")
 def buried():
     """A row that starts in the ground, in which its light lies too."""
     made = walker(height=-0.05, light=(2.0, 0.0, -0.5))
-    return made, lived_trials(made, champion())
+    return made, compile_audited_trials(made)(champion())
 
 
 def test_who_starts_in_the_ground_is_found(buried):
@@ -192,7 +207,7 @@ def test_who_stands_is_not_lifted():
     """A point that rests presses as hard as the law wants it out, and does not move."""
     made = walker()
     still = champion()._replace(genes=np.zeros(2, np.float32))
-    (trial,) = lived_trials(made, still)
+    (trial,) = compile_audited_trials(made)(still)
     weight = 9.81 * made.creature.mass
     assert trial.steps.contact_force[2].sum(0).mean() == pytest.approx(weight, rel=0.05)
     # By less than a hundredth of a millimetre in all.
@@ -239,10 +254,10 @@ def test_what_a_current_carries_is_no_way_of_limp_motors(swimming, own, limp_way
     made, _ = swimming
     one = np.array([own])
     kept = {
-        "pose": (Variation("other poses", (made.simulation,)), Kept(one, one, one > 0, {})),
+        "pose": (Variation("other poses", (made.simulation,)), Varied(one, one, one > 0, {})),
         "limp_way": (
             Variation("limp motors", (limp(made.simulation),)),
-            Kept(np.array([limp_way]), one, one > 0, {}),
+            Varied(np.array([limp_way]), one, one > 0, {}),
         ),
     }
     checks = {c.key: c for c in _shares(own, kept, Limits(), made.creature, carried)}
@@ -254,7 +269,7 @@ def test_who_gets_nowhere_in_fresh_draws_does_so_with_motors_limp_or_not(swimmin
     none = np.zeros(2)
     limp_ones = Variation("limp motors", (limp(made.simulation),), 2)
     fresh = Variation("other draws of chance", (made.simulation,), 2)
-    both = Kept(none, none, none == 0, {})
+    both = Varied(none, none, none == 0, {})
     kept = {"pose": (fresh, both), "limp_way": (limp_ones, both)}
     checks = {c.key: c for c in _shares(3.0, kept, Limits(), made.creature)}
     assert checks["pose"].measured == checks["limp_way"].measured == 0.0
@@ -301,16 +316,16 @@ def test_a_slide_from_the_start_is_found():
     """On a slope of 40 degrees motors have no part in the way."""
     made = walker(slope=0.7)
     own, without = (
-        live(made, champion(), Variation("", (simulation,)))
+        compile_variation(made, Variation("", (simulation,)))(champion())
         for simulation in (made.simulation, limp(made.simulation))
     )
-    assert without.way[0] > 0.5 * own.way[0]
+    assert without.displacement[0] > 0.5 * own.displacement[0]
     level = walker()
     own, without = (
-        live(level, champion(), Variation("", (simulation,)))
+        compile_variation(level, Variation("", (simulation,)))(champion())
         for simulation in (level.simulation, limp(level.simulation))
     )
-    assert without.way[0] < 0.1 * own.way[0]
+    assert without.displacement[0] < 0.1 * own.displacement[0]
 
 
 def folded(made, trial):
@@ -352,7 +367,7 @@ def test_ellipsoids_overlap_where_they_do_and_not_where_the_boxes_around_them_do
         substeps=4,
     )
     made = base._replace(creature=creature, simulation=simulation)
-    (trial,) = lived_trials(made, champion())
+    (trial,) = compile_audited_trials(made)(champion())
     at = np.radians(np.tile([[-17.0], [17.0]], trial.steps.after.q.shape[1]))
 
     def overlap(q):
@@ -372,7 +387,7 @@ def test_ellipsoids_overlap_where_they_do_and_not_where_the_boxes_around_them_do
 @pytest.mark.slow
 def test_limbs_that_touch_at_rest_are_named_and_looked_at_where_they_are_kept_apart():
     made = walker(short=True)
-    (trial,) = folded(made, *lived_trials(made, champion()))
+    (trial,) = folded(made, *compile_audited_trials(made)(champion()))
     checks = {check.key: check for check in books(made, champion(), (trial,), Limits())}
     left_out = "not looked at, as they touch in the neutral pose: head and b"
     assert (checks["overlap"].measured, checks["overlap"].detail) == (0, left_out)
@@ -394,7 +409,7 @@ def test_who_swims_above_a_floor_does_not_fly():
         world = made.simulation.world
         water = Water(1000.0, surface)
         world = dataclasses.replace(world, water=water)
-        trial = lived_trials(walker(height=0.5), champion())[0]
+        trial = compile_audited_trials(walker(height=0.5))(champion())[0]
         steps = trial.steps._replace(contact_force=0 * trial.steps.contact_force)
         wet = made._replace(simulation=dataclasses.replace(made.simulation, world=world))
         (found,) = judged(wet, (trial._replace(steps=steps),))
@@ -437,10 +452,10 @@ def test_more_friction_and_drag_change_the_way(honest, swimming):
     """Two simulations that differ in numbers share a program, and each is itself."""
     for (made, _), change in ((honest, with_friction), (swimming, with_drag)):
         sims = tuple(change(made.simulation, factor) for factor in (1.0, 0.5))
-        both = live(made, champion(), Variation("", sims))
-        own = live(made, champion(), Variation("", (made.simulation,)))
-        assert both.way[0] == pytest.approx(float(own.way[0]), rel=1e-3, abs=1e-4)
-        assert abs(both.way[1] / own.way[0] - 1) > 1e-3
+        both = compile_variation(made, Variation("", sims))(champion())
+        own = compile_variation(made, Variation("", (made.simulation,)))(champion())
+        assert both.displacement[0] == pytest.approx(float(own.displacement[0]), rel=1e-3, abs=1e-4)
+        assert abs(both.displacement[1] / own.displacement[0] - 1) > 1e-3
 
 
 def test_under_chance_ways_are_means_over_the_same_fresh_draws(swimming):
@@ -451,17 +466,17 @@ def test_under_chance_ways_are_means_over_the_same_fresh_draws(swimming):
     assert draws_of(noisy) == 16 and draws_of(swimming[0].simulation) == 1
     sims = tuple(with_drag(noisy, factor) for factor in (1.0, 0.5))
     place = Variation("", sims, 16)
-    drawn = live(made, champion(), place)
-    again = live(made, champion(), Variation("", (noisy,), 16))
-    assert len(np.unique(drawn.way[:16])) == 16
-    np.testing.assert_allclose(drawn.way[:16], again.way, rtol=1e-3, atol=1e-5)
-    means = drawn.mean_ways(place)
-    assert means == pytest.approx([drawn.way[:16].mean(), drawn.way[16:].mean()])
+    drawn = compile_variation(made, place)(champion())
+    again = compile_variation(made, Variation("", (noisy,), 16))(champion())
+    assert len(np.unique(drawn.displacement[:16])) == 16
+    np.testing.assert_allclose(drawn.displacement[:16], again.displacement, rtol=1e-3, atol=1e-5)
+    means = drawn.mean_displacements(place)
+    assert means == pytest.approx([drawn.displacement[:16].mean(), drawn.displacement[16:].mean()])
     # Half of the drag changes ways by much less than chance does, draw by draw.
-    change = drawn.way[16:] - drawn.way[:16]
-    assert change.std() < 0.5 * drawn.way[:16].std()
+    change = drawn.displacement[16:] - drawn.displacement[:16]
+    assert change.std() < 0.5 * drawn.displacement[:16].std()
     dead = drawn._replace(alive=np.zeros(32, bool))
-    assert dead.mean_ways(place).tolist() == [0.0, 0.0]
+    assert dead.mean_displacements(place).tolist() == [0.0, 0.0]
 
 
 def test_changes_that_a_world_does_not_have_are_refused(honest, swimming):

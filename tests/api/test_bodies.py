@@ -51,6 +51,24 @@ def test_one_program_serves_all_populations(experiment, genomes, numbers):
     assert experiment._bodies.trials({DENSITY: np.full(3, 1000.0)}, 3) is None
 
 
+def test_a_long_limb_covers_other_skin(genomes):
+    """Other points are sheltered in each body; they have no area, at the surface too."""
+    loaded = evo.load(CONFIG, [*TINY, "simulation.steps=30", "world.water.surface=0.02"])
+    loaded = loaded.with_fitness(lambda terms: terms["energy"])
+    lengths = number_at(loaded.config, LENGTH) * np.array([1.0, 1.3, 2.5])
+    together = loaded.evaluate(0, genomes, {LENGTH: lengths})
+    plan, _ = loaded._bodies._made[frozenset([LENGTH])]
+    assert plan.build({LENGTH: lengths})[1].all()
+    dry = [
+        [(patch.normal_area == 0).sum() for patch in plan.batched[i].world.forces[0].patches]
+        for i in range(len(plan.batched.values[0][0]))
+    ]
+    assert len({*map(tuple, dry)}) > 1
+    for i in range(3):
+        alone = loaded.with_numbers({LENGTH: lengths[i]}).evaluate(0, genomes[i : i + 1])
+        np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
+
+
 def test_bodies_that_do_not_fit_the_plan_are_built_alone(experiment, genomes):
     """Two limits of one joint are checked together, which no program does."""
     middle = experiment.config.creature.bodies[1].joint.limits_deg

@@ -24,7 +24,7 @@ from evo_cpg.fusion.engine import EngineWarning
 from evo_cpg.physics.fluid import Drag
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.statics import Grip, static_forces
+from evo_cpg.physics.statics import FrictionState, static_forces
 from evo_cpg.simulation.physics_steps import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 
@@ -155,8 +155,8 @@ def test_a_law_acts_on_a_creature_at_rest(plate):
     base = resting_state(plate.tree, dtype=jnp.float64)
     way = jnp.array([0.2, 0.0, -0.1, 0.3, 0.0, 0.0])
     none = jnp.zeros((3, 0))
-    grip = Grip(none, none, none, none[0], none)
-    force, _ = quick_jit(lambda x: static_forces(leash, 0.01, base, grip, x))(way)
+    friction = FrictionState(none, none, none, none[0], none)
+    force, _ = quick_jit(lambda x: static_forces(leash, 0.01, base, friction, x))(way)
     apparent = (DENSITY - WATER) * AREA * THICKNESS * G
     expected = [-stiffness * 0.2, 0.0, stiffness * 0.1 - apparent, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(force, expected, atol=1e-9)

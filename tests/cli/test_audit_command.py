@@ -17,7 +17,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.variations import Variation, finer, live
+from evo_cpg.training.variations import Variation, compile_variation, finer
 from pictures import ink
 from tiny_run import CONFIG, PAIR
 
@@ -68,7 +68,7 @@ def test_a_verdict_says_why():
 
 
 def test_train_takes_a_first_look_at_its_champion(cli, tmp_path, monkeypatch):
-    """What it says of half the step is what `live` says, and a limit out of reach is a warning."""
+    """Its result for half the step equals that of a variation; a limit out of reach warns."""
     # Two bodies on a hinge get nowhere much.
     monkeypatch.setattr(audit, "_SOME_WAY", 1e-9)
     run = tmp_path / "run"
@@ -88,7 +88,8 @@ def test_train_takes_a_first_look_at_its_champion(cli, tmp_path, monkeypatch):
     champion = RunFolder(run).load_champion()[0]
     own = experiment.simulation
     way, half = (
-        live(experiment, champion, Variation("", (each,))).way[0] for each in (own, finer(own, 2))
+        compile_variation(experiment, Variation("", (each,)))(champion).displacement[0]
+        for each in (own, finer(own, 2))
     )
     assert way > 0
     assert told["measured"] == np.clip(half / way, 0.0, 1.0)

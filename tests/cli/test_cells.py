@@ -12,7 +12,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.training.elites import gait_map
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.variations import Variation, compile_lives
+from evo_cpg.training.variations import Variation, compile_variation
 from evo_cpg.view import film
 from evo_cpg.view.units import told
 from tiny_run import CONFIG, PAIR
@@ -93,7 +93,7 @@ def test_an_elite_is_audited_with_all_its_terms(mapped):
     checkpoint = folder.load()
     assert checkpoint is not None and checkpoint.champion is not None
     champion = checkpoint.champion
-    lived = compile_lives(experiment, Variation("", (experiment.simulation,)))(champion)
+    lived = compile_variation(experiment, Variation("", (experiment.simulation,)))(champion)
     only = {name: champion.terms[name] for name in ("speed", "frequency")}
     whole = audit._complete(champion._replace(terms=only), lived)
     assert set(whole.terms) == set(champion.terms) > set(only)

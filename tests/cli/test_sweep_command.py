@@ -16,7 +16,7 @@ from evo_cpg.cli.sweep import sweep as run_sweep
 from evo_cpg.cli.verify import verify
 from evo_cpg.config.load import as_overrides
 from evo_cpg.config.settings import combine
-from evo_cpg.training import devices, together
+from evo_cpg.training import devices, loop
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.view import search_plots
@@ -146,7 +146,7 @@ def test_a_stopped_sweep_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     class Stop(BaseException):
         pass
 
-    class Stopping(together.Running):
+    class Stopping(loop.Running):
         def tell(self, part, began):
             if len(counted) == 3:
                 raise Stop
@@ -154,7 +154,7 @@ def test_a_stopped_sweep_goes_on_to_the_same_bits(tmp_path, monkeypatch):
             return super().tell(part, began)
 
     with monkeypatch.context() as patch, pytest.raises(Stop):
-        patch.setattr(together, "Running", Stopping)
+        patch.setattr(loop, "Running", Stopping)
         sweep(tmp_path / "stopped")
     stopped = [
         RunFolder(tmp_path / "stopped" / name).load().generation

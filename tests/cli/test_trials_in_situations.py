@@ -7,7 +7,7 @@ import yaml
 from evo_cpg.cli import champions
 from evo_cpg.cli.options import View
 from evo_cpg.cli.plot import plot
-from evo_cpg.training import loop
+from evo_cpg.training import replay as replay_module
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.camera import CAMERAS
 from pictures import ink
@@ -69,7 +69,7 @@ def test_the_first_trial_is_shown_from_the_folder_and_others_are_replayed(
         asked.append((individual.fitness, recorded))
         return champion.fitness, champion.terms, kept
 
-    monkeypatch.setattr(loop, "replay_champion", replay)
+    monkeypatch.setattr(replay_module, "replay_champion", replay)
     monkeypatch.setattr(champions, "use_cores", lambda count=None: 2)
     for trial in (0, 2):
         plot(situated_run, tmp_path, None, trial)

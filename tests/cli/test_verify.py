@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from evo_cpg.training import loop
+from evo_cpg.training import loop, replay
 from evo_cpg.training.checkpoint import Checkpoint, genes_digest, outcome_digest
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import GENERATIONS
@@ -24,7 +24,7 @@ def without_replay(finished_run, monkeypatch):
     """Let a replay tell what the untouched run recorded, for a test that is not about it."""
     champion, motion, _ = RunFolder(finished_run).load_champion()
     monkeypatch.setattr(
-        loop, "replay_champion", lambda *_: (champion.fitness, champion.terms, motion)
+        replay, "replay_champion", lambda *_: (champion.fitness, champion.terms, motion)
     )
 
 

@@ -124,15 +124,15 @@ def check_derivatives(config, keys):
     """
     parameters = parametrise(config, CONFIG, keys)
     simulation, inputs = parameters.experiment.simulation, parameters.inputs
-    genes = simulation.controller.random_genes(jax.random.key(5), (), np.float64)
+    genes = simulation.genome.random(jax.random.key(5), (), np.float64)
 
     def terms(simulation):
         return jnp.stack(list(rollout(simulation, genes).terms.values()))
 
     def rebuilt(values):
         parameters.require(values)
-        ungrouped = parameters.building.ungrouped
-        return inputs.of(build_simulation(parameters.config_at(values), ungrouped)[1])
+        layout = parameters.building.layout
+        return inputs.of(build_simulation(parameters.config_at(values), layout)[1])
 
     with_elements = quick_jit(lambda elements: terms(inputs.put(simulation, elements)))
     values = parameters.values

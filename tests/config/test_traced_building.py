@@ -159,7 +159,7 @@ def test_numbers_of_every_shape_over_a_slope():
 def test_bodies_that_cross_a_surface():
     water = {"surface": 0.0, "added_mass": True}
     keys = ["creature.bodies.1.shape.radius", "creature.bodies.2.shape.size.0"]
-    assert not check_elements(shapes(water=water), keys).building.ungrouped
+    assert check_elements(shapes(water=water), keys).building.layout == "merged"
 
 
 @pytest.mark.usefixtures("x64")
@@ -172,7 +172,7 @@ def test_bodies_that_become_different_are_treated_one_by_one():
         body["joint"] = body["joint"] | {"at": [0.0, 0.4 * side, 0.0]}
     config = shapes(water={}).model_dump(mode="json") | {"creature": creature}
     parameters = check_elements(check_config(config, CONFIG), ["creature.bodies.1.shape.radius"])
-    assert parameters.building.ungrouped
+    assert parameters.building.layout == "separate"
 
 
 @pytest.mark.slow

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from evo_cpg.evolution.archive import Axis
 from evo_cpg.evolution.from_pyribs import Ribs
-from evo_cpg.evolution.map_elites import Axis
 from evo_cpg.evolution.pyribs_host import ALGORITHMS, UnknownPyribsError
 from evo_cpg.evolution.strategy import Evaluation
 

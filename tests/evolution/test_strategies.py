@@ -10,10 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from evo_cpg.evolution.archive import Axis
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import AlongTheLine, Axis, MapElites, Mapped, OfBits
+from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, Mapped, OfBits
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from evo_cpg.exchange.gltf_film import gltf_film
+from evo_cpg.view.scene import Panel
 from view import synthetic
 
 # An interpreter with bpy, which is made for one version of Python each.
@@ -32,7 +33,7 @@ def test_bodies_are_where_they_were(tmp_path):
         pytest.skip("Blender's Python module bpy is not installed")
     creature, recording = synthetic.swimmer(), synthetic.swim(4.0)
     scene, out = tmp_path / "scene.glb", tmp_path / "times.npy"
-    scene.write_bytes(gltf_film(creature, recording, title="a title", world="water"))
+    scene.write_bytes(gltf_film(Panel(creature, recording, "a title")))
     some = slice(None, None, max(1, len(recording.time) // 10))
     np.save(out, recording.time[some])
     names = [body.name for body in creature.bodies]

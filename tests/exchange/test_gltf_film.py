@@ -14,10 +14,12 @@ import trimesh
 
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.mesh import convex_mesh
-from evo_cpg.exchange.gltf_film import Z_UP, gltf_film, quaternions
+from evo_cpg.exchange.gltf_film import Z_UP, gltf_film
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane, Shore
 from evo_cpg.simulation.recording import Recording, RecordingError
+from evo_cpg.view.clip import quaternions
+from evo_cpg.view.scene import Panel
 from view import synthetic
 
 # Where `npm install gltf-validator` was run; Node looks in the folders above the tests, too.
@@ -52,7 +54,7 @@ SCENES = {
 def scene(request):
     make, move, settings = SCENES[request.param]
     creature, recording = make(), move(4.0)
-    return creature, recording, gltf_film(creature, recording, title="a title", **settings)
+    return creature, recording, gltf_film(Panel(creature, recording, "a title", **settings))
 
 
 def decode(data):
@@ -136,7 +138,7 @@ def test_stones_and_water_are_where_they_are():
     scenes = {}
     for name in ("stones", "shore"):
         make, move, settings = SCENES[name]
-        scenes[name] = decode(gltf_film(make(), move(1.0), title="", **settings))
+        scenes[name] = decode(gltf_film(Panel(make(), move(1.0), **settings)))
     document, _ = scenes["stones"]
     stones = [node for node in document["nodes"] if node["name"].startswith("obstacle")]
     assert [node["translation"] for node in stones] == [list(s.centre) for s in _STONES]
@@ -161,7 +163,7 @@ def test_scenery_has_no_body_s_name():
     creature = dataclasses.replace(
         creature, bodies=tuple(map(renamed, creature.bodies)), light_sensors=()
     )
-    document, _ = decode(gltf_film(creature, recording, title="a title", **settings))
+    document, _ = decode(gltf_film(Panel(creature, recording, "a title", **settings)))
     names = [node["name"] for node in document["nodes"]]
     assert len(set(names)) == len(names)
     assert {*scenery, "ground_", "sun_", "obstacle1_", "obstacle2"} <= set(names)
@@ -188,7 +190,7 @@ def test_a_triangle_without_area_is_left_out():
         goal=np.full(3, np.nan),
         dof_names=(),
     )
-    document, arrays = decode(gltf_film(creature, still, title="a title"))
+    document, arrays = decode(gltf_film(Panel(creature, still)))
     attributes = document["meshes"][0]["primitives"][0]["attributes"]
     normals = arrays[attributes["NORMAL"]]
     assert len(normals) == len(arrays[attributes["POSITION"]]) == 3 * 13
@@ -208,10 +210,10 @@ def test_quaternions_never_jump():
 def test_recordings_that_cannot_be_shown_are_refused():
     creature, recording = synthetic.walker(), synthetic.walk(0.5)
     with pytest.raises(RecordingError, match="the recording is empty"):
-        gltf_film(creature, recording._replace(time=recording.time[:0]), title="", world="land")
+        gltf_film(Panel(creature, recording._replace(time=recording.time[:0])))
     broken = recording._replace(position=np.full_like(recording.position, np.nan))
     with pytest.raises(RecordingError, match="the recording diverges"):
-        gltf_film(creature, broken, title="", world="land")
+        gltf_film(Panel(creature, broken))
 
 
 def test_the_khronos_validator_has_nothing_to_say(scene, tmp_path):

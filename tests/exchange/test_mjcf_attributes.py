@@ -12,11 +12,11 @@ import pytest
 from creatures import quick_jit
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.exchange import mjcf_fields
-from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_import import Imported, read_mjcf
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.joints import passive_torque
+from evo_cpg.physics.joint_torque import passive_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.world import World

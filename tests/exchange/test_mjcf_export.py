@@ -13,13 +13,13 @@ from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_s
 from evo_cpg.creature.creature import Actuator, Body, Creature, CreatureError, Joint, Material
 from evo_cpg.creature.shapes import Box, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.footing import Ground
-from evo_cpg.physics.joints import clamp_torque, passive_torque, servo_torque
+from evo_cpg.physics.joint_torque import clamp_torque, passive_torque, servo_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
 from evo_cpg.spatial.linear import expand_dims_like
@@ -221,6 +221,7 @@ class Ring(Shape):
     volume = 1.0
     half_extents = np.ones(3)
     inertia = distance = support = surface = cells = None
+    floor_parts = obstacle_parts = skin = None
 
 
 class Mud(Part):

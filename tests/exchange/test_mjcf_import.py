@@ -16,12 +16,12 @@ from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.creature.creature import Actuator, Creature
 from evo_cpg.creature.shapes import Capsule
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_mjcf
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.joints import passive_torque
+from evo_cpg.physics.joint_torque import passive_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.water import Water

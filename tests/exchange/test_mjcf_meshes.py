@@ -15,10 +15,10 @@ from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, neutral_pose
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_mjcf
 from evo_cpg.exchange.mujoco_state import dof_order, load_state
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.kinematics import kinematics

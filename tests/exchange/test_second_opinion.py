@@ -11,7 +11,7 @@ import pytest
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.control.postures import PostureController
-from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, own_opinion, second_opinion
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.simulation.physics_steps import EachPhysicsStep
@@ -23,7 +23,7 @@ def lived(path, *overrides):
     """A random individual's trial."""
     experiment = build_experiment(load_config(path, overrides), path)
     simulation = experiment.simulation
-    genes = simulation.controller.random_genes(jax.random.key(1), (1,), np.float32)
+    genes = simulation.genome.random(jax.random.key(1), (1,), np.float32)
     steps = jax.device_get(
         jax.jit(lambda g: rollout(simulation, g, observers=EachPhysicsStep()))(genes)
     )

@@ -22,9 +22,7 @@ def operations(legs):
     """Return the number of operations of a walker's trial; no code is made."""
     config = complete_config(walker(legs, "capsule"), SOURCE)
     simulation = build_experiment(config, SOURCE).simulation
-    genes = jax.eval_shape(
-        lambda: simulation.controller.random_genes(jax.random.key(0), (64,), jnp.float32)
-    )
+    genes = jax.eval_shape(lambda: simulation.genome.random(jax.random.key(0), (64,), jnp.float32))
     jaxpr = jax.make_jaxpr(functools.partial(rollout, simulation))(genes)
     (fused,) = [each for each in jaxpr.eqns if each.primitive is fused_p]
     return optimize(fused.params["program"]).operations

@@ -15,7 +15,7 @@ import pytest
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.fusion.engine import Engine, using
-from evo_cpg.simulation.control_step import begin_life, control_step
+from evo_cpg.simulation.control_step import begin_episode, control_step
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 INDIVIDUALS, TIMES, APART, NUDGES = 10, 10, 20, 8
@@ -42,13 +42,13 @@ class Trial:
         path = CONFIGS / f"{name}.yaml"
         simulation = build_experiment(load_config(path, list(overrides)), path).simulation
         self.rate = simulation.control_rate
-        genes = simulation.controller.random_genes(jax.random.key(0), (INDIVIDUALS,), jnp.float32)
+        genes = simulation.genome.random(jax.random.key(0), (INDIVIDUALS,), jnp.float32)
         keys = None
         if not simulation.noise.silent:
             keys = jax.random.key_data(jax.random.split(jax.random.key(1), INDIVIDUALS)).T
 
         def begin():
-            return begin_life(simulation, genes, keys, None)
+            return begin_episode(simulation, genes, keys, None)
 
         def made(engine):
             def step(animal, index):

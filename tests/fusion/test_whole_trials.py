@@ -44,7 +44,7 @@ def trial(name, overrides, engine):
     simulation = build_experiment(config, path).simulation
     simulation = dataclasses.replace(simulation, steps=STEPS, noise=Noise())
     keys = jax.random.key_data(jax.random.split(jax.random.key(1), INDIVIDUALS)).T
-    genes = simulation.controller.random_genes(jax.random.key(0), (INDIVIDUALS,), jnp.float64)
+    genes = simulation.genome.random(jax.random.key(0), (INDIVIDUALS,), jnp.float64)
     both = JUDGE, Recorder(full=True)
     live = jax.jit(lambda genes, keys: rollout(simulation, genes, keys, observers=both))
     outcome, frames = jax.device_get(live(genes, keys))

@@ -17,7 +17,7 @@ from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.joints import passive_torque
+from evo_cpg.physics.joint_torque import passive_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World

@@ -55,7 +55,7 @@ def lowest_points(world: World, state: State) -> np.ndarray:
     @quick_jit
     def places(state):
         kin = kinematics(world.tree, state)
-        return kin.origin + find_contacts(world.footing, kin, H).arm
+        return kin.origin + find_contacts(world.footing, kin, H).offset
 
     return np.asarray(places(state))
 

@@ -47,14 +47,14 @@ def both(creature: Creature, ground: Ground, state: dict, seconds: float):
     def run(state):
         def advance(carry, _):
             now, warmstart = carry
-            arm = find_contacts(world.footing, kinematics(tree, now), H).arm[0]
+            offset = find_contacts(world.footing, kinematics(tree, now), H).offset[0]
             now, effort = step(world, now, jnp.zeros_like(now.qd), H, warmstart=warmstart)
-            return (now, effort.warmstart), (now, effort.contact_frame_force, arm)
+            return (now, effort.warmstart), (now, effort.contact_frame_force, offset)
 
         begin = state, first_warmstart(world, (1,), state.q.dtype)
         return jax.lax.scan(advance, begin, length=round(seconds / H))[1]
 
-    states, support, arm = jax.tree.map(lambda x: np.asarray(x)[..., 0], run(start))
+    states, support, offset = jax.tree.map(lambda x: np.asarray(x)[..., 0], run(start))
     model = mujoco_model(creature, STIFF, ground=ground)
     model.pair_solref[:] = 0.001, 1.0
     model.pair_solimp[:] = 0.99, 0.999, 1e-4, 0.5, 2.0
@@ -62,7 +62,7 @@ def both(creature: Creature, ground: Ground, state: dict, seconds: float):
     load_state(model, data, tree, jax.tree.map(lambda x: np.asarray(x)[..., 0], start))
     for _ in range(round(seconds / STIFF["timestep"])):
         mujoco.mj_step(model, data)
-    return tree, (states, support, arm), model, data
+    return tree, (states, support, offset), model, data
 
 
 def block(size, friction):
@@ -107,7 +107,7 @@ def test_a_stack_carries_its_load_where_it_lies(x64):
         Body("weight", Box((0.1, 0.1, 0.1)), Material(4000.0), joint),
     )
     ground = Ground(0.0, obstacles=(Block((0.0, 0.0, 0.1), (0.2, 0.2, 0.1)),))
-    tree, (states, support, arm), model, data = both(
+    tree, (states, support, offset), model, data = both(
         Creature("stack", bodies), ground, {"position": (0.0, 0.0, 0.25)}, 1.0
     )
     assert np.abs(states.velocity[-1]).max() < 1e-3
@@ -116,7 +116,7 @@ def test_a_stack_carries_its_load_where_it_lies(x64):
     lever = 0.5 + 0.08 * tree.mass[1] / tree.mass.sum() / 0.3
     ours, theirs = {}, {1: 0.0, -1: 0.0}
     for side in (1, -1):
-        ours[side] = support[-1, 2][np.sign(arm[-1]) == side].sum()
+        ours[side] = support[-1, 2][np.sign(offset[-1]) == side].sum()
     force = np.zeros(6)
     for k in range(data.ncon):
         mujoco.mj_contactForce(model, data, k, force)

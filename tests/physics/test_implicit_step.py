@@ -33,7 +33,7 @@ from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import make_pairs, separations
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import searches, step
+from evo_cpg.physics.step import needs_iteration, step
 from evo_cpg.physics.step_problem import StepProblem
 from evo_cpg.physics.step_solver import free_motion
 from evo_cpg.physics.world import World
@@ -97,7 +97,7 @@ def at_later_velocities(world: World, states: State, target, angle=None):
     @quick_jit
     def first(states, target):
         equations = prepare(world, H, states, target, angle)
-        if searches(world):
+        if needs_iteration(world):
             problem = StepProblem.of(world, H, equations)
             y = free_motion(problem)
             return (y[:6], y[6:]), problem.touches(y) | problem.overloads_otherwise(y)
@@ -292,7 +292,7 @@ def test_motors_contacts_limits_and_water_together():
     def touching(state):
         kin = kinematics(tree, state)
         origin = kin.origin[:, np.array(footing.bodies)]
-        arms = find_contacts(footing, kin, H).arm
+        arms = find_contacts(footing, kin, H).offset
         return origin + arms, separations(pairs, kin)
 
     places, apart = jax.tree.map(np.asarray, touching(states))

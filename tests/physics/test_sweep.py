@@ -174,7 +174,7 @@ def test_a_swept_contact_has_its_slope():
         place = jnp.zeros((3, 1)).at[2].set(height)
         velocity = jnp.zeros((6, 1)).at[5].set(-speed)
         state = dataclasses.replace(state, position=place, velocity=velocity)
-        return find_contacts(world.footing, kinematics(world.tree, state), H).rest[-1, 0]
+        return find_contacts(world.footing, kinematics(world.tree, state), H).rest_velocity[-1, 0]
 
     value, slopes = quick_jit(jax.value_and_grad(rest, (0, 1)))(0.3, 44.0)
     # It is up to 2 % more, which makes up for what the law gives way.

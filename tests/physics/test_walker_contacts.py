@@ -19,8 +19,8 @@ from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import Effort, integrate, step
+from evo_cpg.physics.state import State, integrate, resting_state
+from evo_cpg.physics.step import Effort, step
 from evo_cpg.physics.step_solver import solve_step
 from evo_cpg.physics.world import World
 
@@ -36,14 +36,14 @@ def mechanics(world: World, state: State) -> tuple[np.ndarray, np.ndarray]:
     rotation, angular, linear, origin = (
         np.asarray(part, float) for part in (kin.rotation, kin.angular, kin.linear, kin.origin)
     )
-    arm = np.einsum("xyb...,yb->xb...", rotation, tree.com)
-    velocity = linear + np.cross(angular, arm, axis=0)
+    offset = np.einsum("xyb...,yb->xb...", rotation, tree.com)
+    velocity = linear + np.cross(angular, offset, axis=0)
     momentum = np.einsum("xb...,b->x...", velocity, tree.mass)
     own = np.concatenate(
         [np.einsum("xyb...,xb...->yb...", rotation, part) for part in (angular, linear)]
     )
     kinetic = 0.5 * np.einsum("ib...,ijb,jb...->...", own, tree.inertia, own)
-    height = np.einsum("b...,b->...", origin[2] + arm[2], tree.mass)
+    height = np.einsum("b...,b->...", origin[2] + offset[2], tree.mass)
     return momentum / tree.mass.sum(), kinetic + world.gravity * height
 
 
@@ -54,7 +54,7 @@ def depths(world: World, states: State) -> np.ndarray:
     def gaps(state):
         kin = kinematics(world.tree, state)
         bodies = np.array(world.footing.bodies)
-        return (kin.origin[:, bodies] + find_contacts(world.footing, kin, H).arm)[2]
+        return (kin.origin[:, bodies] + find_contacts(world.footing, kin, H).offset)[2]
 
     over_time = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)
     return -np.moveaxis(np.asarray(gaps(over_time)), -1, 0)

@@ -11,7 +11,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.numbers import number_at, with_numbers
-from evo_cpg.simulation.batched import Inputs, rollout_batched
+from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.spatial.numerics import is_number
 from tiny_run import REPOSITORY, TINY
@@ -71,8 +71,13 @@ def numbers(config, keys, seed=0):
     return {key: number_at(config, key) * rng.uniform(0.75, 1.25, BODIES) for key in keys}
 
 
+def compiled(batched):
+    """The trials of bodies that differ as these do, for any of their values."""
+    return jax.jit(lambda values, genes: rollout(batched._replace(values=values), genes))
+
+
 def genes_of(simulation, dtype):
-    return simulation.controller.random_genes(jax.random.key(1), (BODIES,), dtype)
+    return simulation.genome.random(jax.random.key(1), (BODIES,), dtype)
 
 
 @pytest.mark.parametrize(
@@ -93,9 +98,7 @@ def test_each_body_does_what_it_does_alone(case, dtype, error, request):
     genes = genes_of(batched.common, dtype)
     # All with the genes of the last, so that only their bodies tell them apart.
     genes = np.repeat(genes[:, -1:], BODIES, axis=1)
-    together = jax.jit(functools.partial(rollout_batched, batched.common, batched.inputs))(
-        batched.values, genes
-    )
+    together = compiled(batched)(batched.values, genes)
     same = together.terms
     assert together.alive.all()
     last = BODIES - 1
@@ -169,7 +172,7 @@ def test_a_compiled_program_serves_other_bodies():
     batched = build_batch(config, path, numbers(config, keys))
     others = build_batch(config, path, numbers(config, keys, seed=1), like=batched)
     genes = genes_of(batched.common, np.float32)
-    run = jax.jit(functools.partial(rollout_batched, batched.common, batched.inputs))
+    run = compiled(batched)
     run(batched.values, genes)
     found = run(others.values, genes)
     assert run._cache_size() == 1

@@ -178,7 +178,7 @@ def animal(request):
             final = round(FINAL_SECONDS * simulation.control_rate)
             task = dataclasses.replace(simulation.task, final_steps=final)
             simulation = dataclasses.replace(simulation, task=task)
-        draw = simulation.controller.random_genes(jax.random.key(0), (SEEDS,), np.float32)
+        draw = simulation.genome.random(jax.random.key(0), (SEEDS,), np.float32)
         genes = np.asarray(draw, float)
         outcome = outcome_of(simulation)
         slopes = slopes_of(outcome, genes, stops, np.float64)

@@ -4,8 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.simulation.genome import Genome
-from trials import SineController
+from evo_cpg.simulation.genome import Genome, Phenotype
+from evo_cpg.training.loop import train
+from evo_cpg.training.replay import replay_champion
+from evo_cpg.training.run_folder import RunFolder
+from trials import SineController, experiment
 
 
 class _Switches(SineController):
@@ -29,3 +32,23 @@ def test_a_genome_of_another_length_does_not_fit():
     genome = Genome(SineController())
     assert genome.misfit(np.zeros(2)) is None
     assert genome.misfit(np.zeros(3)) == "the genome has 3 genes, not 2"
+
+
+def test_genes_beside_the_controllers_evolve_and_replay(tmp_path, monkeypatch):
+    """Only `Genome` changes: its last two genes are not the controller's."""
+    alone = Genome.random
+
+    def random(self, key, batch, dtype=jnp.float32):
+        return jnp.concatenate([alone(self, key, batch, dtype), jnp.full((2, *batch), 0.5, dtype)])
+
+    monkeypatch.setattr(Genome, "count", property(lambda self: self.controller.gene_count + 2))
+    monkeypatch.setattr(Genome, "random", random)
+    monkeypatch.setattr(
+        Genome, "decode", lambda self, genes: Phenotype(self.controller.decode(genes[:-2]))
+    )
+    made, folder = experiment()._replace(generations=2), RunFolder(tmp_path / "run")
+    folder.create("", {})
+    champion = train(made, folder).champion
+    assert champion is not None and champion.genes.shape == (4,)
+    fitness, _, _ = replay_champion(made, champion, len(jax.local_devices()))
+    assert fitness == champion.fitness

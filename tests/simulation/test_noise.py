@@ -18,7 +18,7 @@ from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.judge import JUDGE
-from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start, grip_of
+from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start, friction_scale_of
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.situation import Situation
@@ -115,16 +115,16 @@ def test_without_noise_the_program_is_that_of_a_trial_without_keys(simulation):
 
 def test_friction_differs_evenly_from_trial_to_trial():
     assert (
-        grip_of(Noise(push=1.0), jnp.asarray(KEYS)) is None
-        and grip_of(Noise(friction=0.2), None) is None
+        friction_scale_of(Noise(push=1.0), jnp.asarray(KEYS)) is None
+        and friction_scale_of(Noise(friction=0.2), None) is None
     )
-    grip = np.asarray(grip_of(Noise(friction=0.2), jnp.asarray(KEYS)))
-    assert 0.8 <= grip.min() < 0.801 and 1.199 < grip.max() <= 1.2
+    friction_scale = np.asarray(friction_scale_of(Noise(friction=0.2), jnp.asarray(KEYS)))
+    assert 0.8 <= friction_scale.min() < 0.801 and 1.199 < friction_scale.max() <= 1.2
     # Of an even spread as many are in each tenth, to four standard deviations.
-    counts = np.histogram(grip, 10, (0.8, 1.2))[0]
+    counts = np.histogram(friction_scale, 10, (0.8, 1.2))[0]
     assert abs(counts - COUNT / 10).max() < 4 * np.sqrt(COUNT * 0.1 * 0.9)
     np.testing.assert_array_equal(
-        grip[7:8], grip_of(Noise(friction=0.2), jnp.asarray(KEYS[:, 7:8]))
+        friction_scale[7:8], friction_scale_of(Noise(friction=0.2), jnp.asarray(KEYS[:, 7:8]))
     )
 
 
@@ -143,7 +143,7 @@ def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
     noisy = dataclasses.replace(crawling, noise=Noise(friction=0.9))
     genes, keys = jnp.full((2, 3), 2.0), jnp.asarray(KEYS[:, :3])
     found = quick_jit(lambda g, k: rollout(noisy, g, k, None, Recorder(3)))(genes, keys)["position"]
-    for i, factor in enumerate(np.asarray(grip_of(noisy.noise, keys))):
+    for i, factor in enumerate(np.asarray(friction_scale_of(noisy.noise, keys))):
         rough = dataclasses.replace(crawling, world=crawling.world.with_friction(float(factor)))
         alone = quick_jit(lambda g, rough=rough: rollout(rough, g, observers=Recorder()))(genes)[
             "position"

@@ -75,7 +75,7 @@ def test_who_is_too_fast_in_one_step_is_out_for_good(engine):
     path = CONFIG
     config = load_config(path, [*PAIR, f"engine={engine}", "simulation.steps=40"])
     free = build_experiment(config, path).simulation
-    genes = free.controller.random_genes(jax.random.key(3), (6,), jnp.float32)
+    genes = free.genome.random(jax.random.key(3), (6,), jnp.float32)
     frames = quick_jit(lambda g: rollout(free, g, observers=Recorder(6)))(genes)
     place = np.asarray(frames["position"])[:, :, 0]
     speed = np.linalg.norm(np.diff(place, axis=0), axis=1).max(0) / STEP

@@ -17,7 +17,13 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.water import Water
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.sensors import fathom, feel, light_strength, place_sensors, see
+from evo_cpg.simulation.sensors import (
+    depth_readings,
+    light_readings,
+    light_strength,
+    place_sensors,
+    pressure_readings,
+)
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 from evo_cpg.simulation.velocity_sensor import VelocitySensor
 from evo_cpg.spatial.rotation import euler_to_matrix, integrate_quaternion
@@ -58,7 +64,7 @@ def test_eyes_see_by_where_they_are_and_where_they_look(x64, light):
         qd=jnp.zeros(1),
     )
     sensors = place_sensors(creature, tree)
-    seen = quick_jit(lambda state, light: see(sensors, kinematics(tree, state), light))
+    seen = quick_jit(lambda state, light: light_readings(sensors, kinematics(tree, state), light))
     strength, cosine, sine = map(np.asarray, seen(state, np.array(light)))
     tail = root @ np.asarray(euler_to_matrix(0.0, 0.0, bend))
     joint = place + root @ [-0.11, 0, 0]
@@ -81,7 +87,7 @@ def test_a_creature_without_eyes_sees_nothing():
     for batch in ((), (4,)):
         for light in (jnp.ones((3, *(1,) * len(batch))), None):
             seen = jax.eval_shape(
-                lambda batch=batch, light=light: see(
+                lambda batch=batch, light=light: light_readings(
                     sensors, kinematics(tree, resting_state(tree, batch)), light
                 )
             )
@@ -96,7 +102,7 @@ def test_eyes_in_the_dark_feel_only_the_vertical(x64):
     @quick_jit
     def seen(light):
         kin = kinematics(tree, resting_state(tree, dtype=jnp.float64, orientation=turned))
-        return see(sensors, kin, light), see(sensors, kin, None)
+        return light_readings(sensors, kin, light), light_readings(sensors, kin, None)
 
     lit, dark = jax.device_get(seen(np.array([3.0, 1.0, 0.5])))
     assert float(lit[0].max()) > 0.5
@@ -130,13 +136,15 @@ def test_the_skin_feels_the_ground_but_under_water_only_what_presses_harder():
 
     def felt(water):
         world = World(tree, 9.81, water, footing=footing)
-        return np.asarray(quick_jit(lambda kin: feel(sensors, world, kin, support))(kin))
+        return np.asarray(
+            quick_jit(lambda kin: pressure_readings(sensors, world, kin, support))(kin)
+        )
 
     np.testing.assert_array_equal(felt(None), [[0, 0, 0], [0, 1, 1]])
     np.testing.assert_array_equal(felt(Water(1000.0)), [[0, 0, 0], [0, 1, 1]])
     np.testing.assert_array_equal(felt(Water(1000.0, 0.0)), [[0, 0, 0], [0, 0, 1]])
     afloat = World(tree, 9.81, Water(1000.0))
-    np.testing.assert_array_equal(feel(sensors, afloat, kin, None), np.zeros((2, 3)))
+    np.testing.assert_array_equal(pressure_readings(sensors, afloat, kin, None), np.zeros((2, 3)))
 
 
 def test_depth_gauges_read_the_depth_of_their_own_place(x64):
@@ -161,7 +169,7 @@ def test_depth_gauges_read_the_depth_of_their_own_place(x64):
         (None, [0.0, 0.0, 0.0]),
     ):
         world = World(tree, 9.81, Water(1000.0, surface))
-        np.testing.assert_allclose(fathom(sensors, world, kin), expected, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(depth_readings(sensors, world, kin), expected, rtol=0, atol=1e-9)
 
 
 def test_velocities_are_how_fast_the_bodies_get_on(x64):

@@ -13,7 +13,7 @@ def test_a_swimmer_goes_as_far_at_half_the_step():
     """In water motion is no chaos: the step's error is what is left, and falls with the step."""
     config = load_config(CONFIG, [*PAIR, "simulation.steps=240"])
     simulation = build_experiment(config, CONFIG).simulation
-    genes = np.asarray(simulation.controller.random_genes(jax.random.key(1), (16,), np.float32)).T
+    genes = np.asarray(simulation.genome.random(jax.random.key(1), (16,), np.float32)).T
     found = ways(simulation, genes)
     moves = found.own > 1e-3
     assert moves.sum() > 3

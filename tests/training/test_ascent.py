@@ -10,7 +10,13 @@ import pytest
 
 from evo_cpg.simulation.judge import score
 from evo_cpg.simulation.rollout import rollout
-from evo_cpg.training.ascent import Climber, Ways, compile_ascent, cut_long_slopes, draw_ways
+from evo_cpg.training.ascent import (
+    Climber,
+    ClimbSettings,
+    clip_long_gradients,
+    compile_ascent,
+    draw_settings,
+)
 from evo_cpg.training.devices import population_mesh
 from trials import experiment
 
@@ -67,7 +73,7 @@ def test_a_cliff_does_not_throw_it_off(cliff):
 
 def test_the_guard_cuts_only_what_is_out_of_proportion():
     def after(*lengths):
-        guard = cut_long_slopes()
+        guard = clip_long_gradients()
         slope = jnp.zeros(2)
         state: Any = guard.init(slope)
         for length in lengths:
@@ -97,11 +103,11 @@ def test_every_individual_climbs_its_own_way_from_where_it_is():
     made = experiment(40)
     run = compile_ascent(made, population_mesh(), 6)
     genes = np.array([[1.0, 1.0, 1.4, 0.3], [1.0, 1.0, 0.8, 1.5]], np.float32)
-    ways = Ways(np.array([1e-2, 3e-2, 3e-2, 3e-2], np.float32), np.ones(4, np.float32))
+    settings = ClimbSettings(np.array([1e-2, 3e-2, 3e-2, 3e-2], np.float32), np.ones(4, np.float32))
     scales = {"energy": np.ones(4, np.float32)}
-    best, fitness, finite = run(genes, ways, scales)
+    best, fitness, finite = run(genes, settings, scales)
     assert finite.tolist() == [7] * 4
-    assert np.isneginf(run(np.nan * genes, ways, scales).fitness).all()
+    assert np.isneginf(run(np.nan * genes, settings, scales).fitness).all()
 
     def judged(genes):
         return np.asarray(
@@ -119,16 +125,18 @@ def test_every_individual_climbs_its_own_way_from_where_it_is():
     assert 0 < moved[0] < moved[1]
     # Each lane for itself.
     alone = run(
-        genes[:, 2:3], Ways(ways.sizes[2:3], ways.retentions[2:3]), {"energy": scales["energy"][:1]}
+        genes[:, 2:3],
+        ClimbSettings(settings.sizes[2:3], settings.retentions[2:3]),
+        {"energy": scales["energy"][:1]},
     )
     np.testing.assert_allclose(alone.genes[:, 0], best[:, 2], rtol=1e-3)
 
 
 def test_ways_are_spread_over_their_ranges():
     simulation = experiment(600).simulation
-    ways = draw_ways(np.random.default_rng(0), simulation, 4000)
-    assert 2.9e-4 < ways.sizes.min() < 4e-4 < 8e-3 < ways.sizes.max() < 1.01e-2
-    exact = ways.retentions == 1
+    settings = draw_settings(np.random.default_rng(0), simulation, 4000)
+    assert 2.9e-4 < settings.sizes.min() < 4e-4 < 8e-3 < settings.sizes.max() < 1.01e-2
+    exact = settings.retentions == 1
     assert 0.2 < exact.mean() < 0.3
-    horizons = -1 / (60 * np.log(ways.retentions[~exact]))
+    horizons = -1 / (60 * np.log(settings.retentions[~exact]))
     assert 0.99 < horizons.min() < 1.1 and 80 < horizons.max() < 102

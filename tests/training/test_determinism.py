@@ -17,7 +17,8 @@ import xla_flags
 from evo_cpg.api.surroundings import differences, surroundings
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config, load_config
-from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
+from evo_cpg.training.loop import TIMING_COLUMNS, train
+from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, PAIR
 

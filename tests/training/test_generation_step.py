@@ -18,9 +18,9 @@ from evo_cpg.training.experiment import (
     breed,
     compile_trials,
     first_population,
-    replay,
 )
 from evo_cpg.training.loop import train
+from evo_cpg.training.replay import replay
 from evo_cpg.training.run_folder import RunFolder
 from trials import SineController, experiment
 

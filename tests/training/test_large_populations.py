@@ -19,7 +19,8 @@ from evo_cpg.training.devices import (
     run_in_blocks,
     sharded,
 )
-from evo_cpg.training.experiment import compile_trials, first_population, generation_keys, replay
+from evo_cpg.training.experiment import compile_trials, first_population, generation_keys
+from evo_cpg.training.replay import replay
 from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 

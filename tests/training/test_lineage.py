@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evo_cpg.training import loop
+from evo_cpg.training import running
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.lineage import (
     KEPT,
@@ -12,7 +12,7 @@ from evo_cpg.training.lineage import (
     landmarks,
     lineage_arrays,
     read_lineage,
-    telling,
+    representatives,
     until,
 )
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -111,9 +111,9 @@ def test_a_champion_that_was_refined_takes_its_place():
 
 def test_who_is_shown():
     lineage = grown((0, 1, 2, 3, 5, 9, 20, 33))
-    assert [each.generation for each in telling(lineage, 4)] == [0, 2, 9, 33]
-    assert telling(lineage, 9) == lineage
-    assert [each.generation for each in telling(lineage, 1)] == [33]
+    assert [each.generation for each in representatives(lineage, 4)] == [0, 2, 9, 33]
+    assert representatives(lineage, 9) == lineage
+    assert [each.generation for each in representatives(lineage, 1)] == [33]
     assert champion_at(lineage, 8).generation == 5
     assert champion_at(lineage[1:], 0) is None
 
@@ -139,9 +139,9 @@ def test_a_missing_or_damaged_lineage_is_named(folder):
 def test_a_run_whose_lineage_is_lost_goes_on_with_its_champions(folder):
     known = Checkpoint(6, np.zeros((2, 4), np.float32), (found_in(3), None), [], {})
     folder.lineage.write_bytes(b"no archive")
-    assert_same(loop._lineage_until(folder, known), [found_in(3)])
+    assert_same(running._lineage_until(folder, known), [found_in(3)])
     # Of another brain, before config.yaml was changed.
     folder.save_lineage([found_in(2, genes=3)])
-    assert_same(loop._lineage_until(folder, known), [found_in(3)])
+    assert_same(running._lineage_until(folder, known), [found_in(3)])
     folder.save_lineage([found_in(1)])
-    assert_same(loop._lineage_until(folder, known), [found_in(1), found_in(3)])
+    assert_same(running._lineage_until(folder, known), [found_in(1), found_in(3)])

@@ -12,7 +12,7 @@ from evo_cpg.physics.state import resting_state
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
-from evo_cpg.simulation.sensors import see
+from evo_cpg.simulation.sensors import light_readings
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.walk import Distance
 from evo_cpg.training.devices import population_mesh
@@ -96,7 +96,7 @@ def test_the_blind_see_no_light_and_feel_everything_else(simulation):
     @quick_jit
     def seen(state):
         kin = kinematics(tree, state)
-        return [see(one.sensors, kin, light) for one in (simulation, blind)]
+        return [light_readings(one.sensors, kin, light) for one in (simulation, blind)]
 
     (strength, *others), (nothing, *felt) = seen(resting_state(tree, (2,)))
     assert float(strength.max()) > 0.5

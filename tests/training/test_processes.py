@@ -21,7 +21,7 @@ def parts(count: int, processes: int, trials: int = 1) -> list[slice]:
     teams = [Team(0, 1) for _ in range(processes)]
     for index, team in enumerate(teams):
         team.index, team.count = index, processes
-    return [team.share(count, trials) for team in teams]
+    return [team.part(count, trials) for team in teams]
 
 
 @pytest.mark.parametrize(
@@ -49,10 +49,10 @@ def test_where_there_are_too_few_the_others_try_the_last_again():
 def test_a_lone_process_gets_back_what_it_gives():
     genes, tree = np.ones((3, 20), np.float32), {"a": np.arange(20)}
     assert ALONE.leads
-    assert ALONE.share(20) == slice(0, 20)
+    assert ALONE.part(20) == slice(0, 20)
     assert ALONE.gather(tree, genes, 0) is tree
     assert ALONE.broadcast({"a": 3}) == {"a": np.array(3)}
-    ALONE.agree("anything", b"at all")
+    assert ALONE.exchange(b"a row", "nobody") == [b"a row"]
     ALONE.leave()
 
 
@@ -69,7 +69,7 @@ def run(code: str, count: int, compiled: Path, *arguments: object) -> list[str]:
 import json, os, signal, sys, time
 import numpy as np
 from evo_cpg.training import processes
-from evo_cpg.training.processes import Disagreement, TeamError, join
+from evo_cpg.training.processes import TeamError, difference, join
 from evo_cpg.training.roll_call import Place
 
 index, count, port, *arguments = sys.argv[1:]
@@ -114,23 +114,20 @@ def trials(share, each):
 
 for each, names in ((1, ("number", "alive")), (4, ("wide",))):
     tree = {name: whole[name] for name in names}
-    part = trials(team.share(40, each), each)
+    part = trials(team.part(40, each), each)
     back = team.gather({n: x[..., part] for n, x in tree.items()}, genes, 3, each)
     told.append(all(back[n].tobytes() == x.tobytes() for n, x in tree.items()))
     told.append(all(back[n].dtype == x.dtype for n, x in tree.items()))
 
 lead = {"genes": np.random.default_rng(0).random(400_000), "name": np.array("evo")}
-sent = team.broadcast(lead if team.leads else None)
+sent = team.broadcast(lead if team.leads else {})
 told.append(all(np.array_equal(sent[name], lead[name]) for name in lead))
-told.append(team.broadcast({} if team.leads else None) == {})
-team.agree("a thing", b"equal")
-try:
-    team.agree("a thing", b"equal" if index != "1" else b"other")
-except Disagreement as error:
-    told.append(str(error))
+told.append(team.broadcast({}) == {})
+told.append(difference(team.exchange(b"equal", "the others")))
+told.append(difference(team.exchange(b"equal" if index != "1" else b"other", "the others")))
 genes[0, 0] += index == "1"
 try:
-    team.gather({"a": whole["number"][team.share(40)]}, genes, 4)
+    team.gather({"a": whole["number"][team.part(40)]}, genes, 4)
 except TeamError as error:
     told.append(str(error))
 team.leave()
@@ -142,8 +139,8 @@ def test_two_processes_tell_each_other(tmp_path):
     for out in run(TALK, 2, tmp_path):
         told = json.loads(out)
         assert told[:6] == [True] * 6
-        assert told[6] == "a thing differs between the processes: process 0 unlike 1"
-        assert told[7].endswith(
+        assert told[6:8] == ["", "process 0 unlike 1"]
+        assert told[8].endswith(
             ": the population of generation 4 differs between the processes: process 0 unlike 1; "
             "processors of different kinds may round differently, so take machines of one kind"
         )
@@ -154,18 +151,18 @@ def test_four_processes_tell_each_other(tmp_path):
     for out in run(TALK, 4, tmp_path):
         told = json.loads(out)
         assert told[:6] == [True] * 6
-        assert told[6] == "a thing differs between the processes: process 0, 2, 3 unlike 1"
+        assert told[7] == "process 0, 2, 3 unlike 1"
 
 
 LATE = """
 patience, late = map(float, arguments)
 processes.COMPILING = 0.0
 team._patience = patience
-team._exchange(b"a", "a first look")
+team.exchange(b"a", "a first look")
 if index == "1":
     time.sleep(late)
 try:
-    team._exchange(b"b", "a second look")
+    team.exchange(b"b", "a second look")
 except TeamError as error:
     print(error, flush=True)
 else:

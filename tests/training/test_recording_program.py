@@ -15,7 +15,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.fusion.stopwatch import Spent
 from evo_cpg.simulation.operations import estimate_operations
-from evo_cpg.training import loop
+from evo_cpg.training import loop, replay
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, TINY
 
@@ -54,7 +54,7 @@ def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered, 
     assert capsys.readouterr().out == f"{folder.path}\n"
     champion, motion, _ = folder.load_champion()
     assert motion is not None and len(motion.time) == experiment.simulation.steps
-    again = loop.replay_champion(experiment, champion, 2)
+    again = replay.replay_champion(experiment, champion, 2)
     assert again[0] == champion.fitness and again[1] == champion.terms
     assert np.array_equal(again[2].position, motion.position)
 
@@ -72,7 +72,7 @@ def test_it_is_told_once_and_after_the_first_trials(tmp_path):
 def test_one_program_replays_any_champion(tmp_path):
     """With noise of its own for each: compiled before there was any."""
     experiment, folder = folder_of(tmp_path / "run", NOISY)
-    run = loop.compile_replay(experiment, 2)
+    run = replay.compile_replay(experiment, 2)
     champion = loop.train(experiment, folder).champion
     assert champion is not None
     fitness, terms, _ = run(champion)
@@ -115,7 +115,7 @@ def test_what_is_left_of_compiling_is_estimated_by_the_first_program(
         assert go_on.wait(60)
         return "program"
 
-    monkeypatch.setattr(loop, "compile_replay", compiled)
+    monkeypatch.setattr(replay, "compile_replay", compiled)
     monkeypatch.setattr(audit, "compile_first_look", compiled)
     with Recorder(experiment, folder, 0.9) as recorder:
         assert recorder.expected_to_record() is recorder.expected_to_look() is None
@@ -132,7 +132,7 @@ def test_what_is_left_of_compiling_is_estimated_by_the_first_program(
 def test_how_long_an_animal_took_is_remembered(tmp_path, monkeypatch):
     experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
     noted = []
-    monkeypatch.setattr(loop, "compile_replay", lambda *_: None)
+    monkeypatch.setattr(replay, "compile_replay", lambda *_: None)
     monkeypatch.setattr(api_training, "note_seconds", lambda *given: noted.append(given))
     for animal in ("swimmer", None):
         with Recorder(experiment, folder, None, animal) as recorder:

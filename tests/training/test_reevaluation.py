@@ -20,8 +20,9 @@ from evo_cpg.training.checkpoint import (
     read_champion,
 )
 from evo_cpg.training.experiment import generation_keys, trial_keys
-from evo_cpg.training.loop import replay_champion, train
-from evo_cpg.training.reevaluation import FIRST_ROUND, LIVES, Choice, Contest
+from evo_cpg.training.loop import train
+from evo_cpg.training.reevaluation import EVALUATIONS, FIRST_ROUND, Choice, Contest
+from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 
@@ -74,7 +75,7 @@ def test_candidates_share_their_draws_and_halve():
     # 3, 6 and 12 lives.
     assert [row["lives"] for row in rows] == [3] * 8 + [9] * 4 + [21] * 4
     assert [row["chosen"] for row in rows] == [0] * 15 + [1]
-    assert max(row["lives"] for row in rows) >= LIVES
+    assert max(row["lives"] for row in rows) >= EVALUATIONS
 
 
 def test_who_ends_early_comes_behind_who_does_so_less_often():

@@ -7,7 +7,7 @@ import pytest
 from evo_cpg.physics.fluid import Drag
 from evo_cpg.training.ascent import Free
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.loop import replay_champion, train
+from evo_cpg.training.loop import train
 from evo_cpg.training.refine import (
     Refinement,
     _Parent,
@@ -15,6 +15,7 @@ from evo_cpg.training.refine import (
     compile_evaluation,
     compile_refinement,
 )
+from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 
@@ -52,7 +53,7 @@ def test_rounds_only_gain_and_add_up(refined):
     assert after == rounds[-1].champion
     fitness = [before.fitness] + [done.champion.fitness for done in rounds]
     assert all(done.gain >= 0 for done in rounds)
-    assert all(done.finite == done.slopes for done in rounds)
+    assert all(done.finite == done.gradients for done in rounds)
     np.testing.assert_allclose(np.diff(fitness), [done.gain for done in rounds], atol=1e-9)
     assert after.fitness > before.fitness + 1e-3
     assert (after.run, after.index, after.generation) == (*before[5:7], before.generation)
@@ -69,7 +70,7 @@ def test_it_draws_from_its_seed_alone_and_counts_the_fitness_in_this_experiment(
     settings, again = SETTINGS._replace(rounds=1), []
     same = compile_refinement(MADE, settings)(before._replace(fitness=99.0), again.append)
     np.testing.assert_array_equal(same.genes, rounds[0].champion.genes)
-    assert again[0].began == rounds[0].began == before.fitness
+    assert again[0].initial_fitness == rounds[0].initial_fitness == before.fitness
 
 
 @pytest.mark.slow

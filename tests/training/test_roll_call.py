@@ -113,7 +113,7 @@ def test_different_counts():
     lead, other = meet((0, 2, COMMON), (1, 3, COMMON), port=free_port())
     assert lead == other
     assert lead.startswith(
-        "the processes do not agree on how many they are: 2 says process 0, 3 says process 1, "
+        "the number of processes differs between the processes: 2 in process 0, 3 in process 1, "
     )
 
 

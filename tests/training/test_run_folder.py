@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evo_cpg.files import OutputError
+from evo_cpg.files import OutputError, read_json
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training import run_folder
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest, outcome_digest
@@ -355,6 +355,19 @@ def test_a_damaged_meta_counts_as_empty(folder, text):
     assert folder.read_meta() == {}
     folder.update_meta(devices=1)
     assert folder.read_meta() == {"devices": 1}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("[1,", "^Invalid JSON: EOF"), ('{"a": [1, "2"]}', "^a: 1: Input should be a valid integer$")],
+)
+def test_json_of_another_type_is_named(tmp_path, text, words):
+    path = tmp_path / "x.json"
+    path.write_text('{"a": [1, 2]}')
+    assert read_json(path, dict[str, list[int]]) == {"a": [1, 2]}
+    path.write_text(text)
+    with pytest.raises(ValueError, match=words):
+        read_json(path, dict[str, list[int]])
 
 
 def test_what_a_killed_write_leaves_is_harmless(folder):

@@ -23,10 +23,10 @@ from evo_cpg.training.experiment import (
     generation_keys,
     judge,
     judge_each,
-    replay,
     trial_keys,
 )
-from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
+from evo_cpg.training.loop import TIMING_COLUMNS, train
+from evo_cpg.training.replay import replay, replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from trials import OneTerm, SineController, experiment
 

@@ -1,6 +1,6 @@
 """What tests share is told apart by content."""
 
-from evo_cpg.training import loop, memetic
+from evo_cpg.training import loop, memetic, running
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import Learning
 from trials import experiment
@@ -11,7 +11,7 @@ MESH = population_mesh()
 def programs(made):
     return (
         loop.compile_trials(made.simulation, MESH),
-        loop.compile_evolution(made),
+        running.compile_evolution(made),
         memetic.compile_ascent(made, MESH, 2),
     )
 

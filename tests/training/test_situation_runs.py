@@ -17,10 +17,10 @@ from evo_cpg.training.experiment import (
     compile_trials,
     first_population,
     generation_keys,
-    replay,
     situation_numbers,
 )
-from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
+from evo_cpg.training.loop import TIMING_COLUMNS, train
+from evo_cpg.training.replay import replay, replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 from watching import Watcher

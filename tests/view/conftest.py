@@ -4,7 +4,7 @@ import functools
 
 import pytest
 
-from evo_cpg.view import frames, ground
+from evo_cpg.view import frames, ground, preview
 from evo_cpg.view.textures import floor_texture
 
 # Of a still's sides; users have 3, which only makes edges smoother.
@@ -18,4 +18,5 @@ def quick_pictures():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ground, "floor_texture", shared)
         patch.setattr(frames, "_STILL_OVERSAMPLING", _OVERSAMPLING)
+        patch.setattr(preview, "_OVERSAMPLING", 1.0)
         yield

@@ -7,7 +7,7 @@ import synthetic
 from evo_cpg.analysis.energy import Ledger
 from evo_cpg.analysis.sensitivity import Sensitivity
 from evo_cpg.analysis.verdict import Check
-from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.evolution.archive import Axis
 from evo_cpg.files import OutputError
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.probe import Probe
@@ -158,7 +158,7 @@ def test_a_path_says_what_its_dots_are(recording):
 
 
 @pytest.mark.parametrize(
-    ("goal", "words"), [(np.nan, "way made (m)"), (3.0, "distance to the light (m)")]
+    ("goal", "words"), [(np.nan, "distance from the start (m)"), (3.0, "distance to the light (m)")]
 )
 def test_the_path_says_what_its_distance_is(recording, goal, words):
     later = path_figure(recording._replace(goal=np.full(3, goal))).axes[1]
@@ -283,7 +283,7 @@ def test_an_audit_has_a_panel_of_paths_only_where_there_is_a_second_opinion():
         audit_figure(a_ledger(), 1 / 240, kept, paths, "animal: audit")
         for paths in (ways("evo_cpg", "MuJoCo"), {})
     )
-    energy, from_above = "Where the energy comes from and goes", "Ways of the root, from above"
+    energy, from_above = "Where the energy comes from and goes", "Paths of the root, from above"
     assert [axes.get_title() for axes in with_.axes] == [energy, from_above, ""]
     assert [axes.get_title() for axes in without.axes] == [energy, ""]
     for figure in (with_, without):

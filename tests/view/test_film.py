@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import imageio_ffmpeg
 import numpy as np
@@ -22,13 +23,12 @@ from evo_cpg.view.camera import follow, project, smooth
 from evo_cpg.view.captions import fitted, heading
 from evo_cpg.view.clip import sample
 from evo_cpg.view.film import side_by_side
-from evo_cpg.view.frame_processes import DrawingError, drawn_frames
-from evo_cpg.view.frames import Frames, Plan
+from evo_cpg.view.frame_processes import DrawingError
+from evo_cpg.view.frames import Film
 from evo_cpg.view.legible import font
-from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import body_colors
-from evo_cpg.view.panel import Panel
-from evo_cpg.view.stage import Stage, camera_path
+from evo_cpg.view.scene import Panel, scene_of
+from evo_cpg.view.stage import camera_path
 from films import film
 
 SMALL = (192, 108)
@@ -46,7 +46,7 @@ def recording():
 
 def ten_frames(creature, recording, path, **given):
     """A film of the whole recording, and what was told while it was made."""
-    seen = []
+    told = []
     film(
         creature,
         recording,
@@ -55,10 +55,10 @@ def ten_frames(creature, recording, path, **given):
         fps=10,
         speed=recording.time[-1] / 0.9,
         title="",
-        progress=lambda done, total: seen.append((done, total)),
+        progress=lambda done, total: told.append((done, total)),
         **given,
     )
-    return path, seen
+    return path, told
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +76,11 @@ def decode(path):
     return list(np.frombuffer(result.stdout, np.uint8).reshape(-1, height, width, 3))
 
 
-def stage(world="water", size=(1280, 720), rate=30.0):
-    return Stage(LOOKS[world], "", size, 1.0, rate, 1.0)
+def seen(creature, motion, world="water", view="follow", ground=None):
+    """The motion at 30 frames a second, and the camera that looks at it in 16:9."""
+    clip = sample(motion, 30)
+    scene = scene_of(Panel(creature, motion, world=world, ground=ground), clip)
+    return clip, camera_path(scene, view, 16 / 9)
 
 
 def orange(image):
@@ -86,10 +89,10 @@ def orange(image):
 
 
 def test_a_film_has_the_size_and_frames_asked_for(movie):
-    path, seen = movie
+    path, told = movie
     frames = decode(path)
     assert [frame.shape for frame in frames] == [(108, 192, 3)] * 10
-    assert seen == [(i, 10) for i in range(1, 11)]
+    assert told == [(i, 10) for i in range(1, 11)]
 
 
 def test_the_animal_moves_from_frame_to_frame(movie):
@@ -104,8 +107,7 @@ def test_the_head_is_where_the_camera_says(creature, recording, tmp_path):
     path = film(creature, recording, tmp_path / "still.png", size=(640, 360), seconds=14, title="")
     image = synthetic.read(path)
     assert image.shape == (360, 640, 3)
-    clip = sample(recording, 30)
-    camera = camera_path(creature, recording, clip, stage(size=(640, 360)))
+    clip, camera = seen(creature, recording)
     x, y = project(camera, clip.position[:, :2].mean(1, keepdims=True), 640 / 360)[14 * 30, 0]
     row, column = np.argwhere(orange(image)).mean(0)
     # The two orange bodies at the front are about 40 pixels long; their sides are in shade.
@@ -114,8 +116,7 @@ def test_the_head_is_where_the_camera_says(creature, recording, tmp_path):
 
 @pytest.mark.parametrize("world", ["water", "land"])
 def test_every_body_stays_in_the_frame(creature, recording, world):
-    clip = sample(recording, 30)
-    camera = camera_path(creature, recording, clip, stage(world))
+    clip, camera = seen(creature, recording, world)
     place = project(camera, clip.position, 1280 / 720)
     assert np.abs(place).max() < 0.95
     # Not lost in the distance either: it spans a third of the picture, seen end-on an eighth.
@@ -124,8 +125,7 @@ def test_every_body_stays_in_the_frame(creature, recording, world):
 
 
 def test_the_light_is_in_the_frame_from_the_start_and_never_near_the_camera(creature, recording):
-    clip = sample(recording, 30)
-    camera = camera_path(creature, recording, clip, stage())
+    clip, camera = seen(creature, recording)
     goals = np.repeat(recording.goal[None, None], len(clip.time), 0)
     assert np.abs(project(camera, goals, 1280 / 720)).max() < 1
     assert np.linalg.norm(camera.position - recording.goal, axis=1).min() > 2
@@ -136,8 +136,7 @@ def test_the_light_is_in_the_frame_from_the_start_and_never_near_the_camera(crea
 def test_from_the_side_and_from_above_the_animal_crosses_the_picture(
     creature, recording, world, view
 ):
-    clip = sample(recording, 30)
-    camera = camera_path(creature, recording, clip, stage(world)._replace(camera=view))
+    clip, camera = seen(creature, recording, world, view)
     place = project(camera, clip.position, 1280 / 720)
     assert np.abs(place).max() < 0.95
     # Its way goes to the right, and what is above or to the left of it is higher in the picture.
@@ -153,18 +152,15 @@ def test_from_the_side_and_from_above_the_animal_crosses_the_picture(
 
 def test_the_side_is_seen_over_what_stands_before_it(creature, recording):
     """A low camera rises where a stone would hide the animal; the one above has no need to."""
-    clip = sample(recording, 30)
-    middle = clip.position.reshape(-1, 3).mean(0)
-    way = recording.goal - clip.position[0].mean(0)
+    middle = recording.position.reshape(-1, 3).mean(0)
+    way = recording.goal - recording.position[0].mean(0)
     aside = np.array([way[1], -way[0], 0.0]) / np.linalg.norm(way)
     stone = Boulder(tuple(middle + 2.5 * aside - [0, 0, 1.0]), 1.6)
     ground = Ground(floor=Plane(height=-1.0), obstacles=(stone,))
     elevations = {}
     for view in ("side", "top"):
         for name, there in (("bare", None), ("stone", ground)):
-            camera = camera_path(
-                creature, recording, clip, stage("land")._replace(camera=view, ground=there)
-            )
+            _, camera = seen(creature, recording, "land", view, there)
             offset = camera.position[0] - camera.focus[0]
             elevations[view, name] = np.degrees(np.arcsin(offset[2] / np.linalg.norm(offset)))
     assert elevations["side", "bare"] == pytest.approx(4)
@@ -176,8 +172,7 @@ def test_the_side_is_seen_over_what_stands_before_it(creature, recording):
 def test_the_camera_goes_around_once(creature, recording, world):
     """Evenly, at one height and distance, with the animal in the middle."""
     for motion in (recording, recording._replace(goal=np.full(3, np.nan))):
-        clip = sample(motion, 30)
-        camera = camera_path(creature, motion, clip, stage(world)._replace(camera="orbit"))
+        clip, camera = seen(creature, motion, world, "orbit")
         offset = camera.position - camera.focus
         bearing = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
         turns = np.diff(bearing)
@@ -192,14 +187,11 @@ def test_the_camera_goes_around_once(creature, recording, world):
 
 def test_around_a_hill_the_camera_stays_above_it(creature, recording):
     """A boulder that it would come through lifts the whole orbit."""
-    clip = sample(recording, 30)
-    bare = camera_path(creature, recording, clip, stage("land")._replace(camera="orbit"))
+    _, bare = seen(creature, recording, "land", "orbit")
     place = bare.position[len(bare.position) // 2]
     stone = Boulder(tuple(place - [0, 0, 1.0]), 1.6)
     ground = Ground(floor=Plane(height=-1.0), obstacles=(stone,))
-    camera = camera_path(
-        creature, recording, clip, stage("land")._replace(camera="orbit", ground=ground)
-    )
+    _, camera = seen(creature, recording, "land", "orbit", ground)
     assert np.linalg.norm(camera.position - place + [0, 0, 1.0], axis=1).min() > 1.6
     assert np.linalg.norm(bare.position - place + [0, 0, 1.0], axis=1).min() < 1.6
 
@@ -237,22 +229,22 @@ def beginning(recording: Recording, count: int) -> Recording:
 
 
 def test_several_processes_draw_the_same_film(movie, creature, recording, tmp_path, monkeypatch):
-    """In its order, frame by frame; the last round is not full."""
+    """In its order, frame by frame; the last round is not full: 10 frames, 6 ahead."""
     monkeypatch.setattr(frame_processes, "_WORTH", 3)
-    path, seen = ten_frames(creature, recording, tmp_path / "three.mp4", processes=3)
-    assert seen == movie[1]
+    path, told = ten_frames(creature, recording, tmp_path / "two.mp4", processes=2)
+    assert told == movie[1]
     alone, together = (np.array(decode(each)) for each in (movie[0], path))
     assert np.ptp(alone.astype(int), axis=0).max() > 50  # something moves
     np.testing.assert_array_equal(together, alone)
 
 
-def test_a_process_that_cannot_draw_is_told_of(creature, recording):
-    plan = Plan((Panel(creature, recording),), SMALL, 10, 0.5, 1.0, "nowhere", False, None, None)
-    with (
-        pytest.raises(DrawingError, match="draws frames failed: camera is 'nowhere'"),
-        drawn_frames(plan, Frames(plan), 2) as drawn,
-    ):
-        next(drawn)
+def test_a_process_that_cannot_draw_is_told_of(creature, recording, monkeypatch):
+    """A thread stands for the process."""
+    made = Film(SMALL, 10, 0.5, camera="nowhere")
+    monkeypatch.setattr(frame_processes, "_films", [([Panel(creature, recording)], made)])
+    words = "draws frames failed: camera is 'nowhere'"
+    with ThreadPoolExecutor(1) as pool, pytest.raises(DrawingError, match=words):
+        next(frame_processes._in_order(pool, 5, 2))
 
 
 @pytest.mark.parametrize(
@@ -272,8 +264,7 @@ def test_animals_stand_side_by_side(creature, recording, tmp_path):
         Panel(synthetic.walker(), walk, "", world="land", ground=Ground(floor=Plane())),
         Panel(creature, short, ""),
     ]
-    settings = {"size": SMALL, "fps": 10, "seconds": 3}
-    image = synthetic.read(side_by_side(panels, tmp_path / "all.png", **settings))
+    image = synthetic.read(side_by_side(panels, tmp_path / "all.png", Film(SMALL, 10, 3)))
     (width, height), gap = SMALL, 4
     assert image.shape == (2 * height + gap, 2 * width + gap, 3)
     assert (image[height : height + gap] == 255).all()
@@ -289,14 +280,13 @@ def test_animals_stand_side_by_side(creature, recording, tmp_path):
     assert np.abs(cells[1] - synthetic.read(alone)).mean() < 1.0
     # Land: bright, and blue above.
     assert cells[2].mean() > cells[0].mean() + 60
-    movie = side_by_side(panels[:3], tmp_path / "all.mp4", size=SMALL, fps=10, seconds=0.2)
+    movie = side_by_side(panels[:3], tmp_path / "all.mp4", Film(SMALL, 10, 0.2))
     assert decode(movie)[0].shape == (height, 3 * width + 2 * gap, 3)
 
 
 def test_the_camera_is_calm(creature, recording):
     """It moves as fast as the animal travels, without the tail beat."""
-    clip = sample(recording, 30)
-    camera = camera_path(creature, recording, clip, stage())
+    clip, camera = seen(creature, recording)
     speed = np.linalg.norm(np.diff(camera.focus, axis=0), axis=1) * 30
     assert speed.max() < 1.35 * clip.speed.max()
 
@@ -383,7 +373,7 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
     monkeypatch.setattr("evo_cpg.view.frames.heading", heard)
     settings = {"size": SMALL, "fps": 1, "sheet": (2, 1)}
     panels = [Panel(creature, recording, "")] * 3
-    image = synthetic.read(side_by_side(panels, tmp_path / "s.png", **settings))
+    image = synthetic.read(side_by_side(panels, tmp_path / "s.png", Film(**settings)))
     (width, height), gap, head, apart = SMALL, 4, 40, 24
     tall = head + 3 * height + 2 * gap
     assert image.shape == (tall, 2 * width + apart, 3)
@@ -398,7 +388,7 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
     assert np.array_equal(image[head : head + height, :width], first)
     said.clear()
     unequal = [Panel(creature, recording, ""), Panel(creature, beginning(recording, 601), "")]
-    side_by_side(unequal, tmp_path / "u.png", **settings)
+    side_by_side(unequal, tmp_path / "u.png", Film(**settings))
     assert said == ["0.0 s", "moment 2"]
 
 
@@ -435,8 +425,13 @@ def test_an_odd_size_is_rounded_down(creature, recording, tmp_path):
 
 def test_a_walker_without_a_light_is_filmed_on_land(creature, tmp_path):
     standing = synthetic.standing(creature)._replace(goal=np.full(3, np.nan))
-    path = film(creature, standing, tmp_path / "stand.png", size=SMALL, world="land")
-    assert synthetic.read(path).std() > 20
+    image = synthetic.read(
+        film(creature, standing, tmp_path / "stand.png", size=SMALL, world="land", title="")
+    )
+    # Sand all around, on which the head is orange and the tail is blue.
+    assert orange(image).sum() > 60
+    assert (image[..., 2] - image[..., 0] > 60)[SMALL[1] // 3 :].sum() > 60
+    assert np.median(image[-20:, :, 0] - image[-20:, :, 2]) > 20
 
 
 def test_the_floor_moves_with_the_world_not_with_the_camera(creature, recording, tmp_path):

@@ -10,6 +10,7 @@ from evo_cpg.view.figure import save_figure
 from evo_cpg.view.legible import legible, lettering, write
 from evo_cpg.view.plots import joint_signals_figure
 from evo_cpg.view.preview import preview
+from pictures import ink
 
 NAMES = ("頭部", "хвост", "ουρά", "🐟😀", "あタマ", "머리", "b$7$", "é_ß", "सिर", "尾")
 
@@ -86,9 +87,13 @@ def test_pictures_of_an_animal_with_such_names(tmp_path):
         light_sensors=tuple(eyes),
         pressure_sensors=tuple(new[name] for name in creature.pressure_sensors),
     )
-    assert preview(other, tmp_path / "body.png", (320, 180)).is_file()
+    plain = preview(creature, tmp_path / "plain.png", (320, 180))
+    named = preview(other, tmp_path / "body.png", (320, 180))
+    # Other words on the same animal.
+    changed = np.abs(synthetic.read(named) - synthetic.read(plain)).max(-1) > 60
+    assert 0.005 < changed.mean() < 0.1
     parts = [name.rpartition(".") for name in motion.dof_names]
-    named = motion._replace(dof_names=tuple(f"{new[body]}.{axis}" for body, _, axis in parts))
-    figure = joint_signals_figure(named, title="魚 $x$")
-    assert save_figure(figure, tmp_path / "joints.png").is_file()
+    moving = motion._replace(dof_names=tuple(f"{new[body]}.{axis}" for body, _, axis in parts))
+    figure = joint_signals_figure(moving, title="魚 $x$")
+    assert ink(save_figure(figure, tmp_path / "joints.png")) > 0.02
     assert figure.get_suptitle().startswith("<9B5A> $x$: joint signals")

@@ -45,4 +45,7 @@ def test_a_preview_shows_meshes(tmp_path):
         ),
     )
     path = preview(creature, tmp_path / "meshes.png", (320, 240), ground=True)
-    assert synthetic.read(path).std() > 20
+    image = synthetic.read(path)
+    # The wedge is the head, orange; the box is the tail, blue.
+    assert (image[..., 0] - image[..., 2] > 120).sum() > 1000
+    assert (image[..., 2] - image[..., 0] > 80).sum() > 500

@@ -16,7 +16,8 @@ from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.view.clip import sample
 from evo_cpg.view.page.charts import chart, footfall_figure
 from evo_cpg.view.page.html import join, long_table, table, tag
-from evo_cpg.view.page.scene import RATE, scene
+from evo_cpg.view.page.viewer_data import RATE, viewer_data
+from evo_cpg.view.scene import Panel
 
 
 def decoded(made: dict, number: int, kind: str) -> np.ndarray:
@@ -44,7 +45,7 @@ def test_a_long_table_is_folded():
 def test_the_scene_holds_the_motion():
     """To the last bit of a float for places, to 1e-4 for rotations; equal arrays stand once."""
     creature, motion = synthetic.swimmer(), synthetic.swim(3.0)
-    made = json.loads(json.dumps(scene(creature, motion, None, None, True)))
+    made = json.loads(json.dumps(viewer_data(Panel(creature, motion))))
     clip = sample(motion, RATE)
     count, bodies = made["count"], len(creature.bodies)
     assert (count, bodies) == clip.position.shape[:2] == (len(clip.time), len(made["bodies"]))
@@ -66,7 +67,8 @@ def test_the_scene_holds_the_motion():
 def test_uneven_ground_and_stones_are_in_the_scene():
     stone = Boulder((1.0, 0.5, 0.1), 0.3)
     ground = Ground(floor=Plane(height=0.0), obstacles=(stone,))
-    made = scene(synthetic.walker(), synthetic.walk(2.0), ground, None, False)
+    panel = Panel(synthetic.walker(), synthetic.walk(2.0), world="land", ground=Ground())
+    made = viewer_data(panel._replace(ground=ground))
     (shown,) = made["obstacles"]
     assert shown["place"] == pytest.approx([1.0, 0.5, 0.1])
     corners = decoded(made, shown["points"], "<f4").reshape(-1, 3)
@@ -74,7 +76,7 @@ def test_uneven_ground_and_stones_are_in_the_scene():
     land = {name: decoded(made, made["terrain"][name], "<f4") for name in "xyz"}
     assert len(land["z"]) == len(land["x"]) * len(land["y"])
     np.testing.assert_allclose(land["z"], 0.0, atol=1e-6)
-    level = scene(synthetic.walker(), synthetic.walk(2.0), Ground(), None, False)
+    level = viewer_data(panel)
     assert level["terrain"] is None and level["floor"] == 0.0 and not level["water"]
 
 

@@ -12,8 +12,9 @@ from evo_cpg.view.camera import hidden, project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.look import SHORE
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
+from evo_cpg.view.scene import Panel, scene_of, surface_is_seen
 from evo_cpg.view.scenery import add_particles
-from evo_cpg.view.stage import Stage, camera_path, surface_is_seen
+from evo_cpg.view.stage import Stage, camera_path
 from evo_cpg.view.terrain import heights, make_terrain
 from evo_cpg.view.water import Ripples
 from films import film
@@ -177,10 +178,18 @@ def still(creature, motion, folder, **settings):
     return synthetic.read(path)
 
 
-def spots(creature, motion, stage, points):
+def seen(creature, motion, ground, surface=None):
+    """The scene, and the camera that looks at it."""
+    world = "water" if surface is not None else "land"
+    panel = Panel(creature, motion, world=world, ground=ground, surface=surface)
+    scene = scene_of(panel, sample(motion, 30))
+    return scene, camera_path(scene, "follow", SIZE[0] / SIZE[1])
+
+
+def spots(creature, motion, ground, surface, points):
     """Columns and rows of points of the world ``(n, 3)`` in the still."""
-    clip = sample(motion, 30)
-    path = camera_path(creature, motion, clip, stage)
+    scene, path = seen(creature, motion, ground, surface)
+    clip = scene.clip
     frame = int(np.abs(clip.time - INSTANT).argmin())
     every = np.repeat(np.asarray(points, float)[None], len(clip.time), 0)
     x, y = project(path, every, SIZE[0] / SIZE[1])[frame].T
@@ -190,13 +199,12 @@ def spots(creature, motion, stage, points):
 def test_water_and_land_are_told_apart(creature, wading, tmp_path):
     ground = Ground(floor=SHORE_BESIDE)
     image = still(creature, wading, tmp_path, ground=ground, surface=0.0)
-    stage = Stage(SHORE, "", SIZE, 1.0, 30.0, 1.0, ground, 0.0)
     x = wading.position[int(INSTANT * 60), 0, 0]
     land = [(x + a, 0.9, 0.26) for a in (-0.8, 0.9)]
     water = [(x + a, -0.7, 0.0) for a in (-0.4, 0.1, 0.5)]
     mean = []
     for points in (land, water):
-        places = spots(creature, wading, stage, points)
+        places = spots(creature, wading, ground, 0.0, points)
         assert ((places > 8) & (places < np.array(SIZE) - 8)).all()
         mean.append(
             np.mean([image[r - 3 : r + 4, c - 3 : c + 4].mean((0, 1)) for c, r in places], 0)
@@ -216,11 +224,10 @@ def test_what_is_under_water_is_tinted_and_what_is_above_is_not(creature, wading
     ground = Ground(floor=SHORE_BESIDE)
     low = still(creature, wading, tmp_path, ground=ground, surface=0.0)
     high = still(creature, wading, tmp_path, ground=ground, surface=0.25)
-    stage = Stage(SHORE, "", SIZE, 1.0, 30.0, 1.0, ground, 0.25)
     trunk = wading.position[int(INSTANT * 60), 0]
     side = trunk - [0.0, 0.16, 0.0]
     heights_on_it = np.array([[0, 0, 0.04], [0, 0, -0.06]])
-    above, below = spots(creature, wading, stage, side + heights_on_it)
+    above, below = spots(creature, wading, ground, 0.25, side + heights_on_it)
     for (column, row), tinted in ((above, False), (below, True)):
         change = (low - high)[row, column]
         assert (change[0] > 20) == tinted
@@ -300,18 +307,17 @@ def test_ground_nearly_level_looks_like_level_ground(creature, tmp_path):
 
 def test_the_camera_rises_over_what_hides_the_animal(creature):
     walk = synthetic.walk(6)
-    clip = sample(walk, 30)
     wall = Block((1.5, -1.0, 0.0), (6.0, 0.1, 0.55))
-    stages = [
-        Stage(SHORE, "", SIZE, 1.0, 30.0, 1.0, Ground(obstacles=stones)) for stones in ((), (wall,))
-    ]
-    low, high = (camera_path(creature, walk, clip, stage) for stage in stages)
+    (scene, low), (_, high) = (
+        seen(creature, walk, Ground(obstacles=stones)) for stones in ((), (wall,))
+    )
+    position = scene.clip.position
 
     def top(place):
         return np.maximum(obstacle_top(wall, place), 0.0)
 
-    assert hidden(low, clip.position, top, 0.0) > 0.3
-    assert hidden(high, clip.position, top, 0.0) < 0.1
+    assert hidden(low, position, top, 0.0) > 0.3
+    assert hidden(high, position, top, 0.0) < 0.1
     assert high.position[0, 2] > low.position[0, 2] + 0.3
 
 
@@ -319,8 +325,9 @@ def test_the_camera_rises_over_what_hides_the_animal(creature):
 def test_the_camera_is_above_the_surface_of_a_diver(creature, ground):
     """It is a body's length deep, where the eye at the usual slant would be under water."""
     walk = synthetic.walk(2)
-    clip = sample(walk._replace(position=walk.position - [0.0, 0.0, 1.0]), 30)
-    path = camera_path(creature, walk, clip, Stage(SHORE, "", SIZE, 1.0, 30.0, 1.0, ground, 0.0))
+    rising = walk._replace(position=walk.position - [0.0, 0.0, 1.0])
+    rising.position[-1] += [0.0, 0.0, 1.0]
+    _, path = seen(creature, rising, ground, 0.0)
     assert path.position[:, 2].min() > 0.1
 
 
@@ -329,12 +336,12 @@ def test_a_surface_that_is_no_height_is_refused(creature, wading, tmp_path):
         film(creature, wading, tmp_path / "walk.png", surface=float("nan"))
 
 
-def test_no_specks_in_the_air(wading):
-    terrain = make_terrain(SHORE_BESIDE, wading.position[:, 0, :2], 0.5, 5.0)
-    plotter = pv.Plotter(off_screen=True)
-    add_particles(plotter, wading.position[:, 0], terrain, 0.5, 1.0, 0.0)
-    points = np.concatenate([mesh.points for mesh in plotter.meshes])
-    plotter.close()
+def test_no_specks_in_the_air(creature, wading):
+    scene, path = seen(creature, wading, Ground(floor=SHORE_BESIDE), 0.0)
+    stage = Stage(pv.Plotter(off_screen=True), scene, path)
+    add_particles(stage)
+    points = np.concatenate([mesh.points for mesh in stage.plotter.meshes])
+    stage.plotter.close()
     assert len(points) > 100
     assert (points[:, 2] < 0).all()
-    assert (points[:, 2] > terrain.height(points[:, :2]) - 1e-6).all()
+    assert (points[:, 2] > stage.ground.height(points[:, :2]) - 1e-6).all()

@@ -64,7 +64,7 @@ def body_size(case: Case) -> Iterator[LintWarning]:
 def masses(case: Case) -> Iterator[LintWarning]:
     """No body carries a limb that is far heavier, or is a speck on the creature."""
     bodies = case.creature.bodies
-    mass = {body.name: float(body.material.density * body.shape.volume) for body in bodies}
+    mass = {body.name: float(body.mass) for body in bodies}
     parents = {body.name: body.joint.parent for body in bodies if body.joint is not None}
     carried = dict(mass)
     for name in mass:
@@ -178,7 +178,7 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
             continue
         limit = np.inf if motor.torque_limit is None else motor.torque_limit
         # Of a rod that turns about its end: other bodies and water only add to it.
-        mass = float(body.shape.volume * body.material.density)
+        mass = float(body.mass)
         inertia = mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
         turn = float(np.rad2deg(limit / inertia * time**2 / 2))
         found.append((turn, (*joint.key, "actuator", "torque_limit")))

@@ -10,7 +10,6 @@ from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfig
 from evo_cpg.creature.creature import lowest_height
-from evo_cpg.creature.shapes import Box
 
 # Of half the thickness of a body, the most that gravity may move it in a physics step. At 0.6 the
 # body sinks into the ground by a twentieth of that half. At 2 a floating body never comes to rest.
@@ -66,7 +65,7 @@ def floor_bumps(case: Case) -> Iterator[LintWarning]:
     boxes = [
         (2 * float(body.shape.half_extents.max()), body.name)
         for body in case.creature.bodies
-        if isinstance(body.shape, Box)
+        if any(part.kind == "box" for part in body.shape.floor_parts())
     ]
     ground = case.config.world.ground
     if not boxes or ground is None:

@@ -14,7 +14,7 @@ from evo_cpg.config.schema.frames import moved, reflected, unit
 from evo_cpg.config.schema.joint import JointConfig
 from evo_cpg.config.schema.section import Fraction, NotNegative, Positive, Section, pattern
 from evo_cpg.config.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
-from evo_cpg.config.schema.shape import MeshConfig, ShapeConfig
+from evo_cpg.config.schema.shape import ShapeConfig
 from evo_cpg.config.schema.typical import SOLID
 from evo_cpg.creature.creature import (
     Body,
@@ -290,9 +290,7 @@ class CreatureConfig(Section):
 
     def _shape(self, copy: Copy) -> ShapeConfig:
         shape = self.bodies[copy.entry].shape
-        if copy.mirror and isinstance(shape, MeshConfig):
-            return shape.mirrored(copy.mirror)
-        return shape
+        return shape.mirrored(copy.mirror) if copy.mirror else shape
 
 
 def _image(vector: Triple, copy: Copy) -> Triple:

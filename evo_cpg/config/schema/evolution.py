@@ -11,9 +11,10 @@ from typing_extensions import override
 from evo_cpg.config.errors import KeyProblem, nearest
 from evo_cpg.config.schema.choice import CustomConfig, Options, by_type
 from evo_cpg.config.schema.section import Count, Finite, Fraction, NotNegative, Positive, Section
+from evo_cpg.evolution.archive import Axis
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
-from evo_cpg.evolution.map_elites import AlongTheLine, Axis, MapElites, OfBits
+from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.installation import command_for

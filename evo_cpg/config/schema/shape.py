@@ -1,7 +1,7 @@
 """How the shapes of bodies are written: lengths in m, in the frame of the body."""
 
 from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -33,6 +33,11 @@ class SolidConfig(Section):
     def centre(self) -> np.ndarray:
         """Centre of mass ``(3,)`` in the body's frame, m; a mesh's alone is not at 0."""
         return np.zeros(3)
+
+    def mirrored(self, axis: MirrorAxis) -> Self:
+        """Return the image in the plane of the frame with this normal; most are their own."""
+        del axis
+        return self
 
 
 class BoxConfig(SolidConfig):
@@ -116,8 +121,8 @@ class MeshConfig(SolidConfig):
     def centre(self) -> np.ndarray:
         return self._made()[1]
 
+    @override
     def mirrored(self, axis: MirrorAxis) -> "MeshConfig":
-        """Its image in the plane of its frame with this normal; other shapes are their own."""
         vertices = tuple(reflected(vertex, axis) for vertex in self.vertices)
         faces = tuple((a, c, b) for a, b, c in self.faces)
         return self.model_copy(update={"vertices": vertices, "faces": faces})

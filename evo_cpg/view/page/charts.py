@@ -55,21 +55,21 @@ def chart(figure: Figure, words: str, timed: bool = False) -> Html:
     svg = re.sub(rf"#(?:000000|000)\b|{INK}", "currentColor", svg)
     svg = re.sub(r"#(?:ffffff|fff)\b", "var(--paper)", svg)
     svg = svg.replace(BLUE.lower(), "var(--blue)")
-    told = {}
+    instants = {}
     if timed:
         axes = figure.axes[0]
         box = axes.get_position()
         # Where the axes show which time, for a cursor that moves with the animal.
-        told = dict(zip(_TIMED, (box.x0, box.x1, *axes.get_xlim()), strict=True))
-        told = {name: f"{value:.6g}" for name, value in told.items()}
-    sheet = tag("div", Html(svg), class_="sheet timed" if timed else "sheet", **told)
+        instants = dict(zip(_TIMED, (box.x0, box.x1, *axes.get_xlim()), strict=True))
+        instants = {name: f"{value:.6g}" for name, value in instants.items()}
+    sheet = tag("div", Html(svg), class_="sheet timed" if timed else "sheet", **instants)
     drawing = tag("div", sheet, class_="drawing")
     return tag("figure", drawing, tag("figcaption", words), class_="chart")
 
 
 @framed
 def footfall_figure(feet: Feet, step: float, window: tuple[float, float]) -> Figure:
-    """A bar for every stance, a row for every foot (Hildebrand 1965).
+    """Draw a bar for every stance, a row for every foot (Hildebrand 1965).
 
     Args:
         feet: what touches the ground.
@@ -93,7 +93,7 @@ def wave_figure(
     window: tuple[float, float],
     names: Sequence[str],
 ) -> Figure:
-    """Bending along the body over time: a wave that runs is a slanting stripe.
+    """Draw bending along the body over time: a wave that runs is a slanting stripe.
 
     Args:
         bending: of every joint along the body, rad.
@@ -125,7 +125,7 @@ def wave_figure(
 
 @framed
 def lag_figure(wave: BodyWave, place: Float[np.ndarray, " j"]) -> Figure:
-    """Phase and amplitude along the body.
+    """Draw phase and amplitude along the body.
 
     Args:
         wave: along the body.
@@ -149,7 +149,7 @@ def effort_figure(
     instant: Float[np.ndarray, " f"],
     speed: Float[np.ndarray, " f"],
 ) -> Figure:
-    """Power and speed over the whole trial.
+    """Draw power and speed over the whole trial.
 
     Args:
         time: of the control steps, s.

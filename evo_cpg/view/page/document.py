@@ -13,13 +13,13 @@ from typing import Any
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.view.page import movement, origin
-from evo_cpg.view.page.html import Html, tag
+from evo_cpg.view.page.html import Html, join, tag
 from evo_cpg.view.page.subject import Motion, Subject
 from evo_cpg.view.page.words import number, with_unit
 
 
 def document(subject: Subject, motion: Motion) -> str:
-    """The whole page."""
+    """Return the whole page."""
     sections = [
         ("gait", "How it moves", movement.gait(motion)),
         ("signals", "Signals", movement.signals(subject, motion)),
@@ -65,7 +65,7 @@ def document(subject: Subject, motion: Motion) -> str:
 
 
 def _changed(subject: Subject) -> Html | None:
-    """That numbers are those of another animal or world than the champion evolved in."""
+    """Return a warning that the configuration changed after training; None if it did not."""
     if subject.changed is None:
         return None
     words = f"{subject.changed}: all that is measured here is of its trial as it comes out now."
@@ -73,47 +73,37 @@ def _changed(subject: Subject) -> Html | None:
 
 
 def _viewer(motion: Motion) -> Html:
-    still = base64.b64encode(motion.still).decode()
     views = [("side", "Side"), ("top", "Top"), ("behind", "Behind"), ("front", "Front")]
-    paces = [("0.1", "0.1 x"), ("0.25", "0.25 x"), ("0.5", "0.5 x"), ("1", "1 x"), ("2", "2 x")]
-    screen = tag(
-        "div",
-        tag("img", class_="still", src=f"data:image/jpeg;base64,{still}", alt="the animal"),
-        tag("canvas", tabindex=0, aria_label="The animal in 3D: space plays, arrows step"),
-        tag("div", class_="caption"),
-        class_="screen",
+    buttons = [tag("button", word, type="button", data_view=key) for key, word in views]
+    paces = [
+        tag("option", f"{pace} x", value=pace, selected=pace == "1")
+        for pace in ("0.1", "0.25", "0.5", "1", "2")
+    ]
+    still = f"data:image/jpeg;base64,{base64.b64encode(motion.still).decode()}"
+    return Html(
+        f"""<div id="animal">
+<div class="screen">
+<img class="still" src="{still}" alt="the animal">
+<canvas tabindex="0" aria-label="The animal in 3D: space plays, arrows step"></canvas>
+<div class="caption"></div>
+</div>
+<div class="controls">
+<button class="play" type="button" aria-pressed="false">Play</button>
+<input type="range" min="0" max="1" value="0" aria-label="time">
+<span class="clock"></span>
+<select class="pace" aria-label="speed">{join(*paces)}</select>
+<span class="group">{join(*buttons)}
+<button type="button" data-zoom="0.8" aria-label="nearer">+</button>
+<button type="button" data-zoom="1.25" aria-label="farther">\N{MINUS SIGN}</button></span>
+<label><input class="follow" type="checkbox" checked> follow</label>
+<span class="note hint">drag to turn, right button to move, Ctrl or Shift and wheel to zoom</span>
+</div>
+</div>"""
     )
-    controls = tag(
-        "div",
-        tag("button", "Play", class_="play", type="button", aria_pressed="false"),
-        tag("input", type="range", min=0, max=1, value=0, aria_label="time"),
-        tag("span", class_="clock"),
-        tag(
-            "select",
-            *(tag("option", word, value=key, selected=key == "1") for key, word in paces),
-            class_="pace",
-            aria_label="speed",
-        ),
-        tag(
-            "span",
-            *(tag("button", word, type="button", data_view=key) for key, word in views),
-            tag("button", "+", type="button", data_zoom="0.8", aria_label="nearer"),
-            tag("button", "\N{MINUS SIGN}", type="button", data_zoom="1.25", aria_label="farther"),
-            class_="group",
-        ),
-        tag("label", tag("input", class_="follow", type="checkbox", checked=True), " follow"),
-        tag(
-            "span",
-            "drag to turn, right button to move, Ctrl or Shift and wheel to zoom",
-            class_="note hint",
-        ),
-        class_="controls",
-    )
-    return tag("div", screen, controls, id="animal")
 
 
 def _cards(subject: Subject, numbers: GaitNumbers) -> Html:
-    """The numbers that matter first."""
+    """Return the most important numbers."""
     found = [("fitness", number(subject.champion["fitness"]))]
     for key in ("speed", "speed_in_lengths", "stride_frequency", "strouhal", "duty_factor",
                 "cost_of_transport", "power"):  # fmt: skip

@@ -1,17 +1,17 @@
-"""HTML that cannot be broken into: whatever is no `Html` is text, and escaped."""
+"""HTML that cannot be injected into: anything but `Html` is text, and escaped."""
 
 import html
 from typing import Any
 
 
 class Html(str):
-    """Text that is HTML already."""
+    """Text that is already HTML."""
 
     __slots__ = ()
 
 
 def tag(name: str, /, *children: Any, **attributes: Any) -> Html:
-    """An element.
+    """Return an element.
 
     Args:
         name: of the element.
@@ -33,12 +33,12 @@ def tag(name: str, /, *children: Any, **attributes: Any) -> Html:
 
 
 def join(*parts: Any) -> Html:
-    """One after the other: `Html` as it is, anything else as text; None is left out."""
+    """Join parts: `Html` as it is, anything else as text; None is left out."""
     return Html("".join(_inner(part) for part in parts if part is not None))
 
 
 def table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = ()) -> Html:
-    """A table.
+    """Return a table.
 
     Args:
         head: of the columns.
@@ -59,7 +59,7 @@ def table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = 
 
 
 def long_table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = ()) -> Html:
-    """A table whose rows beyond the first dozen are folded away."""
+    """Return a table whose rows beyond the first dozen are folded away."""
     first = table(head, rows[:_DOZEN], numbers=numbers)
     if len(rows) <= _DOZEN:
         return first

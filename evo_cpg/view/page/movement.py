@@ -22,7 +22,7 @@ _PLACES = 400
 
 
 def gait(motion: Motion) -> Html:
-    """Footfalls, the wave along the body, and the way."""
+    """Show footfalls, the wave along the body, and the path."""
     numbers, recording = motion.numbers, motion.recording
     window = _window(recording, numbers.frequency)
     parts: list[Any] = []
@@ -65,7 +65,7 @@ def gait(motion: Motion) -> Html:
             )
     places = max(1, len(recording.time) // _PLACES)
     parts += [
-        tag("h3", "Its way"),
+        tag("h3", "Its path"),
         charts.chart(
             path_figure(_every(recording, places)), "From above, and the distance over time."
         ),
@@ -74,7 +74,7 @@ def gait(motion: Motion) -> Html:
 
 
 def signals(subject: Subject, motion: Motion) -> Html | None:
-    """Angles of the joints and what drives them, and phase lags; None without joints."""
+    """Show joint angles, the signals that drive them, and phase lags; None without joints."""
     recording, numbers = motion.recording, motion.numbers
     if not recording.dof_names:
         return None
@@ -121,7 +121,7 @@ def signals(subject: Subject, motion: Motion) -> Html | None:
 
 
 def effort(motion: Motion) -> Html:
-    """Power, speed and torques."""
+    """Show power, speed and torques."""
     recording, numbers, clip = motion.recording, motion.numbers, motion.clip
     figure = charts.effort_figure(recording.time, numbers.power, clip.time, clip.speed)
     ranges = np.degrees(np.ptp(recording.joint_angle, axis=0) / 2)
@@ -144,7 +144,7 @@ def effort(motion: Motion) -> Html:
 
 
 def all_numbers(quantities: Sequence[Quantity]) -> Html:
-    """A table of all that was measured, each with its definition."""
+    """Show a table of all that was measured, each with its definition."""
     rows = [
         [
             each.name,
@@ -176,7 +176,7 @@ def _feet_table(numbers: GaitNumbers) -> Html:
 
 
 def _window(recording: Recording, frequency: float) -> tuple[float, float]:
-    """The part that charts over time show: some strides in the middle of the second half, s."""
+    """Return the time that charts show: some strides in the middle of the second half, s."""
     start, end = float(recording.time[0]), float(recording.time[-1])
     length = _STRIDES_SHOWN / frequency if frequency > 0 else _MOST_SHOWN
     length = min(max(length, _LEAST_SHOWN), _MOST_SHOWN, end - start)

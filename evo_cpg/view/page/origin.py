@@ -1,4 +1,4 @@
-"""Sections on where the champion comes from: evolution, audit, the paper, how to repeat it."""
+"""Sections on the origin of the champion: evolution, audit, the paper, how to repeat it."""
 
 import hashlib
 import shlex
@@ -9,12 +9,12 @@ from evo_cpg.training.run_folder import refinements
 from evo_cpg.view.page import charts
 from evo_cpg.view.page.html import Html, join, long_table, table, tag
 from evo_cpg.view.page.subject import Motion, Subject
-from evo_cpg.view.page.words import cell, listed, number, share, without_folders
+from evo_cpg.view.page.words import cell, listed, number, quantity, without_folders
 from evo_cpg.view.plots import fitness_figure
 
 
 def evolution(subject: Subject, motion: Motion) -> Html:
-    """Fitness over the generations, and what the champion came to."""
+    """Show fitness over the generations, and the champion's fitness and terms."""
     rows = [[name, number(value)] for name, value in subject.champion.items()]
     words = (
         f"The champion comes from generation {subject.generation} (counted from 0; "
@@ -37,13 +37,12 @@ def evolution(subject: Subject, motion: Motion) -> Html:
 
 
 def audit(subject: Subject) -> Html:
-    """Verdict and checks of the audit, or how to make one."""
+    """Show verdict and checks of the audit, or how to make one."""
     found, command = subject.audit, tag("code", "evo-cpg audit RUN")
     look: Any = None
     if subject.half_step is not None:
-        look = tag(
-            "p", f"At half the physics step it keeps {100 * subject.half_step:.3g} % of its way."
-        )
+        kept = f"{100 * subject.half_step:.3g} % of its displacement"
+        look = tag("p", f"At half the physics step it keeps {kept}.")
     if found is None:
         return join(
             look, tag("p", "It was not audited. ", command, " looks closer, and this page tells "
@@ -62,10 +61,10 @@ def audit(subject: Subject) -> Html:
         if isinstance(check, Mapping):
             passed = check.get("passed")
             word = {True: "passed", False: "failed"}.get(passed) if passed is not None else ""
-            limit = share(check.get("limit"), check.get("unit"))
+            limit = quantity(check.get("limit"), check.get("unit"))
             if limit:
                 limit = f"{'at least' if check.get('least') else 'at most'} {limit}"
-            measured = share(check.get("measured"), check.get("unit"))
+            measured = quantity(check.get("measured"), check.get("unit"))
             rows.append([check.get("question", ""), measured or "diverged", limit,
                          tag("span", word, class_=word)])  # fmt: skip
     return join(
@@ -77,7 +76,7 @@ def audit(subject: Subject) -> Html:
 
 
 def paper(subject: Subject) -> Html | None:
-    """What differs from the shipped configuration and its paper; None where there is none."""
+    """List differences from the shipped configuration and its paper; None without one."""
     found = subject.departures
     if found is None:
         return None
@@ -105,7 +104,7 @@ def paper(subject: Subject) -> Html | None:
 
 
 def _refined(done: Sequence[Mapping[str, Any]]) -> Html:
-    """What `evo-cpg refine` made of the champion, which evolution alone does not come to."""
+    """List what `evo-cpg refine` changed after evolution."""
     rows = []
     for one in done:
         words = [without_folders(str(word)) for word in listed(one.get("command"))]
@@ -122,7 +121,7 @@ def _refined(done: Sequence[Mapping[str, Any]]) -> Html:
 
 
 def repetition(subject: Subject) -> Html:
-    """Commands, versions and the configuration."""
+    """Show commands, versions and the configuration."""
     run, meta = subject.folder, subject.meta
     commands = [
         "evo-cpg train config.yaml --out again",

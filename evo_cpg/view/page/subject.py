@@ -1,4 +1,4 @@
-"""What a page is about: who evolved, and how it moves."""
+"""Contents of a page: the animal that evolved, and its motion."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ class Difference(NamedTuple):
 
 
 class Note(NamedTuple):
-    """What a shipped file says of one of its values.
+    """Comment of a shipped file on one of its values.
 
     Attributes:
         key: of the value, within its file.
@@ -35,7 +35,7 @@ class Note(NamedTuple):
 
 
 class Departures(NamedTuple):
-    """Of a configuration that goes by the name of a shipped one.
+    """Differences of a configuration from the shipped one of the same name.
 
     Attributes:
         about: the comment at the top of the shipped file.
@@ -49,7 +49,7 @@ class Departures(NamedTuple):
 
 
 class Subject(NamedTuple):
-    """What a page is about.
+    """Subject of a page.
 
     Attributes:
         name: of the experiment.
@@ -69,8 +69,8 @@ class Subject(NamedTuple):
         meta: contents of meta.json.
         audit: contents of audit.json; None where no audit was made.
         stale: whether that audit was of another champion.
-        half_step: share of its way that it kept at half the physics step when training ended; None
-            where that was not looked at.
+        half_step: fraction of its displacement that it kept at half the physics step when training
+            ended; None if unknown.
         departures: from the shipped configuration and the paper; None where there is none of the
             name.
         program: that made the page, with its version.
@@ -100,7 +100,7 @@ class Subject(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """How it moves.
+    """Motion of the animal.
 
     Attributes:
         recording: the motion.

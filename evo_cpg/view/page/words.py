@@ -1,4 +1,4 @@
-"""How a page writes numbers, and values that it does not know: they may come from strangers."""
+"""Write numbers, and values from files that may come from strangers."""
 
 import math
 from pathlib import PurePath
@@ -13,7 +13,7 @@ _LETTERS = 120
 
 
 def number(value: float | np.floating) -> str:
-    """Three digits; a dash where there is none."""
+    """Return a number with three digits; a dash for NaN."""
     if not math.isfinite(value):
         return "\N{EN DASH}"
     words = f"{value:.3g}"
@@ -23,12 +23,12 @@ def number(value: float | np.floating) -> str:
 
 
 def with_unit(each: Quantity) -> str:
-    """Its value and unit."""
+    """Return the value and unit of a quantity."""
     return f"{number(each.value)} {each.unit}".rstrip()
 
 
-def share(value: Any, unit: Any) -> str:
-    """A number from a file with its unit; nothing where it is none."""
+def quantity(value: Any, unit: Any) -> str:
+    """Return a number from a file with its unit; nothing for any other value."""
     if not _is_number(value):
         return ""
     return f"{100 * value:.3g} %" if unit == "%" else f"{value:.3g} {unit}".rstrip()
@@ -39,12 +39,12 @@ def _is_number(value: Any) -> bool:
 
 
 def listed(value: Any) -> list[Any]:
-    """A list from a file; empty where it is none."""
+    """Return a list from a file; an empty one for any other value."""
     return value if isinstance(value, list) else []
 
 
 def cell(value: Any) -> str:
-    """Any value in a few letters; a dash for None."""
+    """Return any value in a few letters; a dash for None."""
     if value is None:
         return "\N{EN DASH}"
     words = f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -52,7 +52,7 @@ def cell(value: Any) -> str:
 
 
 def without_folders(word: str) -> str:
-    """A path without the folders that it is in: pages are shown to others."""
+    """Return a path without its folders: pages are shown to others."""
     key, mark, value = word.partition("=")
     place = value if mark else word
     if PurePath(place).is_absolute() or place.startswith("~"):

@@ -10,11 +10,11 @@ import pytest
 
 from creatures import box_chain
 from evo_cpg.analysis.chains import chains
-from evo_cpg.analysis.couplings import GAINS, SHARES, STRONGER
+from evo_cpg.analysis.couplings import GAINS, RATIOS, STRONGER
 from evo_cpg.analysis.gait import dominant_frequency, fourier_component
 from evo_cpg.analysis.lag_survey import UnreachableRhythmError
 from evo_cpg.analysis.limit_cycle import NoRhythmError
-from evo_cpg.analysis.wanted_rhythm import Rhythm, rhythm, wanted_rhythm
+from evo_cpg.analysis.reference_rhythm import Rhythm, reference_rhythm, rhythm
 from evo_cpg.control.matsuoka import CpgSettings, advance, build_network, initial_state, output
 from evo_cpg.creature.tree import Tree, build_tree
 
@@ -49,7 +49,9 @@ def simulated(tree: Tree, settings: CpgSettings, gain: float) -> tuple[float, fl
 
 def solved(joints: int, frequency: float | None, lag: float | None, **changes) -> Rhythm:
     tree, settings = body(joints), CpgSettings()
-    return wanted_rhythm(tree, settings, chains(tree, settings)[0], 5.5, frequency, lag, **changes)
+    return reference_rhythm(
+        tree, settings, chains(tree, settings)[0], 5.5, frequency, lag, **changes
+    )
 
 
 def is_reached(joints: int, found: Rhythm, frequency: float, lag: float) -> None:
@@ -63,8 +65,8 @@ def is_reached(joints: int, found: Rhythm, frequency: float, lag: float) -> None
 def within_reach(joints: int, rng: np.random.Generator) -> float:
     """The lag of some chain within the bounds."""
     while True:
-        gain, stronger, share = np.exp([rng.uniform(*np.log(x)) for x in (GAINS, STRONGER, SHARES)])
-        weights = {"parent_weight": stronger, "child_weight": stronger * share}
+        gain, stronger, ratio = np.exp([rng.uniform(*np.log(x)) for x in (GAINS, STRONGER, RATIOS)])
+        weights = {"parent_weight": stronger, "child_weight": stronger * ratio}
         _, lag, swing = simulated(body(joints), CpgSettings(**weights), gain)
         if swing > 0.01:
             return float(lag * rng.choice([-1, 1]))
@@ -84,7 +86,7 @@ def test_random_targets_are_reached(joints):
         lag = within_reach(joints, rng)
         found = solved(joints, frequency, lag)
         is_reached(joints, found, frequency, lag)
-        low, high = np.transpose([GAINS, STRONGER, SHARES])
+        low, high = np.transpose([GAINS, STRONGER, RATIOS])
         weights = found.settings.parent_weight, found.settings.child_weight
         x = np.array([found.adaptation_gain, max(weights), min(weights) / max(weights)])
         assert (x >= low * (1 - 1e-4)).all() and (x <= high * (1 + 1e-4)).all()
@@ -123,7 +125,7 @@ def test_what_is_out_of_reach_is_refused_and_what_is_within_named():
     corners = [
         simulated(body(3), CpgSettings(parent_weight=s, child_weight=s * r), GAINS[1])[1]
         for s in STRONGER
-        for r in SHARES
+        for r in RATIOS
     ]
     assert high == pytest.approx(max(corners), abs=0.15)
     assert 0 < low < min(corners)
@@ -137,12 +139,12 @@ def test_what_never_oscillates_is_refused():
     tree, settings = body(3), CpgSettings(constants="as_printed")
     chain = chains(tree, settings)[0]
     with pytest.raises(NoRhythmError, match="comes to rest"):
-        wanted_rhythm(tree, settings, chain, 5.5, frequency=1.0)
+        reference_rhythm(tree, settings, chain, 5.5, frequency=1.0)
     with pytest.raises(UnreachableRhythmError, match="no steady rhythm at any gain"):
-        wanted_rhythm(tree, settings, chain, 5.5, lag=30.0)
+        reference_rhythm(tree, settings, chain, 5.5, lag=30.0)
     pair = chains(body(1), CpgSettings())[0]
     with pytest.raises(UnreachableRhythmError, match="that one oscillator, so it has no lag"):
-        wanted_rhythm(body(1), CpgSettings(), pair, 5.5, lag=30.0)
+        reference_rhythm(body(1), CpgSettings(), pair, 5.5, lag=30.0)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +160,7 @@ def test_what_never_oscillates_is_refused():
 def test_targets_that_are_none(wanted, words):
     tree, settings = body(3), CpgSettings()
     with pytest.raises(ValueError, match=words):
-        wanted_rhythm(tree, settings, chains(tree, settings)[0], **{"gain": 5.5} | wanted)
+        reference_rhythm(tree, settings, chains(tree, settings)[0], **{"gain": 5.5} | wanted)
 
 
 def test_chains_follow_the_axes_and_the_longest_comes_first():

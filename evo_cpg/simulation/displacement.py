@@ -7,16 +7,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.measures import Measure, Measures, Trial, Way, no_way
+from evo_cpg.simulation.measures import Displacement, Measure, Measures, Trial, no_displacement
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.task import Transition
 
 # Name of the term; no term of a task of one's own is called so.
-WAY = "(way of the root)"
+DISPLACEMENT = "(displacement of the root)"
 
 
-class Displacement(Measure):
+class RootDisplacement(Measure):
     """Displacement of the root, m.
 
     With a light: how much nearer to it the root is at the end. Without one: the straight line over
@@ -25,17 +25,17 @@ class Displacement(Measure):
 
     lit: bool = eqx.field(static=True)
 
-    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Way:
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Displacement:
         """See `Measure.begin`."""
         del world
-        return no_way(batch, dtype, 2)
+        return no_displacement(batch, dtype, 2)
 
-    def update(self, tally: Way, transition: Transition) -> Way:
+    def update(self, tally: Displacement, transition: Transition) -> Displacement:
         """See `Measure.update`."""
         first, last = (_seen_from(x) for x in (transition.before, transition.after))
-        return Way(jnp.where(transition.step == 0, first, tally.start), last)
+        return tally.moved(transition.step, first, last)
 
-    def finish(self, tally: Way, trial: Trial) -> Float[Array, " *n"]:
+    def finish(self, tally: Displacement, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
         del trial
         if self.lit:
@@ -43,14 +43,15 @@ class Displacement(Measure):
         return jnp.sqrt(jnp.sum((tally.end - tally.start) ** 2, 0))
 
 
-def with_way(simulation: Simulation) -> Simulation:
-    """The same trial with its displacement among the terms, as `WAY`."""
-    way = Measures((WAY,), (Displacement(lit=simulation.task.light is not None),))
-    return dataclasses.replace(simulation, measures=simulation.measures | way)
+def with_displacement(simulation: Simulation) -> Simulation:
+    """Return the same trial with the displacement among its terms, as `DISPLACEMENT`."""
+    measure = RootDisplacement(lit=simulation.task.light is not None)
+    added = Measures((DISPLACEMENT,), (measure,))
+    return dataclasses.replace(simulation, measures=simulation.measures | added)
 
 
 def _seen_from(snapshot: Snapshot) -> Float[Array, "2 *n"]:
-    """Distance from the light, and nothing; or the place over the ground."""
+    """Return the distance from the light and 0; without a light, the place over the ground."""
     place = snapshot.state.position
     if snapshot.light_position is None:
         return place[:2]

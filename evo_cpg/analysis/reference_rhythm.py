@@ -109,7 +109,7 @@ def rhythm(
     return Rhythm(settings, gain, cycle, _lags(cycle.outputs, chain.places, chain.sides))
 
 
-def wanted_rhythm(
+def reference_rhythm(
     tree: Tree,
     settings: CpgSettings,
     chain: Chain,
@@ -155,11 +155,11 @@ def wanted_rhythm(
     if frequency is None:
         return found
     scale = found.settings.time_scale
-    wanted = float(f"{scale * found.cycle.frequency / frequency:.{_DIGITS + 1}g}")
+    time_scale = float(f"{scale * found.cycle.frequency / frequency:.{_DIGITS + 1}g}")
     # Nothing else changes, so there is no other orbit to look for.
     return found._replace(
-        settings=dataclasses.replace(found.settings, time_scale=wanted),
-        cycle=found.cycle._replace(period=found.cycle.period * wanted / scale),
+        settings=dataclasses.replace(found.settings, time_scale=time_scale),
+        cycle=found.cycle._replace(period=found.cycle.period * time_scale / scale),
     )
 
 
@@ -179,8 +179,8 @@ def _with_lag(
     for _ in range(_ROUNDS):
         with jax.enable_x64(True):
             x = np.clip(_improve(problem, x, lag), *problem.bounds)
-        now, stronger, share = np.exp(x)
-        weights = _rounded(stronger), _rounded(stronger * share)
+        now, stronger, ratio = np.exp(x)
+        weights = _rounded(stronger), _rounded(stronger * ratio)
         parent, child = weights if head_to_tail else weights[::-1]
         there = dataclasses.replace(settings, parent_weight=parent, child_weight=child)
         # From rest, as the animal starts, whatever orbit the search has followed.

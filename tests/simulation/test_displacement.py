@@ -5,17 +5,21 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 
+from evo_cpg.simulation.displacement import DISPLACEMENT, with_displacement
 from evo_cpg.simulation.judge import finish_tally
-from evo_cpg.simulation.measures import Way
-from evo_cpg.simulation.way import WAY, with_way
+from evo_cpg.simulation.measures import Displacement
 from trials import OneTerm, experiment
 
 
 def test_a_term_of_the_task_that_is_called_way_stays_what_it_is():
     """An audit of such a run once said that its fitness does not come out as recorded."""
     start, place = np.zeros((2, 3)), np.array([[3.0, 0, 0], [4, 0, 1]])
-    simulation = with_way(dataclasses.replace(experiment().simulation, task=OneTerm("way")))
+    simulation = with_displacement(
+        dataclasses.replace(experiment().simulation, task=OneTerm("way"))
+    )
     own = jnp.array([0.5, 1.5, 2.5])
-    terms = finish_tally(simulation, (own, {WAY: Way(jnp.asarray(start), jnp.asarray(place))}))
-    np.testing.assert_allclose(terms[WAY], [5, 0, 1])
+    terms = finish_tally(
+        simulation, (own, {DISPLACEMENT: Displacement(jnp.asarray(start), jnp.asarray(place))})
+    )
+    np.testing.assert_allclose(terms[DISPLACEMENT], [5, 0, 1])
     np.testing.assert_allclose(simulation.task.fitness(terms, {}), own)

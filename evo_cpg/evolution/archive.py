@@ -1,0 +1,48 @@
+"""Map of behaviour: axes that are divided into cells, and the fittest individual of each cell."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+
+class Axis(NamedTuple):
+    """A descriptor, and how its range is divided into cells.
+
+    Attributes:
+        name: name of the descriptor.
+        low: lower edge of the first cell.
+        high: upper edge of the last cell.
+        cells: number of cells.
+    """
+
+    name: str
+    low: float
+    high: float
+    cells: int
+
+    @property
+    def edges(self) -> Float[np.ndarray, " edges"]:
+        """Edges of all cells."""
+        return np.linspace(self.low, self.high, self.cells + 1)
+
+
+class Archive(NamedTuple):
+    """The elite of each cell. Checkpoints hold the arrays by these names.
+
+    Attributes:
+        genes: its genome.
+        fitness: its fitness; -inf if the cell is empty.
+        descriptors: its descriptors, in the order of the axes.
+        generation: generation in which it was found, from 0.
+        index: its place in that population. With the generation it selects the random numbers of
+            its trials.
+        told: number of generations that the archive has seen.
+    """
+
+    genes: Float[Array, "g cells"]
+    fitness: Float[Array, " cells"]
+    descriptors: Float[Array, "k cells"]
+    generation: Int[Array, " cells"]
+    index: Int[Array, " cells"]
+    told: Int[Array, ""]

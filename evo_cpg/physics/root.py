@@ -1,0 +1,154 @@
+"""The root of a tree: its degrees of freedom, its motion, and its place in generalized vectors.
+
+The root moves freely in space. Its velocity is angular (rad/s), then linear at its centre (m/s), in
+world axes; its pose is the position of its centre (m) and a unit quaternion (w, x, y, z).
+
+A generalized vector ``(v, *n)`` holds the root's `ROOT_DOFS` components, then those of the joints
+in the tree's order. Nothing else in the package depends on the number or on the order.
+"""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.physics.spatial_algebra import (
+    BodyMotion,
+    Inertia,
+    Motion,
+    Wrench,
+    acceleration_of_free_body,
+)
+from evo_cpg.spatial.linear import cross, transpose
+from evo_cpg.spatial.rotation import integrate_quaternion, quaternion_to_matrix
+
+# Degrees of freedom of the root.
+ROOT_DOFS = 6
+
+# Components of a generalized vector.
+ROOT, JOINTS = slice(0, ROOT_DOFS), slice(ROOT_DOFS, None)
+
+# Static coordinates of the root (`evo_cpg.physics.statics`): displacement, then rotation vector.
+# The first `LENGTHS` are in m. Along those of `SYMMETRIES` level ground is the same everywhere.
+LENGTHS, SYMMETRIES = 3, (0, 1, 5)
+
+
+# Pose and velocity.
+
+
+def angular(velocity: Float[Array, "6 *n"]) -> Float[Array, "3 *n"]:
+    """Return the angular part of a velocity of the root, rad/s."""
+    return velocity[:3]
+
+
+def linear(velocity: Float[Array, "6 *n"]) -> Float[Array, "3 *n"]:
+    """Return the linear part of a velocity of the root, m/s."""
+    return velocity[3:]
+
+
+def at_rest(joint_rates: Float[Array, "d *n"]) -> Float[Array, "6 *n"]:
+    """Return the velocity of a root at rest, for joint rates of the same batch."""
+    return jnp.zeros((ROOT_DOFS, *joint_rates.shape[1:]), joint_rates.dtype)
+
+
+def rotation(orientation: Float[Array, "4 *n"]) -> Float[Array, "3 3 *n"]:
+    """Return the rotation from root to world."""
+    return quaternion_to_matrix(orientation)
+
+
+def motion(velocity: Float[Array, "6 *n"]) -> BodyMotion:
+    """Return how the root's body moves."""
+    w, v = angular(velocity), linear(velocity)
+    return BodyMotion(w, v, jnp.zeros_like(w), cross(v, w))
+
+
+def moved(
+    position: Float[Array, "3 *n"],
+    orientation: Float[Array, "4 *n"],
+    velocity: Float[Array, "6 *n"],
+    h: float,
+) -> tuple[Float[Array, "3 *n"], Float[Array, "4 *n"]]:
+    """Return the pose after h seconds (negative: before) at a constant velocity."""
+    return (
+        position + h * linear(velocity),
+        integrate_quaternion(orientation, angular(velocity), h),
+    )
+
+
+def displaced(
+    position: Float[Array, "3"], orientation: Float[Array, "4"], x: Float[Array, " k"]
+) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
+    """Return the pose at the root's static coordinates from another one."""
+    return position + x[:LENGTHS], integrate_quaternion(orientation, x[LENGTHS:ROOT_DOFS], 1.0)
+
+
+# Generalized vectors.
+
+
+def root_part(vector: Float[Array, "v *n"]) -> Float[Array, "6 *n"]:
+    """Return the root's components."""
+    return vector[ROOT]
+
+
+def joint_part(vector: Float[Array, "v *n"]) -> Float[Array, "d *n"]:
+    """Return the components of the joints."""
+    return vector[JOINTS]
+
+
+def size_of(dof_count: int) -> int:
+    """Return the size of a generalized vector with so many degrees of freedom of joints."""
+    return ROOT_DOFS + dof_count
+
+
+def joint_rows(dofs: np.ndarray) -> np.ndarray:
+    """Return the places of the joints' degrees of freedom in a generalized vector."""
+    return ROOT_DOFS + dofs
+
+
+def acceleration(y: Float[Array, "v *n"]) -> Motion:
+    """Return the root's acceleration in generalized accelerations."""
+    return Motion(y[:3], y[3:ROOT_DOFS])
+
+
+def solved(inertia: Inertia, bias: Wrench) -> Motion:
+    """Return the acceleration of a root with an articulated-body inertia and bias wrench."""
+    return acceleration_of_free_body(inertia, bias)
+
+
+def vector(
+    part: Motion | Wrench, joints: Sequence[Float[Array, "k *n"]] = ()
+) -> Float[Array, "v *n"]:
+    """Return the generalized vector of the root's acceleration or wrench, and joints behind it."""
+    return jnp.concatenate([*part, *joints])
+
+
+def components(part: Wrench) -> list[Float[Array, "*n"]]:
+    """Return the components of wrenches on the root, in the order of generalized vectors."""
+    return [*part.moment, *part.force]
+
+
+def mass_block(inertia: Inertia) -> Float[Array, "6 6 *n"]:
+    """Return the root's block of the mass matrix, of a composite inertia."""
+    rows = [[inertia.angular, inertia.mixed], [transpose(inertia.mixed), inertia.linear]]
+    return jnp.concatenate([jnp.concatenate(row, 1) for row in rows])
+
+
+def plus_torque(force: Float[Array, "v *n"], torque: Float[Array, "d *n"]) -> Float[Array, "v *n"]:
+    """Add joint torques to a generalized force."""
+    return force.at[JOINTS].add(torque)
+
+
+def plus_joint_block(
+    matrix: Float[Array, "v v *n"], block: Float[Array, "d d *n"]
+) -> Float[Array, "v v *n"]:
+    """Add a matrix of the joints to a generalized matrix."""
+    return matrix.at[JOINTS, JOINTS].add(block)
+
+
+def plus_joint_diagonal(
+    matrix: Float[Array, "v v *n"], diagonal: Float[Array, "d *#n"]
+) -> Float[Array, "v v *n"]:
+    """Add a diagonal of the joints to a generalized matrix."""
+    joints = np.arange(ROOT_DOFS, len(matrix))
+    return matrix.at[joints, joints].add(diagonal)

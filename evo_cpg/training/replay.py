@@ -1,0 +1,145 @@
+"""Replay: a champion repeats its trials with the noise that they had, and is recorded."""
+
+import functools
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt32
+
+from evo_cpg.simulation.judge import JUDGE, Outcome
+from evo_cpg.simulation.recording import Recorder, Recording, as_recording
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.devices import chunk_width
+from evo_cpg.training.experiment import (
+    Experiment,
+    champion_keys,
+    judge,
+    placeholder_scales,
+    situation_numbers,
+)
+
+Replayed = tuple[float, dict[str, float], Recording]
+"""Fitness, terms and the motion in one trial."""
+
+Frames = tuple[float, dict[str, float], dict[str, Array]]
+"""Fitness, terms and the arrays that a `Recorder` kept of one trial."""
+
+
+def replay_champion(
+    experiment: Experiment, champion: Champion, devices: int, recorded: int = 0
+) -> Replayed:
+    """Repeat the champion's trials with the noise that they had.
+
+    Args:
+        experiment: that it was evolved in.
+        champion: the individual.
+        devices: how many shared the population in training.
+        recorded: number of the trial whose motion is wanted, from 0.
+
+    Returns:
+        Its fitness, its terms and its motion in one trial.
+    """
+    return compile_replay(experiment, devices, recorded)(champion)
+
+
+def compile_replay(
+    experiment: Experiment, devices: int, recorded: int = 0
+) -> Callable[[Champion], Replayed]:
+    """Compile `replay_champion` before there is a champion.
+
+    The program of the trials in training cannot serve: it computes a whole trial as one piece of
+    native code whose results are what the trial amounted to, and the frames of all its individuals
+    would take hundreds of megabytes. A recording takes a trial step by step.
+    """
+    program = compile_frames(experiment, devices, recorded)
+    names = [body.name for body in experiment.creature.bodies]
+
+    def of(champion: Champion) -> Replayed:
+        fitness, terms, frames = program(champion)
+        motion = as_recording(experiment.simulation, frames, names, trial=recorded)
+        return fitness, terms, motion
+
+    return of
+
+
+def compile_frames(
+    experiment: Experiment, devices: int, recorded: int = 0, full: bool = False
+) -> Callable[[Champion], Frames]:
+    """As `compile_replay`, with what was recorded of each control step in place of a motion.
+
+    With ``full`` that is all of it, see `evo_cpg.simulation.recording.Recorder`.
+    """
+    simulation, genes = experiment.simulation, experiment.simulation.genome.count
+    numbers = situation_numbers(experiment)
+    placeholder = Champion(np.zeros(genes, np.float32), 0.0, 0, {}, {}, 0, 0)
+    keys = jax.eval_shape(lambda: champion_keys(experiment, placeholder))
+    program = jax.jit(functools.partial(replay, experiment, devices, recorded=recorded, full=full))
+    lowered = program.lower(jax.ShapeDtypeStruct((genes,), jnp.float32), keys, numbers)
+    # Compiled as in training: a multiplication and an addition may become one operation, with one
+    # rounding.
+    scales = {name: jnp.float32(1.0) for name in placeholder_scales(experiment)}
+    assess = jax.jit(functools.partial(judge, simulation.task))
+    assessed = assess.lower(lowered.out_info[0], scales).compile()
+    run = lowered.compile()
+
+    def of(champion: Champion) -> Frames:
+        given = np.asarray(champion.genes, np.float32), champion_keys(experiment, champion)
+        outcome, frames = run(*given, numbers)
+        fitness, mean = assessed(
+            outcome, {name: jnp.float32(value) for name, value in champion.scales.items()}
+        )
+        terms = {name: float(value) for name, value in mean.terms.items()}
+        return float(fitness), terms, frames
+
+    return of
+
+
+def replay(
+    experiment: Experiment,
+    devices: int,
+    genes: Float[Array, " g"],
+    keys: UInt32[Array, "w trials"] | None = None,
+    numbers: Int[Array, " trials"] | None = None,
+    recorded: int = 0,
+    full: bool = False,
+) -> tuple[Outcome, dict[str, Array]]:
+    """Run an individual's trials on one device, in chunks as wide as those of training.
+
+    Compiled code may round differently for other array lengths, or if an array is a constant. With
+    equal lengths and the same arguments the numbers are those of training.
+
+    Args:
+        experiment: that the individual was evolved in.
+        devices: how many shared the population in training.
+        genes: of the individual.
+        keys: of its trials; None without noise.
+        numbers: of its trials, see `situation_numbers`.
+        recorded: which of its trials is recorded.
+        full: see `evo_cpg.simulation.recording.Recorder`.
+
+    Returns:
+        The outcome of each of its trials, and one of them step by step.
+    """
+    simulation, trials = experiment.simulation, experiment.trials
+    count = experiment.runs * experiment.strategy.population * trials
+    lanes = chunk_width(count, devices)
+    replicas = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
+
+    def beginning_with(first: int) -> tuple[Array | None, Array | None]:
+        """Keys and numbers of the trials in all lanes."""
+        order = (np.arange(lanes) + first) % trials
+        return jax.tree.map(lambda x: x[..., order], (keys, numbers))
+
+    # A chunk may hold fewer trials than an individual has.
+    parts, frames = [], {}
+    for start in range(0, trials, lanes):
+        if start <= recorded < start + lanes:
+            observers = JUDGE, Recorder(first=recorded - start, full=full)
+            outcome, frames = rollout(simulation, replicas, *beginning_with(start), observers)
+        else:
+            outcome = rollout(simulation, replicas, *beginning_with(start))
+        parts.append(outcome)
+    return jax.tree.map(lambda *x: jnp.concatenate(x)[:trials], *parts), frames

@@ -1,0 +1,321 @@
+"""A run in progress: the trials of its next generation, and what follows from their outcome."""
+
+import functools
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Array, Float, Int, PyTree, UInt32
+
+from evo_cpg.simulation.judge import Outcome
+from evo_cpg.training.checkpoint import Champion, Checkpoint, checkpoint_arrays, read_checkpoint
+from evo_cpg.training.experiment import (
+    Experiment,
+    Generation,
+    begin,
+    breed,
+    generation_keys,
+    placeholder_scales,
+    situation_numbers,
+)
+from evo_cpg.training.lineage import extended, until
+from evo_cpg.training.memetic import compile_learning
+from evo_cpg.training.processes import ALONE, Team
+from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
+from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
+from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
+
+
+class Trials(NamedTuple):
+    """Arguments of the trials of a generation, see `compile_trials`.
+
+    Attributes:
+        genes: genome of every individual.
+        keys: random key of every trial; None without noise.
+        numbers: number of the situation of every trial; None if there is only one.
+    """
+
+    genes: Float[np.ndarray, "g individuals"]
+    keys: UInt32[np.ndarray, "w n"] | None
+    numbers: Int[np.ndarray, " n"] | None
+
+
+class Evolution(NamedTuple):
+    """Functions of one experiment, compiled at their first call.
+
+    Attributes:
+        begin: see `evo_cpg.training.experiment.begin`.
+        keys: see `evo_cpg.training.experiment.generation_keys`.
+        breed: see `evo_cpg.training.experiment.breed`.
+    """
+
+    begin: Callable[..., tuple[Array, PyTree[Array]]]
+    keys: Callable[..., Array | None]
+    breed: Callable[..., Generation]
+
+
+class Running:
+    """A run that continues from the newest checkpoint of its folder.
+
+    With noise, some rounds of trials follow the last generation, in which the champion is chosen
+    (`evo_cpg.training.reevaluation`). The first round tries the final population.
+
+    Args:
+        experiment: what evolves.
+        folder: its run folder.
+        mesh: devices, for elites that learn.
+        team: the processes that evolve together. Only their lead reads and writes the folder.
+
+    Attributes:
+        checkpoint: the present state.
+
+    Raises:
+        StrategyError: see `evo_cpg.training.loop.train_together`.
+    """
+
+    checkpoint: Checkpoint
+
+    def __init__(
+        self, experiment: Experiment, folder: RunFolder, mesh: Mesh, team: Team = ALONE
+    ) -> None:
+        self._experiment, self._folder, self._team = experiment, folder, team
+        self._programs = compile_evolution(experiment)
+        self._learn = compile_learning(experiment, mesh) if experiment.learning else None
+        count = experiment.runs * experiment.strategy.population
+        self._part = team.part(count, experiment.trials)
+        checkpoint = _load(folder, team)
+        if checkpoint is None:
+            start = folder.load_start() if team.leads else None
+            start = team.broadcast({} if start is None else {"genes": start}).get("genes")
+            genes, self._state = jax.device_get(self._programs.begin(start))
+            _require_finite(experiment, genes, 0)
+            none = (None,) * experiment.runs
+            checkpoint = Checkpoint(0, genes, none, [], placeholder_scales(experiment))
+        else:
+            like = jax.eval_shape(lambda: begin(experiment))[1]
+            self._state = state_from(checkpoint.state, like)
+            if checkpoint.history and team.leads:
+                # A kill may have come between the checkpoint and the table.
+                folder.write_metrics(checkpoint.history)
+        self.checkpoint = checkpoint
+        self._lineage = _lineage_until(folder, checkpoint) if team.leads else []
+        self._choice: Choice | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last generation is done and the champion is chosen."""
+        return is_finished(self._experiment, self.checkpoint)
+
+    def trials(self) -> Trials:
+        """Return this process's part of the trials of the next generation or round."""
+        part, trials = self._part, self._experiment.trials
+        of_part = slice(part.start * trials, part.stop * trials)
+        keys = jax.tree.map(lambda x: x[:, of_part], self._keys())
+        numbers = jax.tree.map(
+            lambda x: np.tile(x, part.stop - part.start), situation_numbers(self._experiment)
+        )
+        return Trials(self._genes()[:, part], keys, numbers)
+
+    def tell(self, part: Outcome, start: float) -> list[dict[str, float]]:
+        """Take the outcome of the trials, breed, and leave a checkpoint.
+
+        Args:
+            part: outcome of this process's trials.
+            start: time at which the generation started, by `time.perf_counter`, s.
+
+        Returns:
+            The new rows of metrics.csv; none after a round in which the champion is chosen.
+        """
+        experiment, before = self._experiment, self.checkpoint
+        genes, number = self._genes(), self._number
+        outcome = self._team.gather(part, genes, number, experiment.trials)
+        index, scales = np.int32(number), _float32(before.scales)
+        result = jax.device_get(self._programs.breed(genes, outcome, index, scales, self._state))
+        if before.generation >= experiment.generations:
+            # Only the fitness counts: no generation follows.
+            self._choose(genes, number, result)
+            return []
+        done, self._state = before.generation + 1, result.state
+        scales = {name: tuple(values.tolist()) for name, values in result.scales.items()}
+        population = np.asarray(result.next_genes)
+        _require_finite(experiment, population, done)
+        if self._learn and experiment.learning and done % experiment.learning.every == 0:
+            population = self._learn(population, done, scales)
+        seconds = time.perf_counter() - start
+        records = tuple(
+            _better(champion, result, before.generation, run)
+            for run, champion in enumerate(before.records)
+        )
+        rows = [
+            _metrics(experiment, before.generation, result, run, champion, seconds)
+            for run, champion in enumerate(records)
+        ]
+        history = [*before.history, *rows]
+        self.checkpoint = Checkpoint(
+            done, population, records, history, scales, state_arrays(self._state)
+        )
+        if self._team.leads:
+            # Before the checkpoint: a kill in between leaves a lineage that is ahead of it.
+            found = [
+                new
+                for new, old in zip(records, before.records, strict=True)
+                if new is not None and new is not old
+            ]
+            if found:
+                self._lineage = extended(self._lineage, found)
+                self._folder.save_lineage(self._lineage)
+            if before.chosen and self.checkpoint.champion is not None:
+                # It was chosen at an earlier end of the run, which has been extended since.
+                self._folder.save_champion(self.checkpoint.champion)
+            self._folder.save(self.checkpoint)
+        return rows
+
+    def _choose(self, genes: np.ndarray, number: int, result: Generation) -> None:
+        """Evaluate a round in which champions are chosen, and save them when all are chosen."""
+        experiment, checkpoint = self._experiment, self.checkpoint
+        if self._choice is None:
+            by_run = np.split(genes, experiment.runs, axis=1)
+            population = experiment.strategy.population
+            self._choice = Choice(
+                [
+                    Contest(_candidates(record, own, result, number, run), population)
+                    for run, (record, own) in enumerate(
+                        zip(checkpoint.records, by_run, strict=True)
+                    )
+                ]
+            )
+        else:
+            self._choice.take(np.asarray(result.fitness))
+        if self._choice.done:
+            self.checkpoint = checkpoint._replace(chosen=self._choice.chosen())
+            rows = self._choice.rows()
+            if self._team.leads:
+                if rows:
+                    self._folder.write_table(CANDIDATES_FILE, rows)
+                self._folder.save(self.checkpoint)
+
+    @property
+    def _number(self) -> int:
+        """Number of the generation whose random numbers are used next."""
+        return self._choice.generation if self._choice else self.checkpoint.generation
+
+    def _genes(self) -> np.ndarray:
+        """Genomes that are tried next."""
+        return self._choice.genes(self.checkpoint.genes) if self._choice else self.checkpoint.genes
+
+    def _keys(self) -> np.ndarray | None:
+        """Random keys of all trials that are next."""
+        keys = jax.device_get(self._programs.keys(np.int32(self._number)))
+        return self._choice.keys(keys, self._experiment.trials) if self._choice else keys
+
+
+def compile_evolution(experiment: Experiment) -> Evolution:
+    """Return the functions that a run needs besides its trials, for any number of generations."""
+    functions = begin, generation_keys, breed
+    return Evolution(*(jax.jit(functools.partial(one, experiment)) for one in functions))
+
+
+def _load(folder: RunFolder, team: Team) -> Checkpoint | None:
+    """Return the newest checkpoint of the lead's folder; None before the first generation."""
+    checkpoint = folder.load() if team.leads else None
+    if team.count == 1:
+        return checkpoint
+    arrays = team.broadcast(checkpoint_arrays(checkpoint) if checkpoint else {})
+    return read_checkpoint(arrays) if arrays else None
+
+
+def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
+    """Return the champions up to a checkpoint; only its own ones if their file is lost."""
+    try:
+        lineage = folder.load_lineage()
+    except RunFolderError:
+        lineage = []
+    lineage = [each for each in lineage if each.genes.shape == checkpoint.genes.shape[:1]]
+    return until(lineage, checkpoint.records, checkpoint.generation)
+
+
+def _float32(scales: dict[str, tuple[float, ...]]) -> dict[str, np.ndarray]:
+    return {name: np.array(values, np.float32) for name, values in scales.items()}
+
+
+def _require_finite(experiment: Experiment, genes: Float[np.ndarray, "g all"], done: int) -> None:
+    """Check the genomes of a strategy, unless it wants no check.
+
+    Raises:
+        StrategyError: not all are finite.
+    """
+    wrong = int((~np.isfinite(genes)).any(0).sum())
+    if wrong and experiment.strategy.checks_genes:
+        raise StrategyError(
+            f"evolution.type: {type(experiment.strategy).__name__} asked for genomes that are not "
+            f"finite for generation {done} ({wrong} of {genes.shape[1]}); what was done before "
+            "is in the run folder"
+        )
+
+
+def _better(
+    champion: Champion | None, result: Generation, generation: int, run: int
+) -> Champion | None:
+    best = int(result.best[run])
+    fitness = float(result.fitness[run, best])
+    if not np.isfinite(fitness) or (champion is not None and fitness <= champion.fitness):
+        return champion
+    genes = np.asarray(result.best_genes[run])
+    return _individual(genes, result, generation, run, best)
+
+
+def _candidates(
+    record: Champion | None,
+    genes: Float[np.ndarray, "g n"],
+    result: Generation,
+    generation: int,
+    run: int,
+) -> list[Champion]:
+    """Return candidates for the champion: the record and the fittest of the last population."""
+    fittest = np.argsort(-result.fitness[run], kind="stable")[:CANDIDATES]
+    tried = [_individual(genes[:, i], result, generation, run, int(i)) for i in fittest]
+    return [one for one in (record, *tried) if one is not None and np.isfinite(one.fitness)]
+
+
+def _individual(
+    genes: Float[np.ndarray, " g"], result: Generation, generation: int, run: int, index: int
+) -> Champion:
+    """Return one of the individuals that were tried."""
+    fitness = float(result.fitness[run, index])
+    terms = {name: float(values[run, index]) for name, values in result.terms.items()}
+    scales = {name: float(values[run]) for name, values in result.scales.items()}
+    return Champion(np.ascontiguousarray(genes), fitness, generation, terms, scales, run, index)
+
+
+def _metrics(
+    experiment: Experiment,
+    generation: int,
+    result: Generation,
+    run: int,
+    champion: Champion | None,
+    seconds: float,
+) -> dict[str, float]:
+    fitness = np.asarray(result.fitness[run])
+    judged = np.isfinite(fitness)
+    finite = fitness[judged] if judged.any() else np.array([np.nan])
+    simulation = experiment.simulation
+    trials = result.fitness.size * experiment.trials
+    steps = trials * simulation.steps * simulation.substeps
+    best = int(result.best[run])
+    return {
+        "generation": generation,
+        **({"run": run} if experiment.runs > 1 else {}),
+        "best": float(finite.max()),
+        "mean": float(finite.mean()),
+        "median": float(np.median(finite)),
+        "worst": float(finite.min()),
+        "diverged": int((~np.asarray(result.alive[run])).sum()),
+        "champion": champion.fitness if champion else float("nan"),
+        **{name: float(values[run]) for name, values in result.metrics.items()},
+        **{f"best_{name}": float(values[run, best]) for name, values in result.terms.items()},
+        "seconds": seconds,
+        "steps_per_second": steps / seconds,
+    }

@@ -1,0 +1,96 @@
+"""Draw a scene: build it once, then move its parts from frame to frame.
+
+Each `add_...` function puts actors into the plotter. If they change from frame to frame, it returns
+a function that moves them or overwrites arrays in place. Nothing is meshed again.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pyvista as pv
+
+from evo_cpg.physics.terrain import Part
+from evo_cpg.view.ground import add_ground, add_numbers
+from evo_cpg.view.meshes import shape_mesh
+from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh
+from evo_cpg.view.offscreen import pixels, placed
+from evo_cpg.view.scenery import add_goal_light, add_particles, add_sky, add_trail
+from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
+from evo_cpg.view.stage import Stage, Update
+from evo_cpg.view.terrain import Terrain
+from evo_cpg.view.water import add_mirror, add_tint, add_waterlines
+
+
+def set_scene(stage: Stage, bodies: Sequence[Sequence[pv.Actor]]) -> Callable[[int], np.ndarray]:
+    """Build everything around the animal.
+
+    Args:
+        stage: the scene and its camera.
+        bodies: actors of each body, as `evo_cpg.view.meshes.add_bodies` returns them.
+
+    Returns:
+        A function that draws a frame by its number: bytes ``(height, width, 3)``, bottom row first.
+    """
+    plotter, away = stage.plotter, stage.away
+    updates = _add_surroundings(stage)
+    plotter.camera.view_angle = stage.camera.view_angle
+    plotter.camera.up = (0.0, 0.0, 1.0)
+    # Makes the window, in which nothing need be drawn yet; without it VTK resets the camera later.
+    plotter.renderer.SetDraw(False)
+    plotter.show(auto_close=False, interactive=False)
+    plotter.renderer.SetDraw(True)
+
+    def show(number: int) -> np.ndarray:
+        shot = stage.shot(number)
+        plotter.camera.position = shot.eye
+        plotter.camera.focal_point = shot.focus
+        plotter.camera.clipping_range = (0.05 * away, 20 * away)
+        for update in updates:
+            update(shot)
+        for actors, place, turn in zip(bodies, shot.position, shot.rotation, strict=True):
+            for actor in actors:
+                actor.user_matrix = placed(turn, place)
+        plotter.render()
+        return pixels(plotter)
+
+    return show
+
+
+def _add_surroundings(stage: Stage) -> list[Update]:
+    """Draw everything but the animal.
+
+    Translucent actors are drawn in the order in which they are added. What lies in the plane of the
+    floor comes after it, the light and the trail over the shadows, the water over all.
+    """
+    scene, look = stage.scene, stage.look
+    updates = [add_sky(stage), add_ground(stage)]
+    if scene.walks:
+        updates.append(add_numbers(stage))
+    _add_stones(stage, scene.ground.obstacles)
+    meshes = [shape_mesh(body.shape) for body in scene.creature.bodies]
+    updates += [add_sun_shadows(stage, meshes), add_shadows(stage, scene.half_extents)]
+    if scene.stands:
+        updates.append(add_contacts(stage))
+    if scene.goal is not None:
+        updates.append(add_goal_light(stage, scene.goal))
+    updates.append(add_trail(stage))
+    if look.particles:
+        add_particles(stage)
+    if scene.surface is not None and isinstance(stage.ground, Terrain):
+        updates.append(add_tint(stage, stage.ground, scene.surface))
+        updates.append(add_mirror(stage, scene.surface))
+        updates.append(add_waterlines(stage, scene.surface))
+    return updates
+
+
+def _add_stones(stage: Stage, stones: Sequence[Part]) -> None:
+    """Draw obstacles with their shadows."""
+    if not stones:
+        return
+    add_obstacles(stage.plotter, stones, stage.look.ambient, stage.ground.height)
+    shades = [obstacle_mesh(stone, shade=True) for stone in stones]
+    meshes, places, turns = zip(*shades, strict=True)
+    half_extents = np.array([np.ptp(np.asarray(mesh.points), axis=0) / 2 for mesh in meshes])
+    still = stage.shot(0)._replace(position=np.array(places), rotation=np.array(turns))
+    for lay in (add_shadows(stage, half_extents), add_sun_shadows(stage, meshes)):
+        lay(still)

@@ -1,0 +1,123 @@
+"""Data of a page's viewer: meshes, places and colours, as JSON.
+
+Arrays are base64 of little-endian numbers; equal ones, such as the triangles of all boxes, are
+written once.
+"""
+
+import base64
+from typing import Any, cast
+
+import numpy as np
+import pyvista as pv
+
+from evo_cpg.creature.creature import Creature
+from evo_cpg.physics.terrain import Part
+from evo_cpg.view.camera import smooth
+from evo_cpg.view.clip import quaternions, sample
+from evo_cpg.view.meshes import head_index, pieces
+from evo_cpg.view.obstacles import obstacle_mesh
+from evo_cpg.view.scene import Panel, Scene, scene_of
+
+# Places a second: between them the viewer interpolates.
+RATE = 30.0
+# Window over which the path of the camera's focus is smoothed, s.
+_CALM = 1.0
+# The mesh of uneven ground ends so many radii from the path.
+_FAR = 14.0
+# Range of a signed number of 16 bits.
+_SHORT = 32767
+# Corners of a stone that are enough for a page.
+_FINE = 1500
+_STONE = "#999188"
+# What the viewer needs to know of a look.
+_LOOK = (
+    "distance", "floor", "grid", "sun", "fill", "trail", "light", "halo", "zenith", "checkered",
+    "text", "particles",
+)  # fmt: skip
+
+
+class _Arrays:
+    """Arrays by number, each written once."""
+
+    def __init__(self) -> None:
+        self.written: list[str] = []
+        self._numbers: dict[bytes, int] = {}
+
+    def add(self, values: Any, kind: str) -> int:
+        data = np.ascontiguousarray(values, kind).tobytes()
+        if data not in self._numbers:
+            self._numbers[data] = len(self.written)
+            self.written.append(base64.b64encode(data).decode())
+        return self._numbers[data]
+
+
+def viewer_data(panel: Panel) -> dict[str, Any]:
+    """Return all that moves and stands in the scene of an animal."""
+    clip = sample(panel.recording, RATE)
+    scene, arrays = scene_of(panel, clip), _Arrays()
+    level, head = scene.level, head_index(scene.creature)
+    return {
+        "rate": RATE,
+        "start": float(clip.time[0]),
+        "count": len(clip.time),
+        "bodies": _bodies(scene.creature, arrays),
+        "position": arrays.add(clip.position, "<f4"),
+        "rotation": arrays.add(quaternions(clip.rotation) * _SHORT, "<i2"),
+        "focus": arrays.add(smooth(clip.position.mean(1), _CALM * RATE), "<f4"),
+        "head": head,
+        "speed": arrays.add(clip.speed, "<f4"),
+        "distance": arrays.add(clip.distance, "<f4"),
+        "measured": scene.measured,
+        "radius": scene.radius,
+        "bearing": scene.bearing,
+        "floor": float(clip.position[..., 2].min()) if level is None else level,
+        "spacing": scene.grid,
+        "terrain": None if level is not None else _terrain(scene, arrays),
+        "obstacles": [_obstacle(obstacle, arrays) for obstacle in scene.ground.obstacles],
+        "goal": None if scene.goal is None else [float(x) for x in scene.goal],
+        "surface": None if scene.surface is None else float(scene.surface),
+        "water": panel.world == "water" and scene.surface is None,
+        "look": {name: getattr(scene.look, name) for name in _LOOK},
+        # The last, because those above add to them.
+        "arrays": arrays.written,
+    }
+
+
+def _terrain(scene: Scene, arrays: _Arrays) -> dict[str, int]:
+    terrain = scene.terrain(_FAR * scene.radius)
+    made = {name: arrays.add(values, "<f4") for name, values in terrain._asdict().items()}
+    return made | {"normals": arrays.add(terrain.normals() * 127, "i1")}
+
+
+def _obstacle(obstacle: Part, arrays: _Arrays) -> dict[str, Any]:
+    mesh, place, turn = obstacle_mesh(obstacle)
+    coarse = mesh.triangulate()
+    if coarse.n_points > _FINE:
+        coarse = coarse.decimate(1 - _FINE / coarse.n_points)
+    turned = quaternions(turn[None])[0].tolist()
+    made = _mesh(cast(pv.PolyData, coarse), _STONE, arrays)
+    return made | {"place": place.tolist(), "turn": turned}
+
+
+def _bodies(creature: Creature, arrays: _Arrays) -> list[dict[str, Any]]:
+    found = []
+    for body, own in zip(creature.bodies, pieces(creature), strict=True):
+        parts = []
+        for mesh, color, eye in own:
+            coarse = cast(pv.PolyData, mesh.decimate(0.7)) if eye else mesh
+            parts.append(_mesh(coarse, color, arrays))
+        found.append({"name": body.name, "parts": parts})
+    return found
+
+
+def _mesh(mesh: pv.PolyData, color: str, arrays: _Arrays) -> dict[str, Any]:
+    normals = mesh.point_data.active_normals
+    if normals is None:
+        mesh = cast(pv.PolyData, mesh.compute_normals(split_vertices=False))
+        normals = mesh.point_data.active_normals
+    return {
+        "points": arrays.add(mesh.points, "<f4"),
+        "normals": arrays.add(np.asarray(normals) * 127, "i1"),
+        "triangles": arrays.add(mesh.regular_faces, "<u4"),
+        "color": color,
+    }

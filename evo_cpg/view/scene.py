@@ -1,0 +1,226 @@
+"""An animal and its world, as films, pages, previews and glTF files show them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from evo_cpg.creature.creature import Creature
+from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.terrain import Plane
+from evo_cpg.simulation.recording import Recording, require_whole
+from evo_cpg.training.experiment import Experiment
+from evo_cpg.view.camera import course
+from evo_cpg.view.clip import Clip
+from evo_cpg.view.look import LOOKS, SHORE, Look
+from evo_cpg.view.signals import Signals
+from evo_cpg.view.terrain import Terrain, make_terrain
+from evo_cpg.view.textures import CELLS
+
+# The floor lies this many radii of the animal below the lowest point of its path through water.
+_FLOOR_DEPTH = 0.55
+# If land within so many radii of the path rises out of the water, the surface is shown.
+_NEARBY = 4.0
+
+
+class Panel(NamedTuple):
+    """An animal that a film shows.
+
+    Attributes:
+        creature: the animal.
+        recording: its motion.
+        title: caption; the creature's name if None.
+        world: its medium, ``water`` or ``land``.
+        ground: that carries the animal; None without ground.
+        surface: height of the water's surface, m; None without a surface.
+        signals: shown in a strip below the animal; None for no strip.
+        note: below the title, in small letters.
+    """
+
+    creature: Creature
+    recording: Recording
+    title: str | None = None
+    world: str = "water"
+    ground: Ground | None = None
+    surface: float | None = None
+    signals: Signals | None = None
+    note: str = ""
+
+
+def panel_of(
+    experiment: Experiment,
+    recording: Recording,
+    title: str,
+    signals: Signals | None = None,
+    note: str = "",
+) -> Panel:
+    """Return a motion in the world of the experiment that it was recorded in."""
+    world = experiment.simulation.world
+    return Panel(
+        experiment.creature,
+        recording,
+        title,
+        world="land" if world.water is None else "water",
+        ground=world.ground,
+        surface=None if world.water is None else world.water.surface,
+        signals=signals,
+        note=note,
+    )
+
+
+def check_panel(panel: Panel) -> None:
+    """Check that an animal can be shown.
+
+    Raises:
+        RecordingError: a recording that does not fit its creature, is empty or not finite.
+        ValueError: an unknown world, or a surface without a finite height.
+    """
+    if panel.surface is not None and not np.isfinite(panel.surface):
+        raise ValueError(
+            f"surface is {panel.surface:g}; it must be finite, or None where there is none"
+        )
+    if panel.world not in LOOKS:
+        raise ValueError(f"world is {panel.world!r}; choose {' or '.join(LOOKS)}")
+    require_whole(panel.recording, panel.creature)
+
+
+class Marks(NamedTuple):
+    """Pattern of the ground, along which the animal's path can be read.
+
+    Attributes:
+        origin: of the pattern and its numbers ``(2,)``, m.
+        course: bearing of the numbers from the x axis, rad.
+        spacing: distance between the numbers, which is the side of a tile, m.
+    """
+
+    origin: np.ndarray
+    course: float
+    spacing: float
+
+    def turn(self) -> np.ndarray:
+        """Return the rotation from the pattern's axes to the world's ``(2, 2)``."""
+        c, s = np.cos(self.course), np.sin(self.course)
+        return np.array([[c, -s], [s, c]])
+
+    def tiles(self, place: np.ndarray) -> np.ndarray:
+        """Return coordinates in the floor's texture of places x and y ``(n, 2)``, m."""
+        return (place - self.origin) @ self.turn() / self.spacing
+
+
+class Scene(NamedTuple):
+    """An animal in its world, over the instants of a clip.
+
+    Attributes:
+        creature: the animal.
+        clip: its motion.
+        goal: place of the light ``(3,)``, m; None without a light.
+        ground: that carries the animal, or a level floor below its path.
+        stands: whether the ground carries the animal.
+        surface: height of the water's surface, m; None where no surface is seen.
+        look: of the world.
+        radius: distance of the animal's far ends from its middle at the start, m.
+        bearing: of the path from the x axis, rad.
+        marks: pattern of the ground.
+    """
+
+    creature: Creature
+    clip: Clip
+    goal: np.ndarray | None
+    ground: Ground
+    stands: bool
+    surface: float | None
+    look: Look
+    radius: float
+    bearing: float
+    marks: Marks
+
+    @property
+    def level(self) -> float | None:
+        """Height of the ground where it is level, without obstacles and not under water, m."""
+        level = self.ground.level
+        return None if self.surface is not None or level is None else float(level)
+
+    @property
+    def walks(self) -> bool:
+        """True if the ground carries a moving animal, whose path is measured on it."""
+        return self.stands and len(self.clip.time) > 1
+
+    @property
+    def grid(self) -> float:
+        """Spacing of the lines on the ground, m."""
+        return self.marks.spacing / CELLS
+
+    @property
+    def measured(self) -> str:
+        """Meaning of the clip's distance, in words."""
+        return "from the start" if self.goal is None else "to the light"
+
+    @property
+    def half_extents(self) -> np.ndarray:
+        """Half extents of the bodies ``(b, 3)``, m."""
+        return np.array([body.shape.half_extents for body in self.creature.bodies])
+
+    def terrain(self, far: float) -> Terrain:
+        """Return a mesh of the ground that ends ``far`` (m) beyond the path and the light."""
+        filmed = self.clip.position.reshape(-1, 3)
+        if self.goal is not None:
+            filmed = np.concatenate([filmed, self.goal[None]])
+        return make_terrain(self.ground.floor, filmed[:, :2], self.radius, far)
+
+
+def scene_of(panel: Panel, clip: Clip) -> Scene:
+    """Return the scene that shows an animal over a clip of its recording."""
+    creature, surface, stands = panel.creature, panel.surface, panel.ground is not None
+    goal = panel.recording.goal if np.isfinite(panel.recording.goal).all() else None
+    radius = animal_radius(creature, clip)
+    if surface is not None and surface_is_seen(creature, clip, panel.ground, surface):
+        look = SHORE
+    else:
+        look, surface = LOOKS[panel.world], None
+    # The recorded distance without a light is that of the root.
+    root = clip.position[:, next(i for i, body in enumerate(creature.bodies) if not body.joint)]
+    bearing = course(root, panel.recording.goal, radius / 10)
+    if panel.ground is not None:
+        ground, marks = panel.ground, Marks(root[0, :2], bearing, mark_spacing(2 * radius))
+    else:
+        lowest = clip.position[..., 2].min() - animal_reach(creature)
+        lowest = lowest if goal is None else min(lowest, goal[2])
+        ground = Ground(floor=Plane(height=float(lowest - _FLOOR_DEPTH * radius)))
+        marks = Marks(np.zeros(2), 0.0, CELLS * grid_spacing(2 * radius))
+    return Scene(creature, clip, goal, ground, stands, surface, look, radius, bearing, marks)
+
+
+def surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:
+    """Return whether the animal, or land near its path, rises out of the water."""
+    for i, body in enumerate(creature.bodies):
+        # Upwards, in the body's frame.
+        ups = clip.rotation[:, i, 2]
+        tops = [body.shape.support(up) @ up for up in ups]
+        if (clip.position[:, i, 2] + tops).max() > surface:
+            return True
+    if ground is None:
+        return False
+    near = _NEARBY * animal_radius(creature, clip)
+    path = clip.position.reshape(-1, 3)[:, :2]
+    return bool(make_terrain(ground.floor, path, near / 4, near).z.max() > surface)
+
+
+def animal_radius(creature: Creature, clip: Clip) -> float:
+    """Return the distance of the animal's far ends from its middle at the start, m."""
+    start = clip.position[0]
+    return float(np.linalg.norm(start - start.mean(0), axis=-1).max()) + animal_reach(creature)
+
+
+def animal_reach(creature: Creature) -> float:
+    """Return the largest distance from a body's centre to its surface, m."""
+    return max(body.shape.reach for body in creature.bodies)
+
+
+def grid_spacing(length: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, about half the length (m)."""
+    power = 10.0 ** np.floor(np.log10(length / 2))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= length / 2 * 1.001))
+
+
+def mark_spacing(length: float) -> float:
+    """Return the distance between the numbers on the ground, about the animal's length (m)."""
+    return grid_spacing(2.4 * length)
