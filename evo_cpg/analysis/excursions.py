@@ -38,7 +38,7 @@ class Excursions(NamedTuple):
     """One trial's.
 
     Attributes:
-        way: that the root came nearer to the light, or over the ground from its start, m.
+        displacement: of the root, towards the light or over the ground from its start, m.
         airborne_way: share of the way made while nothing touched the ground and no body's centre
             was under water; 0 without ground.
         penetration: of the ground, the deepest, m.
@@ -56,7 +56,7 @@ class Excursions(NamedTuple):
         seen_through_ground: share of the light that eyes see with ground in the way.
     """
 
-    way: float
+    displacement: float
     airborne_way: float
     penetration: float
     overlap: float
@@ -103,10 +103,12 @@ def excursions(
     peaks = np.abs(steps.torque).max(-1, keepdims=True)
     over = np.where(limited, peaks / np.where(limited, limit, 1.0) - 1.0, 0.0)
     h = simulation.step_length
-    travelled = way(np.concatenate([steps.before.position[:, :1], root], 1), light)
+    travelled = displacement(np.concatenate([steps.before.position[:, :1], root], 1), light)
     return Excursions(
-        way=travelled,
-        airborne_way=_airborne_way(steps, swims, light, h) if world.footing is not None else 0.0,
+        displacement=travelled,
+        airborne_way=(
+            0.0 if world.footing is None else _airborne_displacement(steps, swims, light, h)
+        ),
         penetration=float(max(0.0, -clearance.min(initial=np.inf))),
         overlap=overlap,
         overlapping=overlapping,
@@ -122,7 +124,7 @@ def excursions(
     )
 
 
-def way(
+def displacement(
     path: Float[np.ndarray, "3 t"], light: tuple[float, float, float] | np.ndarray | None
 ) -> float:
     """How much nearer to the light a path comes, or how far over the ground, m.
@@ -234,7 +236,7 @@ def _true_overlap(
     return least
 
 
-def _airborne_way(
+def _airborne_displacement(
     steps: PhysicsSteps,
     swims: Bool[np.ndarray, " t"],
     light: tuple[float, float, float] | None,

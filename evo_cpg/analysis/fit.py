@@ -249,7 +249,7 @@ def student_quantile(
     return jnp.where(jnp.asarray(unsure) > 1.0 + 1e-6, jnp.inf, found)
 
 
-def doubts(keys: tuple[str, ...], positive: np.ndarray, result: Fit) -> list[str]:
+def fit_warnings(keys: tuple[str, ...], positive: np.ndarray, result: Fit) -> list[str]:
     """What cannot be told from the data, in words."""
     words = []
     correlation = np.asarray(result.correlation)

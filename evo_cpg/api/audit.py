@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.analysis.energy import Ledger, ledger
-from evo_cpg.analysis.excursions import Excursions, excursions, way
+from evo_cpg.analysis.excursions import Excursions, displacement, excursions
 from evo_cpg.analysis.verdict import Check, Limits, Verdict
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -417,7 +417,7 @@ def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
         if start[2] > simulation.world.water_level:
             flow = 0.0 * flow
         light = simulation.lights[0 if numbers is None else i]
-        ways.append(way(np.hstack([start, start + simulation.duration * flow]), light))
+        ways.append(displacement(np.hstack([start, start + simulation.duration * flow]), light))
     return float(np.mean(ways))
 
 

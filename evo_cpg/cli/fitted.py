@@ -227,7 +227,7 @@ def report(
     recording: MeasuredMotion,
 ) -> None:
     """Print the estimates with their intervals, the noise and what is doubtful."""
-    from evo_cpg.analysis.fit import doubts
+    from evo_cpg.analysis.fit import fit_warnings
 
     found = zip(names, start, result.values, result.lower, result.upper, strict=True)
     rows = [
@@ -242,5 +242,5 @@ def report(
         f"{kind} {size:.3g} {units[kind]}" for kind, size in zip(present, result.noise, strict=True)
     ]
     print(f"noise: {', '.join(noise)}; {int(result.freedom)} degrees of freedom")
-    for words in doubts(names, positive, result):
+    for words in fit_warnings(names, positive, result):
         print(f"beware: {words}")

@@ -198,22 +198,31 @@ class Shape(abc.ABC):
     def cells(self) -> tuple[Cell, ...]:
         """The volume in parts that have its first and second moments between them."""
 
-    @abc.abstractmethod
     def floor_parts(self) -> tuple[FloorPart, ...]:
-        """Return the parts that may touch the floor."""
+        """Return the parts that may touch the floor.
 
-    @abc.abstractmethod
+        Raises:
+            TypeError: a shape that lives in water alone.
+        """
+        raise TypeError(f"no contact points for a {type(self).__name__}; define floor_parts")
+
     def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
-        """Return the parts that may meet obstacles."""
+        """Return the parts that may meet obstacles.
+
+        Raises:
+            TypeError: a shape that lives in water alone.
+        """
+        raise TypeError(f"no contact points for a {type(self).__name__}; define obstacle_parts")
 
     @property
     def corners(self) -> np.ndarray | None:
         """Corners that may touch the floor ``(k, 3)``, m; None of a round shape."""
         return None
 
-    @abc.abstractmethod
     def skin(self) -> Skin:
-        """Return the triangles of its picture."""
+        """Return the triangles of its picture; by default those between support points."""
+        directions, _, faces = _split_sphere()
+        return Skin(np.array([self.support(each) for each in directions]), directions, faces)
 
 
 @dataclasses.dataclass(frozen=True)

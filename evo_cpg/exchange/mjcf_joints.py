@@ -32,22 +32,19 @@ from evo_cpg.spatial.rotation import matrix_to_euler
 
 def joint_names(body: Body) -> list[str]:
     """Return the names of a body's hinges, in the order of its axes."""
-    count = len(body.joint.axes) if body.joint else 0
+    count = len(body.joint.dofs) if body.joint else 0
     return [f"{body.name}.{i + 1}" for i in range(count)]
 
 
 def add_hinges(element: Element, body: Body, joint: Joint) -> None:
     """Add the joint of a body to its element."""
-    springs = {"stiffness": joint.stiffness, "damping": joint.damping, "armature": joint.armature}
-    for name, axis, lower, upper in zip(
-        joint_names(body), joint.axes, joint.lower, joint.upper, strict=True
-    ):
-        direction = place_text(np.array(axis))
+    for name, dof in zip(joint_names(body), joint.dofs, strict=True):
+        direction = place_text(np.array(dof.axis))
         hinge = SubElement(element, "joint", name=name, type="hinge", axis=direction)
         hinge.set("limited", "true")
-        hinge.set("range", number_text(lower, upper))
-        for key, value in springs.items():
-            if value:
+        hinge.set("range", number_text(dof.lower, dof.upper))
+        for key in ("stiffness", "damping", "armature"):
+            if value := getattr(dof, key):
                 hinge.set(key, number_text(value))
 
 

@@ -3,9 +3,7 @@
 | pass | from | to | file |
 |---|---|---|---|
 | lower | JAX program | graph of scalars | `frontend.lower` |
-| simplify | each operation, as it is made | an equal one that costs less | `passes.simplify` |
 | contract multiply-adds | graph | graph | `passes.contract` |
-| verify | graph | the same graph | `ir.verify`, in the tests |
 | eliminate dead code | graph | graph | `passes.dead_code` |
 | check size | graph | the same graph | here |
 | schedule | graph | graph | `passes.schedule` |
@@ -13,10 +11,16 @@
 | print | code | LLVM IR | `backend.llvm`, `backend.handler` |
 | compile | LLVM IR | machine code in memory | `backend.machine` |
 
-Rules of `simplify` and passes from graph to graph may be left out (`PASSES`, `RULES`). The program
-then costs more and computes the same, except that sums without multiply-adds round otherwise. With
-the environment variable ``EVO_CPG_SHOW_PASSES`` the graph is printed to standard error after each
-pass.
+Lowering simplifies each operation as it is made (`frontend.simplify`). It is no pass of its own,
+because lowering itself depends on it: the place of a slice must be a known number.
+
+Passes from graph to graph and rewrite rules may be left out (`PASSES`, `RULES`). The program then
+costs more and computes the same, except that sums without multiply-adds round otherwise.
+
+| environment variable | after each pass |
+|---|---|
+| ``EVO_CPG_SHOW_PASSES`` | the graph is printed to standard error (`ir.show`) |
+| ``EVO_CPG_VERIFY_PASSES`` | the graph is checked (`ir.verify`), as in all tests |
 """
 
 import contextlib
@@ -31,16 +35,16 @@ from evo_cpg.fusion.backend.allocate import allocate
 from evo_cpg.fusion.backend.code import Variant
 from evo_cpg.fusion.backend.handler import handler
 from evo_cpg.fusion.backend.llvm import print_llvm
-from evo_cpg.fusion.backend.machine import Target
 from evo_cpg.fusion.frontend.builder import Builder
 from evo_cpg.fusion.frontend.lower import lower
 from evo_cpg.fusion.frontend.primitives import Program
+from evo_cpg.fusion.frontend.simplify import RULES, Rule
 from evo_cpg.fusion.ir.graph import Graph
 from evo_cpg.fusion.ir.show import show
+from evo_cpg.fusion.ir.verify import InvalidGraph, verify
 from evo_cpg.fusion.passes.contract import contract_multiply_adds
 from evo_cpg.fusion.passes.dead_code import eliminate_dead_code
 from evo_cpg.fusion.passes.schedule import schedule
-from evo_cpg.fusion.passes.simplify import RULES, Rule
 from evo_cpg.fusion.unsupported import Unsupported
 
 Pass = Callable[[Graph], Graph]
@@ -88,16 +92,15 @@ def optimize(program: Program, passes: Sequence[Pass] | None = None, rules: Rule
         Unsupported: there is no rule for a part of it, or it is too large.
     """
     graph = lower(program, Builder(rules))
-    _show("lower", graph)
+    _inspect("lower", graph)
     for each in PASSES if passes is None else passes:
         graph = each(graph)
-        _show(each.__name__, graph)
+        _inspect(each.__name__, graph)
     return graph
 
 
 def to_llvm(
     program: Program,
-    target: Target,
     variant: Variant,
     passes: Sequence[Pass] | None = None,
     rules: Rules = RULES,
@@ -106,8 +109,7 @@ def to_llvm(
 
     Args:
         program: for one individual.
-        target: the machine.
-        variant: the kind of code.
+        variant: the machine and the kind of code.
         passes: see `optimize`.
         rules: see `optimize`.
 
@@ -118,8 +120,8 @@ def to_llvm(
         graph = optimize(program, passes, rules)
         code = allocate(graph, variant)
         text, scratch = print_llvm(code)
-    entry = handler("handler", code.arguments, code.results, scratch, variant)
-    size = 8 * target.bytes
+    entry = handler("handler", len(code.arguments), len(code.results))
+    size = 8 * variant.target.bytes
     vector = f'"prefer-vector-width"="{size}" "min-legal-vector-width"="{size}"'
     text = f"{text}\n{entry}\nattributes #0 = {{ nounwind {vector} }}\n"
     return Module(text, scratch, graph.operations)
@@ -140,6 +142,12 @@ def _without_collector() -> Iterator[None]:
             gc.enable()
 
 
-def _show(name: str, graph: Graph) -> None:
+def _inspect(name: str, graph: Graph) -> None:
+    """Print and verify what a pass has made, where that is switched on."""
     if os.environ.get("EVO_CPG_SHOW_PASSES"):
         print(f"--- {name}", show(graph), sep="\n", file=sys.stderr)
+    if os.environ.get("EVO_CPG_VERIFY_PASSES"):
+        try:
+            verify(graph)
+        except InvalidGraph as error:
+            raise InvalidGraph(f"{name}: {error}") from None

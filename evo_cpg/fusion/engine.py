@@ -33,10 +33,12 @@ class Engine(NamedTuple):
         name: "auto" takes native code where it can be had, with a warning where it cannot;
             "native" insists on it; "jax" never does.
         instructions: the set of instructions of native code; "host" is the largest there is.
+        tested: whether native code has to pass its self-test first. Only the self-test needs none.
     """
 
     name: EngineName = "auto"
     instructions: InstructionSet = "host"
+    tested: bool = True
 
 
 class EngineWarning(UserWarning):
@@ -45,6 +47,8 @@ class EngineWarning(UserWarning):
 
 _AUTO = Engine()
 _chosen: contextvars.ContextVar[Engine] = contextvars.ContextVar("engine")
+# Names of the parts that fell back while a program is computed in parts.
+_fallbacks: contextvars.ContextVar[list[str]] = contextvars.ContextVar("fallbacks")
 
 
 @contextlib.contextmanager
@@ -85,9 +89,9 @@ def target() -> machine.Target:
     """
     if jax.default_backend() != "cpu":
         raise Unsupported(f"JAX computes on {jax.default_backend()}, and native code is for CPUs")
-    instructions = _chosen.get(_AUTO).instructions
-    found = machine.host(None if instructions == "host" else instructions)
-    if wrong := _wrong(found):
+    engine = _chosen.get(_AUTO)
+    found = machine.host(None if engine.instructions == "host" else engine.instructions)
+    if engine.tested and (wrong := _wrong(found)):
         raise Unsupported(wrong)
     return found
 
@@ -107,9 +111,8 @@ def described(engine: Engine) -> dict[str, Any]:
 
 
 def warn_of_fallback(name: str, error: Exception) -> None:
-    """Say that JAX computes a program after all; once for each."""
-    global _fallbacks
-    _fallbacks += 1
+    """Warn once that JAX computes a program after all."""
+    _fallbacks.get([]).append(name)
     kind = "" if isinstance(error, Unsupported) else f"{type(error).__name__}: "
     reason = str(error).strip().split("\n")[0]
     _warn_once(f"{name} runs on plain JAX, not as native code: {kind}{reason}")
@@ -117,20 +120,22 @@ def warn_of_fallback(name: str, error: Exception) -> None:
 
 @contextlib.contextmanager
 def smallest_fallback(name: str, error: Exception) -> Iterator[None]:
-    """While JAX computes a program in parts: warn of it unless it is one of them that is to blame.
+    """Compute a program in parts: warn of it, unless one of the parts falls back as well.
 
     Args:
         name: of the program.
         error: why it cannot become native code.
     """
-    before = _fallbacks
-    yield
-    if _fallbacks == before:
+    parts: list[str] = []
+    token = _fallbacks.set(parts)
+    try:
+        yield
+    finally:
+        _fallbacks.reset(token)
+    if parts:
+        _fallbacks.get([]).extend(parts)
+    else:
         warn_of_fallback(name, error)
-
-
-# How often JAX had to compute a program or a part of one.
-_fallbacks = 0
 
 
 @functools.cache

@@ -28,36 +28,40 @@ _RANDOM = {
 }  # fmt: skip
 
 
-def primitive(
-    name: str,
+def primitive(name: str) -> Primitive:
+    """Return a new primitive with several results, which `implement` gives its rules."""
+    new = Primitive(name)
+    new.multiple_results = True
+    return new
+
+
+def implement(
+    primitive: Primitive,
     shapes: Callable[..., Sequence[Any]],
     evaluate: Callable[..., Sequence[jax.Array]],
     differentiate: Callable,
     batch: Callable,
     transpose: Callable | None = None,
-) -> Primitive:
-    """A primitive with several results.
+) -> None:
+    """Teach JAX the rules of a primitive.
 
     Args:
-        name: of it.
+        primitive: which.
         shapes: of its results (`jax.ShapeDtypeStruct`), from arguments and parameters.
         evaluate: in terms of other primitives.
         differentiate: rule of forward mode.
         batch: rule of `jax.vmap`.
         transpose: rule of reverse mode, if it is linear.
     """
-    new = Primitive(name)
-    new.multiple_results = True
-    new.def_abstract_eval(
+    primitive.def_abstract_eval(
         lambda *x, **params: [ShapedArray(s.shape, s.dtype) for s in shapes(*x, **params)]
     )
-    new.def_impl(evaluate)
-    mlir.register_lowering(new, mlir.lower_fun(evaluate, multiple_results=True))
-    ad.primitive_jvps[new] = differentiate
-    batching.primitive_batchers[new] = batch
+    primitive.def_impl(evaluate)
+    mlir.register_lowering(primitive, mlir.lower_fun(evaluate, multiple_results=True))
+    ad.primitive_jvps[primitive] = differentiate
+    batching.primitive_batchers[primitive] = batch
     if transpose is not None:
-        ad.primitive_transposes[new] = transpose
-    return new
+        ad.primitive_transposes[primitive] = transpose
 
 
 def no_tangent(x: jax.Array) -> Any:

@@ -43,10 +43,10 @@ CACHE_LINE = 64
 """A fact, bytes: places in scratch memory begin with a line."""
 
 VALUE_REGISTERS = 0.75
-"""Fitted: share of the registers that hold values; the others hold constants and what an operation
-needs on the way. Hardly sensitive: from 1/2 to 7/8 a step of swimmer and quadruped takes as long
-but for the scatter of a busy machine; on a quieter one 7/8 took 1.0 to 1.3 times as long, for LLVM
-then spills the others."""
+"""Fitted: fraction of the registers that hold values; the others hold constants and what an
+operation needs on the way. Hardly sensitive: from 1/2 to 7/8 a step of swimmer and quadruped takes
+as long but for the scatter of a busy machine; on a quieter one 7/8 took 1.0 to 1.3 times as long,
+for LLVM then spills the others."""
 
 LLVM_EFFORT = 2
 """Fitted: 1 to 3 make the same code, for its order and registers are settled before; with 0 a step
@@ -57,9 +57,9 @@ WIDEST_CHUNK = 32
 2048 swimmers take 1.9 times as long with 1, 1.3 times with 4 and 0.94 times with 128. What speaks
 against more is that progress shows, and memory stays flat, only from chunk to chunk."""
 
-GANG = 16
-"""Fitted: vectors that come to a loop together, if it ends at different rounds for each individual;
-those that go on are packed (`evo_cpg.fusion.backend.packing`)."""
+VECTOR_GROUP = 16
+"""Fitted: vectors that run together (`evo_cpg.fusion.backend.packing`) in programs with a loop that
+ends at different rounds for each individual."""
 
 KEPT_FOR_THE_WAY_BACK = 256 * 2**20
 """Fitted, bytes: what may be kept of all control steps of a trial on a device, for its gradient;

@@ -2,17 +2,19 @@
 
 import time
 import weakref
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.fusion import engine
+from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion.backend.code import Variant
-from evo_cpg.fusion.backend.machine import Target, load
+from evo_cpg.fusion.backend.machine import load
 from evo_cpg.fusion.compile import to_llvm
-from evo_cpg.fusion.frontend.primitives import RULES, Program, plain
+from evo_cpg.fusion.frontend.derivatives import batch_again, differentiate
+from evo_cpg.fusion.frontend.primitives import Program, fused_p, plain
 from evo_cpg.fusion.stopwatch import Made, counted, record
 
 
@@ -22,10 +24,12 @@ class Native(NamedTuple):
     Attributes:
         name: under which XLA finds it.
         scratch: bytes of memory that it works in.
+        width: the least number of individuals.
     """
 
     name: str
     scratch: int
+    width: int
 
 
 # Bytes of a float32.
@@ -51,24 +55,32 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
     except Exception as error:
         engine.warn_of_fallback(program.name, error)
         return plain(program, batch)(*arrays)
+    # A vector has to be full: copies of the last individual fill the lanes that are left over.
+    lanes = max(count, native.width)
     rows = [int(np.prod(aval.shape, dtype=int)) for aval in outputs]
     shapes = [
-        jax.ShapeDtypeStruct((size, count), aval.dtype)
+        jax.ShapeDtypeStruct((size, lanes), aval.dtype)
         for size, aval in zip(rows, outputs, strict=True)
         if size
     ]
     room = jax.ShapeDtypeStruct((max(native.scratch, 1),), np.uint8)
     given = [
-        x.reshape(-1) if i < program.shared else x.reshape(-1, count)
+        x.reshape(-1) if i < program.shared else _filled(x.reshape(-1, count), lanes)
         for i, x in enumerate(arrays)
         if x.size
     ]
     *found, _ = jax.ffi.ffi_call(native.name, (*shapes, room))(*given)
-    results = iter(found)
+    results = iter(x[:, :count] if lanes > count else x for x in found)
     return [
         (next(results) if size else jnp.zeros(0, aval.dtype)).reshape(*aval.shape, *batch)
         for size, aval in zip(rows, outputs, strict=True)
     ]
+
+
+def _filled(x: jax.Array, lanes: int) -> jax.Array:
+    """Return rows that are as long as wanted; copies of their last number fill them up."""
+    missing = lanes - x.shape[1]
+    return jnp.pad(x, ((0, 0), (0, missing)), mode="edge") if missing else x
 
 
 def _native(program: Program, count: int) -> Native:
@@ -78,22 +90,26 @@ def _native(program: Program, count: int) -> Native:
     kinds = [np.dtype(x.dtype) for x in (*program.inputs, *program.outputs)]
     widest = max([kind.itemsize for kind in kinds if kind.kind == "f"], default=_SINGLE)
     width = 1 if count == 1 else target.bytes // widest
-    key = target, width, count < width
-    if key not in codes:
-        variant = Variant(width, count < width, target.fma, target.registers, target.compresses)
+    variant = Variant(target, width)
+    if variant not in codes:
         with counted():
-            codes[key] = _make(program, target, variant)
-    return codes[key]
+            codes[variant] = _make(program, variant)
+    return codes[variant]
 
 
-def _make(program: Program, target: Target, variant: Variant) -> Native:
+def _make(program: Program, variant: Variant) -> Native:
     start = time.perf_counter()
-    module = to_llvm(program, target, variant)
+    module = to_llvm(program, variant)
     middle = time.perf_counter()
-    name, address = load(module.text, target)
+    name, address = load(module.text, variant.target)
     taken = middle - start, time.perf_counter() - middle
     record(Made(program.name, module.operations, *taken, module.scratch))
-    return Native(engine.register(name, address), module.scratch)
+    return Native(engine.register(name, address), module.scratch, variant.width)
 
 
-RULES["evaluate"] = evaluate
+def shapes_of(*_: Any, program: Program, batch: tuple[int, ...]) -> list[jax.ShapeDtypeStruct]:
+    """Return the shapes of the results of a program for all individuals."""
+    return [jax.ShapeDtypeStruct((*x.shape, *batch), x.dtype) for x in program.outputs]
+
+
+internals.implement(fused_p, shapes_of, evaluate, differentiate, batch_again)

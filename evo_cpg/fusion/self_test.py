@@ -18,10 +18,6 @@ def main(instructions: str) -> None:
     Raises:
         ArithmeticError: they differ.
     """
-    # Who tests must not ask for the test.
-    engine._wrong = lambda found: ""
-    # Nor may JAX compute what code cannot be made for.
-    warnings.simplefilter("error", engine.EngineWarning)
 
     def program(x: jax.Array) -> tuple[jax.Array, jax.Array]:
         def turn(carry: jax.Array, i: jax.Array) -> tuple[jax.Array, None]:
@@ -30,7 +26,10 @@ def main(instructions: str) -> None:
         return jax.lax.scan(turn, x[0], jnp.arange(3))[0], (x > 0).any(0)
 
     values = np.linspace(-2, 2, 120, dtype=np.float32).reshape(2, 60)
-    with engine.using(engine.Engine("native", instructions)):  # pyright: ignore
+    own = engine.Engine("native", instructions, tested=False)  # pyright: ignore
+    with engine.using(own), warnings.catch_warnings():
+        # JAX must not compute what code cannot be made for.
+        warnings.simplefilter("error", engine.EngineWarning)
         for count in (1, 3, 60):
             x = jnp.asarray(values[:, :count])
             found = jax.jit(functools.partial(fuse, program, batch_ndim=1))(x)

@@ -4,7 +4,7 @@ The root moves freely in space. Its velocity is angular (rad/s), then linear at 
 world axes; its pose is the position of its centre (m) and a unit quaternion (w, x, y, z).
 
 A generalized vector ``(v, *n)`` holds the root's `ROOT_DOFS` components, then those of the joints
-in the tree's order. Nothing else in the package depends on the number or on the order.
+in the tree's order. No other module of the physics depends on the number or on the order.
 """
 
 from collections.abc import Sequence
@@ -13,14 +13,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.physics.spatial_algebra import (
-    BodyMotion,
-    Inertia,
-    Motion,
-    Wrench,
-    acceleration_of_free_body,
+from evo_cpg.fusion.fuse import symmetric
+from evo_cpg.physics.spatial_algebra import BodyMotion, Inertia, Motion, Wrench
+from evo_cpg.spatial.linear import (
+    cross,
+    inverse_symmetric,
+    matmul,
+    matmul_t,
+    matvec,
+    matvec_t,
+    transpose,
 )
-from evo_cpg.spatial.linear import cross, transpose
 from evo_cpg.spatial.rotation import integrate_quaternion, quaternion_to_matrix
 
 # Degrees of freedom of the root.
@@ -112,8 +115,18 @@ def acceleration(y: Float[Array, "v *n"]) -> Motion:
 
 
 def solved(inertia: Inertia, bias: Wrench) -> Motion:
-    """Return the acceleration of a root with an articulated-body inertia and bias wrench."""
-    return acceleration_of_free_body(inertia, bias)
+    """Return the root's acceleration ``-I^-1 p``, by eliminating the linear part.
+
+    Args:
+        inertia: I, of all that hangs on the root.
+        bias: p.
+    """
+    linear_inverse = inverse_symmetric(inertia.linear)
+    coupling = matmul(inertia.mixed, linear_inverse)
+    schur = symmetric(inertia.angular - matmul_t(coupling, inertia.mixed))
+    turning = matvec(inverse_symmetric(schur), matvec(coupling, bias.force) - bias.moment)
+    moving = matvec(linear_inverse, -bias.force - matvec_t(inertia.mixed, turning))
+    return Motion(turning, moving)
 
 
 def vector(

@@ -19,11 +19,8 @@ from jaxtyping import Array, Float
 from evo_cpg.fusion.fuse import symmetric
 from evo_cpg.spatial.linear import (
     cross,
-    inverse_symmetric,
     matmul,
     matmul_t,
-    matvec,
-    matvec_t,
     skew,
 )
 
@@ -96,13 +93,3 @@ def inertia_at_parent(inertia: Inertia, offset: Float[Array, "3 *#rest"]) -> Ine
     mixed = inertia.mixed + matmul(shift, inertia.linear)
     angular = inertia.angular + matmul_t(shift, inertia.mixed) - matmul(mixed, shift)
     return Inertia(symmetric(angular), mixed, inertia.linear)
-
-
-def acceleration_of_free_body(inertia: Inertia, bias: Wrench) -> Motion:
-    """``-I^-1 p``, by eliminating the linear part."""
-    linear_inverse = inverse_symmetric(inertia.linear)
-    coupling = matmul(inertia.mixed, linear_inverse)
-    schur = symmetric(inertia.angular - matmul_t(coupling, inertia.mixed))
-    angular = matvec(inverse_symmetric(schur), matvec(coupling, bias.force) - bias.moment)
-    linear = matvec(linear_inverse, -bias.force - matvec_t(inertia.mixed, angular))
-    return Motion(angular, linear)

@@ -148,7 +148,7 @@ class Settling:
         self.world, self.h = world, h
         # Coordinates are scaled to lengths, forces to the creature's weight.
         self.free = np.flatnonzero(
-            np.concatenate([np.ones(root.ROOT_DOFS, bool), _gives_way(tree)])
+            np.concatenate([np.ones(root.ROOT_DOFS, bool), _is_compliant(tree)])
         )
         self.size = radius_of_gyration(tree)
         # Without gravity nothing acts but springs that are at rest already.
@@ -298,7 +298,7 @@ class Settling:
         """Check that motors without a spring can hold their joints."""
         tree = self.world.tree
         torque = np.abs(total[root.JOINTS])
-        for i in np.flatnonzero(~_gives_way(tree) & (torque > tree.torque_limit)):
+        for i in np.flatnonzero(~_is_compliant(tree) & (torque > tree.torque_limit)):
             raise NoRestError(
                 f"the motor of {tree.dof_names[i]} would have to hold {torque[i]:.3g} N m, and its "
                 f"torque_limit is {tree.torque_limit[i]:.3g} N m"
@@ -406,7 +406,7 @@ def _is_known(*values: Any) -> bool:
     return True
 
 
-def _gives_way(tree: Tree) -> np.ndarray:
+def _is_compliant(tree: Tree) -> np.ndarray:
     """Degrees of freedom that have an angle of rest under a load."""
     return (tree.stiffness > 0) | (tree.servo_stiffness > 0) | (tree.servo_gain == 0)
 

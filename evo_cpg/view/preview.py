@@ -206,7 +206,7 @@ def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
         if body.joint is None:
             continue
         anchor = centre + turn @ np.array(body.joint.child_anchor)
-        for axis in body.joint.axes:
+        for axis, *_ in body.joint.dofs:
             names = [n for n, unit in zip("xyz", np.eye(3), strict=True) if np.allclose(axis, unit)]
             name = names[0] if names else "other"
             meaning[f"{name} axis"] = color = _AXES.get(name, _OTHER_AXIS)
@@ -323,7 +323,7 @@ def _write(
             for name, place in zip(names, _apart(places, np.array(boxes)), strict=True):
                 write(draw, name, tuple(place), size, _TEXT, anchor="mm", plate=_BACKGROUND)
         write(draw, creature.name, (margin, margin), 23 * unit, _TEXT, anchor="la")
-        axes = sum(len(body.joint.axes) for body in creature.bodies if body.joint)
+        axes = sum(len(body.joint.dofs) for body in creature.bodies if body.joint)
         words = [f"{len(creature.bodies)} bodies", f"{axes} degrees of freedom"]
         facts = ", ".join([*words, f"{creature.mass:.3g} kg", *notes])
         below = margin, margin + 36 * unit

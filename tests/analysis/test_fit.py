@@ -8,7 +8,7 @@ import pytest
 from scipy import optimize, stats
 
 from creatures import quick_jit
-from evo_cpg.analysis.fit import doubts, fit, student_quantile
+from evo_cpg.analysis.fit import fit, fit_warnings, student_quantile
 from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.control.commanded import Commanded
@@ -66,7 +66,7 @@ def test_a_decay_is_that_of_scipy(monkeypatch):
     np.testing.assert_allclose(found.errors, np.sqrt(np.diag(covariance)), rtol=1e-3)
     assert bool(found.found)
     monkeypatch.setattr("evo_cpg.analysis.fit._MOST_STEPS", 3)
-    words = doubts(("height", "rate"), np.array([True, True]), search())
+    words = fit_warnings(("height", "rate"), np.array([True, True]), search())
     assert any("did not settle" in each for each in words)
 
 
@@ -79,7 +79,7 @@ def test_a_number_near_zero_is_told_from_it_or_not():
         found = quick_jit(
             lambda data: one_kind(lambda p: (p[0] * x)[:, None], data, jnp.array([0.2]), [False])
         )(data)
-        assert doubts(("slope",), np.array([False]), found) == words
+        assert fit_warnings(("slope",), np.array([False]), found) == words
 
 
 def test_what_the_data_do_not_tell_is_said():
@@ -91,7 +91,7 @@ def test_what_the_data_do_not_tell_is_said():
             lambda p: (p[0] * p[1] * x)[:, None], data, jnp.array([1.0, 1.5]), [True] * 2
         )
     )(data)
-    words = " ".join(doubts(("mass", "gain"), np.array([True, True]), found))
+    words = " ".join(fit_warnings(("mass", "gain"), np.array([True, True]), found))
     assert "hardly tell mass and gain apart" in words and "hardly determine mass" in words
 
 

@@ -14,7 +14,7 @@ from evo_cpg.training.elites import gait_map
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.variations import Variation, compile_variation
 from evo_cpg.view import film
-from evo_cpg.view.units import told
+from evo_cpg.view.units import terms_text
 from tiny_run import CONFIG, PAIR
 
 MAPPED = (
@@ -41,7 +41,7 @@ def built(run):
 
 
 def test_terms_are_told_with_their_units():
-    assert told({"speed": 0.3141, "duty_factor": 0.5, "power": 12.0}) == (
+    assert terms_text({"speed": 0.3141, "duty_factor": 0.5, "power": 12.0}) == (
         "speed 0.314 m/s, duty factor 0.5, power 12 W"
     )
 

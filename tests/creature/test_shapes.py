@@ -180,6 +180,38 @@ def test_support_is_the_farthest_point_of_the_surface(shape):
         np.testing.assert_allclose(shape.support(3 * direction), point, rtol=0, atol=1e-15)
 
 
+@each_shape
+def test_height_is_that_of_the_support(shape):
+    """Several directions at once, as audits of overlaps ask, and one at a time."""
+    directions = np.random.default_rng(2).normal(size=(4, 5, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    one_by_one = [[one @ shape.support(one) for one in row] for row in directions]
+    np.testing.assert_allclose(shape.height(directions), one_by_one, rtol=1e-12)
+
+
+@each_shape
+def test_skin_is_closed_and_of_the_shape(shape):
+    """Its points lie in the shape, its triangles look outwards, and little volume is missing.
+
+    So do those of a shape without a skin of its own.
+    """
+    for points, normals, faces in (shape.skin(), Shape.skin(shape)):
+        assert shape.distance(points).max() < 1e-12
+        a, b, c = points[faces].swapaxes(0, 1)
+        volume = np.linalg.det(np.stack([a, b, c], 1)).sum() / 6
+        assert 0.85 * shape.volume < volume < 1.001 * shape.volume
+        across = np.cross(b - a, c - a)
+        assert ((normals[faces].sum(1) * across).sum(1) >= -1e-15).all()
+
+
+def test_a_shape_without_contact_points_is_refused():
+    for parts in (Shape.floor_parts, Shape.obstacle_parts):
+        with pytest.raises(
+            TypeError, match=f"no contact points for a Sphere; define {parts.__name__}"
+        ):
+            parts(Sphere(0.1))
+
+
 def test_support_is_in_the_middle_of_a_face():
     np.testing.assert_array_equal(SHAPES["box"].support(np.array([0, 0, -2.0])), [0, 0, -0.05])
     np.testing.assert_array_equal(SHAPES["capsule"].support(np.array([0, 0, 1.0])), [0, 0, 0.05])

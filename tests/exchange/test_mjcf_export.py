@@ -221,7 +221,6 @@ class Ring(Shape):
     volume = 1.0
     half_extents = np.ones(3)
     inertia = distance = support = surface = cells = None
-    floor_parts = obstacle_parts = skin = None
 
 
 class Mud(Part):

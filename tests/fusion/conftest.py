@@ -2,13 +2,9 @@
 
 import pytest
 
-from evo_cpg.fusion import compile
-from evo_cpg.fusion.ir.verify import verify
-
 
 @pytest.fixture(autouse=True, scope="session")
 def verified():
-    passes = [each for one in compile.PASSES for each in (verify, one)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compile, "PASSES", (*passes, verify))
+        patch.setenv("EVO_CPG_VERIFY_PASSES", "1")
         yield

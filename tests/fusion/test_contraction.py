@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evo_cpg.fusion.frontend.builder import Builder
-from evo_cpg.fusion.ir.graph import Node
+from evo_cpg.fusion.ir.graph import Graph, Node
 from evo_cpg.fusion.ir.show import show
 from evo_cpg.fusion.ir.verify import verify
 from evo_cpg.fusion.passes.contract import contract_multiply_adds
@@ -28,26 +28,26 @@ OPERATIONS = {
 }
 
 
-def given_nodes(graph: Builder, count: int) -> list[Node]:
-    return list(graph.argument((count,), FLOAT))
+def given_nodes(builder: Builder, count: int) -> list[Node]:
+    return list(builder.argument((count,), FLOAT))
 
 
-def contracted(graph: Builder, *roots: Node, reorder: bool = True) -> list[Node]:
-    """Return the roots behind the pass, which changes nothing of the graph that it is given."""
-    graph.end_part(roots, reorder)
-    before = graph.graph([np.array([root], object) for root in roots])
+def contracted(builder: Builder, *roots: Node, reorder: bool = True) -> Graph:
+    """Return the graph behind the pass, which changes nothing of the graph that it is given."""
+    builder.end_part((), roots, reorder)
+    before = builder.graph([np.array([root], object) for root in roots])
     text = show(before)
     after = verify(contract_multiply_adds(verify(before)))
     assert show(before) == text
-    return after.wanted
+    return after
 
 
-def expression(graph: Builder, draw) -> list[Node]:
+def expression(builder: Builder, draw) -> list[Node]:
     """Random sums and products; some are used where it cannot be seen."""
-    nodes = given_nodes(graph, 6)
+    nodes = given_nodes(builder, 6)
     for _ in range(draw(st.integers(1, 40))):
         a, b = (nodes[draw(st.integers(0, len(nodes) - 1))] for _ in range(2))
-        make = draw(st.sampled_from([graph.add, graph.subtract, graph.multiply]))
+        make = draw(st.sampled_from([builder.add, builder.subtract, builder.multiply]))
         nodes.append(make(a, b))
     return nodes
 
@@ -105,19 +105,20 @@ def magnitude(node: Node) -> float:
 @given(st.data(), st.booleans())
 def test_values_stay_and_instructions_do_not_grow(data, reorder):
     """Also of what another program within is given."""
-    graph = Builder()
-    nodes = expression(graph, data.draw)
+    builder = Builder()
+    nodes = expression(builder, data.draw)
     seen = data.draw(st.lists(st.sampled_from(nodes), max_size=3))
     found = (
-        graph.make("neg", [graph.opaque(node) for node in seen][:1], FLOAT) if seen else nodes[0]
+        builder.make("neg", [builder.opaque(node) for node in seen][:1], FLOAT)
+        if seen
+        else nodes[0]
     )
-    graph.end_part([found])
-    inside = graph.opaque(found, given=graph.given([np.array(seen, object)]))
+    inside = builder.opaque(found, part=builder.end_part(seen, [found]))
     wanted = [nodes[-1], *seen]
     before, count = [value(node, {}) for node in wanted], instructions(wanted)
     scales = [magnitude(node) for node in wanted]
-    root, inside = contracted(graph, nodes[-1], inside, reorder=reorder)
-    wanted = [root, *(inside.operands[1].operands if inside.op == "opaque" else [])]
+    after = contracted(builder, nodes[-1], inside, reorder=reorder)
+    wanted = [after.wanted[0], *after.parts[0].arguments]
     for node, old, scale in zip(wanted, before, scales, strict=True):
         assert abs(value(node, {}) - old) <= 1e-12 * scale or not np.isfinite(scale)
     assert instructions(wanted) <= count
@@ -136,24 +137,24 @@ def test_values_stay_and_instructions_do_not_grow(data, reorder):
 
 def test_products_are_added_one_by_one():
     """``(a b + c d) + (e f + x)`` is three instructions, each with a product."""
-    graph = Builder()
-    a, b, c, d, e, f, x = given_nodes(graph, 7)
-    ab, cd, ef = (graph.multiply(*pair) for pair in ((a, b), (c, d), (e, f)))
-    root = graph.add(graph.add(ab, cd), graph.add(ef, x))
-    assert counts(contracted(graph, root)) == {"input": 7, "fma": 3}
+    builder = Builder()
+    a, b, c, d, e, f, x = given_nodes(builder, 7)
+    ab, cd, ef = (builder.multiply(*pair) for pair in ((a, b), (c, d), (e, f)))
+    root = builder.add(builder.add(ab, cd), builder.add(ef, x))
+    assert counts(contracted(builder, root).wanted) == {"input": 7, "fma": 3}
 
 
 @pytest.mark.parametrize(
     ("signs", "made"), [("++", "fma"), ("+-", "fnma"), ("-+", "fnma"), ("--", "fnma")]
 )
 def test_signs_are_kept(signs, made):
-    graph = Builder()
-    x, y, a, b = given_nodes(graph, 4)
-    ab = graph.multiply(a, b)
-    first = graph.add(y, ab) if signs[1] == "+" else graph.subtract(y, ab)
-    root = graph.add(x, first) if signs[0] == "+" else graph.subtract(x, first)
+    builder = Builder()
+    x, y, a, b = given_nodes(builder, 4)
+    ab = builder.multiply(a, b)
+    first = builder.add(y, ab) if signs[1] == "+" else builder.subtract(y, ab)
+    root = builder.add(x, first) if signs[0] == "+" else builder.subtract(x, first)
     before = value(root, {})
-    (root,) = contracted(graph, root)
+    (root,) = contracted(builder, root).wanted
     assert value(root, {}) == pytest.approx(before, rel=1e-14)
     assert counts([root])["mul"] == 0
     assert made in counts([root]) or signs == "--"
@@ -161,12 +162,12 @@ def test_signs_are_kept(signs, made):
 
 def test_the_written_order_is_kept_where_it_matters():
     """``((a + b c) + d) - e f``, and a difference of which the product comes first."""
-    graph = Builder()
-    a, b, c, d, e, f = given_nodes(graph, 6)
-    inner = graph.add(graph.add(a, graph.multiply(b, c)), d)
-    root = graph.subtract(inner, graph.multiply(e, f))
-    other = graph.subtract(graph.multiply(a, d), e)
-    root, other = contracted(graph, root, other, reorder=False)
+    builder = Builder()
+    a, b, c, d, e, f = given_nodes(builder, 6)
+    inner = builder.add(builder.add(a, builder.multiply(b, c)), d)
+    root = builder.subtract(inner, builder.multiply(e, f))
+    other = builder.subtract(builder.multiply(a, d), e)
+    root, other = contracted(builder, root, other, reorder=False).wanted
     inner = root.operands[2]
     assert root.op == "fnma" and root.operands == (e, f, inner)
     assert inner.op == "add" and d in inner.operands
@@ -176,12 +177,12 @@ def test_the_written_order_is_kept_where_it_matters():
 
 
 def test_a_sum_or_product_that_others_use_is_left_whole():
-    graph = Builder()
-    a, b, c, d = given_nodes(graph, 4)
-    shared = graph.add(graph.multiply(a, b), graph.multiply(c, d))
-    product = graph.multiply(a, c)
-    roots = [graph.add(shared, a), graph.multiply(shared, b), graph.add(product, d), product]
-    roots = contracted(graph, *roots)
+    builder = Builder()
+    a, b, c, d = given_nodes(builder, 4)
+    shared = builder.add(builder.multiply(a, b), builder.multiply(c, d))
+    product = builder.multiply(a, c)
+    roots = [builder.add(shared, a), builder.multiply(shared, b), builder.add(product, d), product]
+    roots = contracted(builder, *roots).wanted
     (shared,) = {node for node in roots[0].operands if node.op != "input"}
     product = roots[3]
     assert all(shared in root.operands for root in roots[:2])
@@ -190,16 +191,15 @@ def test_a_sum_or_product_that_others_use_is_left_whole():
 
 def test_what_another_program_reads_is_left_as_it_is():
     """``s = a b + c d`` is read elsewhere: ``s + e`` must not become ``(e + a b) + c d``."""
-    graph = Builder()
-    a, b, c, d, e = given_nodes(graph, 5)
-    s = graph.add(graph.multiply(a, b), graph.multiply(c, d))
-    found = graph.make("neg", [graph.opaque(s)], FLOAT)
-    graph.end_part([found])
-    elsewhere = graph.opaque(found, given=graph.given([np.array([s], object)]))
-    root = graph.add(s, e)
+    builder = Builder()
+    a, b, c, d, e = given_nodes(builder, 5)
+    s = builder.add(builder.multiply(a, b), builder.multiply(c, d))
+    found = builder.make("neg", [builder.opaque(s)], FLOAT)
+    elsewhere = builder.opaque(found, part=builder.end_part([s], [found]))
+    root = builder.add(s, e)
     before = value(s, {})
-    root, elsewhere = contracted(graph, root, elsewhere)
-    (s,) = elsewhere.operands[1].operands
+    after = contracted(builder, root, elsewhere)
+    root, (s,) = after.wanted[0], after.parts[0].arguments
     assert value(s, {}) == pytest.approx(before, rel=1e-15)
     assert s in root.operands and s.op == "fma"
 
@@ -207,8 +207,8 @@ def test_what_another_program_reads_is_left_as_it_is():
 def test_all_orders_of_terms_are_one_chain():
     """However four products are grouped, three of them are added as they are made."""
     for order in itertools.permutations(range(4)):
-        graph = Builder()
-        x = given_nodes(graph, 8)
-        terms = [graph.multiply(x[2 * i], x[2 * i + 1]) for i in order]
-        root = graph.add(graph.add(terms[0], terms[1]), graph.add(terms[2], terms[3]))
-        assert counts(contracted(graph, root)) == {"input": 8, "mul": 1, "fma": 3}
+        builder = Builder()
+        x = given_nodes(builder, 8)
+        terms = [builder.multiply(x[2 * i], x[2 * i + 1]) for i in order]
+        root = builder.add(builder.add(terms[0], terms[1]), builder.add(terms[2], terms[3]))
+        assert counts(contracted(builder, root).wanted) == {"input": 8, "mul": 1, "fma": 3}

@@ -37,6 +37,7 @@ MOVES = {
     "running sum": lambda x: jnp.cumsum(x, 1),
     "running sum from behind": lambda x: lax.cumsum(x, 0, reverse=True),
     "running product": lambda x: jnp.cumprod(x, 0),
+    "running sum of a vector": lambda x: jnp.cumsum(x[0]),
     "running extremes": lambda x: lax.cummax(x, 0) - lax.cummin(x, 1, reverse=True),
     "place of the largest": lambda x: (jnp.argmax(x, 0), jnp.argmin(x, 1), jnp.argmax(x)),
     "any": lambda x: (x > 0.5).any(0),

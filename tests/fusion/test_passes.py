@@ -11,22 +11,23 @@ from against_jax import plain, sample
 
 from evo_cpg.fusion import compile, machine_constants, native
 from evo_cpg.fusion.backend.allocate import allocate
-from evo_cpg.fusion.backend.code import LoopCode, Stretch, Variant
+from evo_cpg.fusion.backend.code import LoopCode, Stretch, Target, Variant
 from evo_cpg.fusion.backend.llvm import print_llvm
 from evo_cpg.fusion.compile import PASSES, check_size, optimize
 from evo_cpg.fusion.frontend.builder import Builder
 from evo_cpg.fusion.frontend.primitives import fused_p
+from evo_cpg.fusion.frontend.simplify import RULES
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.ir.graph import Change, Node, rewrite
 from evo_cpg.fusion.ir.show import show
 from evo_cpg.fusion.ir.verify import InvalidGraph, verify
 from evo_cpg.fusion.passes.dead_code import eliminate_dead_code
 from evo_cpg.fusion.passes.schedule import schedule
-from evo_cpg.fusion.passes.simplify import RULES
 from evo_cpg.fusion.unsupported import Unsupported
 
 F32 = np.dtype(np.float32)
-WIDE = Variant(width=8, masked=False, fma=True, registers=16, compresses=False)
+TARGET = Target("avx2", 32, 16, fma=True, compresses=False, processor="", features="")
+WIDE = Variant(TARGET, width=8)
 
 
 def program(x):
@@ -60,7 +61,7 @@ def graph_of(make, rows=3):
     builder = Builder()
     results = make(builder, *builder.argument((rows,), F32))
     results = results if isinstance(results, tuple) else (results,)
-    builder.end_part(results)
+    builder.end_part((), results)
     return builder.graph([np.array([node], object) for node in results])
 
 
@@ -247,8 +248,43 @@ def test_verifier_finds_what_is_wrong():
         verify(dataclasses.replace(graph, nodes=graph.nodes[:-1]))
     scheduled = schedule(graph)
     runs = {graph.top: [run._replace(nodes=run.nodes[::-1]) for run in scheduled.runs[graph.top]]}
-    with pytest.raises(InvalidGraph, match="before its operands"):
+    with pytest.raises(InvalidGraph, match="is scheduled before"):
         verify(dataclasses.replace(scheduled, runs=runs))
+    for kept in (slice(1, None), slice(0, 2)):
+        runs = {
+            graph.top: [run._replace(nodes=run.nodes[kept]) for run in scheduled.runs[graph.top]]
+        }
+        with pytest.raises(InvalidGraph, match="or this is not at all"):
+            verify(dataclasses.replace(scheduled, runs=runs))
+    twice = {graph.top: [run for run in scheduled.runs[graph.top] for _ in range(2)]}
+    with pytest.raises(InvalidGraph, match="or twice"):
+        verify(dataclasses.replace(scheduled, runs=twice))
+
+
+def test_verifier_looks_behind_opaque_nodes():
+    def make(b, x, y, z):
+        return b.negate(b.opaque(b.add(x, y)))
+
+    graph = schedule(graph_of(make))
+    verify(graph)
+    (run,) = graph.runs[graph.top]
+    without = dataclasses.replace(graph, runs={graph.top: [run._replace(nodes=run.nodes[1:])]})
+    with pytest.raises(InvalidGraph, match="not at all"):
+        verify(without)
+    total = next(node for node in graph.nodes if node.op == "add")
+    nodes = [node for node in graph.nodes if node is not total]
+    with pytest.raises(InvalidGraph, match="before it is made"):
+        verify(dataclasses.replace(graph, nodes=nodes))
+
+
+def test_invalid_graph_names_the_pass(monkeypatch):
+    def forget(graph):
+        return dataclasses.replace(graph, nodes=graph.nodes[1:])
+
+    with pytest.raises(InvalidGraph, match=r"forget: .* before it is made"):
+        optimize(traced(), [forget])
+    monkeypatch.delenv("EVO_CPG_VERIFY_PASSES")
+    optimize(traced(), [forget])
 
 
 def test_verifier_finds_what_is_wrong_with_loops():
@@ -328,7 +364,9 @@ def test_values_beyond_the_registers_go_to_memory():
         return functools.reduce(b.add, [*roots, *(b.apply("abs", each) for each in roots[::-1])])
 
     graph = schedule(eliminate_dead_code(graph_of(make, rows=40)))
-    few, many = (allocate(graph, WIDE._replace(registers=n)) for n in (8, 64))
+    few, many = (
+        allocate(graph, WIDE._replace(target=TARGET._replace(registers=n))) for n in (8, 64)
+    )
     assert few.frame > 0 and many.frame == 0
 
 
@@ -338,7 +376,7 @@ def test_what_loops_carry_has_a_slot():
 
     code = allocate(optimize(traced(loop)), WIDE)
     (item,) = [each for each in code.items if isinstance(each, LoopCode)]
-    assert item.loop.count == 3 and item.packed is None and not code.ganged
+    assert item.loop.count == 3 and item.packed is None and not code.grouped
     # Three carried values and the input that every round reads, in whole lines of the cache.
     assert code.size == 4 * machine_constants.CACHE_LINE
 

@@ -25,12 +25,12 @@ LIMIT = 6  # of eight registers two are spare
 @st.composite
 def programs(draw):
     """Operations in the order in which they were made, and what is wanted of them."""
-    graph = Builder()
-    known = list(graph.argument((INPUTS,), np.float32))
+    builder = Builder()
+    known = list(builder.argument((INPUTS,), np.float32))
     made = []
     for _ in range(draw(st.integers(1, 60))):
         pair = [known[draw(st.integers(0, len(known) - 1))] for _ in range(2)]
-        node = graph.make("max", pair, np.float32)
+        node = builder.make("max", pair, np.float32)
         if node not in made:
             known.append(node)
             made.append(node)
@@ -51,11 +51,11 @@ def test_order_computes_all_of_it_operands_first(program):
 
 def test_what_frees_most_comes_soon():
     """Sums of neighbours, made one level after the other: each is added up before the next."""
-    graph = Builder()
-    rows = list(graph.argument((16,), np.float32))
+    builder = Builder()
+    rows = list(builder.argument((16,), np.float32))
     made = []
     while len(rows) > 1:
-        rows = [graph.add(a, b) for a, b in zip(rows[::2], rows[1::2], strict=True)]
+        rows = [builder.add(a, b) for a, b in zip(rows[::2], rows[1::2], strict=True)]
         made += rows
 
     def most_waiting(order):

@@ -114,6 +114,9 @@ def test_every_run_and_every_way_to_run():
         out_specs=(PartitionSpec(None, "devices"), PartitionSpec("devices")),
     )
     assert_same([np.asarray(x) for x in jax.jit(split)(PEOPLE)], of_all())
+    # Without `shard_map` XLA has to gather the individuals before the call.
+    sharding = jax.sharding.NamedSharding(mesh, PartitionSpec(None, "devices"))
+    assert_same(natively(trial, jax.device_put(PEOPLE, sharding)), of_all())
 
 
 @pytest.mark.parametrize("count", [1, 5, 112])

@@ -22,20 +22,27 @@ from evo_cpg.fusion.backend.code import (
     Item,
     LoopCode,
     Piece,
-    Place,
+    Slot,
     Step,
     Stretch,
     Table,
     Template,
     Variant,
 )
-from evo_cpg.fusion.backend.crossing import crossing
-from evo_cpg.fusion.backend.packing import declared
-from evo_cpg.fusion.backend.places import FRAME_ORIGIN, Places
+from evo_cpg.fusion.backend.memory import FRAME_ORIGIN, Memory, live_across
 from evo_cpg.fusion.backend.registers import Registers
 from evo_cpg.fusion.backend.select import FRAME, SCRATCH, Selector
-from evo_cpg.fusion.ir.graph import Block, Graph, Loop, Node, home, resolve, row_count
-from evo_cpg.fusion.passes.schedule import runs_of
+from evo_cpg.fusion.ir.graph import (
+    Block,
+    Graph,
+    Loop,
+    Node,
+    home,
+    resolve,
+    row_count,
+    runs_of,
+    table_values,
+)
 
 _FLAG = np.dtype(bool)
 
@@ -77,8 +84,8 @@ class _Allocator:
             if node.op == "list":
                 self.lists[node.operands[0]].append(node)
         self.select = Selector(variant)
-        self.registers = Registers(variant.registers)
-        self.places = Places()
+        self.registers = Registers(variant.target.registers)
+        self.memory = Memory()
         self.tables: dict[Node, int | str] = {}
         self.constants: list[Table] = []
         self.count = 0
@@ -86,9 +93,9 @@ class _Allocator:
         self.slots: dict[Node, int] = {}
         self.spilled: dict[Node, int] = {}
         ends = [loop.detail for loop in graph.kept if loop.detail.condition is not None]
-        self.ganged = self.width > 1 and not variant.masked and not all(x.once for x in ends)
+        self.grouped = self.width > 1 and not all(x.once for x in ends)
         self.packed: _Packed | None = None
-        self.alone = False
+        self.per_vector = False
         self.pieces: list[Piece] = []
         self.items: list[Item] = []
         self._begin()
@@ -96,14 +103,14 @@ class _Allocator:
     def code(self) -> Code:
         """Allocate the whole program."""
         graph = self.graph
-        across = crossing(graph, self.lists)
+        across = live_across(graph, self.lists)
         far = set(across)
         self._copy_inputs([node for node in graph.nodes if node.op == "input" and node in far])
         carried = [loop.detail.carried[k] for loop, kept in graph.kept.items() for k in kept]
         counters = [node for node in graph.nodes if node.op == "counter"]
         for node in [*carried, *counters, *across]:
             if node not in self.slots:
-                self.slots[node] = self.places.room(self._row_bytes(node))
+                self.slots[node] = self.memory.reserve(self._row_bytes(node))
         self._block(graph.top, graph.wanted)
         for k, (buffer, nodes) in enumerate(graph.results):
             base = self._buffer(len(graph.arguments) + k)
@@ -121,16 +128,16 @@ class _Allocator:
             self.variant,
             self.items,
             self.constants,
-            self.select.declared,
-            self.places.size,
-            self.places.frame,
-            self.ganged,
+            self.select.functions,
+            self.memory.size,
+            self.memory.frame,
+            self.grouped,
         )
 
     @property
-    def _takes_turns(self) -> bool:
-        """Whether all vectors of a gang come to the present code together."""
-        return self.ganged and self.packed is None and not self.alone
+    def _in_group(self) -> bool:
+        """Return whether all vectors of a group run the present code together."""
+        return self.grouped and self.packed is None and not self.per_vector
 
     # Steps, pieces, stretches.
 
@@ -189,7 +196,7 @@ class _Allocator:
         """Keep a value in the memory that vectors share, unless it is in memory already."""
         if node in self.spilled or home(node) in self.slots:
             return
-        self.spilled[node] = place = self.places.borrow(self._row_bytes(node))
+        self.spilled[node] = place = self.memory.borrow(self._row_bytes(node))
         self.buffers[FRAME] = None
         self._let(self.select.store(node.dtype, node.uniform, FRAME), name, place - FRAME_ORIGIN)
 
@@ -197,14 +204,14 @@ class _Allocator:
         """Begin a run; `_used` is to be called after each operation and each use in the end."""
         self.registers.expect(run, wanted)
         for node, place in self.spilled.items():
-            self.places.give_back(self._row_bytes(node), place)
+            self.memory.release(self._row_bytes(node), place)
         self.spilled = {}
 
     def _used(self) -> None:
         leaving, over = self.registers.pass_on()
         for node in over:
             if node in self.spilled:
-                self.places.give_back(self._row_bytes(node), self.spilled.pop(node))
+                self.memory.release(self._row_bytes(node), self.spilled.pop(node))
         for (node, wide), name in leaving:
             if wide != node.uniform:
                 self._spill(node, name)
@@ -284,7 +291,7 @@ class _Allocator:
                 runs.append([node])
         for run in runs:
             size = self._row_bytes(run[0])
-            start = self.places.room(size * len(run))
+            start = self.memory.reserve(size * len(run))
             self.slots.update((node, start + i * size) for i, node in enumerate(run))
             number, row = run[0].detail
             base = self._buffer(number)
@@ -324,16 +331,21 @@ class _Allocator:
 
     def _rows(self, node: Node) -> None:
         """Write a table of computed numbers."""
+        self.tables[node] = self._store_operands(node)
+        self._wrote(node)
+
+    def _store_operands(self, node: Node) -> int:
+        """Write the operands of a node to memory, one behind the other; return where."""
         size = self._row_bytes(node)
-        start = self.tables[node] = self.places.room(size * len(node.operands))
+        start = self.memory.reserve(size * len(node.operands))
         for i, operand in enumerate(node.operands):
             self._store(self._ref(operand, node.uniform), node, start + i * size)
-        self._wrote(node)
+        return start
 
     def _sums(self, node: Node) -> None:
         """Begin sums in memory of their own."""
         size, first = self._row_bytes(node), node.operands[0]
-        start = self.tables[node] = self.places.room(size * len(node.operands))
+        start = self.tables[node] = self.memory.reserve(size * len(node.operands))
         self._wrote(node)
         if first.value is not None and all(operand is first for operand in node.operands):
             to = self._address(start)
@@ -349,11 +361,9 @@ class _Allocator:
 
     def _solve(self, node: Node) -> None:
         """Put equations in memory and call the function that solves them."""
-        size = self._row_bytes(node)
-        start = self.places.room(size * len(node.operands))
-        for i, operand in enumerate(node.operands):
-            self._store(self._ref(operand, node.uniform), node, start + i * size)
-        answers = self.tables[node] = start + (len(node.operands) - node.detail) * size
+        start = self._store_operands(node)
+        behind = (len(node.operands) - node.detail) * self._row_bytes(node)
+        answers = self.tables[node] = start + behind
         template = self.select.solve(node.dtype, node.uniform)
         H, b = self._address(start), self._address(answers)
         # Registers do not outlast a call.
@@ -363,9 +373,9 @@ class _Allocator:
 
     def _accumulate(self, node: Node) -> None:
         """Add to a number in memory."""
-        place, value, memory = node.operands
+        index, value, memory = node.operands
         base = self._address(self.tables[memory])  # pyright: ignore[reportArgumentType]
-        steps = self._let(self.select.times(), self._ref(place, True), self._row_bytes(node))
+        steps = self._let(self.select.times(), self._ref(index, True), self._row_bytes(node))
         pointer = self._let(self.select.element(), base, steps)
         before = self._let(self.select.load(node.dtype, False, ""), pointer)
         total = self._let(self.select.add(node.dtype), before, self._ref(value))
@@ -373,17 +383,17 @@ class _Allocator:
 
     def _constants(self, node: Node) -> None:
         name = self.tables[node] = f"@table{len(self.constants)}"
-        self.constants.append(Table(name, node.detail.values, node.dtype))
+        self.constants.append(Table(name, table_values(node), node.dtype))
 
     def _lookup(self, node: Node) -> str:
-        table, place = node.operands
+        table, index = node.operands
         where = self.tables[table]
         if self.packed is not None and not isinstance(where, str):
             self.packed.tables[table] = None
         base = where if isinstance(where, str) else self._address(where)
-        index = self._ref(place, place.uniform)
+        name = self._ref(index, index.uniform)
         shared = table.op == "constants" or table.uniform
-        return self._let(self.select.look_up(node.dtype, shared, place.uniform), base, index)
+        return self._let(self.select.look_up(node.dtype, shared, index.uniform), base, name)
 
     # Loops.
 
@@ -396,20 +406,20 @@ class _Allocator:
             self._cut()
             self._wrote(loop.carried[k])
         for one in lists:
-            self.tables[one] = self.places.room(self._row_bytes(one) * (loop.count or 1))
+            self.tables[one] = self.memory.reserve(self._row_bytes(one) * (loop.count or 1))
             self._wrote(one)
         self._end()
         self._begin()
-        alone = self._takes_turns and loop.once
-        if self._takes_turns and loop.condition is not None and not loop.once:
+        per_vector = self._in_group and loop.once
+        if self._in_group and loop.condition is not None and not loop.once:
             self._pack(node, loop)
             return
-        before, self.alone = self.alone, self.alone or alone
+        before, self.per_vector = self.per_vector, self.per_vector or per_vector
         outside, self.items = self.items, []
         self.count += 1
         number = self.count
         if loop.condition is not None:
-            flags = self._wanting(loop)
+            flags = self._active(loop)
             # A vector goes on while any of its individuals does.
             result = flags if self.width == 1 else self._let(self.select.any_of(), flags)
             self._end(result, "i1")
@@ -420,45 +430,43 @@ class _Allocator:
             self._wrote(loop.counter)
         body = self._round(node, loop)
         self.items = outside
-        self.items.append(LoopCode(loop, number, counter, test, body, alone))
-        self.alone = before
+        self.items.append(LoopCode(loop, number, counter, test, body, per_vector))
+        self.per_vector = before
 
     def _pack(self, node: Node, loop: Loop) -> None:
         """A loop whose individuals are packed together; its functions are of one vector."""
         packed = self.packed = _Packed()
         outside, self.items = self.items, []
-        self._end(self._let(self.select.mask(), self._wanting(loop)), "i32")
+        self._end(self._let(self.select.mask(), self._active(loop)), "i32")
         test, self.items = self.items, []
-        # Of who is moved the test was made before: a round comes first.
+        # An individual that is moved was tested before: a round comes first.
         tested = set(packed.written)
         body = self._round(node, loop)
         self.packed, self.items = None, outside
-        carries = [self._place(loop.carried[k]) for k in self.graph.kept[node]]
-        reads = [self._place(x) for x in packed.read if x in tested or x not in packed.written]
+        carries = [self._slot(loop.carried[k]) for k in self.graph.kept[node]]
+        reads = [self._slot(x) for x in packed.read if x in tested or x not in packed.written]
         for table in packed.tables:
             if table not in packed.written:
                 reads += self._rows_of(table)
-        self.select.declared.update(declared(self.width, self.variant.compresses))
         self.items.append(LoopCode(loop, 0, None, test, body, packed=(reads, carries)))
 
-    def _place(self, node: Node) -> Place:
-        return Place(self.slots[node], node.dtype.itemsize, node.uniform)
+    def _slot(self, node: Node) -> Slot:
+        return Slot(self.slots[node], node.dtype.itemsize, node.uniform)
 
-    def _rows_of(self, table: Node) -> Iterable[Place]:
+    def _rows_of(self, table: Node) -> Iterable[Slot]:
         """The places of a table in scratch memory."""
         start, size = self.tables[table], self._row_bytes(table)
         assert isinstance(start, int)
         for i in range(row_count(table)):
-            yield Place(start + i * size, table.dtype.itemsize, table.uniform)
+            yield Slot(start + i * size, table.dtype.itemsize, table.uniform)
 
-    def _wanting(self, loop: Loop) -> str:
-        """Allocate the test of a loop; return who wants another round."""
+    def _active(self, loop: Loop) -> str:
+        """Allocate the test of a loop; return which individuals go on."""
         condition = loop.condition
         assert condition is not None
         self._begin()
         self._block(loop.test, [condition])
-        flags = self._ref(condition)
-        return self._let(self.select.existing(), flags) if self.variant.masked else flags
+        return self._ref(condition)
 
     def _round(self, node: Node, loop: Loop) -> list[Item]:
         """Allocate a round of a loop; return its code."""
@@ -476,9 +484,9 @@ class _Allocator:
             uses += [ends[k], *([loop.carried[k]] if old else [])]
         self._block(loop.body, [*uses, *old])
         for one, value in zip(lists, written, strict=True):
-            assert loop.place is not None
+            assert loop.index is not None
             steps = self._let(
-                self.select.times(), self._ref(loop.place, True), self._row_bytes(one)
+                self.select.times(), self._ref(loop.index, True), self._row_bytes(one)
             )
             start = self._address(self.tables[one])  # pyright: ignore[reportArgumentType]
             pointer = self._let(self.select.element(), start, steps)
@@ -507,13 +515,13 @@ class _Allocator:
         value = self._ref(loop.following[k])
         if loop.condition is not None:
             value = self._unless_done(loop, k, value)
-        place = self.places.room(self._row_bytes(node))
+        place = self.memory.reserve(self._row_bytes(node))
         self._store(value, node, place)
         self._used()
         return place
 
     def _unless_done(self, loop: Loop, k: int, value: str) -> str:
-        """Return a value of who wants more rounds; who does not stays as it is."""
+        """Return the new value of individuals that go on, and the old one of the others."""
         node, condition = loop.carried[k], loop.condition
         assert condition is not None
         flags = self._ref(condition)

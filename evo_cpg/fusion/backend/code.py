@@ -18,22 +18,38 @@ import numpy as np
 from evo_cpg.fusion.ir.graph import Buffer, Loop
 
 
-class Variant(NamedTuple):
-    """What the machine code is made for.
+class Target(NamedTuple):
+    """The machine that code is made for.
 
     Attributes:
-        width: individuals in a vector.
-        masked: fewer individuals than that.
-        fma: whether the processor multiplies and adds in one instruction.
-        registers: for vectors, that it has.
-        compresses: whether it closes up the chosen numbers of a vector in one instruction.
+        name: of its set of instructions.
+        bytes: of a vector.
+        registers: for vectors.
+        fma: whether it multiplies and adds in one instruction.
+        compresses: whether one closes up the chosen numbers of a vector.
+        processor: LLVM's name of it.
+        features: LLVM's list of what it has.
     """
 
-    width: int
-    masked: bool
-    fma: bool
+    name: str
+    bytes: int
     registers: int
+    fma: bool
     compresses: bool
+    processor: str
+    features: str
+
+
+class Variant(NamedTuple):
+    """The kind of machine code.
+
+    Attributes:
+        target: the machine that it is for.
+        width: individuals in a vector.
+    """
+
+    target: Target
+    width: int
 
 
 class Template(NamedTuple):
@@ -106,7 +122,7 @@ class Copy(NamedTuple):
     buffer: str
 
 
-class Place(NamedTuple):
+class Slot(NamedTuple):
     """A place in scratch memory.
 
     Attributes:
@@ -130,7 +146,7 @@ class LoopCode:
         counter: place of the number of the round; None if it is not read.
         test: code that ends with a stretch whose result says whether there is another round.
         body: code of a round.
-        alone: a branch that each vector of a gang takes by itself.
+        per_vector: a branch that each vector of a group takes by itself.
         packed: places that the loop reads and that it carries, if its individuals are packed.
     """
 
@@ -139,8 +155,8 @@ class LoopCode:
     counter: int | None
     test: "Sequence[Item]"
     body: "Sequence[Item]"
-    alone: bool = False
-    packed: tuple[Sequence[Place], Sequence[Place]] | None = None
+    per_vector: bool = False
+    packed: tuple[Sequence[Slot], Sequence[Slot]] | None = None
 
 
 Item = Stretch | Copy | LoopCode
@@ -170,10 +186,10 @@ class Code:
         variant: what it is made for.
         items: in order.
         tables: constants in memory.
-        declared: functions that are called, by name.
+        functions: those that are called, by name.
         size: bytes of scratch memory for a vector.
         frame: bytes of memory that vectors share.
-        ganged: whether several vectors run together.
+        grouped: whether several vectors run together.
     """
 
     arguments: tuple[Buffer, ...]
@@ -181,7 +197,7 @@ class Code:
     variant: Variant
     items: Sequence[Item]
     tables: Sequence[Table]
-    declared: dict[str, str]
+    functions: dict[str, str]
     size: int
     frame: int
-    ganged: bool
+    grouped: bool

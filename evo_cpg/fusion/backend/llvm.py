@@ -3,8 +3,7 @@
 Every stretch becomes a function. A *driver*, the function ``@program``, loops and calls them, for
 one vector, or for several in turn where loops end at different rounds for each individual
 (`evo_cpg.fusion.backend.packing`). The last vector overlaps the one before it where the individuals
-do not come out even; where there are fewer than one vector holds, rows are read and written with a
-mask.
+do not come out even. `evo_cpg.fusion.native` sees to it that one vector at least is full.
 
 No instruction carries a fast-math flag, so the bits of an individual's results do not depend on the
 vector's width.
@@ -13,9 +12,9 @@ vector's width.
 from collections.abc import Callable, Sequence
 
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.backend.code import Code, Copy, Item, LoopCode, Place, Step, Stretch, Table
-from evo_cpg.fusion.backend.packing import Gang, each_vector, packed_loop
-from evo_cpg.fusion.backend.places import FRAME_ORIGIN
+from evo_cpg.fusion.backend.code import Code, Copy, Item, LoopCode, Slot, Step, Stretch, Table
+from evo_cpg.fusion.backend.memory import FRAME_ORIGIN
+from evo_cpg.fusion.backend.packing import VectorGroup, each_vector, packed_loop
 from evo_cpg.fusion.backend.select import FRAME
 from evo_cpg.fusion.backend.writer import TYPES, number
 
@@ -30,8 +29,8 @@ def print_llvm(code: Code) -> tuple[str, int]:
 class _Printer:
     """Writes the functions, one for each stretch, and the lines of the driver that calls them.
 
-    With a gang, the driver's calls are for all of its vectors, but for those in a packed loop and
-    in a branch that each vector takes by itself: there ``turns`` is false.
+    With a group, the driver's calls are for all of its vectors, but for those in a packed loop and
+    in a branch that each vector takes by itself: there ``grouped`` is false.
     """
 
     def __init__(self, code: Code):
@@ -40,15 +39,17 @@ class _Printer:
         # An odd number of lines: the same place of different vectors is not in the same set.
         line = machine_constants.CACHE_LINE
         stride = (size // line | 1) * line + line
-        self.gang = Gang(machine_constants.GANG, variant.width, stride, variant.compresses)
-        self.own = (self.gang.vectors + 1) * stride if code.ganged else size
+        self.group = VectorGroup(
+            machine_constants.VECTOR_GROUP, variant.width, stride, variant.target.compresses
+        )
+        self.own = (self.group.vectors + 1) * stride if code.grouped else size
         count = len(code.arguments) + len(code.results)
         self.buffers = "".join(f"ptr %b{k}, " for k in range(count))
         self.functions: list[str] = []
-        self.gangs: list[str] = []
+        self.group_functions: list[str] = []
         self.driver: list[str] = []
         self.label = "vector"
-        self.turns = code.ganged
+        self.grouped = code.grouped
 
     def text(self) -> tuple[str, int]:
         """Print the whole program."""
@@ -61,21 +62,20 @@ class _Printer:
             "br label %vector",
             "vector:",
             f"%first = phi i64 [ 0, %entry ], [ %next, %{self.label} ]",
-            *(self._gang_lines() if self.code.ganged else self._vector_lines()),
+            *(self._group_lines() if self.code.grouped else self._vector_lines()),
             "br i1 %more, label %vector, label %done",
             "done:",
             "ret void",
             "}",
         ]
         tables = [_table(each) for each in self.code.tables]
-        declared = self.code.declared.values()
-        text = "\n".join([*tables, *declared, *self.functions, *self.gangs, *driver])
+        called = self.code.functions.values()
+        text = "\n".join([*tables, *called, *self.functions, *self.group_functions, *driver])
         return text, self.own + self.code.frame
 
     def _vector_lines(self) -> list[str]:
         width = self.code.variant.width
         return [
-            *self._valid(),
             *self.driver,
             # The last vector ends with the last individual.
             f"%stop = add i64 %first, {width}",
@@ -85,8 +85,8 @@ class _Printer:
             "%more = icmp slt i64 %stop, %n",
         ]
 
-    def _gang_lines(self) -> list[str]:
-        vectors, width = self.gang.vectors, self.gang.width
+    def _group_lines(self) -> list[str]:
+        vectors, width = self.group.vectors, self.group.width
         return [
             "%left = sub i64 %n, %first",
             f"%begun = add i64 %left, {width - 1}",
@@ -108,8 +108,8 @@ class _Printer:
                 self._copy(item)
             elif item.packed is not None:
                 self._packed(item, *item.packed)
-            elif item.alone:
-                self._alone(item)
+            elif item.per_vector:
+                self._per_vector(item)
             else:
                 self._loop(item)
         return result
@@ -122,7 +122,7 @@ class _Printer:
         """Write a function of some lines; return its name."""
         name = f"stretch{len(self.functions)}"
         pointers = "".join(f"ptr noalias {buffer}, " for buffer in buffers)
-        body = "\n".join(["entry:", *self._valid(), *lines, f"ret {kind} {result}"])
+        body = "\n".join(["entry:", *lines, f"ret {kind} {result}"])
         # Not inlined: within the driver's loops LLVM would take constants out of them, thousands,
         # and spill each as a whole vector.
         self.functions.append(
@@ -149,16 +149,22 @@ class _Printer:
             result = "%result" if result else ""
             lines = [*calls, _call(result, kind, name, f"{given}{_GIVEN}")]
         name = self._function(lines, buffers, result, kind)
-        if self.turns:
-            self._call_for_gang(name, given, given)
+        return self._call_function(name, given, bool(result), kind)
+
+    def _call_function(
+        self, name: str, given: str, has_result: bool = False, kind: str = "void"
+    ) -> str:
+        """Call a function for one vector or for all of a group; return the name of the result."""
+        if self.grouped:
+            self._call_for_group(name, given, given)
             return ""
-        found = f"%found{len(self.functions)}" if result else ""
+        found = f"%found{len(self.functions)}" if has_result else ""
         self.driver.append(_call(found, kind, name, f"{given}{_GIVEN}"))
         return found
 
-    def _call_for_gang(self, name: str, parameters: str, given: str) -> None:
-        self.gangs.append(each_vector(name, parameters, self.gang))
-        self.driver.append(f"call void @{name}.gang({given}{_GIVEN}, i64 %count)")
+    def _call_for_group(self, name: str, parameters: str, given: str) -> None:
+        self.group_functions.append(each_vector(name, parameters, self.group))
+        self.driver.append(f"call void @{name}.group({given}{_GIVEN}, i64 %count)")
 
     def _copy(self, copy: Copy) -> None:
         lines = [
@@ -171,25 +177,7 @@ class _Printer:
             "br i1 %more, label %head, label %copied",
             "copied:",
         ]
-        given = f"ptr {copy.buffer}, "
-        name = self._function(lines, [copy.buffer])
-        if self.turns:
-            self._call_for_gang(name, given, given)
-        else:
-            self.driver.append(_call("", "void", name, f"{given}{_GIVEN}"))
-
-    def _valid(self) -> list[str]:
-        """Return lines that say which individuals of a vector exist."""
-        width = self.code.variant.width
-        if not self.code.variant.masked:
-            return []
-        lanes, wide = ", ".join(f"i64 {i}" for i in range(width)), f"<{width} x i64>"
-        zeros = f"<{width} x i32> zeroinitializer"
-        return [
-            f"%one = insertelement {wide} poison, i64 %n, i32 0",
-            f"%all = shufflevector {wide} %one, {wide} poison, {zeros}",
-            f"%valid = icmp ult {wide} <{lanes}>, %all",
-        ]
+        self._call_function(self._function(lines, [copy.buffer]), f"ptr {copy.buffer}, ")
 
     # Loops.
 
@@ -226,7 +214,7 @@ class _Printer:
 
     def _count(self, slot: int, counter: str, number: int) -> None:
         """Put the number of the round where it is read."""
-        if not self.turns:
+        if not self.grouped:
             place = f"%place{number}"
             self.driver.append(f"{place} = getelementptr i8, ptr %scratch, i64 {slot}")
             self.driver.append(f"store i32 %{counter}, ptr {place}")
@@ -237,34 +225,34 @@ class _Printer:
             f"%place = getelementptr i8, ptr %scratch, i64 {slot}\n"
             "store i32 %round, ptr %place\nret void\n}"
         )
-        self._call_for_gang(name, "i32 %round, ", f"i32 %{counter}, ")
+        self._call_for_group(name, "i32 %round, ", f"i32 %{counter}, ")
 
-    def _alone(self, item: LoopCode) -> None:
-        """A branch that each vector of a gang takes by itself, as a function of one vector."""
+    def _per_vector(self, item: LoopCode) -> None:
+        """A branch that each vector of a group takes by itself, as a function of one vector."""
         name = f"branch{len(self.functions)}"
         parameters = f"{self.buffers}ptr {FRAME}, "
-        lines, _ = self._apart(lambda: self._loop(item))
+        lines, _ = self._separately(lambda: self._loop(item))
         self._of_one_vector("void", name, parameters, [*lines, "ret void"])
-        self._call_for_gang(name, parameters, parameters)
+        self._call_for_group(name, parameters, parameters)
 
-    def _packed(self, item: LoopCode, reads: Sequence[Place], carries: Sequence[Place]) -> None:
+    def _packed(self, item: LoopCode, reads: Sequence[Slot], carries: Sequence[Slot]) -> None:
         """A loop whose individuals are packed together; its functions are of one vector."""
         name = f"loop{len(self.functions)}"
         parameters = f"{self.buffers}ptr {FRAME}, "
-        lines, mask = self._apart(lambda: self._items(item.test))
+        lines, mask = self._separately(lambda: self._items(item.test))
         self._of_one_vector("i32", f"{name}.test", parameters, [*lines, f"ret i32 {mask}"])
-        lines, _ = self._apart(lambda: self._items(item.body))
+        lines, _ = self._separately(lambda: self._items(item.body))
         self._of_one_vector("void", f"{name}.round", parameters, [*lines, "ret void"])
-        self.gangs.append(packed_loop(name, parameters, self.gang, reads, carries))
-        self.driver.append(f"call void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %count)")
+        self.group_functions.append(packed_loop(name, parameters, self.group, reads, carries))
+        self.driver.append(f"call void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count)")
 
-    def _apart(self, write: Callable[[], str]) -> tuple[list[str], str]:
+    def _separately(self, write: Callable[[], str]) -> tuple[list[str], str]:
         """Return the driver's lines of what one vector does by itself, and the result of that."""
-        outside = self.driver, self.label, self.turns
-        self.driver, self.label, self.turns = [], "entry", False
+        outside = self.driver, self.label, self.grouped
+        self.driver, self.label, self.grouped = [], "entry", False
         result = write()
         lines = self.driver
-        self.driver, self.label, self.turns = outside
+        self.driver, self.label, self.grouped = outside
         return lines, result
 
     def _of_one_vector(self, kind: str, name: str, parameters: str, lines: list[str]) -> None:

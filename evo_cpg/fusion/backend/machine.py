@@ -10,12 +10,13 @@ import hashlib
 import os
 import platform
 import sys
-import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
+from evo_cpg.files import in_one_piece
 from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.backend import compiler
+from evo_cpg.fusion.backend.code import Target
 from evo_cpg.fusion.backend.compiler_process import Request
 from evo_cpg.fusion.stopwatch import counted
 from evo_cpg.fusion.unsupported import Unsupported
@@ -25,28 +26,6 @@ if TYPE_CHECKING:
 
 # What is left out where a smaller set is wanted.
 _LARGER = {"avx2": ("avx512",), "sse": ("avx", "fma", "f16c", "xop", "vaes", "vpclmul")}
-
-
-class Target(NamedTuple):
-    """The machine that code is made for.
-
-    Attributes:
-        name: of its set of instructions.
-        bytes: of a vector.
-        registers: for vectors.
-        fma: whether it multiplies and adds in one instruction.
-        compresses: whether one closes up the chosen numbers of a vector.
-        processor: LLVM's name of it.
-        features: LLVM's list of what it has.
-    """
-
-    name: str
-    bytes: int
-    registers: int
-    fma: bool
-    compresses: bool
-    processor: str
-    features: str
 
 
 _folder: Path | None = None
@@ -189,10 +168,6 @@ def _read(name: str) -> bytes | None:
 
 
 def _write(name: str, code: bytes) -> None:
-    if _folder is None:
-        return
-    with contextlib.suppress(OSError):
-        handle, path = tempfile.mkstemp(dir=_folder, prefix=".native-")
-        with os.fdopen(handle, "wb") as file:
-            file.write(code + hashlib.sha256(code).digest())
-        os.replace(path, _folder / f"native-{name}")
+    if _folder is not None:
+        with contextlib.suppress(OSError), in_one_piece(_folder / f"native-{name}") as file:
+            file.write_bytes(code + hashlib.sha256(code).digest())

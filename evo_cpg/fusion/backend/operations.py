@@ -4,6 +4,9 @@ They have JAX's meaning: NaN goes through maxima, whole numbers may be divided b
 to whole numbers stop at the ends of their range.
 """
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import numpy as np
 
 from evo_cpg.fusion.backend.writer import TYPES, Writer
@@ -34,203 +37,229 @@ _INTRINSICS = {
 _SHIFTS = {"shift_left": "shl", "shift_right_arithmetic": "ashr", "shift_right_logical": "lshr"}
 
 
-def write(w: Writer, node: Node, a: list[str]) -> str:
+class Operation:
+    """An operation that is written, and what its instructions are made of.
+
+    Attributes:
+        op: its name.
+        dtype: type of its result.
+        source: type of its first operand.
+        kind: number of the source in tables: 0 a float, 1 a signed, 2 an unsigned whole number.
+        t: LLVM's type of the result.
+        s: LLVM's type of the first operand.
+        constants: values of operands, where they are known.
+    """
+
+    def __init__(self, writer: Writer, node: Node):
+        self._writer, self._uniform = writer, node.uniform
+        self.op, self.dtype, self.source = node.op, node.dtype, node.operands[0].dtype
+        self.kind = "fiu".index("u" if self.source.kind in "ub" else self.source.kind)
+        self.t, self.s = self.type_of(self.dtype), self.type_of(self.source)
+        self.constants = [operand.value for operand in node.operands]
+        self.let, self.fma = writer.let, writer.fma
+
+    def type_of(self, dtype: np.dtype) -> str:
+        """Return LLVM's type of values, scalars if they are the same for all individuals."""
+        return self._writer.type_of(dtype, self._uniform)
+
+    def literal(self, value: Any, dtype: np.dtype | None = None) -> str:
+        """Return a constant, of the result's type unless another one is named."""
+        return self._writer.literal(value, dtype or self.dtype, self._uniform)
+
+    def choose(self, flag: str, yes: str, no: str) -> str:
+        """Write a selection between two values of the result's type."""
+        flags = self.type_of(np.dtype(bool))
+        return self.let(f"select {flags} {flag}, {self.t} {yes}, {self.t} {no}")
+
+    def intrinsic(self, name: str, t: str, a: Sequence[str], source: str = "") -> str:
+        """Write a call of one of LLVM's own functions."""
+        return self._writer.intrinsic(name, t, a, source)
+
+    def library_call(self, name: str, a: Sequence[str]) -> str:
+        """Write calls of a function of the C library, one individual after the other."""
+        w, t = self._writer, TYPES[self.dtype.char]
+        w.functions[name] = f"declare {t} @{name}({', '.join([t] * len(a))})"
+        if self._uniform or w.width == 1:
+            return self.let(f"call {t} @{name}({', '.join(f'{t} {x}' for x in a)})")
+        result = "poison"
+        for i in range(w.width):
+            parts = [self.let(f"extractelement {self.t} {x}, i32 {i}") for x in a]
+            one = self.let(f"call {t} @{name}({', '.join(f'{t} {x}' for x in parts)})")
+            result = self.let(f"insertelement {self.t} {result}, {t} {one}, i32 {i}")
+        return result
+
+
+def write(writer: Writer, node: Node, a: list[str]) -> str:
     """Write an operation.
 
     Args:
-        w: where it is written.
+        writer: where it is written.
         node: the operation.
         a: names of its operands, vectors unless all is the same for all individuals.
 
     Returns:
         The name of its result.
     """
-    op, dtype, uniform, source = node.op, node.dtype, node.uniform, node.operands[0].dtype
-    t, s = w.type_of(dtype, uniform), w.type_of(source, uniform)
-    kind = "fiu".index("u" if source.kind in "ub" else source.kind)
-    if op in _ARITHMETIC and _ARITHMETIC[op][kind]:
-        return w.let(f"{_ARITHMETIC[op][kind]} {s} {a[0]}, {a[1]}")
-    if op in ("fma", "fms", "fnma"):
-        return _fused(w, op, t, a, uniform)
-    if op == "select":
-        c = w.type_of(source, uniform)
-        return w.let(f"select {c} {a[0]}, {t} {a[1]}, {t} {a[2]}")
-    if op == "neg":
-        return w.let(f"fneg {t} {a[0]}" if kind == 0 else f"sub {t} zeroinitializer, {a[0]}")
-    if op == "not":
-        return w.let(f"xor {t} {a[0]}, {w.literal(-1, dtype, uniform)}")
-    if op == "div":
-        return _quotient(w, node, t, a, kind)
-    if op in ("max", "min"):
-        return _extreme(w, node, s, a, kind)
-    if op in _INTRINSICS and kind == 0:
-        return w.intrinsic(_INTRINSICS[op], t, a)
-    if op == "abs":
-        zero = w.literal(0, dtype, uniform)
-        negative = w.let(f"icmp slt {t} {a[0]}, {zero}")
-        opposite = w.let(f"sub {t} {zero}, {a[0]}")
-        flag = w.type_of(np.dtype(bool), uniform)
-        return w.let(f"select {flag} {negative}, {t} {opposite}, {t} {a[0]}")
-    if op == "sign":
-        return _sign(w, t, a[0], dtype, uniform)
-    if op == "is_finite":
-        size = w.intrinsic("fabs", s, a)
-        return w.let(f"fcmp one {s} {size}, {w.literal(np.inf, source, uniform)}")
-    if op == "rem":
-        return _remainder(w, node, t, a, kind)
-    if op in _SHIFTS:
-        return _shift(w, node, t, a)
-    if op == "convert":
-        return _conversion(w, source, dtype, s, t, a[0], uniform)
-    if op == "bitcast":
-        return w.let(f"bitcast {s} {a[0]} to {t}")
-    return _library_call(w, node, a)
+    o = Operation(writer, node)
+    word = _ARITHMETIC.get(o.op, (None,) * 3)[o.kind]
+    if word is not None:
+        return o.let(f"{word} {o.s} {a[0]}, {a[1]}")
+    if o.op in _INTRINSICS and o.kind == 0:
+        return o.intrinsic(_INTRINSICS[o.op], o.t, a)
+    if o.op in _WRITERS:
+        return _WRITERS[o.op](o, *a)
+    return o.library_call(o.op, a)
 
 
-def _fused(w: Writer, op: str, t: str, a: list[str], uniform: bool) -> str:
-    x, y, z = a
-    if not w.fma:
-        product = w.let(f"fmul {t} {x}, {y}")
-        first, second = (z, product) if op != "fms" else (product, z)
-        return w.let(f"{'fadd' if op == 'fma' else 'fsub'} {t} {first}, {second}")
-    if op == "fms":
-        z = w.let(f"fneg {t} {z}")
-    elif op == "fnma":
-        x = w.let(f"fneg {t} {x}")
-    return w.intrinsic("fma", t, [x, y, z])
+def _multiply_add(o: Operation, x: str, y: str, z: str) -> str:
+    if not o.fma:
+        product = o.let(f"fmul {o.t} {x}, {y}")
+        first, second = (z, product) if o.op != "fms" else (product, z)
+        return o.let(f"{'fadd' if o.op == 'fma' else 'fsub'} {o.t} {first}, {second}")
+    if o.op == "fms":
+        z = o.let(f"fneg {o.t} {z}")
+    elif o.op == "fnma":
+        x = o.let(f"fneg {o.t} {x}")
+    return o.intrinsic("fma", o.t, [x, y, z])
 
 
-def _extreme(w: Writer, node: Node, t: str, a: list[str], kind: int) -> str:
-    """The larger or smaller of two; NaN if either is."""
-    word = {"max": ("ogt", "sgt", "ugt"), "min": ("olt", "slt", "ult")}[node.op][kind]
-    flag = w.type_of(np.dtype(bool), node.uniform)
-    x, y = a
-    first, second = node.operands
-    if second.value is not None:
-        # What a comparison with NaN chooses is the second one: then a constant is the first.
-        x, y, first, second = y, x, second, first
-    better = w.let(f"{'icmp' if kind else 'fcmp'} {word} {t} {x}, {y}")
-    chosen = w.let(f"select {flag} {better}, {t} {x}, {t} {y}")
-    if kind or (first.value is not None and first.value == first.value):
+def _select(o: Operation, condition: str, yes: str, no: str) -> str:
+    return o.let(f"select {o.s} {condition}, {o.t} {yes}, {o.t} {no}")
+
+
+def _negative(o: Operation, x: str) -> str:
+    return o.let(f"fneg {o.t} {x}" if o.kind == 0 else f"sub {o.t} zeroinitializer, {x}")
+
+
+def _not(o: Operation, x: str) -> str:
+    return o.let(f"xor {o.t} {x}, {o.literal(-1)}")
+
+
+def _extreme(o: Operation, x: str, y: str) -> str:
+    """Write the larger or smaller of two; NaN if either is."""
+    word = {"max": ("ogt", "sgt", "ugt"), "min": ("olt", "slt", "ult")}[o.op][o.kind]
+    known = o.constants[0]
+    if o.constants[1] is not None:
+        # A comparison with NaN chooses the second operand. So a constant is the first.
+        x, y, known = y, x, o.constants[1]
+    better = o.let(f"{'icmp' if o.kind else 'fcmp'} {word} {o.t} {x}, {y}")
+    chosen = o.choose(better, x, y)
+    if o.kind or (known is not None and known == known):
         return chosen
-    lost = w.let(f"fcmp uno {t} {x}, {x}")
-    return w.let(f"select {flag} {lost}, {t} {x}, {t} {chosen}")
+    return o.choose(o.let(f"fcmp uno {o.t} {x}, {x}"), x, chosen)
 
 
-def _sign(w: Writer, t: str, x: str, dtype: np.dtype, uniform: bool) -> str:
-    flag = w.type_of(np.dtype(bool), uniform)
-    zero, one = (w.literal(value, dtype, uniform) for value in (0, 1))
-    if dtype.kind == "f":
-        size = w.intrinsic("copysign", t, [one, x])
-        away = w.let(f"fcmp one {t} {x}, {zero}")
+def _size(o: Operation, x: str) -> str:
+    """Write the absolute value of a whole number."""
+    zero = o.literal(0)
+    negative = o.let(f"icmp slt {o.t} {x}, {zero}")
+    return o.choose(negative, o.let(f"sub {o.t} {zero}, {x}"), x)
+
+
+def _sign(o: Operation, x: str) -> str:
+    zero, one = o.literal(0), o.literal(1)
+    if o.kind == 0:
+        size = o.intrinsic("copysign", o.t, [one, x])
         # Zero and NaN are their own signs.
-        return w.let(f"select {flag} {away}, {t} {size}, {t} {x}")
-    above = w.let(f"icmp ne {t} {x}, {zero}")
-    up = w.let(f"select {flag} {above}, {t} {one}, {t} {zero}")
-    if dtype.kind != "i":
+        return o.choose(o.let(f"fcmp one {o.t} {x}, {zero}"), size, x)
+    up = o.choose(o.let(f"icmp ne {o.t} {x}, {zero}"), one, zero)
+    if o.kind == 2:
         return up
-    below = w.let(f"icmp slt {t} {x}, {zero}")
-    return w.let(f"select {flag} {below}, {t} {w.literal(-1, dtype, uniform)}, {t} {up}")
+    return o.choose(o.let(f"icmp slt {o.t} {x}, {zero}"), o.literal(-1), up)
 
 
-def _quotient(w: Writer, node: Node, t: str, a: list[str], kind: int) -> str:
-    if kind == 0:
-        return w.let(f"fdiv {t} {a[0]}, {a[1]}")
-    safe, by_zero, overflow = _divisor(w, node, t, a)
-    found = w.let(f"{'sdiv' if kind == 1 else 'udiv'} {t} {a[0]}, {safe}")
-    flag = w.type_of(np.dtype(bool), node.uniform)
-    if by_zero:
-        found = w.let(
-            f"select {flag} {by_zero}, {t} {w.literal(-1, node.dtype, node.uniform)}, {t} {found}"
-        )
-    if overflow:
-        found = w.let(f"select {flag} {overflow}, {t} {a[0]}, {t} {found}")
-    return found
+def _is_finite(o: Operation, x: str) -> str:
+    size = o.intrinsic("fabs", o.s, [x])
+    return o.let(f"fcmp one {o.s} {size}, {o.literal(np.inf, o.source)}")
 
 
-def _remainder(w: Writer, node: Node, t: str, a: list[str], kind: int) -> str:
-    if kind == 0:
-        return _library_call(w, node, a, "fmodf" if node.dtype == np.float32 else "fmod")
-    safe, by_zero, overflow = _divisor(w, node, t, a)
-    found = w.let(f"{'srem' if kind == 1 else 'urem'} {t} {a[0]}, {safe}")
-    flag = w.type_of(np.dtype(bool), node.uniform)
-    zero = w.literal(0, node.dtype, node.uniform)
-    if by_zero:
-        found = w.let(f"select {flag} {by_zero}, {t} {a[0]}, {t} {found}")
-    if overflow:
-        found = w.let(f"select {flag} {overflow}, {t} {zero}, {t} {found}")
-    return found
+def _quotient(o: Operation, x: str, y: str) -> str:
+    if o.kind == 0:
+        return o.let(f"fdiv {o.t} {x}, {y}")
+    return _divided(o, ("sdiv", "udiv")[o.kind - 1], x, y, by_zero=o.literal(-1), overflow=x)
 
 
-def _divisor(w: Writer, node: Node, t: str, a: list[str]) -> tuple[str, str, str]:
-    """A divisor that a processor takes, and where it is not the given one."""
-    dtype, value = node.dtype, node.operands[1].value
-    if value is not None and value not in (0, -1):
-        return a[1], "", ""
-    flag = w.type_of(np.dtype(bool), node.uniform)
-    zero, one, minus = (w.literal(v, dtype, node.uniform) for v in (0, 1, -1))
-    by_zero = w.let(f"icmp eq {t} {a[1]}, {zero}")
-    wrong, overflow = by_zero, ""
-    if dtype.kind == "i":
-        least = w.literal(np.iinfo(dtype).min, dtype, node.uniform)
-        first = w.let(f"icmp eq {t} {a[0]}, {least}")
-        second = w.let(f"icmp eq {t} {a[1]}, {minus}")
-        overflow = w.let(f"and {flag} {first}, {second}")
-        wrong = w.let(f"or {flag} {by_zero}, {overflow}")
-    return w.let(f"select {flag} {wrong}, {t} {one}, {t} {a[1]}"), by_zero, overflow
+def _remainder(o: Operation, x: str, y: str) -> str:
+    if o.kind == 0:
+        return o.library_call("fmodf" if o.dtype == np.float32 else "fmod", [x, y])
+    return _divided(o, ("srem", "urem")[o.kind - 1], x, y, by_zero=x, overflow=o.literal(0))
 
 
-def _shift(w: Writer, node: Node, t: str, a: list[str]) -> str:
-    bits, by = 8 * node.dtype.itemsize, node.operands[1].value
-    word = _SHIFTS[node.op]
+def _divided(o: Operation, word: str, x: str, y: str, by_zero: str, overflow: str) -> str:
+    """Write a division of whole numbers by a divisor that a processor takes.
+
+    Args:
+        o: the operation.
+        word: LLVM's name of the division.
+        x: the dividend.
+        y: the divisor.
+        by_zero: the result where the divisor is zero.
+        overflow: the result of the least number by -1.
+    """
+    known = o.constants[1]
+    if known is not None and known not in (0, -1):
+        return o.let(f"{word} {o.t} {x}, {y}")
+    zero = wrong = o.let(f"icmp eq {o.t} {y}, {o.literal(0)}")
+    least = ""
+    if o.dtype.kind == "i":
+        first = o.let(f"icmp eq {o.t} {x}, {o.literal(np.iinfo(o.dtype).min)}")
+        second = o.let(f"icmp eq {o.t} {y}, {o.literal(-1)}")
+        flags = o.type_of(np.dtype(bool))
+        least = o.let(f"and {flags} {first}, {second}")
+        wrong = o.let(f"or {flags} {zero}, {least}")
+    safe = o.choose(wrong, o.literal(1), y)
+    found = o.choose(zero, by_zero, o.let(f"{word} {o.t} {x}, {safe}"))
+    return o.choose(least, overflow, found) if least else found
+
+
+def _shift(o: Operation, x: str, y: str) -> str:
+    bits, by = 8 * o.dtype.itemsize, o.constants[1]
+    word = _SHIFTS[o.op]
     if by is not None and 0 <= by < bits:
-        return w.let(f"{word} {t} {a[0]}, {a[1]}")
-    flag = w.type_of(np.dtype(bool), node.uniform)
-    most = w.literal(bits - 1, node.dtype, node.uniform)
-    beyond = w.let(f"icmp ugt {t} {a[1]}, {most}")
-    count = w.let(f"select {flag} {beyond}, {t} {most}, {t} {a[1]}")
-    shifted = w.let(f"{word} {t} {a[0]}, {count}")
-    if word == "ashr":
-        return shifted
-    zero = w.literal(0, node.dtype, node.uniform)
-    return w.let(f"select {flag} {beyond}, {t} {zero}, {t} {shifted}")
+        return o.let(f"{word} {o.t} {x}, {y}")
+    most = o.literal(bits - 1)
+    beyond = o.let(f"icmp ugt {o.t} {y}, {most}")
+    shifted = o.let(f"{word} {o.t} {x}, {o.choose(beyond, most, y)}")
+    return shifted if word == "ashr" else o.choose(beyond, o.literal(0), shifted)
 
 
-def _conversion(
-    w: Writer, source: np.dtype, dtype: np.dtype, s: str, t: str, x: str, uniform: bool
-) -> str:
+def _conversion(o: Operation, x: str) -> str:
+    source, dtype = o.source, o.dtype
+    longer = dtype.itemsize > source.itemsize
     if dtype.kind == "b":
-        zero = w.literal(0, source, uniform)
-        return w.let(f"{'fcmp une' if source.kind == 'f' else 'icmp ne'} {s} {x}, {zero}")
+        word = "fcmp une" if o.kind == 0 else "icmp ne"
+        return o.let(f"{word} {o.s} {x}, {o.literal(0, source)}")
     if source.kind == "b":
-        one, zero = (w.literal(value, dtype, uniform) for value in (1, 0))
-        return w.let(f"select {s} {x}, {t} {one}, {t} {zero}")
-    if source.kind == "f" and dtype.kind in "iu":
-        name = "fptosi" if dtype.kind == "i" else "fptoui"
-        return w.intrinsic(f"{name}.sat", t, [x], source=s)
-    if source.kind in "iu" and dtype.kind in "iu":
+        return o.choose(x, o.literal(1), o.literal(0))
+    if dtype.kind in "iu":
+        if o.kind == 0:
+            name = "fptosi" if dtype.kind == "i" else "fptoui"
+            return o.intrinsic(f"{name}.sat", o.t, [x], source=o.s)
         if dtype.itemsize == source.itemsize:
             return x
-        longer = "sext" if source.kind == "i" else "zext"
-        word = longer if dtype.itemsize > source.itemsize else "trunc"
-        return w.let(f"{word} {s} {x} to {t}")
-    if source.kind in "iu":
-        return w.let(f"{'sitofp' if source.kind == 'i' else 'uitofp'} {s} {x} to {t}")
-    word = "fpext" if dtype.itemsize > source.itemsize else "fptrunc"
-    return w.let(f"{word} {s} {x} to {t}")
+        word = ("sext", "zext")[o.kind - 1] if longer else "trunc"
+    else:
+        word = ("fpext" if longer else "fptrunc", "sitofp", "uitofp")[o.kind]
+    return o.let(f"{word} {o.s} {x} to {o.t}")
 
 
-def _library_call(w: Writer, node: Node, a: list[str], name: str = "") -> str:
-    """A function of the C library, one individual after the other."""
-    name = name or node.op
-    t = TYPES[node.dtype.char]
-    w.declared[name] = f"declare {t} @{name}({', '.join([t] * len(a))})"
-    if node.uniform or w.width == 1:
-        return w.let(f"call {t} @{name}({', '.join(f'{t} {x}' for x in a)})")
-    whole = w.type_of(node.dtype, False)
-    result = "poison"
-    for i in range(w.width):
-        parts = [w.let(f"extractelement {whole} {x}, i32 {i}") for x in a]
-        one = w.let(f"call {t} @{name}({', '.join(f'{t} {x}' for x in parts)})")
-        result = w.let(f"insertelement {whole} {result}, {t} {one}, i32 {i}")
-    return result
+def _bitcast(o: Operation, x: str) -> str:
+    return o.let(f"bitcast {o.s} {x} to {o.t}")
+
+
+_WRITERS: dict[str, Callable[..., str]] = {
+    **dict.fromkeys(("fma", "fms", "fnma"), _multiply_add),
+    **dict.fromkeys(_SHIFTS, _shift),
+    "abs": _size,
+    "bitcast": _bitcast,
+    "convert": _conversion,
+    "div": _quotient,
+    "is_finite": _is_finite,
+    "max": _extreme,
+    "min": _extreme,
+    "neg": _negative,
+    "not": _not,
+    "rem": _remainder,
+    "select": _select,
+    "sign": _sign,
+}

@@ -1,44 +1,37 @@
-"""Loops of which individuals need different numbers of rounds: who goes on is packed together.
+"""Pack individuals together in loops of which they need different numbers of rounds.
 
-A vector would go round until its last individual is done, and do the work of all for one. So
-several vectors, a *gang*, come to such a loop together. Each goes round by itself while many of its
-individuals want to. The others are then moved, one by one, into a vector of their own in scratch
-memory, from which whoever is done makes room for the next. What is moved is what the loop reads;
-what it carries is moved back. Where the processor closes up the chosen numbers of a vector in one
-instruction (AVX-512), the first individuals take their seats vector by vector, not one by one.
+A vector would go round until its last individual is done, and compute all lanes for one. So the
+vectors of a *group* come to such a loop together. Each goes round by itself while many of its
+individuals are active. The other active ones are then moved, one by one, into the lanes of a vector
+of their own in scratch memory. When one is done, the next takes its lane. All that the loop reads
+is moved to the packed vector. What it carries is moved back. With AVX-512, one instruction
+compresses the chosen numbers of a vector, and the first lanes are filled vector by vector.
 
-An individual's numbers are the same wherever they lie, so its bits do not depend on who its
-neighbours are.
+An individual's numbers are the same wherever they lie, so its bits do not depend on its neighbours.
 """
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
-from evo_cpg.fusion.backend.code import Place
+from evo_cpg.fusion.backend.code import Slot
 
-_DECLARED = {
-    "llvm.ctlz.i32": "declare i32 @llvm.ctlz.i32(i32, i1)",
-    "llvm.ctpop.i32": "declare i32 @llvm.ctpop.i32(i32)",
-    "llvm.cttz.i32": "declare i32 @llvm.cttz.i32(i32, i1)",
-}
-
-# A vector goes round by itself with more individuals than this share of it. Fitted: with 1/4 to 1/2
-# quadrupeds and hexapods take at most 1.07 times as long.
-_CROWDED = 3 / 8
+# A vector goes round by itself while more than this fraction of it is active. Fitted: with 1/4 to
+# 1/2 quadrupeds and hexapods take at most 1.07 times as long.
+_BUSY = 3 / 8
 
 # AVX-512's instruction that closes up chosen numbers, the smallest that it is used for, and its
 # vector, bytes.
 _COMPRESS, _NARROWEST, _VECTOR = "llvm.x86.avx512.mask.compress", 4, 64
 
-# As many places at equal distances are moved by a loop.
+# As many slots at equal distances are moved by a loop.
 _FEWEST_ROUNDS = 16
 
 # IR types by bytes of a number.
 _WORDS = {1: "i8", 2: "i16", 4: "i32", 8: "i64"}
 
 
-class Gang(NamedTuple):
-    """The vectors that run together.
+class VectorGroup(NamedTuple):
+    """A group of vectors that run together.
 
     Attributes:
         vectors: at most.
@@ -53,31 +46,10 @@ class Gang(NamedTuple):
     compresses: bool
 
 
-def declared(width: int, compresses: bool) -> dict[str, str]:
-    """Declarations of what packed loops call, by name.
-
-    Args:
-        width: individuals in a vector.
-        compresses: see `Gang`.
-    """
-    found, flags = dict(_DECLARED), f"<{width} x i1>"
-    if not compresses:
-        return found
-    for size, word in _WORDS.items():
-        if size * width > _VECTOR:
-            continue
-        t, store = f"<{width} x {word}>", f"llvm.masked.store.v{width}{word}.p0"
-        found[store] = f"declare void @{store}({t}, ptr, i32, {flags})"
-        if size >= _NARROWEST:
-            close = f"{_COMPRESS}.v{width}{word}"
-            found[close] = f"declare {t} @{close}({t}, {t}, {flags})"
-    return found
-
-
 def packed_loop(
-    name: str, parameters: str, gang: Gang, reads: Sequence[Place], carries: Sequence[Place]
+    name: str, parameters: str, group: VectorGroup, reads: Sequence[Slot], carries: Sequence[Slot]
 ) -> str:
-    """The function ``@name.gang``, which runs a loop for all vectors of a gang.
+    """The function ``@name.group``, which runs a loop for all vectors of a group.
 
     It calls ``@name.test``, whose result has a bit for each individual that wants another round,
     and ``@name.round``, each of one vector.
@@ -85,34 +57,34 @@ def packed_loop(
     Args:
         name: of the loop.
         parameters: of both before the scratch memory, with their types, and a comma behind.
-        gang: the vectors.
+        group: the vectors.
         reads: all that the loop reads.
         carries: what of it changes.
     """
-    own = sorted({place for place in reads if not place.shared} | set(carries))
-    shared = sorted({place for place in reads if place.shared})
-    width, stride, most = gang.width, gang.stride, gang.vectors * gang.width
-    together = gang.compresses and all(place.size * width <= _VECTOR for place in own)
+    own = sorted({slot for slot in reads if not slot.shared} | set(carries))
+    shared = sorted({slot for slot in reads if slot.shared})
+    width, stride, most = group.width, group.stride, group.vectors * group.width
+    compress = group.compresses and all(slot.size * width <= _VECTOR for slot in own)
     alike = [
         line
-        for i, place in enumerate(shared)
+        for i, slot in enumerate(shared)
         for line in (
-            f"%from{i} = getelementptr i8, ptr %scratch, i64 {place.start}",
-            f"%to{i} = getelementptr i8, ptr %pack, i64 {place.start}",
-            f"%shared{i} = load {_WORDS[place.size]}, ptr %from{i}",
-            f"store {_WORDS[place.size]} %shared{i}, ptr %to{i}",
+            f"%from{i} = getelementptr i8, ptr %scratch, i64 {slot.start}",
+            f"%to{i} = getelementptr i8, ptr %pack, i64 {slot.start}",
+            f"%shared{i} = load {_WORDS[slot.size]}, ptr %from{i}",
+            f"store {_WORDS[slot.size]} %shared{i}, ptr %to{i}",
         )
     ]
     call = f"{parameters}ptr %{{}}, i64 %n, i64 0"
     body = f"""
-define internal void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %count) noinline #0 {{
+define internal void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count) noinline #0 {{
 entry:
   %queue = alloca [{most} x i64]
-  %masks = alloca [{gang.vectors} x i32]
+  %masks = alloca [{group.vectors} x i32]
   %owner = alloca [{width} x i64]
-  %pack = getelementptr i8, ptr %scratch, i64 {gang.vectors * stride}
+  %pack = getelementptr i8, ptr %scratch, i64 {group.vectors * stride}
   %alone = icmp eq i64 %count, 1
-  %enough = select i1 %alone, i32 0, i32 {int(_CROWDED * width)}
+  %enough = select i1 %alone, i32 0, i32 {int(_BUSY * width)}
   br label %vector
 vector:
   %v = phi i64 [ 0, %entry ], [ %v_next, %vector_done ]
@@ -124,8 +96,8 @@ own_test:
   %wants = call i32 @{name}.test({call.format("base")})
   %mask_of = getelementptr i32, ptr %masks, i64 %v
   store i32 %wants, ptr %mask_of
-  %crowd = call i32 @llvm.ctpop.i32(i32 %wants)
-  %goes_on = icmp ugt i32 %crowd, %enough
+  %active = call i32 @llvm.ctpop.i32(i32 %wants)
+  %goes_on = icmp ugt i32 %active, %enough
   br i1 %goes_on, label %own_round, label %leave
 own_round:
   call void @{name}.round({call.format("base")})
@@ -139,9 +111,9 @@ enqueue:
   %which = call i32 @llvm.cttz.i32(i32 %rest, i1 true)
   %which_wide = zext i32 %which to i64
   %first_of = mul i64 %v, {width}
-  %who = add i64 %first_of, %which_wide
+  %individual = add i64 %first_of, %which_wide
   %entry_of = getelementptr i64, ptr %queue, i64 %waiting_now
-  store i64 %who, ptr %entry_of
+  store i64 %individual, ptr %entry_of
   %waiting_next = add i64 %waiting_now, 1
   %rest_less = sub i32 %rest, 1
   %rest_next = and i32 %rest, %rest_less
@@ -155,94 +127,94 @@ packing:
   br i1 %any, label %fill, label %done
 fill:
 {_lines(alike)}
-{_closed_up(name, gang) if together else _one_by_one(name, gang)}
-seated:
+{_fill_compressed(name, group) if compress else _fill_one_by_one(name, group)}
+filled:
   %many = icmp ugt i64 %waiting_now, {width}
   %begun = select i1 %many, i64 {width}, i64 %waiting_now
   br label %packed_round
 packed_round:
-  %occupied = phi i32 [ %seats, %seated ], [ %occupied_now, %settled ]
-  %called = phi i64 [ %begun, %seated ], [ %called_now, %settled ]
+  %occupied = phi i32 [ %lanes, %filled ], [ %occupied_now, %settled ]
+  %called = phi i64 [ %begun, %filled ], [ %called_now, %settled ]
   call void @{name}.round({call.format("pack")})
   %still = call i32 @{name}.test({call.format("pack")})
   %keep_on = and i32 %still, %occupied
   %finished = xor i32 %keep_on, %occupied
-  br label %unseat
-unseat:
+  br label %release
+release:
   %leaving = phi i32 [ %finished, %packed_round ], [ %leaving_next, %next_leaves ]
   %occupied_now = phi i32 [ %occupied, %packed_round ], [ %occupied_next, %next_leaves ]
   %called_now = phi i64 [ %called, %packed_round ], [ %called_next, %next_leaves ]
-  %nobody = icmp eq i32 %leaving, 0
-  br i1 %nobody, label %settled, label %one_leaves
+  %none_leaves = icmp eq i32 %leaving, 0
+  br i1 %none_leaves, label %settled, label %leaves
 settled:
   %empty = icmp eq i32 %occupied_now, 0
   br i1 %empty, label %done, label %packed_round
-one_leaves:
-  %seat_left = call i32 @llvm.cttz.i32(i32 %leaving, i1 true)
-  %seat_wide = zext i32 %seat_left to i64
-  %left_entry = getelementptr i64, ptr %owner, i64 %seat_wide
-  %leaver = load i64, ptr %left_entry
-  call void @{name}.out(ptr %scratch, ptr %pack, i64 %leaver, i64 %seat_wide)
+leaves:
+  %left_lane = call i32 @llvm.cttz.i32(i32 %leaving, i1 true)
+  %left_lane_wide = zext i32 %left_lane to i64
+  %left_entry = getelementptr i64, ptr %owner, i64 %left_lane_wide
+  %left_individual = load i64, ptr %left_entry
+  call void @{name}.out(ptr %scratch, ptr %pack, i64 %left_individual, i64 %left_lane_wide)
   %leaving_less = sub i32 %leaving, 1
   %leaving_next = and i32 %leaving, %leaving_less
-  %someone = icmp ult i64 %called_now, %waiting_now
-  br i1 %someone, label %refill, label %vacate
+  %more_wait = icmp ult i64 %called_now, %waiting_now
+  br i1 %more_wait, label %refill, label %vacate
 refill:
   %call_entry = getelementptr i64, ptr %queue, i64 %called_now
   %next_one = load i64, ptr %call_entry
   store i64 %next_one, ptr %left_entry
-  call void @{name}.in(ptr %scratch, ptr %pack, i64 %next_one, i64 %seat_wide)
+  call void @{name}.in(ptr %scratch, ptr %pack, i64 %next_one, i64 %left_lane_wide)
   %called_more = add i64 %called_now, 1
   br label %next_leaves
 vacate:
-  %bit_left = shl i32 1, %seat_left
+  %bit_left = shl i32 1, %left_lane
   %without = xor i32 %occupied_now, %bit_left
   br label %next_leaves
 next_leaves:
   %occupied_next = phi i32 [ %occupied_now, %refill ], [ %without, %vacate ]
   %called_next = phi i64 [ %called_more, %refill ], [ %called_now, %vacate ]
-  br label %unseat
+  br label %release
 done:
   ret void
 }}"""
     moves = [
-        _move(f"@{name}.in", own, gang, "far", "near"),
-        _move(f"@{name}.out", sorted(carries), gang, "near", "far"),
+        _move(f"@{name}.in", own, group, "far", "near"),
+        _move(f"@{name}.out", sorted(carries), group, "near", "far"),
     ]
-    if together:
-        moves.append(_move_together(f"@{name}.in_together", own, gang))
+    if compress:
+        moves.append(_move_compressed(f"@{name}.in_compressed", own, group))
     return "\n".join([*moves, body])
 
 
-def _one_by_one(name: str, gang: Gang) -> str:
-    """The first individuals take their seats."""
-    return f"""  br label %seat
-seat:
-  %s = phi i64 [ 0, %fill ], [ %s_next, %seat ]
-  %seats_before = phi i32 [ 0, %fill ], [ %seats, %seat ]
+def _fill_one_by_one(name: str, group: VectorGroup) -> str:
+    """Fill the lanes of the packed vector with the first individuals."""
+    return f"""  br label %lane
+lane:
+  %s = phi i64 [ 0, %fill ], [ %s_next, %lane ]
+  %lanes_before = phi i32 [ 0, %fill ], [ %lanes, %lane ]
   %taken = icmp ult i64 %s, %waiting_now
-  ; Whose seat is left over is filled like the first: no number in it may be without meaning.
+  ; A lane that is left over is filled like the first: no number in it may be without meaning.
   %turn = select i1 %taken, i64 %s, i64 0
   %turn_entry = getelementptr i64, ptr %queue, i64 %turn
-  %newcomer = load i64, ptr %turn_entry
-  %seat_owner = getelementptr i64, ptr %owner, i64 %s
-  store i64 %newcomer, ptr %seat_owner
-  call void @{name}.in(ptr %scratch, ptr %pack, i64 %newcomer, i64 %s)
+  %new_individual = load i64, ptr %turn_entry
+  %lane_owner = getelementptr i64, ptr %owner, i64 %s
+  store i64 %new_individual, ptr %lane_owner
+  call void @{name}.in(ptr %scratch, ptr %pack, i64 %new_individual, i64 %s)
   %s_narrow = trunc i64 %s to i32
-  %seat_bit = shl i32 1, %s_narrow
-  %seats_more = or i32 %seats_before, %seat_bit
-  %seats = select i1 %taken, i32 %seats_more, i32 %seats_before
+  %lane_bit = shl i32 1, %s_narrow
+  %lanes_more = or i32 %lanes_before, %lane_bit
+  %lanes = select i1 %taken, i32 %lanes_more, i32 %lanes_before
   %s_next = add i64 %s, 1
-  %more_seats = icmp ult i64 %s_next, {gang.width}
-  br i1 %more_seats, label %seat, label %seated"""
+  %more_lanes = icmp ult i64 %s_next, {group.width}
+  br i1 %more_lanes, label %lane, label %filled"""
 
 
-def _closed_up(name: str, gang: Gang) -> str:
-    """The same, those of a vector together; who has no seat any more is masked out."""
+def _fill_compressed(name: str, group: VectorGroup) -> str:
+    """Fill the lanes vector by vector; an individual for which no lane is left is masked out."""
     return f"""  br label %row
 row:
-  %r = phi i64 [ 0, %fill ], [ %r_next, %row_seated ]
-  %s = phi i64 [ 0, %fill ], [ %s_next, %row_seated ]
+  %r = phi i64 [ 0, %fill ], [ %r_next, %row_done ]
+  %s = phi i64 [ 0, %fill ], [ %s_next, %row_done ]
   %row_mask = getelementptr i32, ptr %masks, i64 %r
   %row_wants = load i32, ptr %row_mask
   br label %fits
@@ -251,42 +223,42 @@ fits:
   %come = call i32 @llvm.ctpop.i32(i32 %comes)
   %come_wide = zext i32 %come to i64
   %s_next = add i64 %s, %come_wide
-  %too_full = icmp ugt i64 %s_next, {gang.width}
-  br i1 %too_full, label %too_many, label %anyone
+  %too_full = icmp ugt i64 %s_next, {group.width}
+  br i1 %too_full, label %too_many, label %any_comes
 too_many:
   %zeros = call i32 @llvm.ctlz.i32(i32 %comes, i1 true)
   %highest = lshr i32 -2147483648, %zeros
   %comes_fewer = xor i32 %comes, %highest
   br label %fits
-anyone:
-  %no_one = icmp eq i32 %comes, 0
-  br i1 %no_one, label %row_seated, label %take_seats
-take_seats:
-  call void @{name}.in_together(ptr %scratch, ptr %pack, i64 %r, i64 %s, i32 %comes, i32 %come)
-  br label %row_seated
-row_seated:
+any_comes:
+  %none_comes = icmp eq i32 %comes, 0
+  br i1 %none_comes, label %row_done, label %take_lanes
+take_lanes:
+  call void @{name}.in_compressed(ptr %scratch, ptr %pack, i64 %r, i64 %s, i32 %comes, i32 %come)
+  br label %row_done
+row_done:
   %r_next = add i64 %r, 1
   %more_rows = icmp ult i64 %r_next, %count
-  %more_room = icmp ult i64 %s_next, {gang.width}
+  %more_room = icmp ult i64 %s_next, {group.width}
   %more_come = and i1 %more_rows, %more_room
   br i1 %more_come, label %row, label %note
 note:
-  %o = phi i64 [ 0, %row_seated ], [ %o_next, %note ]
+  %o = phi i64 [ 0, %row_done ], [ %o_next, %note ]
   %o_entry = getelementptr i64, ptr %queue, i64 %o
-  %o_who = load i64, ptr %o_entry
+  %o_individual = load i64, ptr %o_entry
   %o_owner = getelementptr i64, ptr %owner, i64 %o
-  store i64 %o_who, ptr %o_owner
+  store i64 %o_individual, ptr %o_owner
   %o_next = add i64 %o, 1
   %more_owners = icmp ult i64 %o_next, %s_next
   br i1 %more_owners, label %note, label %noted
 noted:
-  %taken_seats = trunc i64 %s_next to i32
-  %free_seats = sub i32 32, %taken_seats
-  %seats = lshr i32 -1, %free_seats
-  br label %seated"""
+  %taken_lanes = trunc i64 %s_next to i32
+  %free_lanes = sub i32 32, %taken_lanes
+  %lanes = lshr i32 -1, %free_lanes
+  br label %filled"""
 
 
-class _Stretch(NamedTuple):
+class _Series(NamedTuple):
     """Places one behind the other, at equal distances.
 
     Attributes:
@@ -302,37 +274,37 @@ class _Stretch(NamedTuple):
     count: int
 
 
-def _stretches(places: Iterable[Place]) -> list[_Stretch]:
-    """Put places at equal distances together where they are many."""
-    found: list[_Stretch] = []
-    for start, size, _ in places:
+def _series(slots: Iterable[Slot]) -> list[_Series]:
+    """Put slots at equal distances together where they are many."""
+    found: list[_Series] = []
+    for start, size, _ in slots:
         if found and found[-1].size == size:
             last = found[-1]
             step = start - last.start - (last.count - 1) * last.step
             if last.count == 1 or step == last.step:
                 found[-1] = last._replace(step=step, count=last.count + 1)
                 continue
-        found.append(_Stretch(start, size, 0, 1))
+        found.append(_Series(start, size, 0, 1))
     return [
         part
         for one in found
         for part in (
             [one]
             if one.count >= _FEWEST_ROUNDS
-            else [_Stretch(one.start + k * one.step, one.size, 0, 1) for k in range(one.count)]
+            else [_Series(one.start + k * one.step, one.size, 0, 1) for k in range(one.count)]
         )
     ]
 
 
-def _through(stretches: list[_Stretch], lines: Callable[[int, int, str], list[str]]) -> list[str]:
+def _through(series: list[_Series], lines: Callable[[int, int, str], list[str]]) -> list[str]:
     """Write what is done at each place, in loops over those at equal distances.
 
     Args:
-        stretches: of places.
-        lines: of a number of its own, bytes of a number, and the place.
+        series: of slots.
+        lines: of a number of its own, bytes of a number, and the slot.
     """
     written, label = [], "entry"
-    for i, (start, size, step, count) in enumerate(stretches):
+    for i, (start, size, step, count) in enumerate(series):
         if count == 1:
             written += lines(i, size, f"{start}")
             continue
@@ -352,16 +324,16 @@ def _through(stretches: list[_Stretch], lines: Callable[[int, int, str], list[st
     return written
 
 
-def _move(name: str, places: list[Place], gang: Gang, source: str, target: str) -> str:
-    """A function that moves an individual's numbers into a seat of the packed vector, or back.
+def _move(name: str, slots: list[Slot], group: VectorGroup, source: str, target: str) -> str:
+    """Write a function that moves an individual's numbers into a packed lane, or back.
 
     What lies in no order is moved without a loop, so the processor fetches many at a time.
     """
     lines = []
-    for size in sorted({place.size for place in places}):
+    for size in sorted({slot.size for slot in slots}):
         lines += [
-            f"%far_lane{size} = mul i64 %lane, {size}",
-            f"%near_lane{size} = mul i64 %seat, {size}",
+            f"%far_lane{size} = mul i64 %home_lane, {size}",
+            f"%near_lane{size} = mul i64 %lane, {size}",
             f"%far{size} = getelementptr i8, ptr %base, i64 %far_lane{size}",
             f"%near{size} = getelementptr i8, ptr %pack, i64 %near_lane{size}",
         ]
@@ -374,32 +346,32 @@ def _move(name: str, places: list[Place], gang: Gang, source: str, target: str) 
             f"store volatile {_WORDS[size]} %value{i}, ptr %to{i}",
         ]
 
-    lines += _through(_stretches(places), move)
+    lines += _through(_series(slots), move)
     return f"""
-define internal void {name}(ptr %scratch, ptr %pack, i64 %who, i64 %seat) noinline #0 {{
+define internal void {name}(ptr %scratch, ptr %pack, i64 %individual, i64 %lane) noinline #0 {{
 entry:
-  %vector = udiv i64 %who, {gang.width}
-  %lane = urem i64 %who, {gang.width}
-  %offset = mul i64 %vector, {gang.stride}
+  %vector = udiv i64 %individual, {group.width}
+  %home_lane = urem i64 %individual, {group.width}
+  %offset = mul i64 %vector, {group.stride}
   %base = getelementptr i8, ptr %scratch, i64 %offset
 {_lines(lines)}
   ret void
 }}"""
 
 
-def _move_together(name: str, places: list[Place], gang: Gang) -> str:
-    """A function that moves the chosen individuals of a vector into seats that follow each other.
+def _move_compressed(name: str, slots: list[Slot], group: VectorGroup) -> str:
+    """Write a function that moves the chosen individuals of a vector into consecutive lanes.
 
-    The first vector fills all seats, those left over like the first individual: no number in them
+    The first vector fills all lanes, those left over like the first individual: no number in them
     may be without meaning.
     """
-    width = gang.width
+    width = group.width
     bits, flags = f"i{width}", f"<{width} x i1>"
     zeros = f"<{width} x i32> zeroinitializer"
     lines = []
-    for size in sorted({place.size for place in places}):
-        lines += [f"%seat{size} = mul i64 %seat, {size}"]
-        lines += [f"%near{size} = getelementptr i8, ptr %pack, i64 %seat{size}"]
+    for size in sorted({slot.size for slot in slots}):
+        lines += [f"%lane{size} = mul i64 %lane, {size}"]
+        lines += [f"%near{size} = getelementptr i8, ptr %pack, i64 %lane{size}"]
 
     def move(i: int, size: int, start: str) -> list[str]:
         kept, word = f"<{width} x {_WORDS[size]}>", _WORDS[max(size, _NARROWEST)]
@@ -427,12 +399,12 @@ def _move_together(name: str, places: list[Place], gang: Gang) -> str:
         own.append(f"call void @{store}({kept} {value}, ptr %to{i}, i32 {size}, {flags} %written)")
         return own
 
-    lines += _through(_stretches(places), move)
+    lines += _through(_series(slots), move)
     return f"""
-define internal void {name}(ptr %scratch, ptr %pack, i64 %vector, i64 %seat, i32 %which, \
+define internal void {name}(ptr %scratch, ptr %pack, i64 %vector, i64 %lane, i32 %which, \
 i32 %come) noinline #0 {{
 entry:
-  %offset = mul i64 %vector, {gang.stride}
+  %offset = mul i64 %vector, {group.stride}
   %base = getelementptr i8, ptr %scratch, i64 %offset
   %chosen_bits = trunc i32 %which to {bits}
   %chosen = bitcast {bits} %chosen_bits to {flags}
@@ -440,7 +412,7 @@ entry:
   %live_wide = lshr i32 -1, %missing
   %live_bits = trunc i32 %live_wide to {bits}
   %live = bitcast {bits} %live_bits to {flags}
-  %begins = icmp eq i64 %seat, 0
+  %begins = icmp eq i64 %lane, 0
   %written_bits = select i1 %begins, {bits} -1, {bits} %live_bits
   %written = bitcast {bits} %written_bits to {flags}
 {_lines(lines)}
@@ -452,24 +424,24 @@ def _lines(lines: list[str]) -> str:
     return "\n".join(f"  {line}" for line in lines)
 
 
-def each_vector(name: str, parameters: str, gang: Gang) -> str:
-    """The function ``@name.gang``, which calls ``@name`` for every vector of a gang.
+def each_vector(name: str, parameters: str, group: VectorGroup) -> str:
+    """The function ``@name.group``, which calls ``@name`` for every vector of a group.
 
     Args:
         name: of a function of one vector.
         parameters: before its scratch memory, with their types, and a comma behind.
-        gang: the vectors.
+        group: the vectors.
     """
     return f"""
-define internal void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %first, i64 %count) #0 {{
+define internal void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %first, i64 %count) #0 {{
 entry:
-  %last = sub i64 %n, {gang.width}
+  %last = sub i64 %n, {group.width}
   br label %vector
 vector:
   %v = phi i64 [ 0, %entry ], [ %next, %vector ]
-  %offset = mul i64 %v, {gang.stride}
+  %offset = mul i64 %v, {group.stride}
   %base = getelementptr i8, ptr %scratch, i64 %offset
-  %before = mul i64 %v, {gang.width}
+  %before = mul i64 %v, {group.width}
   %here = add i64 %first, %before
   %within = icmp slt i64 %here, %last
   %start = select i1 %within, i64 %here, i64 %last

@@ -48,13 +48,12 @@ class Selector:
     """Templates for a variant of code.
 
     Attributes:
-        declared: functions that templates call, by name.
+        functions: those that templates call, by name.
     """
 
     def __init__(self, variant: Variant):
-        self.masked = variant.masked
-        self._w = Writer(variant.width, variant.fma)
-        self.declared = self._w.declared
+        self._w = Writer(variant.width, variant.target.fma)
+        self.functions = self._w.functions
         self.literal = self._w.literal
         self._known: dict[tuple, Template] = {}
 
@@ -112,14 +111,14 @@ class Selector:
     @_made_once(2)
     def load_row(self, dtype: np.dtype, shared: bool, base: str, row: str) -> str:
         """Read a row of an argument: a number for each individual, or one for all."""
-        return self._load_row(dtype, shared, base, row)
+        return self._load(dtype, self._row(base, row, dtype, shared), shared)
 
     @_made_once(4)
     def copy_row(self, dtype: np.dtype, base: str, row: str, size: str, start: str) -> None:
         """Bring the row ``%i`` behind a row of an argument to scratch memory."""
         w = self._w
         source = w.let(f"add i64 %i, {row}")
-        value = self._load_row(dtype, False, base, source)
+        value = self._load(dtype, self._row(base, source, dtype, False), False)
         place = w.let(f"mul i64 %i, {size}")
         place = w.let(f"add i64 {place}, {start}")
         self._store(value, dtype, w.let(f"getelementptr i8, ptr {SCRATCH}, i64 {place}"), False)
@@ -127,17 +126,7 @@ class Selector:
     @_made_once(3)
     def store_row(self, dtype: np.dtype, value: str, base: str, row: str) -> None:
         """Write a row of a result."""
-        pointer = self._row(base, row, dtype, False)
-        if not self.masked:
-            self._store(value, dtype, pointer, False)
-            return
-        value, t = self._kept(value, dtype, False)
-        mask = self._w.type_of(_BOOL, False)
-        name = f"llvm.masked.store.{self._w.suffix(t)}.p0"
-        self._w.declared[name] = f"declare void @{name}({t}, ptr, i32, {mask})"
-        self._w.lines.append(
-            f"call void @{name}({t} {value}, ptr {pointer}, i32 {dtype.itemsize}, {mask} %valid)"
-        )
+        self._store(value, dtype, self._row(base, row, dtype, False), False)
 
     @_made_once(2)
     def look_up(
@@ -182,7 +171,7 @@ class Selector:
         w, t = self._w, self._w.type_of(dtype, False)
         size = dtype.itemsize * w.width
         name = f"fill.{w.suffix(t)}"
-        w.declared[name] = (
+        w.functions[name] = (
             f"define internal void @{name}(ptr %to, {t} %value, i64 %count) noinline #0 {{\n"
             "entry:\nbr label %row\nrow:\n"
             "%i = phi i64 [ 0, %entry ], [ %j, %row ]\n"
@@ -199,25 +188,13 @@ class Selector:
         """Call the function that solves symmetric equations in memory."""
         w, t = self._w, self._w.type_of(dtype, uniform)
         name, size = f"solve.{w.suffix(t)}", dtype.itemsize * (1 if uniform else w.width)
-        if w.fma:
-            fma = f"llvm.fma.{w.suffix(t)}"
-            w.declared[fma] = f"declare {t} @{fma}({t}, {t}, {t})"
-        if w.width > 1:
-            any_of = f"llvm.vector.reduce.or.v{w.width}i1"
-            w.declared[any_of] = f"declare i1 @{any_of}(<{w.width} x i1>)"
-        w.declared[name] = routine(name, t, size, dtype.itemsize, w.fma)
+        w.functions[name] = routine(name, t, size, dtype.itemsize, w.fma)
         w.lines.append(f"call void @{name}(ptr {H}, ptr {b}, i64 {count})")
-
-    @_made_once(1)
-    def existing(self, flags: str) -> str:
-        """Return the truth values of individuals that exist."""
-        return self._w.let(f"and {self._w.type_of(_BOOL, False)} {flags}, %valid")
 
     @_made_once(1)
     def any_of(self, flags: str) -> str:
         """Return whether a truth value holds for any individual."""
         t, name = self._w.type_of(_BOOL, False), f"llvm.vector.reduce.or.v{self._w.width}i1"
-        self._w.declared[name] = f"declare i1 @{name}({t})"
         return self._w.let(f"call i1 @{name}({t} {flags})")
 
     @_made_once(1)
@@ -235,20 +212,6 @@ class Selector:
         t = self._w.type_of(_kept_as(dtype), uniform)
         value = self._w.let(f"load volatile {t}, ptr {pointer}, align {dtype.itemsize}")
         return self._read(value, dtype, uniform)
-
-    def _load_row(self, dtype: np.dtype, shared: bool, base: str, row: str) -> str:
-        pointer = self._row(base, row, dtype, shared)
-        if shared or not self.masked:
-            return self._load(dtype, pointer, shared)
-        t, mask = self._w.type_of(_kept_as(dtype), False), self._w.type_of(_BOOL, False)
-        name = f"llvm.masked.load.{self._w.suffix(t)}.p0"
-        self._w.declared[name] = f"declare {t} @{name}(ptr, i32, {mask}, {t})"
-        # Individuals that do not exist are zero.
-        value = self._w.let(
-            f"call {t} @{name}(ptr {pointer}, i32 {dtype.itemsize}, {mask} %valid, "
-            f"{t} zeroinitializer)"
-        )
-        return self._read(value, dtype, False)
 
     def _row(self, base: str, row: str, dtype: np.dtype, shared: bool) -> str:
         item = TYPES[_kept_as(dtype).char]

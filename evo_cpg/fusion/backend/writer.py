@@ -24,13 +24,14 @@ class Writer:
         width: individuals in a vector.
         fma: whether the processor multiplies and adds in one instruction.
         lines: the instructions.
-        declared: declarations of the functions that are called, by name.
+        functions: declarations or definitions of the functions that are called, by name. LLVM's
+            own functions need none.
     """
 
     def __init__(self, width: int, fma: bool):
         self.width, self.fma = width, fma
         self.lines: list[str] = []
-        self.declared: dict[str, str] = {}
+        self.functions: dict[str, str] = {}
         self._arity = self._names = 0
 
     def template(self, arity: int, write: Callable[..., str | None]) -> Template:
@@ -77,10 +78,9 @@ class Writer:
         """
         source = source or t
         suffix = self.suffix(t) + (f".{self.suffix(source)}" if source != t else "")
-        full = f"llvm.{name}.{suffix}"
-        if full not in self.declared:
-            self.declared[full] = f"declare {t} @{full}({', '.join([source] * len(a))})"
-        return self.let(f"call {t} @{full}({', '.join([f'{source} {x}' for x in a])})")
+        return self.let(
+            f"call {t} @llvm.{name}.{suffix}({', '.join([f'{source} {x}' for x in a])})"
+        )
 
     @staticmethod
     def suffix(t: str) -> str:

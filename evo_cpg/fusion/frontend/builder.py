@@ -1,6 +1,6 @@
 """Make the nodes of a graph, in which equal things are one thing.
 
-Making a node folds constants, applies the rewrite rules (`evo_cpg.fusion.passes.simplify`), and
+Making a node folds constants, applies the rewrite rules (`evo_cpg.fusion.frontend.simplify`), and
 hands out the node that is there already. So a creature's zeros (a centre of mass on the joint, a
 principal axis) cost nothing in the end.
 
@@ -9,14 +9,14 @@ change in a loop is computed before it.
 """
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from evo_cpg.fusion.ir.graph import Block, Buffer, Graph, Loop, Node, Part, Values, row_count
+from evo_cpg.fusion.frontend.simplify import FOLDED, RULES, Rule, saturates
+from evo_cpg.fusion.ir.graph import Block, Buffer, Graph, Loop, Node, Part, row_count, table_values
 from evo_cpg.fusion.ir.types import COMMUTATIVE, PREDICATES
-from evo_cpg.fusion.passes.simplify import FOLDED, RULES, Rule, saturates
 
 
 class Sums:
@@ -59,14 +59,13 @@ class Builder:
     def argument(self, shape: Sequence[int], dtype: Any, shared: bool = False) -> np.ndarray:
         """Return the nodes of one more argument; an array without elements is none."""
         dtype, size = np.dtype(dtype), int(np.prod(shape, dtype=int))
-        buffer, nodes = len(self._arguments), np.empty(size, object)
-        nodes[:] = [
-            self._new("input", (), dtype, self.top, shared, detail=(buffer, row))
-            for row in range(size)
-        ]
+        places = [(len(self._arguments), row) for row in range(size)]
         if size:
             self._arguments.append(Buffer(size, dtype, shared))
-        return nodes.reshape(shape)
+        return node_array(
+            [self._new("input", (), dtype, self.top, shared, detail=place) for place in places],
+            shape,
+        )
 
     def graph(self, results: Sequence[np.ndarray]) -> Graph:
         """Return the program whose results are some arrays of nodes."""
@@ -83,15 +82,22 @@ class Builder:
             },
         )
 
-    def end_part(self, results: Sequence[Node], reorder: bool = True) -> None:
+    def end_part(
+        self, arguments: Iterable[Node], results: Iterable[Node], reorder: bool = True
+    ) -> int:
         """End a program within the program: equal nodes are not the same on both sides of its end.
 
         Args:
+            arguments: the nodes that it starts from.
             results: its last nodes.
             reorder: whether its sums may be added in another order than they are written.
+
+        Returns:
+            The number of the part.
         """
-        self._parts.append(Part(tuple(results), reorder))
+        self._parts.append(Part(tuple(arguments), tuple(results), reorder))
         self._nodes.clear()
+        return len(self._parts) - 1
 
     def constant(self, value: Any, dtype: Any) -> Node:
         """A constant of the given type."""
@@ -107,29 +113,24 @@ class Builder:
         """What a loop gives to its rounds: something carried, or the counter."""
         return self._new(op, (), np.dtype(dtype), block, uniform)
 
-    def opaque(self, node: Node, block: Block | None = None, given: Node | None = None) -> Node:
-        """The same number as a node of which nothing is known but its type.
+    def opaque(self, node: Node, block: Block | None = None, part: int | None = None) -> Node:
+        """Return the same number as a node of which nothing is known but its type.
 
         Args:
             node: which.
             block: where it is seen; None for its own.
-            given: what the program was given (`given`) whose result it is.
+            part: number of the part whose result it is.
         """
         if node.value is not None:
             return node
-        operands = (node,) if given is None else (node, given)
-        return self._new("opaque", operands, node.dtype, block or node.block, node.uniform)
+        block = block or node.block
+        return self._new("opaque", (node,), node.dtype, block, node.uniform, detail=part)
 
     def inside(self, node: Node, block: Block) -> Node:
         """A node as a block sees it, so that what is computed from it is computed in the block."""
         if node.value is not None:
             return node
         return self._new("inside", (node,), node.dtype, block, node.uniform)
-
-    def given(self, arrays: Sequence[np.ndarray]) -> Node:
-        """What a program within the program is given, for those who must know what it uses."""
-        nodes = tuple(node for array in arrays for node in array.flat)
-        return self._new("given", nodes, np.dtype(bool), self.top, False)
 
     def make(self, op: str, operands: Sequence[Node], dtype: Any, detail: Any = None) -> Node:
         """A node as it stands, without simplification; the one that is there already, if any.
@@ -167,16 +168,16 @@ class Builder:
                 return whole
         if all([node.value is not None for node in column]):
             values = np.array([node.value for node in column], dtype)
-            return self.make("constants", (), dtype, Values(values))
+            return self.make("constants", (), dtype, values.tobytes())
         return self.make("rows", column, dtype)
 
-    def lookup(self, table: Node, place: Node) -> Node:
-        """The number at a place (int32) within a table or list."""
-        if place.value is not None and table.op == "rows":
-            return table.operands[int(place.value)]
-        if place.value is not None and table.op == "constants":
-            return self.constant(table.detail.values[int(place.value)], table.dtype)
-        return self.make("lookup", (table, place), table.dtype)
+    def lookup(self, table: Node, index: Node) -> Node:
+        """Return the number at an index (int32) of a table or list."""
+        if index.value is not None and table.op == "rows":
+            return table.operands[int(index.value)]
+        if index.value is not None and table.op == "constants":
+            return self.constant(table_values(table)[int(index.value)], table.dtype)
+        return self.make("lookup", (table, index), table.dtype)
 
     def solve(self, triangle: np.ndarray, b: np.ndarray) -> np.ndarray:
         """The answers to symmetric equations, by a function that loops.
@@ -185,10 +186,12 @@ class Builder:
             triangle: the lower triangle of the matrix, row by row.
             b: the other side.
         """
-        table = self.make("solve", (*triangle, *b), b[0].dtype, len(b))
-        answers = np.empty(len(b), object)
-        answers[:] = [self.lookup(table, self.constant(place, np.int32)) for place in range(len(b))]
-        return answers
+        return self.rows(self.make("solve", (*triangle, *b), b[0].dtype, len(b)), b.shape)
+
+    def rows(self, table: Node, shape: Sequence[int]) -> np.ndarray:
+        """Return all numbers of a table or list."""
+        places = [self.constant(place, np.int32) for place in range(row_count(table))]
+        return node_array([self.lookup(table, place) for place in places], shape)
 
     def sums(self, start: np.ndarray) -> Sums:
         """Memory for sums that begin with the given nodes, all of one type."""
@@ -196,21 +199,18 @@ class Builder:
         memory = self._new("sums", nodes, nodes[0].dtype, self.block, False)
         return Sums(start.shape, memory)
 
-    def accumulate(self, sums: Sums, place: Node, value: Node) -> None:
-        """Add a number to the one at a place (int32, the same for all individuals)."""
+    def accumulate(self, sums: Sums, index: Node, value: Node) -> None:
+        """Add a number to the one at an index (int32, the same for all individuals)."""
         if self.active is not None and not self.active.uniform:
             value = self.select(self.active, value, self.constant(0, value.dtype))
-        operands = place, value, sums.memory
+        operands = index, value, sums.memory
         sums.added.append(self._new("accumulate", operands, value.dtype, self.block, False))
 
     def totals(self, sums: Sums) -> np.ndarray:
         """What sums have come to after the loop that was made last."""
         operands = (sums.memory, *sums.added)
         table = self._new("totals", operands, sums.memory.dtype, self.block, False)
-        places = [self.constant(place, np.int32) for place in range(row_count(table))]
-        nodes = np.empty(len(places), object)
-        nodes[:] = [self.lookup(table, place) for place in places]
-        return nodes.reshape(sums.shape)
+        return self.rows(table, sums.shape)
 
     def loop(self, start: Sequence[Node], loop: Loop) -> tuple[list[Node], list[Node]]:
         """Put a loop into the current block.
@@ -335,6 +335,23 @@ class Builder:
         node = Node(op, operands, dtype, block, uniform, len(self._made) + 1, value, detail)
         self._made.append(node)
         return node
+
+
+def node_array(nodes: Sequence[Node], shape: Sequence[int]) -> np.ndarray:
+    """Return an array of nodes."""
+    result = np.empty(len(nodes), object)
+    result[:] = nodes
+    return result.reshape(shape)
+
+
+def all_nodes(arrays: Iterable[np.ndarray]) -> tuple[Node, ...]:
+    """Return the nodes of arrays, one after the other."""
+    return tuple([node for array in arrays for node in array.flat])
+
+
+def elementwise(make: Callable[..., Node], *arrays: Any) -> np.ndarray:
+    """Apply a function of nodes element by element, with broadcasting."""
+    return np.asarray(np.frompyfunc(make, len(arrays), 1)(*arrays), object)
 
 
 def _comes_later(a: Node, b: Node) -> bool:

@@ -12,18 +12,18 @@ import jax
 import jax.numpy as jnp
 
 from evo_cpg.fusion import jax_internals as internals
-from evo_cpg.fusion.frontend.primitives import RULES, Program, fused_p, linear_map, plain
+from evo_cpg.fusion.frontend.primitives import Program, fused_p, linear_map, plain
 from evo_cpg.fusion.fuse import fuse
 
 
-def _differentiate(
+def differentiate(
     primals: Sequence[jax.Array],
     tangents: Sequence[Any],
     *,
     program: Program,
     batch: tuple[int, ...],
 ) -> tuple[list[jax.Array], list[Any]]:
-    """Results and their changes, of those that change at all."""
+    """Return the results of a program and the tangents of those that change at all."""
     if program.loops:
         # JAX's own derivative of the loop, of which the parts are fused.
         changes = [internals.instantiate_zeros(tangent) for tangent in tangents]
@@ -104,14 +104,14 @@ def _for_all(
     ]
 
 
-def _batch(
+def batch_again(
     values: Sequence[jax.Array],
     axes: Sequence[int | None],
     *,
     program: Program,
     batch: tuple[int, ...],
 ) -> tuple[list[jax.Array], list[int]]:
-    """A mapped axis is one more batch axis, the last."""
+    """Map a program: the mapped axis is one more batch axis, the last."""
     size = next(x.shape[axis] for x, axis in zip(values, axes, strict=True) if axis is not None)
     every = []
     for i, (x, axis) in enumerate(zip(values, axes, strict=True)):
@@ -125,7 +125,3 @@ def _batch(
         lambda *x: tuple(program(*x)), *every, batch_ndim=len(batch) + 1, name=program.name
     )
     return list(results), [x.ndim - 1 for x in results]
-
-
-RULES["differentiate"] = _differentiate
-RULES["batch"] = _batch

@@ -315,30 +315,12 @@ def atanh(x: Array) -> Array:
 
 
 FLOAT32: dict[str, Callable[..., Array]] = {
-    "exp": exp,
-    "exp2": exp2,
-    "expm1": expm1,
-    "log": log,
-    "log1p": log1p,
-    "tanh": tanh,
-    "logistic": logistic,
-    "sin": sin,
-    "cos": cos,
-    "tan": tan,
-    "asin": asin,
-    "acos": acos,
-    "atan": atan,
-    "atan2": atan2,
-    "pow": pow_,
-    "erf": erf,
-    "erf_inv": erf_inv,
-    "cbrt": cbrt,
-    "sinh": sinh,
-    "cosh": cosh,
-    "asinh": asinh,
-    "acosh": acosh,
-    "atanh": atanh,
-}
+    function.__name__.rstrip("_"): function
+    for function in (
+        exp, exp2, expm1, log, log1p, tanh, logistic, sin, cos, tan, asin, acos, atan, atan2, pow_,
+        erf, erf_inv, cbrt, sinh, cosh, asinh, acosh, atanh,
+    )
+}  # fmt: skip
 """The functions by the names of JAX's primitives."""
 
 

@@ -7,6 +7,7 @@ A loop that carries an array and only adds to it has the array in memory (`Sums`
 """
 
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -15,15 +16,16 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.frontend.builder import Builder, Sums
+from evo_cpg.fusion.frontend.builder import Builder, Sums, all_nodes, elementwise, node_array
 from evo_cpg.fusion.frontend.moves import SCATTER_ADD
+from evo_cpg.fusion.frontend.primitives import equations, programs_in
 from evo_cpg.fusion.ir.graph import Block, Loop, Node
 from evo_cpg.fusion.unsupported import Unsupported
 
 Trace = Callable[..., list[Any]]
 
 
-def _scan(graph: Builder, operands: list[Any], params: dict, trace: Trace) -> list[Any]:
+def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> list[Any]:
     """A counted loop; what it reads one by one lies in tables, what it stacks in lists."""
     constant_count, carry_count = internals.scan_counts(params)
     length, closed = params["length"], params["jaxpr"]
@@ -36,40 +38,40 @@ def _scan(graph: Builder, operands: list[Any], params: dict, trace: Trace) -> li
     if length * sum(aval.size for aval in stacked) > machine_constants.LONGEST_LISTS:
         raise Unsupported(f"a loop of {length} rounds stacks more than native code keeps")
 
-    def one_round(place: Node, carried: list[Any]) -> list[Any]:
-        row = [_row(graph, x, place) for x in read]
-        return trace(graph, closed, [*consts, *carried, *row])
+    def one_round(index: Node, carried: list[Any]) -> list[Any]:
+        row = [_row(builder, x, index) for x in read]
+        return trace(builder, closed, [*consts, *carried, *row])
 
     if length == 1:
-        results = one_round(graph.constant(0, np.int32), start)
+        results = one_round(builder.constant(0, np.int32), start)
         return [*results[:carry_count], *(x[None] for x in results[carry_count:])]
-    test = Block(graph.block)
+    test = Block(builder.block)
     body = Block(test)
-    counter = graph.placeholder("counter", np.int32, body, uniform=True)
+    counter = builder.placeholder("counter", np.int32, body, uniform=True)
     sums = {
-        k: x if isinstance(x, Sums) else graph.sums(x)
+        k: x if isinstance(x, Sums) else builder.sums(x)
         for k, x in enumerate(start)
         if isinstance(x, Sums) or _only_adds(closed.jaxpr, constant_count + k, k)
     }
     others = [k for k in range(carry_count) if k not in sums]
     begin = [start[k] for k in others]
-    placed = [_placeholders(graph, x, body) for x in begin]
+    placed = [_placeholders(builder, x, body) for x in begin]
     carried = [sums[k] if k in sums else placed[others.index(k)] for k in range(carry_count)]
-    with graph.within(body):
-        place = counter
+    with builder.within(body):
+        index = counter
         if params["reverse"]:
-            place = graph.subtract(graph.constant(length - 1, np.int32), counter)
-        results = one_round(place, carried)
+            index = builder.subtract(builder.constant(length - 1, np.int32), counter)
+        results = one_round(index, carried)
     following = [results[k] for k in others]
     loop = Loop(
-        length, test, body, counter, _flat(placed), _flat(following), None, place,
-        _flat(results[carry_count:]),
+        length, test, body, counter, all_nodes(placed), all_nodes(following), None, index,
+        all_nodes(results[carry_count:]),
     )  # fmt: skip
-    ends, lists = graph.loop(_flat(begin), loop)
+    ends, lists = builder.loop(all_nodes(begin), loop)
     found = dict(zip(others, _like(ends, begin), strict=True))
     # Sums of a loop around this one go on.
-    found |= {k: x if x is start[k] else graph.totals(x) for k, x in sums.items()}
-    return [*(found[k] for k in range(carry_count)), *_stacks(graph, lists, stacked, length)]
+    found |= {k: x if x is start[k] else builder.totals(x) for k, x in sums.items()}
+    return [*(found[k] for k in range(carry_count)), *_stacks(builder, lists, stacked, length)]
 
 
 def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
@@ -132,72 +134,71 @@ def _returned(params: dict, place: int) -> int | None:
 
 
 def _while(
-    graph: Builder, operands: list[np.ndarray], params: dict, trace: Trace
+    builder: Builder, operands: list[np.ndarray], params: dict, trace: Trace
 ) -> list[np.ndarray]:
     """A loop that ends when no individual wants another round; the others stay as they are."""
     of_test, of_body = params["cond_nconsts"], params["body_nconsts"]
     test_consts, body_consts = operands[:of_test], operands[of_test : of_test + of_body]
     start = operands[of_test + of_body :]
-    test = Block(graph.block)
+    test = Block(builder.block)
     body = Block(test)
-    carried = [_placeholders(graph, x, test) for x in start]
-    with graph.within(test):
-        (condition,) = trace(graph, params["cond_jaxpr"], [*test_consts, *carried])
+    carried = [_placeholders(builder, x, test) for x in start]
+    with builder.within(test):
+        (condition,) = trace(builder, params["cond_jaxpr"], [*test_consts, *carried])
         condition = condition.item()
-        if graph.active is not None and not condition.uniform:
+        if builder.active is not None and not condition.uniform:
             # A loop in another one does not wait for individuals that are done there.
-            condition = graph.apply("and", condition, graph.active)
+            condition = builder.apply("and", condition, builder.active)
     # What the test computes of them is computed before it is known whether there is a round.
-    inside = np.frompyfunc(lambda node: graph.opaque(node, body), 1, 1)
-    again = [np.asarray(inside(x), object) for x in carried]
-    with graph.within(body, None if condition.uniform else condition):
-        results = trace(graph, params["body_jaxpr"], [*body_consts, *again])
-    loop = Loop(None, test, body, None, _flat(carried), _flat(results), condition, None, ())
-    ends, _ = graph.loop(_flat(start), loop)
+    again = [elementwise(lambda node: builder.opaque(node, body), x) for x in carried]
+    with builder.within(body, None if condition.uniform else condition):
+        results = trace(builder, params["body_jaxpr"], [*body_consts, *again])
+    loop = Loop(None, test, body, None, all_nodes(carried), all_nodes(results), condition, None, ())
+    ends, _ = builder.loop(all_nodes(start), loop)
     return _like(ends, start)
 
 
-def _cond(graph: Builder, operands: list, params: dict, trace: Trace) -> list:
+def _cond(builder: Builder, operands: list, params: dict, trace: Trace) -> list:
     which, *given = operands
     number, branches = which.item(), params["branches"]
     if number.value is not None:
         place = int(np.clip(int(number.value), 0, len(branches) - 1))
-        return trace(graph, branches[place], given)
+        return trace(builder, branches[place], given)
     first, *rest = branches
-    results = _without_sums(graph, trace, first, given)
+    results = _without_sums(builder, trace, first, given)
     for k, branch in enumerate(rest, 1):
         more = "eq" if k + 1 < len(branches) else "ge"
-        here = graph.apply(more, graph.convert(number, np.int32), graph.constant(k, np.int32))
-        results = _branch(graph, branch, given, here, results, trace)
+        here = builder.apply(more, builder.convert(number, np.int32), builder.constant(k, np.int32))
+        results = _branch(builder, branch, given, here, results, trace)
     return results
 
 
-def _without_sums(graph: Builder, trace: Trace, branch: ClosedJaxpr, given: list) -> list:
+def _without_sums(builder: Builder, trace: Trace, branch: ClosedJaxpr, given: list) -> list:
     """The results of a branch that is always computed; it must not add to anything."""
     before = [len(x.added) for x in given if isinstance(x, Sums)]
-    results = trace(graph, branch, given)
+    results = trace(builder, branch, given)
     if before != [len(x.added) for x in given if isinstance(x, Sums)]:
         raise Unsupported("a branch that adds to an array where the condition does not hold")
     return results
 
 
 def _branch(
-    graph: Builder, branch: ClosedJaxpr, given: list, here: Node, otherwise: list, trace: Trace
+    builder: Builder, branch: ClosedJaxpr, given: list, here: Node, otherwise: list, trace: Trace
 ) -> list:
     """The results of a branch for whoever takes it, and the other results for all others."""
     adds = any(isinstance(x, Sums) for x in otherwise)
     if not adds and _length(branch.jaxpr) < machine_constants.SHORTEST_BRANCH:
-        choose = np.frompyfunc(functools.partial(graph.select, here), 2, 1)
-        results = trace(graph, branch, given)
-        return [np.asarray(choose(a, b), object) for a, b in zip(results, otherwise, strict=True)]
-    test = Block(graph.block)
+        choose = functools.partial(builder.select, here)
+        results = trace(builder, branch, given)
+        return [elementwise(choose, a, b) for a, b in zip(results, otherwise, strict=True)]
+    test = Block(builder.block)
     body = Block(test)
-    with graph.within(test):
-        condition = graph.inside(here, test)
-        if graph.active is not None:
-            condition = graph.apply("and", condition, graph.active)
+    with builder.within(test):
+        condition = builder.inside(here, test)
+        if builder.active is not None:
+            condition = builder.apply("and", condition, builder.active)
     start = [x for x in otherwise if not isinstance(x, Sums)]
-    carried = [_placeholders(graph, x, body) for x in start]
+    carried = [_placeholders(builder, x, body) for x in start]
 
     def hide(node: Node) -> Node:
         """Return a node as the branch sees it, so that what it alone needs is computed in it.
@@ -205,36 +206,22 @@ def _branch(
         A number of a list stays one, so that the list is not copied.
         """
         listed = node.op == "lookup" and node.operands[0].op in ("list", "totals")
-        return graph.inside(node, body) if node.block is graph.block and not listed else node
+        return builder.inside(node, body) if node.block is builder.block and not listed else node
 
-    inside = [
-        x if isinstance(x, Sums) else np.asarray(np.frompyfunc(hide, 1, 1)(x), object)
-        for x in given
-    ]
-    with graph.within(body, condition):
-        results = trace(graph, branch, inside)
+    inside = [x if isinstance(x, Sums) else elementwise(hide, x) for x in given]
+    with builder.within(body, condition):
+        results = trace(builder, branch, inside)
     following = [x for x in results if not isinstance(x, Sums)]
-    values = _flat(carried), _flat(following)
+    values = all_nodes(carried), all_nodes(following)
     loop = Loop(None, test, body, None, *values, condition, None, (), once=True)
-    ends = iter(_like(graph.loop(_flat(start), loop)[0], start))
+    ends = iter(_like(builder.loop(all_nodes(start), loop)[0], start))
     return [x if isinstance(x, Sums) else next(ends) for x in otherwise]
 
 
 def _length(jaxpr: Jaxpr) -> int:
-    """About how many scalars a program computes."""
-    total = 0
-    for equation in jaxpr.eqns:
-        inner = [
-            part.jaxpr if isinstance(part, ClosedJaxpr) else part
-            for value in equation.params.values()
-            for part in (value if isinstance(value, (tuple, list)) else (value,))
-            if isinstance(part, (Jaxpr, ClosedJaxpr))
-        ]
-        total += sum(map(_length, inner))
-        if not inner:
-            avals: list[Any] = [atom.aval for atom in equation.outvars]
-            total += sum(aval.size for aval in avals)
-    return total
+    """Return about how many scalars a program computes."""
+    leaves = (each for each in equations(jaxpr) if not any(programs_in(each)))
+    return sum(atom.aval.size for each in leaves for atom in each.outvars)
 
 
 LOOPS: dict[str, Callable[[Builder, list[np.ndarray], dict, Trace], list[np.ndarray]]] = {
@@ -244,45 +231,30 @@ LOOPS: dict[str, Callable[[Builder, list[np.ndarray], dict, Trace], list[np.ndar
 }
 
 
-def _row(graph: Builder, x: np.ndarray, place: Node) -> np.ndarray:
-    """One of the rows of an array, at a computed place."""
+def _row(builder: Builder, x: np.ndarray, index: Node) -> np.ndarray:
+    """Return one of the rows of an array, at a computed index."""
     columns = x.reshape(len(x), -1).T
-    row = np.empty(len(columns), object)
-    row[:] = [graph.lookup(graph.table(list(column)), place) for column in columns]
-    return row.reshape(x.shape[1:])
+    return node_array(
+        [builder.lookup(builder.table(list(column)), index) for column in columns], x.shape[1:]
+    )
 
 
-def _placeholders(graph: Builder, like: np.ndarray, block: Block) -> np.ndarray:
-    result = np.empty(like.size, object)
-    result[:] = [graph.placeholder("carried", node.dtype, block) for node in like.flat]
-    return result.reshape(like.shape)
-
-
-def _flat(arrays: Sequence[np.ndarray]) -> tuple[Node, ...]:
-    return tuple([node for array in arrays for node in array.flat])
+def _placeholders(builder: Builder, like: np.ndarray, block: Block) -> np.ndarray:
+    return elementwise(lambda node: builder.placeholder("carried", node.dtype, block), like)
 
 
 def _like(nodes: list[Node], arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Nodes one after the other, in arrays of the same shapes as others."""
+    """Return nodes one after the other, in arrays of the same shapes as others."""
     given = iter(nodes)
-    result = []
-    for array in arrays:
-        part = np.empty(array.size, object)
-        part[:] = [next(given) for _ in range(array.size)]
-        result.append(part.reshape(array.shape))
-    return result
+    return [node_array([*itertools.islice(given, x.size)], x.shape) for x in arrays]
 
 
-def _stacks(graph: Builder, lists: list[Node], avals: Sequence, length: int) -> list[np.ndarray]:
-    """What a loop has stacked, from the lists of its scalars."""
-    given = iter(lists)
-    result = []
-    for aval in avals:
-        rows = np.empty((length, aval.size), object)
-        for column in range(aval.size):
-            one = next(given)
-            rows[:, column] = [
-                graph.lookup(one, graph.constant(place, np.int32)) for place in range(length)
-            ]
-        result.append(rows.reshape(length, *aval.shape))
-    return result
+def _stacks(builder: Builder, lists: list[Node], avals: Sequence, length: int) -> list[np.ndarray]:
+    """Return what a loop has stacked, from the lists of its scalars."""
+    columns = iter([builder.rows(each, (length,)) for each in lists])
+    return [
+        np.array([*itertools.islice(columns, aval.size)], object)
+        .reshape(aval.size, length)
+        .T.reshape(length, *aval.shape)
+        for aval in avals
+    ]

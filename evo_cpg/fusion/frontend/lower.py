@@ -7,53 +7,25 @@ products become additions and multiplications; elementwise operations one node p
 
 import functools
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from evo_cpg.fusion import jax_internals as internals
-from evo_cpg.fusion.frontend.builder import Builder, Sums
+from evo_cpg.fusion.frontend.builder import Builder, Sums, all_nodes, elementwise, node_array
 from evo_cpg.fusion.frontend.elementary import FLOAT32
 from evo_cpg.fusion.frontend.loops import LOOPS
 from evo_cpg.fusion.frontend.moves import MOVES, SCATTER_ADD, add_to_sums
 from evo_cpg.fusion.frontend.primitives import Program, fused_p, linear_map_p, trace_of
 from evo_cpg.fusion.frontend.symmetric_solve import eliminate, eliminate_p, elimination_of
 from evo_cpg.fusion.ir.graph import Graph, Node
+from evo_cpg.fusion.ir.types import ARITHMETIC, LIBRARY
 from evo_cpg.fusion.unsupported import Unsupported
 
-# Programs within the program, by primitive, and the parameter that holds them.
-_CALLS = {
-    "checkpoint": "jaxpr",
-    "closed_call": "call_jaxpr",
-    "core_call": "call_jaxpr",
-    "custom_jvp_call": "call_jaxpr",
-    "custom_vjp_call": "call_jaxpr",
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
-    "remat2": "jaxpr",
-}
-
-# Operations on scalars that the graph knows by the name of JAX's primitive.
-_SCALAR = {
-    "abs", "add", "and", "ceil", "div", "eq", "floor", "ge", "gt", "is_finite", "le", "lt", "max",
-    "min", "mul", "ne", "neg", "not", "or", "rem", "shift_left", "shift_right_arithmetic",
-    "shift_right_logical", "sign", "sqrt", "sub", "xor",
-}  # fmt: skip
-
-# Functions that the C library has for float64, by the name of JAX's primitive.
-LIBRARY = {
-    "acos": "acos", "acosh": "acosh", "asin": "asin", "asinh": "asinh", "atan": "atan",
-    "atan2": "atan2", "atanh": "atanh", "cbrt": "cbrt", "cos": "cos", "cosh": "cosh", "erf": "erf",
-    "erfc": "erfc", "exp": "exp", "exp2": "exp2", "expm1": "expm1", "lgamma": "lgamma",
-    "log": "log", "log1p": "log1p", "pow": "pow", "sin": "sin", "sinh": "sinh", "tan": "tan",
-    "tanh": "tanh",
-}  # fmt: skip
-
-_LINEAR_SOLVE = "custom_linear_solve"
-_OWN = {linear_map_p.name, eliminate_p.name, _LINEAR_SOLVE}
-
-Rule = Callable[[Builder, list[np.ndarray], dict], list[np.ndarray]]
+Arrays = list[np.ndarray]
+Rule = Callable[[Builder, Arrays, dict], Arrays]
 
 
 def lower(program: Program, builder: Builder) -> Graph:
@@ -73,9 +45,7 @@ def lower(program: Program, builder: Builder) -> Graph:
     return builder.graph(trace_program(builder, program, inputs))
 
 
-def trace_program(
-    graph: Builder, program: Program, inputs: Sequence[np.ndarray]
-) -> list[np.ndarray]:
+def trace_program(builder: Builder, program: Program, inputs: Sequence[np.ndarray]) -> Arrays:
     """The results of a program for one individual, arrays of nodes.
 
     What a program computes depends on nothing around it, not even in its last digit: nothing is
@@ -83,29 +53,29 @@ def trace_program(
     control step has the same results alone and as a part of a trial.
 
     Args:
-        graph: where the nodes are made.
+        builder: where the nodes are made.
         program: what to trace.
         inputs: what it shares, and its arguments.
 
     Raises:
         Unsupported: the program holds something that cannot be written as scalars.
     """
-    inside = [_map(graph.opaque, x) for x in inputs]
+    inside = [elementwise(builder.opaque, x) for x in inputs]
     given = iter(inside[: program.shared])
-    consts = [next(given) if own is None else constants(graph, own) for own in program.constants]
-    results = trace(graph, program.jaxpr, [], [*consts, *inside[program.shared :]])
-    graph.end_part([node for array in results for node in array.flat])
-    hide = functools.partial(graph.opaque, given=graph.given(inputs))
-    return [_map(hide, x) for x in results]
+    consts = [next(given) if own is None else constants(builder, own) for own in program.constants]
+    results = trace(builder, program.jaxpr, [], [*consts, *inside[program.shared :]])
+    part = builder.end_part(all_nodes(inputs), all_nodes(results))
+    hide = functools.partial(builder.opaque, part=part)
+    return [elementwise(hide, x) for x in results]
 
 
 def trace(
-    graph: Builder, jaxpr: Jaxpr, consts: Sequence[np.ndarray], inputs: Sequence[np.ndarray]
-) -> list[np.ndarray]:
+    builder: Builder, jaxpr: Jaxpr, consts: Sequence[np.ndarray], inputs: Sequence[np.ndarray]
+) -> Arrays:
     """The program's outputs as arrays of nodes.
 
     Args:
-        graph: where the nodes are made.
+        builder: where the nodes are made.
         jaxpr: the program.
         consts: values of its constants, arrays of nodes.
         inputs: values of its arguments, arrays of nodes.
@@ -117,118 +87,128 @@ def trace(
 
     def read(atom) -> np.ndarray:
         if isinstance(atom, Literal):
-            return constants(graph, np.asarray(atom.val, _type(atom)))
+            return constants(builder, np.asarray(atom.val, _type(atom)))
         return known[atom]
 
     known.update(zip(jaxpr.constvars, consts, strict=True))
     known.update(zip(jaxpr.invars, inputs, strict=True))
     for equation in jaxpr.eqns:
         operands = [read(atom) for atom in equation.invars]
-        results = _equation(graph, equation, operands)
+        results = _equation(builder, equation, operands)
         known.update(zip(equation.outvars, results, strict=True))
     return [read(atom) for atom in jaxpr.outvars]
 
 
-def trace_closed(
-    graph: Builder, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]
-) -> list[np.ndarray]:
+def trace_closed(builder: Builder, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]) -> Arrays:
     """`trace` of a program that brings its constants along."""
-    values = [constants(graph, np.asarray(value)) for value in closed.consts]
-    return trace(graph, closed.jaxpr, values, inputs)
+    values = [constants(builder, np.asarray(value)) for value in closed.consts]
+    return trace(builder, closed.jaxpr, values, inputs)
 
 
-def constants(graph: Builder, values: np.ndarray) -> np.ndarray:
+def constants(builder: Builder, values: np.ndarray) -> np.ndarray:
     """Return an array of constant nodes; tangents of integers (float0) are False, as in JAX."""
     if values.dtype == jax.dtypes.float0:
         values = np.zeros(values.shape, bool)
-    result = np.empty(values.size, object)
-    result[:] = [graph.constant(value, values.dtype) for value in values.flat]
-    return result.reshape(values.shape)
+    return node_array(
+        [builder.constant(value, values.dtype) for value in values.flat], values.shape
+    )
 
 
 def is_supported(name: str) -> bool:
-    """Whether there is a rule for a primitive, whatever it is applied to."""
-    known = (_CALLS, _SCALAR, LOOPS, _RULES, FLOAT32, LIBRARY, _OWN)
+    """Return whether there is a rule for a primitive, whatever it is applied to."""
+    known = (_PROGRAMS, LOOPS, _RULES, _ELEMENTWISE, ARITHMETIC, FLOAT32, LIBRARY)
     return internals.is_random(name) or any(name in names for names in known)
 
 
-def _for_each(
-    graph: Builder, program: Program, batch: tuple[int, ...], inputs: Sequence[np.ndarray]
-) -> list[np.ndarray]:
-    """`trace_program`, of which each individual may hold several."""
-    if not batch:
-        return trace_program(graph, program, inputs)
-    shared, own = inputs[: program.shared], inputs[program.shared :]
-    results = [
-        np.empty((*atom.aval.shape, *batch), object)  # pyright: ignore
-        for atom in program.jaxpr.outvars
-    ]
-    for place in np.ndindex(batch):
-        one = [np.asarray(x[(..., *place)], object) for x in own]
-        for result, found in zip(
-            results, trace_program(graph, program, [*shared, *one]), strict=True
-        ):
-            result[(..., *place)] = found
-    return results
-
-
-def _equation(graph: Builder, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+def _equation(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
+    """Return the results of an equation by the rule of its primitive."""
     name, params = equation.primitive.name, equation.params
-    if name in _CALLS:
-        inner = params[_CALLS[name]]
-        closed = isinstance(inner, ClosedJaxpr)
-        return trace_closed(graph, inner, operands) if closed else trace(graph, inner, [], operands)
-    if equation.primitive is fused_p:
-        return _for_each(graph, params["program"], params["batch"], operands)
-    if equation.primitive is linear_map_p:
-        inner = trace_of(params, [atom.aval for atom in equation.invars])
-        return trace_closed(graph, inner, operands)
+    if name in _PROGRAMS:
+        return _PROGRAMS[name](builder, equation, operands)
     if any(isinstance(operand, Sums) for operand in operands) and name in SCATTER_ADD:
-        return add_to_sums(graph, operands, params)
+        return add_to_sums(builder, operands, params)
     if operands and all(operand.size == 0 for operand in operands):
-        return _evaluate(graph, equation, operands)
-    if name in _SCALAR:
-        return [_map(functools.partial(graph.apply, name), *operands)]
+        return _evaluate(builder, equation, operands)
     if name in LOOPS:
-        return LOOPS[name](graph, operands, params, trace_closed)
-    if equation.primitive is eliminate_p:
-        answers = eliminate(graph, operands)
-        if answers is not None:
-            return [answers]
-        inner = elimination_of([atom.aval for atom in equation.invars])
-        return trace_closed(graph, inner, operands)
-    if name == _LINEAR_SOLVE:
-        return _solve_linear(graph, operands, params)
+        return LOOPS[name](builder, operands, params, trace_closed)
     if name in _RULES:
-        return _RULES[name](graph, operands, params)
+        return _RULES[name](builder, operands, params)
+    if name in _ELEMENTWISE:
+        return [elementwise(functools.partial(_ELEMENTWISE[name], builder), *operands)]
+    if name in ARITHMETIC:
+        return [elementwise(functools.partial(builder.apply, name), *operands)]
     if name in FLOAT32 or name in LIBRARY:
-        return [_elementary(graph, name, operands, params)]
+        return [_function(builder, name, operands)]
     if internals.is_random(name):
-        return trace_closed(graph, internals.random_program(equation), operands)
+        return trace_closed(builder, internals.random_program(equation), operands)
     if all(node.value is not None for operand in operands for node in operand.flat):
-        return _evaluate(graph, equation, operands)
+        return _evaluate(builder, equation, operands)
     raise Unsupported(f"it has no rule for {name}")
 
 
-def _solve_linear(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
-    """What a linear system's own solver does; its other programs are for derivatives."""
-    counts, jaxprs = params["const_lengths"], params["jaxprs"]
+# Programs within the program.
+
+
+def _call(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
+    inner = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
+    closed = isinstance(inner, ClosedJaxpr)
+    return trace_closed(builder, inner, operands) if closed else trace(builder, inner, [], operands)
+
+
+def _fused(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
+    """Trace a part, of which each individual may hold several."""
+    program, batch = equation.params["program"], equation.params["batch"]
+    if not batch:
+        return trace_program(builder, program, operands)
+    shared, own = operands[: program.shared], operands[program.shared :]
+    results = [np.empty((*aval.shape, *batch), object) for aval in program.outputs]
+    for place in np.ndindex(batch):
+        one = [np.asarray(x[(..., *place)], object) for x in own]
+        found = trace_program(builder, program, [*shared, *one])
+        for result, part in zip(results, found, strict=True):
+            result[(..., *place)] = part
+    return results
+
+
+def _linear_map(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
+    inner = trace_of(equation.params, [atom.aval for atom in equation.invars])
+    return trace_closed(builder, inner, operands)
+
+
+def _elimination(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
+    """Call the routine that loops, or write the elimination out where that is short."""
+    answers = eliminate(builder, operands)
+    if answers is not None:
+        return [answers]
+    inner = elimination_of([atom.aval for atom in equation.invars])
+    return trace_closed(builder, inner, operands)
+
+
+def _linear_solve(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
+    """Trace the solver of a linear system; its other programs are for derivatives."""
+    counts, jaxprs = equation.params["const_lengths"], equation.params["jaxprs"]
     before = counts.matvec + counts.vecmat
     given = operands[sum(counts) :]
-    return trace_closed(graph, jaxprs.solve, [*operands[before : before + counts.solve], *given])
+    return trace_closed(builder, jaxprs.solve, [*operands[before : before + counts.solve], *given])
 
 
-def _type(atom) -> np.dtype:
-    return np.dtype(atom.aval.dtype)
+_CALLS = (
+    "checkpoint", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "jit", "pjit",
+    "remat2",
+)  # fmt: skip
+
+_PROGRAMS: dict[str, Callable[[Builder, Any, Arrays], Arrays]] = {
+    **dict.fromkeys(_CALLS, _call),
+    fused_p.name: _fused,
+    linear_map_p.name: _linear_map,
+    eliminate_p.name: _elimination,
+    "custom_linear_solve": _linear_solve,
+}
+"""Rules of primitives that hold programs, from equations and operands to results."""
 
 
-def _map(make: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
-    """Apply a function of nodes element by element, with broadcasting."""
-    return np.asarray(np.frompyfunc(make, len(arrays), 1)(*arrays), object)
-
-
-def _evaluate(graph: Builder, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
-    """Any other primitive on constants, by JAX itself."""
+def _evaluate(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
+    """Compute any other primitive on constants by JAX itself."""
     values = [
         np.array([node.value for node in operand.flat], _type(atom)).reshape(operand.shape)
         for operand, atom in zip(operands, equation.invars, strict=True)
@@ -236,7 +216,14 @@ def _evaluate(graph: Builder, equation, operands: list[np.ndarray]) -> list[np.n
     with jax.ensure_compile_time_eval():
         results = equation.primitive.bind(*values, **equation.params)
     results = results if equation.primitive.multiple_results else [results]
-    return [constants(graph, np.asarray(result)) for result in results]
+    return [constants(builder, np.asarray(result)) for result in results]
+
+
+def _type(atom: Any) -> np.dtype:
+    return np.dtype(atom.aval.dtype)
+
+
+# Operations on scalars and on arrays.
 
 
 @functools.cache
@@ -245,79 +232,71 @@ def _in_float32(name: str, count: int) -> ClosedJaxpr:
     return jax.make_jaxpr(FLOAT32[name])(*[scalar] * count)
 
 
-def _elementary(graph: Builder, name: str, operands: list[np.ndarray], params: dict) -> np.ndarray:
-    """A function of the C library: written out for float32, called for float64."""
-    del params
+def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
+    """Write a function of the C library out for float32; call it for float64."""
     dtype = next((node.dtype for node in operands[0].flat), np.dtype(np.float32))
     if dtype == np.float32 and name in FLOAT32:
         # Written for scalars; what is elementwise takes arrays as well.
-        inside = [_map(graph.opaque, x) for x in np.broadcast_arrays(*operands)]
-        (result,) = trace_closed(graph, _in_float32(name, len(operands)), inside)
+        inside = [elementwise(builder.opaque, x) for x in np.broadcast_arrays(*operands)]
+        (result,) = trace_closed(builder, _in_float32(name, len(operands)), inside)
         # Their sums are ordered so that errors cancel.
-        graph.end_part(list(result.flat), reorder=False)
-        return _map(functools.partial(graph.opaque, given=graph.given(operands)), result)
+        part = builder.end_part(all_nodes(operands), result.flat, reorder=False)
+        return elementwise(functools.partial(builder.opaque, part=part), result)
     if dtype == np.float64 and name == "logistic":
-        one = constants(graph, np.ones((), dtype))
-        power = _elementary(graph, "exp", [_map(graph.negate, operands[0])], {})
-        return _map(lambda one, e: graph.apply("div", one, graph.add(one, e)), one, power)
+        return elementwise(functools.partial(_logistic, builder), *operands)
     if dtype != np.float64 or name not in LIBRARY:
         raise Unsupported(f"it has no {name} of {dtype}")
-    return _map(lambda *x: graph.make(LIBRARY[name], x, dtype), *operands)
+    return elementwise(lambda *x: builder.make(name, x, dtype), *operands)
 
 
-def _reduction(op: str) -> Rule:
-    def reduce(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
-        (x,), axes = operands, params["axes"]
-        kept = [i for i in range(x.ndim) if i not in axes]
-        rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
-        combine = functools.partial(graph.apply, op)
-        total = rows[..., 0]
-        for k in range(1, rows.shape[-1]):
-            total = _map(combine, total, rows[..., k])
-        return [np.asarray(total, object)]
-
-    return reduce
+def _logistic(builder: Builder, x: Node) -> Node:
+    one = builder.constant(1, x.dtype)
+    power = builder.make("exp", (builder.negate(x),), x.dtype)
+    return builder.apply("div", one, builder.add(one, power))
 
 
-def _cumulative(op: str) -> Rule:
-    def accumulate(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
-        x = np.moveaxis(operands[0], params["axis"], 0)
-        x = x[::-1] if params["reverse"] else x
-        rows = list(x[:1])
-        for row in x[1:]:
-            rows.append(_map(functools.partial(graph.apply, op), rows[-1], row))
-        result = np.array(rows, object).reshape(x.shape)
-        result = result[::-1] if params["reverse"] else result
-        return [np.moveaxis(result, 0, params["axis"])]
-
-    return accumulate
+def _reduction(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
+    (x,), axes = operands, params["axes"]
+    kept = [i for i in range(x.ndim) if i not in axes]
+    rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
+    combine = functools.partial(builder.apply, op)
+    total = rows[..., 0]
+    for k in range(1, rows.shape[-1]):
+        total = elementwise(combine, total, rows[..., k])
+    return [np.asarray(total, object)]
 
 
-def _extreme_place(op: str) -> Rule:
+def _cumulative(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
+    result = operands[0].copy()
+    rows = np.moveaxis(result, params["axis"], 0)
+    rows = rows[::-1] if params["reverse"] else rows
+    for k in range(1, len(rows)):
+        combine = functools.partial(builder.apply, op)
+        rows[k, ...] = elementwise(combine, rows[k - 1], rows[k])
+    return [result]
+
+
+def _extreme_place(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
     """Index of the first largest or smallest; of the first NaN, if there is one."""
+    (x,), (axis,), dtype = operands, params["axes"], np.dtype(params["index_dtype"])
+    x = np.moveaxis(x, axis, 0)
 
-    def find(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
-        (x,), (axis,), dtype = operands, params["axes"], np.dtype(params["index_dtype"])
-        x = np.moveaxis(x, axis, 0)
+    def better(old: Node, new: Node) -> Node:
+        beyond = builder.apply(op, new, old)
+        nan = builder.apply("ne", new, new)
+        good = builder.apply("eq", old, old)
+        return builder.apply("or", beyond, builder.apply("and", nan, good))
 
-        def better(old: Node, new: Node) -> Node:
-            beyond = graph.apply(op, new, old)
-            nan = graph.apply("ne", new, new)
-            good = graph.apply("eq", old, old)
-            return graph.apply("or", beyond, graph.apply("and", nan, good))
-
-        best, place = x[0], np.full(x.shape[1:], graph.constant(0, dtype))
-        for k in range(1, len(x)):
-            number = graph.constant(k, dtype)
-            chosen = _map(better, best, x[k])
-            place = _map(lambda c, old, k=number: graph.select(c, k, old), chosen, place)
-            best = _map(graph.select, chosen, x[k], best)
-        return [np.asarray(place, object)]
-
-    return find
+    best, place = x[0], np.full(x.shape[1:], builder.constant(0, dtype))
+    for k in range(1, len(x)):
+        number = builder.constant(k, dtype)
+        chosen = elementwise(better, best, x[k])
+        place = elementwise(lambda c, old, k=number: builder.select(c, k, old), chosen, place)
+        best = elementwise(builder.select, chosen, x[k], best)
+    return [np.asarray(place, object)]
 
 
-def _dot_general(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _dot_general(builder: Builder, operands: Arrays, params: dict) -> Arrays:
     a, b = operands
     (contract_a, contract_b), (batch_a, batch_b) = params["dimension_numbers"]
     free_a = [i for i in range(a.ndim) if i not in (*contract_a, *batch_a)]
@@ -330,11 +309,11 @@ def _dot_general(graph: Builder, operands: list[np.ndarray], params: dict) -> li
     b = b.transpose(*batch_b, *free_b, *contract_b).reshape(a.shape[0], -1, a.shape[2])
     result = np.empty((a.shape[0], a.shape[1], b.shape[1]), object)
     for n, i, j in np.ndindex(result.shape):
-        result[n, i, j] = _scalar_product(graph, a[n, i], b[n, j])
+        result[n, i, j] = _scalar_product(builder, a[n, i], b[n, j])
     return [result.reshape((*batch, *outer_a, *outer_b))]
 
 
-def _scalar_product(graph: Builder, a: np.ndarray, b: np.ndarray) -> Node:
+def _scalar_product(builder: Builder, a: np.ndarray, b: np.ndarray) -> Node:
     """Sum of products; those with the same constant factor, up to its sign, share it.
 
     Points on a regular grid have coordinates that differ by their signs only: what their rows
@@ -345,114 +324,97 @@ def _scalar_product(graph: Builder, a: np.ndarray, b: np.ndarray) -> Node:
     for x, y in zip(a, b, strict=True):
         factor, other = (x, y) if x.value is not None else (y, x)
         if factor.value is None:
-            factor, other, negative = graph.constant(1, x.dtype), graph.multiply(x, y), False
+            factor, other, negative = builder.constant(1, x.dtype), builder.multiply(x, y), False
         else:
             negative = bool(factor.value < 0)
-            factor = graph.negate(factor) if negative else factor
+            factor = builder.negate(factor) if negative else factor
         if factor.value != 0:
             groups.setdefault(factor, []).append((negative, other))
-    total = graph.constant(0, a[0].dtype)
+    total = builder.constant(0, a[0].dtype)
     for factor, terms in groups.items():
         # The first term gives the sign, so that opposite sums are the same node.
         flip = terms[0][0]
         inner = terms[0][1]
         for negative, term in terms[1:]:
-            combine = graph.add if negative == flip else graph.subtract
+            combine = builder.add if negative == flip else builder.subtract
             inner = combine(inner, term)
-        product = graph.multiply(factor, inner)
-        total = graph.subtract(total, product) if flip else graph.add(total, product)
+        product = builder.multiply(factor, inner)
+        total = builder.subtract(total, product) if flip else builder.add(total, product)
     return total
 
 
-def _select_n(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _select_n(builder: Builder, operands: Arrays, params: dict) -> Arrays:
     which, *cases = operands
     if all(node.dtype.kind == "b" for node in which.flat):
-        return [_map(lambda w, no, yes: graph.select(w, yes, no), which, *cases)]
+        return [elementwise(lambda w, no, yes: builder.select(w, yes, no), which, *cases)]
     result = cases[-1]
     for k in range(len(cases) - 2, -1, -1):
         number = k
 
         def choose(w: Node, here: Node, later: Node, number: int = number) -> Node:
-            is_it = graph.apply("le", w, graph.constant(number, w.dtype))
-            return graph.select(is_it, here, later)
+            is_it = builder.apply("le", w, builder.constant(number, w.dtype))
+            return builder.select(is_it, here, later)
 
-        result = _map(choose, which, cases[k], result)
+        result = elementwise(choose, which, cases[k], result)
     return [result]
 
 
-def _rounded(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _rounded(builder: Builder, operands: Arrays, params: dict) -> Arrays:
     if params["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN:
-        return [_map(functools.partial(graph.apply, "round"), *operands)]
+        return [elementwise(functools.partial(builder.apply, "round"), *operands)]
 
     def away_from_zero(x: Node) -> Node:
-        size = graph.apply("abs", x)
-        whole = graph.apply("floor", size)
-        half = graph.apply("ge", graph.subtract(size, whole), graph.constant(0.5, x.dtype))
-        up = graph.add(whole, graph.select(half, *(graph.constant(v, x.dtype) for v in (1, 0))))
-        return graph.multiply(up, graph.apply("sign", x))
+        size = builder.apply("abs", x)
+        below = builder.apply("floor", size)
+        half = builder.apply("ge", builder.subtract(size, below), builder.constant(0.5, x.dtype))
+        up = builder.add(
+            below, builder.select(half, *(builder.constant(v, x.dtype) for v in (1, 0)))
+        )
+        return builder.multiply(up, builder.apply("sign", x))
 
-    return [_map(away_from_zero, *operands)]
-
-
-def _power(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
-    return [_map(lambda x: graph.power(x, params.get("y", 2)), *operands)]
+    return [elementwise(away_from_zero, *operands)]
 
 
-def _one_minus_square(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
-    """As a product, which keeps all digits near one; JAX has it since 0.12, for ``tanh``."""
-
-    def product(x: Node) -> Node:
-        one = graph.constant(1, x.dtype)
-        return graph.multiply(graph.subtract(one, x), graph.add(one, x))
-
-    return [_map(product, *operands)]
+def _power(builder: Builder, operands: Arrays, params: dict) -> Arrays:
+    return [elementwise(lambda x: builder.power(x, params["y"]), *operands)]
 
 
-def _inverse_root(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
-    def inverse(x: Node) -> Node:
-        return graph.apply("div", graph.constant(1, x.dtype), graph.apply("sqrt", x))
-
-    return [_map(inverse, *operands)]
+def _conversion(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
+    dtype = np.dtype(params["new_dtype"])
+    return [elementwise(functools.partial(builder.apply, op, dtype=dtype), *operands)]
 
 
-def _clamp(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
-    def clamp(low: Node, x: Node, high: Node) -> Node:
-        return graph.apply("min", graph.apply("max", low, x), high)
-
-    return [_map(clamp, *operands)]
-
-
-def _conversion(op: str) -> Rule:
-    def convert(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
-        dtype = np.dtype(params["new_dtype"])
-        return [_map(functools.partial(graph.apply, op, dtype=dtype), *operands)]
-
-    return convert
-
+_ELEMENTWISE: dict[str, Callable[..., Node]] = {
+    "add_any": Builder.add,
+    "clamp": lambda b, low, x, high: b.apply("min", b.apply("max", low, x), high),
+    # As a product, which keeps all digits near one; JAX has it since 0.12, for `tanh`.
+    "one_minus_square": lambda b, x: b.multiply(
+        b.subtract(one := b.constant(1, x.dtype), x), b.add(one, x)
+    ),
+    "rsqrt": lambda b, x: b.apply("div", b.constant(1, x.dtype), b.apply("sqrt", x)),
+    "square": lambda b, x: b.power(x, 2),
+}
+"""Rules of primitives on scalars, from a builder and nodes to a node."""
 
 _RULES: dict[str, Rule] = {
     **MOVES,
-    "add_any": lambda graph, operands, params: [_map(graph.add, *operands)],
-    "argmax": _extreme_place("gt"),
-    "argmin": _extreme_place("lt"),
-    "bitcast_convert_type": _conversion("bitcast"),
-    "clamp": _clamp,
-    "convert_element_type": _conversion("convert"),
-    "cummax": _cumulative("max"),
-    "cummin": _cumulative("min"),
-    "cumprod": _cumulative("mul"),
-    "cumsum": _cumulative("add"),
+    "argmax": functools.partial(_extreme_place, "gt"),
+    "argmin": functools.partial(_extreme_place, "lt"),
+    "bitcast_convert_type": functools.partial(_conversion, "bitcast"),
+    "convert_element_type": functools.partial(_conversion, "convert"),
+    "cummax": functools.partial(_cumulative, "max"),
+    "cummin": functools.partial(_cumulative, "min"),
+    "cumprod": functools.partial(_cumulative, "mul"),
+    "cumsum": functools.partial(_cumulative, "add"),
     "dot_general": _dot_general,
     "integer_pow": _power,
-    "one_minus_square": _one_minus_square,
-    "reduce_and": _reduction("and"),
-    "reduce_max": _reduction("max"),
-    "reduce_min": _reduction("min"),
-    "reduce_or": _reduction("or"),
-    "reduce_prod": _reduction("mul"),
-    "reduce_sum": _reduction("add"),
+    "reduce_and": functools.partial(_reduction, "and"),
+    "reduce_max": functools.partial(_reduction, "max"),
+    "reduce_min": functools.partial(_reduction, "min"),
+    "reduce_or": functools.partial(_reduction, "or"),
+    "reduce_prod": functools.partial(_reduction, "mul"),
+    "reduce_sum": functools.partial(_reduction, "add"),
     "round": _rounded,
-    "rsqrt": _inverse_root,
     "select_n": _select_n,
-    "square": _power,
 }
+"""Rules of primitives on arrays, from operands and parameters to results."""

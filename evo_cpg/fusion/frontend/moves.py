@@ -7,38 +7,38 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from evo_cpg.fusion.frontend.builder import Builder
+from evo_cpg.fusion.frontend.builder import Builder, elementwise
 from evo_cpg.fusion.unsupported import Unsupported
 
 
-def _broadcast_in_dim(graph, operands, params):
+def _broadcast_in_dim(builder, operands, params):
     (x, *_), shape = operands, params["shape"]
     placed = np.ones(len(shape), int)
     placed[list(params["broadcast_dimensions"])] = x.shape
     return [np.broadcast_to(x.reshape(placed), shape)]
 
 
-def _slice(graph, operands, params):
+def _slice(builder, operands, params):
     strides = params["strides"] or (1,) * operands[0].ndim
     window = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
     return [operands[0][tuple(slice(*each) for each in window)]]
 
 
-def _dynamic_slice(graph, operands, params):
+def _dynamic_slice(builder, operands, params):
     x, *starts = operands
     sizes = params["slice_sizes"]
     first = [
-        _clamped(graph, start.item(), whole - size)
+        _clamped(builder, start.item(), whole - size)
         for start, whole, size in zip(starts, x.shape, sizes, strict=True)
     ]
-    return [_taken(graph, x, first, np.indices(sizes))]
+    return [_taken(builder, x, first, np.indices(sizes))]
 
 
-def _dynamic_update_slice(graph, operands, params):
+def _dynamic_update_slice(builder, operands, params):
     """Each element is the new one where the window lies over it."""
     x, update, *starts = operands
     first = [
-        _clamped(graph, start.item(), whole - size)
+        _clamped(builder, start.item(), whole - size)
         for start, whole, size in zip(starts, x.shape, update.shape, strict=True)
     ]
     result = x.copy()
@@ -48,41 +48,47 @@ def _dynamic_update_slice(graph, operands, params):
     ]
     for begin in itertools.product(*reach):
         here = [
-            graph.apply("eq", node, graph.constant(b, node.dtype))
+            builder.apply("eq", node, builder.constant(b, node.dtype))
             for node, b in zip(first, begin, strict=True)
         ]
-        condition = functools.reduce(functools.partial(graph.apply, "and"), here) if here else None
+        condition = (
+            functools.reduce(functools.partial(builder.apply, "and"), here) if here else None
+        )
         for index in np.ndindex(update.shape):
             place = tuple(b + i for b, i in zip(begin, index, strict=True))
             new = update[index]
             result[place] = (
-                new if condition is None else graph.select(condition, new, result[place])
+                new if condition is None else builder.select(condition, new, result[place])
             )
     return [result]
 
 
-def _gather(graph, operands, params):
+def _gather(builder, operands, params):
     """Taken at constant indices, where JAX itself says where each element comes from, or others."""
     x, indices = operands
     if all(node.value is not None for node in indices.flat):
-        where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
-        outside = -1
-        with jax.ensure_compile_time_eval():
-            places = jax.lax.gather_p.bind(
-                np.arange(x.size, dtype=np.int32).reshape(x.shape),
-                where,
-                **{**params, "fill_value": outside},
-            )
-        places = np.asarray(places)
-        fill = params["fill_value"]
-        if (places == outside).any():
+        gather = functools.partial(jax.lax.gather_p.bind, **{**params, "fill_value": _OUTSIDE})
+        places, fill = _places(gather, x, indices), params["fill_value"]
+        if (places == _OUTSIDE).any():
             fill = _filler(x.flat[0].dtype) if fill is None else fill
-            x = np.append(x.reshape(-1), graph.constant(fill, x.flat[0].dtype))
+            x = np.append(x.reshape(-1), builder.constant(fill, x.flat[0].dtype))
         return [x.reshape(-1)[places]]
-    return [_gather_at_computed_places(graph, x, indices, params)]
+    return [_gather_at_computed_places(builder, x, indices, params)]
 
 
-def _gather_at_computed_places(graph, x, indices, params):
+# Where an element that lies outside of an array comes from.
+_OUTSIDE = -1
+
+
+def _places(gather, x, indices):
+    """Ask JAX where each element comes from that is gathered at constant indices."""
+    places = np.arange(x.size, dtype=np.int32).reshape(x.shape)
+    where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
+    with jax.ensure_compile_time_eval():
+        return np.asarray(gather(places, where))
+
+
+def _gather_at_computed_places(builder, x, indices, params):
     """One window for each row of indices; its elements lie at a fixed distance from its first."""
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
     if numbers.operand_batching_dims:
@@ -96,22 +102,19 @@ def _gather_at_computed_places(graph, x, indices, params):
     ]
     results = []
     for row in rows:
-        first = [graph.constant(0, np.int32)] * x.ndim
-        valid = graph.constant(True, bool)
+        first = [builder.constant(0, np.int32)] * x.ndim
+        valid = builder.constant(True, bool)
         for axis, node in zip(numbers.start_index_map, row, strict=True):
             most = x.shape[axis] - sizes[axis]
-            first[axis] = _clamped(graph, node, most)
+            first[axis] = _clamped(builder, node, most)
             if filled:
-                inside = graph.apply("eq", graph.convert(first[axis], node.dtype), node)
-                valid = graph.apply("and", valid, inside)
-        taken = _taken(graph, x, first, window)
+                inside = builder.apply("eq", builder.convert(first[axis], node.dtype), node)
+                valid = builder.apply("and", valid, inside)
+        taken = _taken(builder, x, first, window)
         if valid.value is None or not valid.value:
             dtype = x.flat[0].dtype
-            other = graph.constant(_filler(dtype) if fill is None else fill, dtype)
-            taken = np.asarray(
-                np.frompyfunc(lambda t, v=valid, o=other: graph.select(v, t, o), 1, 1)(taken),
-                object,
-            )
+            other = builder.constant(_filler(dtype) if fill is None else fill, dtype)
+            taken = elementwise(lambda t, v=valid, o=other: builder.select(v, t, o), taken)
         results.append(taken)
     batch = indices.shape[:-1]
     stacked = np.array([t.reshape(-1) for t in results], object)
@@ -123,11 +126,11 @@ def _gather_at_computed_places(graph, x, indices, params):
     return stacked.transpose(axes)
 
 
-def _taken(graph, x, first, window):
+def _taken(builder, x, first, window):
     """Elements of an array, at places in a window whose first element is at a computed place.
 
     Args:
-        graph: where nodes are made.
+        builder: where nodes are made.
         x: the array.
         first: index of the window's first element along each axis, within the array.
         window: ``(axes, ...)``, indices within the window.
@@ -138,26 +141,26 @@ def _taken(graph, x, first, window):
         begin = [int(node.value) for node in first]
         return np.asarray(x[tuple(b + w for b, w in zip(begin, window, strict=True))], object)
     strides = [int(np.prod(x.shape[i + 1 :], dtype=int)) for i in range(x.ndim)]
-    start = graph.constant(0, np.int32)
+    start = builder.constant(0, np.int32)
     for node, stride in zip(first, strides, strict=True):
-        step = graph.multiply(graph.convert(node, np.int32), graph.constant(stride, np.int32))
-        start = graph.add(start, step)
+        step = builder.multiply(builder.convert(node, np.int32), builder.constant(stride, np.int32))
+        start = builder.add(start, step)
     offsets = sum(w * stride for w, stride in zip(window, strides, strict=True))
-    table = graph.table(list(x.flat))
+    table = builder.table(list(x.flat))
 
     def take(offset: int):
-        return graph.lookup(table, graph.add(start, graph.constant(offset, np.int32)))
+        return builder.lookup(table, builder.add(start, builder.constant(offset, np.int32)))
 
-    return np.asarray(np.frompyfunc(take, 1, 1)(offsets), object)
+    return elementwise(take, offsets)
 
 
-def _clamped(graph, place, most):
+def _clamped(builder, place, most):
     """An index from 0 to the largest that there is, int32."""
     if place.dtype.kind == "u":
-        place = graph.apply("min", place, graph.constant(most, place.dtype))
-        return graph.convert(place, np.int32)
-    low, high = (graph.constant(value, place.dtype) for value in (0, most))
-    return graph.convert(graph.apply("min", graph.apply("max", place, low), high), np.int32)
+        place = builder.apply("min", place, builder.constant(most, place.dtype))
+        return builder.convert(place, np.int32)
+    low, high = (builder.constant(value, place.dtype) for value in (0, most))
+    return builder.convert(builder.apply("min", builder.apply("max", place, low), high), np.int32)
 
 
 def _filler(dtype):
@@ -169,17 +172,17 @@ def _filler(dtype):
     return np.iinfo(dtype).min if dtype.kind == "i" else np.iinfo(dtype).max
 
 
-def _split(graph, operands, params):
+def _split(builder, operands, params):
     cuts = np.cumsum(params["sizes"])[:-1]
     return np.split(operands[0], cuts, params["axis"])
 
 
-def _unstack(graph, operands, params):
+def _unstack(builder, operands, params):
     (x,), axis = operands, params["axis"]
     return [part.squeeze(axis) for part in np.split(x, x.shape[axis], axis)]
 
 
-def _pad(graph, operands, params):
+def _pad(builder, operands, params):
     """Between and around the elements, or less than nothing around: that cuts."""
     x, value = operands
     shape, inside, kept = [], [], []
@@ -193,39 +196,35 @@ def _pad(graph, operands, params):
     return [result[tuple(kept)]]
 
 
-def _scatter(graph, operands, params, combine=lambda old, new: new):
+def _scatter(builder, operands, params, combine=lambda old, new: new):
     """Put at constant places; where each element goes is asked of JAX itself, as a gather."""
     x, indices, updates = operands
     if any(node.value is None for node in indices.flat):
         raise Unsupported("it has no scatter to computed places")
-    where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
     numbers = params["dimension_numbers"]
     alone = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
     window = iter([updates.shape[i] for i in numbers.update_window_dims])
-    outside = -1
-    with jax.ensure_compile_time_eval():
-        places = jax.lax.gather(
-            np.arange(x.size, dtype=np.int32).reshape(x.shape),
-            where,
-            jax.lax.GatherDimensionNumbers(
-                offset_dims=numbers.update_window_dims,
-                collapsed_slice_dims=numbers.inserted_window_dims,
-                start_index_map=numbers.scatter_dims_to_operand_dims,
-                operand_batching_dims=numbers.operand_batching_dims,
-                start_indices_batching_dims=numbers.scatter_indices_batching_dims,
-            ),
-            tuple(1 if i in alone else next(window) for i in range(x.ndim)),
-            mode=params["mode"],
-            fill_value=outside,
-        )
+    gather = functools.partial(
+        jax.lax.gather,
+        dimension_numbers=jax.lax.GatherDimensionNumbers(
+            offset_dims=numbers.update_window_dims,
+            collapsed_slice_dims=numbers.inserted_window_dims,
+            start_index_map=numbers.scatter_dims_to_operand_dims,
+            operand_batching_dims=numbers.operand_batching_dims,
+            start_indices_batching_dims=numbers.scatter_indices_batching_dims,
+        ),
+        slice_sizes=tuple(1 if i in alone else next(window) for i in range(x.ndim)),
+        mode=params["mode"],
+        fill_value=_OUTSIDE,
+    )
     result = x.copy().reshape(-1)
-    for node, place in zip(updates.flat, np.asarray(places).flat, strict=True):
-        if place != outside:
+    for node, place in zip(updates.flat, _places(gather, x, indices).flat, strict=True):
+        if place != _OUTSIDE:
             result[place] = combine(result[place], node)
     return [result.reshape(x.shape)]
 
 
-def _same(graph, operands, params):
+def _same(builder, operands, params):
     return operands
 
 
@@ -233,44 +232,44 @@ def _same(graph, operands, params):
 SCATTER_ADD = ("scatter-add", "scatter_add")
 
 
-def add_to_sums(graph: Builder, operands: list, params: dict) -> list:
+def add_to_sums(builder: Builder, operands: list, params: dict) -> list:
     """Add to numbers in memory, at places that are the same for all individuals."""
     sums, indices, updates = operands
     places = indices.reshape(-1)
     if not all(node.uniform for node in places):
         raise Unsupported("it adds to places that differ from individual to individual")
     for place, value in zip(places, updates.reshape(-1), strict=True):
-        graph.accumulate(sums, graph.convert(place, np.int32), value)
+        builder.accumulate(sums, builder.convert(place, np.int32), value)
     return [sums]
 
 
-def _scatter_add(graph, operands, params):
-    return _scatter(graph, operands, params, graph.add)
+def _scatter_add(builder, operands, params):
+    return _scatter(builder, operands, params, builder.add)
 
 
 # By the name of JAX's primitive, from its operands and parameters to its results.
 MOVES: dict[str, Callable[[Builder, list[np.ndarray], dict], list[np.ndarray]]] = {
     "broadcast_in_dim": _broadcast_in_dim,
-    "concatenate": lambda graph, xs, params: [np.concatenate(xs, params["dimension"])],
+    "concatenate": lambda builder, xs, params: [np.concatenate(xs, params["dimension"])],
     "copy": _same,
     "copy_p": _same,
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
-    "expand_dims": lambda graph, xs, params: [np.expand_dims(xs[0], params["dimensions"])],
+    "expand_dims": lambda builder, xs, params: [np.expand_dims(xs[0], params["dimensions"])],
     "gather": _gather,
     "optimization_barrier": _same,
     "pad": _pad,
     "reshard": _same,
-    "reshape": lambda graph, xs, params: [xs[0].reshape(params["new_sizes"])],
-    "rev": lambda graph, xs, params: [np.flip(xs[0], params["dimensions"])],
+    "reshape": lambda builder, xs, params: [xs[0].reshape(params["new_sizes"])],
+    "rev": lambda builder, xs, params: [np.flip(xs[0], params["dimensions"])],
     "scatter": _scatter,
     "scatter-add": _scatter_add,
     "scatter_add": _scatter_add,
     "slice": _slice,
     "split": _split,
-    "squeeze": lambda graph, xs, params: [xs[0].squeeze(params["dimensions"])],
-    "stack": lambda graph, xs, params: [np.stack(xs, params["axis"])],
+    "squeeze": lambda builder, xs, params: [xs[0].squeeze(params["dimensions"])],
+    "stack": lambda builder, xs, params: [np.stack(xs, params["axis"])],
     "stop_gradient": _same,
-    "transpose": lambda graph, xs, params: [xs[0].transpose(params["permutation"])],
+    "transpose": lambda builder, xs, params: [xs[0].transpose(params["permutation"])],
     "unstack": _unstack,
 }

@@ -27,6 +27,9 @@ Arrays = Sequence[jax.Array]
 _OWN_RULES = {"custom_jvp_call", "custom_vjp_call"}
 _LOOPS = {"scan", "while"}
 
+fused_p = internals.primitive("fused")  # `evo_cpg.fusion.native` implements it.
+linear_map_p = internals.primitive("linear_map")
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Program:
@@ -67,7 +70,7 @@ class Program:
     def primitives(self) -> frozenset[str]:
         """Names of the primitives that do something in it and in programs within it."""
         names: set[str] = set()
-        for equation in _equations(self.jaxpr, ()):
+        for equation in equations(self.jaxpr, ()):
             if equation.primitive is fused_p:
                 names |= equation.params["program"].primitives
             elif not all(isinstance(atom, Literal) for atom in equation.invars):
@@ -81,21 +84,31 @@ class Program:
             equation.params["program"].loops
             if equation.primitive is fused_p
             else equation.primitive.name in _LOOPS
-            for equation in _equations(self.jaxpr, _OWN_RULES)
+            for equation in equations(self.jaxpr, _OWN_RULES)
         )
 
 
-def _equations(jaxpr: Jaxpr, closed: Iterable[str]) -> Iterator[Any]:
-    """All equations of a program, and those within them unless they are of a closed kind."""
+def equations(jaxpr: Jaxpr, closed: Iterable[str] = ()) -> Iterator[Any]:
+    """Walk through the equations of a program and of the programs within it.
+
+    Args:
+        jaxpr: the program.
+        closed: primitives whose programs are left out.
+    """
     for equation in jaxpr.eqns:
         yield equation
-        if equation.primitive.name in closed:
-            continue
-        for value in equation.params.values():
-            for inner in value if isinstance(value, (tuple, list)) else (value,):
-                inner = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
-                if isinstance(inner, Jaxpr):
-                    yield from _equations(inner, closed)
+        if equation.primitive.name not in closed:
+            for inner in programs_in(equation):
+                yield from equations(inner, closed)
+
+
+def programs_in(equation: Any) -> Iterator[Jaxpr]:
+    """Walk through the programs among the parameters of an equation."""
+    for value in equation.params.values():
+        for inner in value if isinstance(value, (tuple, list)) else (value,):
+            inner = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
+            if isinstance(inner, Jaxpr):
+                yield inner
 
 
 def plain(program: Program, batch: tuple[int, ...]) -> Callable[..., list[jax.Array]]:
@@ -120,11 +133,6 @@ def plain(program: Program, batch: tuple[int, ...]) -> Callable[..., list[jax.Ar
         return [x.reshape(*x.shape[:-1], *batch) for x in results]
 
     return run
-
-
-def shapes_of(*_: Any, program: Program, batch: tuple[int, ...]) -> list[jax.ShapeDtypeStruct]:
-    """Of the results of a program for all individuals."""
-    return [jax.ShapeDtypeStruct((*x.shape, *batch), x.dtype) for x in program.outputs]
 
 
 def linear_map(
@@ -196,8 +204,8 @@ def _batch_map(values, axes, *, forward, backward, shapes, count):
     return results, itertools.repeat(0, len(results))
 
 
-linear_map_p = internals.primitive(
-    "linear_map",
+internals.implement(
+    linear_map_p,
     lambda *_, forward, backward, shapes, count: [
         jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in shapes
     ],
@@ -211,16 +219,3 @@ linear_map_p = internals.primitive(
 def trace_of(params: dict[str, Any], inputs: Sequence[Any]) -> ClosedJaxpr:
     """The program of a ``linear_map`` with the given parameters."""
     return jax.make_jaxpr(lambda *values: _apply_map(*values, **params))(*inputs)
-
-
-# How fused programs run, are differentiated and mapped; `evo_cpg.fusion.native` and
-# `evo_cpg.fusion.frontend.derivatives`, which themselves bind the primitive, fill it in.
-RULES: dict[str, Callable] = {}
-
-fused_p = internals.primitive(
-    "fused",
-    shapes_of,
-    lambda *arrays, **params: RULES["evaluate"](*arrays, **params),
-    lambda *arrays, **params: RULES["differentiate"](*arrays, **params),
-    lambda *arrays, **params: RULES["batch"](*arrays, **params),
-)

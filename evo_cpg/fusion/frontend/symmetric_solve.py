@@ -52,8 +52,9 @@ def _differentiate(primals: tuple, tangents: tuple) -> tuple:
     return jax.jvp(_evaluate, list(primals), given)
 
 
-eliminate_p = internals.primitive(
-    "eliminate",
+eliminate_p = internals.primitive("eliminate")
+internals.implement(
+    eliminate_p,
     lambda H, b: [jax.ShapeDtypeStruct(b.shape, b.dtype)],
     _evaluate,
     _differentiate,
@@ -80,11 +81,11 @@ def elimination_cost(filled: np.ndarray) -> int:
     return total
 
 
-def eliminate(graph: Builder, operands: list[np.ndarray]) -> np.ndarray | None:
+def eliminate(builder: Builder, operands: list[np.ndarray]) -> np.ndarray | None:
     """Make the answers by a loop; return None where writing them out is better.
 
     Args:
-        graph: where nodes are made.
+        builder: where nodes are made.
         operands: H and b of one individual.
     """
     H, b = operands
@@ -93,4 +94,4 @@ def eliminate(graph: Builder, operands: list[np.ndarray]) -> np.ndarray | None:
     filled = np.vectorize(lambda node: node.value is None or node.value != 0, otypes=[bool])(H)
     if elimination_cost(filled) <= machine_constants.LONGEST_ELIMINATION:
         return None
-    return graph.solve(H[np.tril_indices(len(H))], b)
+    return builder.solve(H[np.tril_indices(len(H))], b)

@@ -12,7 +12,7 @@ same for all individuals. Passes read a graph and return a new one. They never c
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,7 +86,7 @@ class Loop(NamedTuple):
         carried: placeholders of the values that are carried into a round.
         following: the values that are carried out of it.
         condition: None for a counted loop.
-        place: where a round's values go in the lists, of a counted loop.
+        index: where a round's values go in the lists, of a counted loop.
         written: what each round adds to lists.
         once: a branch: the condition is asked once, and the block runs once at most.
     """
@@ -98,7 +98,7 @@ class Loop(NamedTuple):
     carried: tuple[Node, ...]
     following: tuple[Node, ...]
     condition: Node | None
-    place: Node | None
+    index: Node | None
     written: tuple[Node, ...]
     once: bool = False
 
@@ -107,10 +107,12 @@ class Part(NamedTuple):
     """A program within the program, whose sums are put in order by themselves.
 
     Attributes:
+        arguments: the nodes that it starts from.
         results: its last nodes.
         reorder: whether its sums may be added in another order than they are written.
     """
 
+    arguments: tuple[Node, ...]
     results: tuple[Node, ...]
     reorder: bool
 
@@ -127,20 +129,6 @@ class Run(NamedTuple):
     loop: Node | None
 
 
-class Values:
-    """Values of a table of constants, equal where they are the same to the last bit."""
-
-    def __init__(self, values: np.ndarray):
-        self.values = values
-        self._key = values.tobytes()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Values) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-
 @dataclasses.dataclass(frozen=True)
 class Graph:
     """A program for one individual.
@@ -151,7 +139,8 @@ class Graph:
         top: block of the whole program.
         nodes: all nodes in the order of their numbers.
         loops: the loop whose test or body a block is.
-        parts: programs within the program, until multiply-adds are contracted.
+        parts: programs within the program, until dead code is eliminated. The detail of an
+            ``opaque`` node is the number of the part whose result it is; None for an argument.
         kept: for each loop the numbers of the carried values that are needed.
         runs: for each block its runs, once they are scheduled.
     """
@@ -184,21 +173,6 @@ class Graph:
             found.append(self.loops[block])
             block = block.parent
         return found
-
-
-def behind(node: Node, graph: Graph) -> Sequence[Node]:
-    """Return all nodes that must be known before a node is, within its part."""
-    op = node.op
-    if op == "opaque":
-        # A result of a part depends on what the part is given; an argument on nothing within.
-        return node.operands[1:]
-    if op == "accumulate":
-        return (*node.operands, *graph.around(node))
-    if op != "loop":
-        return node.operands
-    loop = node.detail
-    single = [each for each in (loop.condition, loop.place) if each is not None]
-    return (*node.operands, *single, *loop.following, *loop.written)
 
 
 class Change(NamedTuple):
@@ -238,7 +212,7 @@ def rewrite(graph: Graph, changes: Mapping[Node, Change]) -> Graph:
             detail, changed = (
                 detail._replace(
                     condition=new.get(detail.condition, detail.condition),
-                    place=new.get(detail.place, detail.place),
+                    index=new.get(detail.index, detail.index),
                     **{name: mapped(getattr(detail, name)) for name in lists},
                 ),
                 True,
@@ -252,9 +226,13 @@ def rewrite(graph: Graph, changes: Mapping[Node, Change]) -> Graph:
         results=tuple((buffer, mapped(rows)) for buffer, rows in graph.results),
         nodes=nodes,
         loops=dict(zip(graph.loops, mapped(graph.loops.values()), strict=True)),
-        parts=tuple(part._replace(results=mapped(part.results)) for part in graph.parts),
+        parts=tuple(Part(mapped(a), mapped(results), r) for a, results, r in graph.parts),
         kept=dict(zip(mapped(graph.kept), graph.kept.values(), strict=True)),
     )
+
+
+NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside"}
+"""Nodes that are known without computing anything, and other names of nodes."""
 
 
 def resolve(node: Node) -> Node:
@@ -269,6 +247,11 @@ def home(node: Node) -> Node:
     return node.operands[0].detail.carried[node.detail] if node.op == "result" else node
 
 
+def table_values(table: Node) -> np.ndarray:
+    """Return the numbers of a table of constants."""
+    return np.frombuffer(table.detail, table.dtype)
+
+
 def row_count(table: Node) -> int:
     """Return how many numbers a table in memory has."""
     if table.op == "list":
@@ -276,3 +259,27 @@ def row_count(table: Node) -> int:
     if table.op == "totals":
         return len(table.operands[0].operands)
     return table.detail if table.op == "solve" else len(table.operands)
+
+
+def runs_of(
+    graph: Graph, order: Callable[[list[Node]], Sequence[Node]] = list
+) -> dict[Block, list[Run]]:
+    """Return the operations of each block up to each of its loops, and behind the last.
+
+    Args:
+        graph: the program.
+        order: puts the operations of a run in order; else they stay in the order of their numbers.
+    """
+    blocks: dict[Block, list[Node]] = {}
+    for node in graph.nodes:
+        if node.op not in NO_CODE:
+            blocks.setdefault(node.block, []).append(node)
+    runs = {}
+    for block, nodes in blocks.items():
+        runs[block], start = [], 0
+        for stop, node in enumerate(nodes):
+            if node.op == "loop":
+                runs[block].append(Run(order(nodes[start:stop]), node))
+                start = stop + 1
+        runs[block].append(Run(order(nodes[start:]), None))
+    return runs

@@ -2,26 +2,16 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run, resolve
-
-# Constants, and other names of nodes.
-_HIDDEN = {"constant", "given", "inside", "opaque"}
+from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run, resolve, runs_of, table_values
 
 
 def show(graph: Graph) -> str:
     """Return a program as text.
 
     A line has the number of a node, its type (with ``u`` if it is uniform), its operation, and the
-    numbers of its operands. The blocks of a loop are indented. Other names of a node are not shown.
+    numbers of its operands. The blocks of a loop are indented. Only what is computed is shown.
     """
-    runs = graph.runs
-    if not runs:
-        blocks: dict[Block, list[Run]] = {}
-        for node in graph.nodes:
-            if node.op not in _HIDDEN:
-                loop = node if node.op == "loop" else None
-                blocks.setdefault(node.block, []).append(Run([] if loop else [node], loop))
-        runs = blocks
+    runs = graph.runs or runs_of(graph)
     lines = [
         f"argument {k}: {'shared ' if each.shared else ''}{each.dtype}[{each.rows}]"
         for k, each in enumerate(graph.arguments)
@@ -51,11 +41,12 @@ def _block(graph: Graph, runs: Mapping[Block, Sequence[Run]], block: Block) -> I
         yield from (f"    {line}" for line in _block(graph, runs, loop.body))
         yield from (f"  next {_name(loop.carried[k])} = {_name(loop.following[k])}" for k in kept)
         if loop.written:
-            yield f"  write {_names(loop.written)} at {_name(loop.place)}"
+            yield f"  write {_names(loop.written)} at {_name(loop.index)}"
 
 
 def _line(node: Node) -> str:
-    detail = "" if node.detail is None else f" {node.detail}"
+    shown = table_values(node).tolist() if node.op == "constants" else node.detail
+    detail = "" if shown is None else f" {shown}"
     kind = f"{node.dtype}{' u' if node.uniform else ''}"
     return f"{_name(node)}: {kind} = {node.op} {_names(node.operands)}{detail}".rstrip()
 

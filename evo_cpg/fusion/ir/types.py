@@ -13,9 +13,10 @@ equal types.
 | ... | any number of operands of the type before it |
 """
 
+from types import UnionType
 from typing import NamedTuple
 
-from evo_cpg.fusion.ir.graph import Loop, Values
+from evo_cpg.fusion.ir.graph import Loop
 
 
 class Operation(NamedTuple):
@@ -27,15 +28,14 @@ class Operation(NamedTuple):
     """
 
     signature: str
-    detail: type | None = None
+    detail: "type | UnionType | None" = None
 
 
 def _each(names: str, signature: str) -> dict[str, Operation]:
     return dict.fromkeys(names.split(), Operation(signature))
 
 
-OPERATIONS: dict[str, Operation] = {
-    # Arithmetic: one scalar from others.
+ARITHMETIC: dict[str, Operation] = {
     **_each("add sub mul div rem max min", "n n -> n"),
     **_each("eq ne lt le gt ge", "a a -> b"),
     **_each("and or xor", "a a -> a"),
@@ -46,26 +46,34 @@ OPERATIONS: dict[str, Operation] = {
     **_each("not", "a -> a"),
     **_each("select", "b a a -> a"),
     **_each("convert bitcast", "a -> *"),
-    # Multiply-adds: x y + z, x y - z, z - x y.
-    **_each("fma fms fnma", "f f f -> f"),
-    # Functions of the C library.
+}
+"""One scalar from others. Most have the names of JAX's primitives."""
+
+LIBRARY: dict[str, Operation] = {
     **_each(
         "acos acosh asin asinh atan atanh cbrt cos cosh erf erfc exp exp2 expm1 lgamma log log1p"
         " sin sinh tan tanh",
         "f -> f",
     ),
     **_each("atan2 pow", "f f -> f"),
+}
+"""Functions of the C library, by the names of JAX's primitives."""
+
+OPERATIONS: dict[str, Operation] = {
+    **ARITHMETIC,
+    **LIBRARY,
+    # Multiply-adds: x y + z, x y - z, z - x y.
+    **_each("fma fms fnma", "f f f -> f"),
     # What a block is given.
     "constant": Operation("-> *"),
     "input": Operation("-> *", tuple),
     "carried": Operation("-> *"),
     "counter": Operation("-> k"),
     # The same number, seen from elsewhere.
-    "opaque": Operation("a b... -> a"),
+    "opaque": Operation("a -> a", int | None),
     "inside": Operation("a -> a"),
-    "given": Operation("*... -> b"),
     # Tables in memory, and the numbers in them.
-    "constants": Operation("-> *", Values),
+    "constants": Operation("-> *", bytes),
     "rows": Operation("a... -> a"),
     "solve": Operation("f... -> f", int),
     "sums": Operation("n... -> n"),
@@ -79,5 +87,5 @@ OPERATIONS: dict[str, Operation] = {
 }
 
 COMMUTATIVE = {"add", "mul", "max", "min", "and", "or", "xor", "eq", "ne"}
-PREDICATES = {"eq", "ne", "lt", "le", "gt", "ge", "is_finite"}
+PREDICATES = {op for op, each in ARITHMETIC.items() if each.signature.endswith("-> b")}
 """Operations whose result is a truth value."""

@@ -1,10 +1,11 @@
 """Check a graph between two passes."""
 
 import functools
+from collections.abc import Iterable
 
 import numpy as np
 
-from evo_cpg.fusion.ir.graph import Block, Graph, Node
+from evo_cpg.fusion.ir.graph import NO_CODE, Block, Graph, Node, resolve
 from evo_cpg.fusion.ir.types import OPERATIONS
 
 # Kinds of NumPy types by the letters of signatures.
@@ -30,9 +31,7 @@ def verify(graph: Graph) -> Graph:
         _check_type(node)
         kept = graph.kept.get(node, range(len(node.operands)))
         for operand in [node.operands[k] for k in kept]:
-            # What a part is given is no code; no pass needs it once sums are contracted.
-            if operand.op != "given":
-                _check_use(node, operand, known)
+            _check_use(node, operand, known)
         known.add(node)
         if node.op == "loop":
             _check_loop(graph, node, known)
@@ -40,22 +39,51 @@ def verify(graph: Graph) -> Graph:
         for node in nodes:
             if node not in known or node.block is not graph.top or node.dtype != buffer.dtype:
                 raise InvalidGraph(f"{node!r} cannot be a result of type {buffer.dtype}")
-    for block, runs in graph.runs.items():
-        order = [node for run in runs for node in (*run.nodes, run.loop) if node is not None]
-        place = {node: i for i, node in enumerate(order)}
-        for node in order:
-            if node.block is not block or node not in known:
-                raise InvalidGraph(f"{node!r} is scheduled in another block")
-            if any(place.get(operand, -1) >= place[node] for operand in node.operands):
-                raise InvalidGraph(f"{node!r} is scheduled before its operands")
+    if graph.runs:
+        computed: set[Node] = set()
+        _check_schedule(graph, graph.top, computed)
+        for node in graph.nodes:
+            _check_computed(node, [node], computed)
     return graph
+
+
+def _check_schedule(graph: Graph, block: Block, computed: set[Node]) -> None:
+    """Check a block in the order in which it runs.
+
+    Args:
+        graph: the program.
+        block: where.
+        computed: the nodes that were computed before; those of the block are added.
+    """
+    for run, node in graph.runs.get(block, ()):
+        for one in run:
+            if one.block is not block or one in computed:
+                raise InvalidGraph(f"{one!r} is scheduled in another block, or twice")
+            _check_computed(one, one.operands, computed)
+            computed.add(one)
+        if node is None:
+            continue
+        loop, kept = node.detail, graph.kept[node]
+        _check_computed(node, [node.operands[k] for k in kept], computed)
+        _check_schedule(graph, loop.test, computed)
+        if loop.condition is not None:
+            _check_computed(node, [loop.condition], computed)
+        _check_schedule(graph, loop.body, computed)
+        _check_computed(node, [loop.following[k] for k in kept], computed)
+        computed.add(node)
+
+
+def _check_computed(node: Node, operands: Iterable[Node], computed: set[Node]) -> None:
+    for operand in map(resolve, operands):
+        if operand.op not in NO_CODE and operand not in computed:
+            raise InvalidGraph(f"{node!r} is scheduled before {operand!r}, or this is not at all")
 
 
 def _check_use(node: Node, operand: Node, known: set[Node]) -> None:
     if operand not in known:
         raise InvalidGraph(f"{node!r} uses {operand!r} before it is made")
     # Memory is read behind the loop in which something was added to it.
-    if node.op not in ("totals", "given") and not _encloses(operand.block, node.block):
+    if node.op != "totals" and not _encloses(operand.block, node.block):
         raise InvalidGraph(f"{node!r} uses {operand!r}, which is computed in another block")
     if node.uniform and not operand.uniform:
         raise InvalidGraph(f"{node!r} is the same for all individuals, {operand!r} is not")

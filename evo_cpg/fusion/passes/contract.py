@@ -21,7 +21,7 @@ import dataclasses
 import itertools
 from collections.abc import Iterable, Sequence
 
-from evo_cpg.fusion.ir.graph import Change, Graph, Node, Part, behind, rewrite
+from evo_cpg.fusion.ir.graph import Change, Graph, Node, Part, rewrite
 
 _SUMS = {"add", "sub"}
 
@@ -44,7 +44,7 @@ def contract_multiply_adds(graph: Graph) -> Graph:
             reach(contraction.nodes)
     # What was left of a sum may have users that no result needs.
     nodes = [node for node in graph.nodes if node in reached]
-    return rewrite(dataclasses.replace(graph, nodes=nodes, parts=()), changes)
+    return rewrite(dataclasses.replace(graph, nodes=nodes), changes)
 
 
 class _Contraction:
@@ -125,10 +125,34 @@ def _goes_with(operand: Node, node: Node) -> bool:
 def _part(graph: Graph, wanted: Iterable[Node]) -> dict[Node, Sequence[Node]]:
     """Return the wanted nodes and all behind them in their part, each with what it uses."""
     found: dict[Node, Sequence[Node]] = {}
+    entered: set[int] = set()
     waiting = list(wanted)
     while waiting:
         node = waiting.pop()
         if node not in found:
-            found[node] = uses = behind(node, graph)
+            found[node] = uses = _used(node, graph, entered)
             waiting.extend(uses)
     return found
+
+
+def _used(node: Node, graph: Graph, entered: set[int]) -> Sequence[Node]:
+    """Return all nodes that must be known before a node is, within its part.
+
+    Args:
+        node: which.
+        graph: the program.
+        entered: numbers of the parts within, whose arguments were returned already.
+    """
+    if node.op == "opaque":
+        # A result of a part depends on its arguments; an argument depends on nothing within.
+        if node.detail is None or node.detail in entered:
+            return ()
+        entered.add(node.detail)
+        return graph.parts[node.detail].arguments
+    if node.op == "accumulate":
+        return (*node.operands, *graph.around(node))
+    if node.op != "loop":
+        return node.operands
+    loop = node.detail
+    single = [each for each in (loop.condition, loop.index) if each is not None]
+    return (*node.operands, *single, *loop.following, *loop.written)

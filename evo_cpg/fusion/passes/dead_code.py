@@ -38,11 +38,9 @@ def eliminate_dead_code(graph: Graph) -> Graph:
         elif node.op == "list":
             (loop,) = node.operands
             open_loop(loop)
-            waiting += [loop, loop.detail.written[node.detail], loop.detail.place]
+            waiting += [loop, loop.detail.written[node.detail], loop.detail.index]
         elif node.op == "carried":
             waiting += keep(*places[node])
-        elif node.op == "opaque":
-            waiting.append(node.operands[0])
         else:
             waiting += node.operands
             if node.op == "accumulate":
@@ -54,6 +52,7 @@ def eliminate_dead_code(graph: Graph) -> Graph:
     return dataclasses.replace(
         graph,
         nodes=[node for node in graph.nodes if node in needed],
+        parts=(),
         loops={block: loop for block, loop in graph.loops.items() if loop in needed},
         kept={loop: tuple(sorted(each)) for loop, each in kept.items()},
     )

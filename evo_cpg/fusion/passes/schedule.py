@@ -5,40 +5,14 @@ in which a program was written.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 
-from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run, resolve
-
-_NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside", "given"}
+from evo_cpg.fusion.ir.graph import Graph, Node, resolve, runs_of
 
 
 def schedule(graph: Graph) -> Graph:
     """Return the program with the operations of each block in the order of their computation."""
     return dataclasses.replace(graph, runs=runs_of(graph, ordered))
-
-
-def runs_of(
-    graph: Graph, order: Callable[[list[Node]], Sequence[Node]] = list
-) -> dict[Block, list[Run]]:
-    """Return the operations of each block up to each of its loops, and behind the last.
-
-    Args:
-        graph: the program.
-        order: puts the operations of a run in order; else they stay in the order of their numbers.
-    """
-    blocks: dict[Block, list[Node]] = {}
-    for node in graph.nodes:
-        if node.op not in _NO_CODE:
-            blocks.setdefault(node.block, []).append(node)
-    runs = {}
-    for block, nodes in blocks.items():
-        runs[block], start = [], 0
-        for stop, node in enumerate(nodes):
-            if node.op == "loop":
-                runs[block].append(Run(order(nodes[start:stop]), node))
-                start = stop + 1
-        runs[block].append(Run(order(nodes[start:]), None))
-    return runs
 
 
 def ordered(run: list[Node]) -> list[Node]:

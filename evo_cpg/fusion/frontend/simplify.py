@@ -1,10 +1,10 @@
-"""The rewrite rules, applied to every operation as it is made (`evo_cpg.fusion.frontend.builder`).
+"""The rewrite rules, which the builder applies to every operation as it makes it.
 
 `RULES` is the one table of them. Each rule gives an equal node that costs less, or None. The rules
 are exact, with two exceptions: the sign of a zero, and that 0 x stays 0 if x is not finite.
 
-Operations on constants are folded by NumPy (`FOLDED`). Folding cannot be left out: the places of
-slices and the lengths of loops must be known while a program is lowered.
+This is no pass from graph to graph. NumPy folds operations on constants (`FOLDED`), and lowering
+needs the result: the places of slices and the lengths of loops must be known numbers.
 """
 
 import math
