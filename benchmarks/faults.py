@@ -229,8 +229,8 @@ def build_odd(folder: Path, number: int) -> str:
         ``taken`` or ``refused``.
     """
     from evo_cpg.config.build import build_experiment
+    from evo_cpg.config.lint import lint
     from evo_cpg.config.load import load_config
-    from evo_cpg.config.plausible import doubts
 
     chance = random.Random(number)
     original = chance.choice(sorted(folder.glob("*.yaml")))
@@ -245,7 +245,7 @@ def build_odd(folder: Path, number: int) -> str:
         path.write_bytes(with_odd_text(original.read_bytes(), chance))
     try:
         config = load_config(path)
-        list(doubts(config, path))
+        list(lint(config, path))
         build_experiment(config, path)
     except Exception as error:
         if not isinstance(error, UserError):

@@ -24,7 +24,7 @@ from evo_cpg.api.progress import working
 from evo_cpg.api.record import Record, as_record
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.numbers import number_at, with_numbers
-from evo_cpg.config.own_returns import described, is_real
+from evo_cpg.config.own_checks import described, is_real
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
@@ -244,7 +244,9 @@ class Experiment:
                 slopes on the ground, too.
             numbers: keys of numbers of the configuration, such as sizes and densities, whose values
                 the function takes as its second argument: building the animal is then a part of it,
-                and as differentiable. Only a derivative by a number at a kink raises an error.
+                and as differentiable. A derivative by a number at a kink raises an error, and so do
+                values with which the trial would be laid out differently. Checking a value takes
+                as long as building one animal.
 
         Raises:
             ConfigError: numbers that are none of the configuration, or change more than numbers.

@@ -55,7 +55,7 @@ def fitness_function(
             if values is None or jnp.shape(values) != shape:
                 given = "none" if values is None else jnp.shape(values)
                 raise ValueError(f"values must have the shape {shape}, got {given}")
-            trial = parameters.simulation(jnp.asarray(values, genome.dtype))
+            trial = parameters.simulation(parameters.checked(jnp.asarray(values, genome.dtype)))
             trial = dataclasses.replace(trial, task=task) if task else trial
         genomes = jnp.broadcast_to(genome[:, None], (count, parts.trials))
         outcome = rollout(trial, genomes, keys, situations, backward=backward)

@@ -6,8 +6,8 @@ from pathlib import Path
 from evo_cpg.api.display import working
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.config.build import build_experiment
+from evo_cpg.config.lint import lint
 from evo_cpg.config.load import load_config
-from evo_cpg.config.plausible import doubts
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.training.experiment import Experiment
 
@@ -15,20 +15,20 @@ from evo_cpg.training.experiment import Experiment
 def read_config(
     path: Path, overrides: Sequence[str] = (), strict: bool = False, warned: bool = True
 ) -> ExperimentConfig:
-    """Read a configuration, and warn of implausible values.
+    """Read a configuration, and warn of unlikely values.
 
     Args:
         path: the file.
         overrides: ``key=value`` settings.
-        strict: refuse implausible values.
+        strict: refuse unlikely values.
         warned: print the warnings. Of several processes only one does.
 
     Raises:
         ConfigError: it is wrong.
-        UsageError: a value is implausible, and that is refused.
+        UsageError: a value is unlikely, and that is refused.
     """
     config = load_config(path, overrides)
-    found = [f"{path}: {warning}" for warning in doubts(config, path)]
+    found = [f"{path}: {warning}" for warning in lint(config, path)]
     if found and strict:
         raise UsageError("\n".join(found))
     for line in found if warned else ():

@@ -38,7 +38,7 @@ def copy(
 ) -> None:
     """Copy a configuration and the files that it names."""
     from evo_cpg.cli.errors import UsageError
-    from evo_cpg.config.copying import copy_shipped
+    from evo_cpg.config.shipped import copy_shipped
 
     try:
         print(copy_shipped(name, folder))

@@ -1,11 +1,12 @@
 """What a place of a configuration takes, in words, from its JSON Schema."""
 
-import copy
 import difflib
 import functools
-from typing import Any, cast
+from typing import Any
 
 import pydantic
+
+from evo_cpg.config.keys import follow, put, value_at
 
 Schema = dict[str, Any]
 Place = tuple[str | int, ...]
@@ -72,7 +73,7 @@ class Allowed:
 
     def _fits(self, place: Place, value: Any) -> bool:
         """Return whether a place takes a value, whatever is wrong elsewhere."""
-        data = _replaced(self._data, place, value)
+        data = put(self._data, place, value)
         try:
             self._model.model_validate(data)
         except pydantic.ValidationError as error:
@@ -83,7 +84,7 @@ class Allowed:
         """Return the schemas that a place may follow, references resolved."""
         options, here = self._options(self._root, self._data), self._data
         for part in place:
-            here = _inside(here, part)
+            here = value_at(here, (part,))
             options = [
                 each
                 for option in options
@@ -104,10 +105,10 @@ class Allowed:
             return options
         kinds = [self._kind(option) for option in options]
         written = given.get("type")
-        asked = {written} if written is not None else self._tags.intersection(filter(None, kinds))
-        if not asked:
+        found = {written} if written is not None else self._tags.intersection(filter(None, kinds))
+        if not found:
             return options
-        exact = [option for option, kind in zip(options, kinds, strict=True) if kind in asked]
+        exact = [option for option, kind in zip(options, kinds, strict=True) if kind in found]
         return exact or [o for o, kind in zip(options, kinds, strict=True) if kind is None]
 
     def _kind(self, option: Schema) -> str | None:
@@ -221,14 +222,6 @@ def _entries(schema: Schema, part: str | int) -> list[Schema]:
     return [found] if isinstance(found, dict) else []
 
 
-def _inside(here: Any, part: str | int) -> Any:
-    """Return an entry of a list or a section; None if there is none."""
-    try:
-        return cast(Any, here)[part]
-    except (IndexError, KeyError, TypeError):
-        return None
-
-
 def _listed(words: list[str]) -> str:
     """Return words as a list with ``or`` before the last one."""
     return " or ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
@@ -246,32 +239,13 @@ def key_of(problem: Any, data: Any) -> tuple[str | int, ...]:
     key: list[str | int] = []
     place: Any = data
     for i, part in enumerate(location):
-        of_dict = isinstance(place, dict) and part in place
-        of_list = isinstance(place, list) and isinstance(part, int) and part < len(place)
-        if of_dict or of_list:
+        inner, known = follow(place, (part,))
+        if known or (missing and i == len(location) - 1 and isinstance(place, dict)):
             key.append(part)
-            place = cast(Any, place)[part]
-        elif missing and i == len(location) - 1 and isinstance(place, dict):
-            key.append(part)
+            place = inner
     return tuple(key)
 
 
 def is_of_key(problem: Any) -> bool:
     """Return whether it is about a key, and not its value."""
     return problem["type"] == "invalid_key" or problem["loc"][-1:] == (_OF_KEY,)
-
-
-def value_at(data: Any, place: Place) -> Any:
-    """Return the value at a place; None if there is none."""
-    for part in place:
-        data = _inside(data, part)
-    return data
-
-
-def _replaced(data: Any, place: Place, value: Any) -> Any:
-    """Return a copy with another value at a place."""
-    if not place:
-        return value
-    changed = copy.copy(data)
-    changed[place[0]] = _replaced(data[place[0]], place[1:], value)
-    return changed

@@ -8,7 +8,6 @@ import dataclasses
 import itertools
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,10 +15,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.config.build import build_experiment
-from evo_cpg.config.building import Building
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import are_allowed, are_checked_alone, number_at, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.traced_build import Building, values_of
 from evo_cpg.creature.self_collision import PairNames, PlanPairs
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.physics.pairs import Pairs
@@ -27,10 +26,6 @@ from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.spatial.choices import Condition, Undecidable, all_hold
-from evo_cpg.spatial.numerics import is_traced
-
-# What does not differ may do so by this share of the largest number in its array: rounding.
-_ROUNDING = 1e-9
 
 
 class BodyPlan:
@@ -51,8 +46,7 @@ class BodyPlan:
         """Plan by some bodies; see `build_batch` for the arguments, and what it raises."""
         self._config, self._keys = config, tuple(numbers)
         self.batched, layout = _build(config, source, numbers, (), None, task)
-        pairs = _pairs(self.batched.common)
-        self._building = Building(config, source, layout, pairs, task)
+        self._building = Building(config, layout, _pairs(self.batched.common), task)
         self.hindrance = ""
         if not are_checked_alone(config, self._keys):
             self.hindrance = "numbers are checked together"
@@ -87,30 +81,10 @@ class BodyPlan:
         """Build one body, and tell whether it fits the plan."""
         conditions: list[Condition] = []
         given = dict(zip(self._keys, numbers, strict=True))
+        inputs = self.batched.inputs
         leaves = self._building.traced(self._config, given, conditions)
-        inputs, own = self.batched.inputs, self._building.own.leaves
-        moving = dict(zip(inputs.places, inputs.elements, strict=True))
-        conditions += [
-            _is_same(leaf, other, moving.get(place, np.array([], int)))
-            for place, (leaf, other) in enumerate(zip(leaves, own, strict=True))
-        ]
-        values = [
-            jnp.asarray(leaves[place], numbers.dtype).reshape(-1)[elements]
-            for place, elements in moving.items()
-        ]
-        return values, jnp.asarray(all_hold(conditions))
-
-
-def _is_same(leaf: Any, own: Any, moving: np.ndarray) -> Condition:
-    """Whether a leaf has the plan's numbers, but for the elements that may differ."""
-    if not is_traced(leaf):
-        return np.array_equal(leaf, own)
-    if leaf.shape != np.shape(own):
-        raise Undecidable("the shape of an array would change")
-    rest = np.delete(np.arange(np.size(own)), moving)
-    found, known = jnp.ravel(leaf)[rest], np.ravel(own)[rest]
-    slack = _ROUNDING * np.abs(own, where=np.isfinite(own), out=np.zeros(np.shape(own))).max()
-    return ((found == known) | (abs(found - known) <= slack)).all()
+        conditions += self._building.own.agrees(leaves, inputs)
+        return values_of(leaves, inputs, numbers.dtype), jnp.asarray(all_hold(conditions))
 
 
 def build_batch(

@@ -1,11 +1,15 @@
 """What a run was made with, in digests, and what has changed since."""
 
+import ast
 import hashlib
 import json
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
-from evo_cpg.config.own_classes import code_digests
+from evo_cpg.config.own_classes import own_parts
 from evo_cpg.config.schema.experiment import ExperimentConfig
 
 
@@ -22,7 +26,7 @@ def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
         for key, value in inner.items():
             text = json.dumps(value, sort_keys=True).encode()
             parts[f"{name}.{key}".rstrip(".")] = hashlib.sha256(text).hexdigest()
-    return {"config": parts, "code": code_digests(config)}
+    return {"config": parts, "code": _code_digests(config)}
 
 
 def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
@@ -42,3 +46,51 @@ def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
             said.format(name) for name in sorted(names) if old.get(name) != now[kind].get(name)
         ]
     return found
+
+
+def _code_digests(config: ExperimentConfig) -> dict[str, str]:
+    """SHA-256 of the source of the user's own classes, by module, once they are built.
+
+    Modules that these import count as well where they lie in the same folder or below it.
+    """
+    digests: dict[str, str] = {}
+    for part in own_parts(config).values():
+        module = sys.modules[part.type.partition(":")[0]]
+        path = _source_of(module)
+        if path is not None:
+            _digest(module, path, path.parent, digests)
+    return digests
+
+
+def _digest(module: ModuleType, path: Path, folder: Path, digests: dict[str, str]) -> None:
+    """Add the digests of a module and of what it imports from a folder."""
+    if module.__name__ in digests:
+        return
+    text = path.read_bytes()
+    digests[module.__name__] = hashlib.sha256(text).hexdigest()
+    for name in _imported(ast.parse(text), module):
+        other = sys.modules.get(name)
+        found = None if other is None else _source_of(other)
+        if other is not None and found is not None and folder in found.parents:
+            _digest(other, found, folder, digests)
+
+
+def _imported(tree: ast.AST, module: ModuleType) -> Iterable[str]:
+    """Names of the modules that a module's source imports, and some that are none."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            name = node.module or ""
+            if node.level:
+                package = module.__package__ or ""
+                base = package.rsplit(".", node.level - 1)[0] if node.level > 1 else package
+                name = f"{base}.{name}".strip(".")
+            yield name
+            yield from (f"{name}.{alias.name}" for alias in node.names)
+
+
+def _source_of(module: ModuleType) -> Path | None:
+    file = getattr(module, "__file__", None)
+    path = Path(file).resolve() if file else None
+    return path if path is not None and path.suffix == ".py" and path.is_file() else None

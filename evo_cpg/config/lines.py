@@ -1,31 +1,43 @@
 """In which line of which file a value of a configuration stands."""
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from evo_cpg.config.errors import ConfigError, Key
+from evo_cpg.config.errors import ConfigError, Key, KeyProblem
 from evo_cpg.config.files import read_small
+from evo_cpg.config.keys import follow
 from evo_cpg.config.yaml_text import compose_yaml, parse_yaml
 
 
-def with_line(error: ConfigError, data: Any) -> ConfigError:
-    """Return the error with the line of its key; as it is if the value stands in no file.
+@contextlib.contextmanager
+def located(source: Path | str, data: Any = None) -> Iterator[None]:
+    """Raise a `KeyProblem` as a `ConfigError`, with the file and the line of its key.
 
     Args:
-        error: about a configuration that came from a file.
-        data: the contents with overrides: what these changed stands in no line.
+        source: file that the configuration came from.
+        data: the contents with overrides: what these changed stands in no line. None for no lines.
     """
-    path, key = Path(error.source), error.key
-    if error.line is not None or not key:
-        return error
-    value, known = _inside(data, key)
-    for own in _places(path, key):
-        found = _find(*own)
-        if found is not None and found[1:] == (value, len(key) - known):
-            return ConfigError(own[0], error.key, error.problem, found[0])
-    return error
+    try:
+        yield
+    except ConfigError:
+        raise
+    except KeyProblem as error:
+        raise _with_line(source, error, data) from None
+
+
+def _with_line(source: Path | str, error: KeyProblem, data: Any) -> ConfigError:
+    path, key = Path(source), error.key
+    if key and data is not None:
+        value, known = follow(data, key)
+        for own in _places(path, key):
+            found = _find(*own)
+            if found is not None and found[1:] == (value, len(key) - known):
+                return ConfigError(own[0], key, error.problem, found[0])
+    return ConfigError(source, key, error.problem)
 
 
 def _places(path: Path, key: Key) -> list[tuple[Path, Key]]:
@@ -49,7 +61,7 @@ def _find(path: Path, key: Key) -> tuple[int, Any, int] | None:
         node, data = compose_yaml(text), parse_yaml(text)
     except (OSError, ValueError, yaml.YAMLError):
         return None
-    value, known = _inside(data, key)
+    value, known = follow(data, key)
     line = None
     for part in key[:known]:
         if isinstance(node, yaml.MappingNode):
@@ -62,13 +74,3 @@ def _find(path: Path, key: Key) -> tuple[int, Any, int] | None:
             node = node.value[part]
             line = node.start_mark.line
     return None if line is None else (line + 1, value, len(key) - known)
-
-
-def _inside(data: Any, key: Key) -> tuple[Any, int]:
-    """Return the value at a key, or where that ends, and how much of the key there is."""
-    for known, part in enumerate(key):
-        try:
-            data = data[part]
-        except (IndexError, KeyError, TypeError):
-            return data, known
-    return data, len(key)

@@ -7,19 +7,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pydantic
 import yaml
 
-from evo_cpg.config.errors import ConfigError, Key, nearest
+from evo_cpg.config.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.config.files import read_small
-from evo_cpg.config.lines import with_line
-from evo_cpg.config.meshes import read_mesh
+from evo_cpg.config.keys import follow, is_index, value_at
+from evo_cpg.config.lines import located
+from evo_cpg.config.named_files import read_heights, read_mesh
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_names
-from evo_cpg.config.terrain import read_heights
 from evo_cpg.config.trust import beside, trusting
-from evo_cpg.config.wording import short, worded
+from evo_cpg.config.wording import checked, short
 from evo_cpg.config.yaml_problem import lost_colour, syntax_problem
 from evo_cpg.config.yaml_text import parse_yaml, to_yaml
 from evo_cpg.system import as_utf8
@@ -53,21 +52,20 @@ def complete_config(
         ConfigError: anything that is wrong with it, in words for the user.
     """
     data = copy.deepcopy(data)
-    _read_files(data, source)
-    for key, entry in _mesh_entries(data):
-        if isinstance(entry["shape"].get("file"), str):
-            beside(source, entry["shape"]["file"], (*key, "file"))
-    for override in overrides:
-        _apply(data, override)
-        # What the command line names may lie anywhere.
+    with located(source, data):
+        _read_files(data, source)
+        for key, entry in _mesh_entries(data):
+            if isinstance(entry["shape"].get("file"), str):
+                with under(*key, "file"):
+                    beside(source, entry["shape"]["file"])
+        for override in overrides:
+            _apply(data, override)
+            # What the command line names may lie anywhere.
+            with trusting():
+                _read_files(data, source)
         with trusting():
-            _read_files(data, source)
-    with trusting():
-        _read_meshes(data, source)
-    try:
-        return check_config(data, source)
-    except ConfigError as error:
-        raise with_line(error, data) from None
+            _read_meshes(data, source)
+        return _check(data)
 
 
 def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
@@ -76,21 +74,16 @@ def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
     Raises:
         ConfigError: anything that is wrong with it.
     """
-    try:
-        config = ExperimentConfig.model_validate(data)
-    except pydantic.ValidationError as error:
-        raise worded(error, ExperimentConfig, data, source) from None
+    with located(source):
+        return _check(data)
+
+
+def _check(data: dict[str, Any]) -> ExperimentConfig:
+    config = checked(ExperimentConfig, data)
     for key, value, problem in _misread(data, config.model_dump()):
-        raise ConfigError(source, key, f"{short(value)}: {problem}")
-    if twice := config.creature.named_twice():
-        key, problem = twice
-        raise ConfigError(source, ("creature", *key), problem)
-    for key, name, valid in config.creature.references():
-        if name not in valid:
-            problem = f"{name!r} does not exist; {nearest(name, valid)}"
-            if "*" in name:
-                problem = f"{problem}; a name here may have placeholders such as {{i}}, but no *"
-            raise ConfigError(source, ("creature", *key), problem)
+        raise KeyProblem(key, f"{short(value)}: {problem}")
+    with under("creature"):
+        config.creature.require_names()
     return config
 
 
@@ -151,19 +144,20 @@ def _read_files(data: dict[str, Any], path: Path) -> None:
         creature = {"file": creature}
     if isinstance(creature, dict) and "file" in creature:
         name, changes = creature["file"], {k: v for k, v in creature.items() if k != "file"}
-        if not isinstance(name, str):
-            raise ConfigError(path, ("creature", "file"), "must be the path of a creature's file")
-        folder = Path(name).parent
-        data["creature"] = read_yaml(beside(path, name, ("creature", "file"))) | changes
+        with under("creature", "file"):
+            if not isinstance(name, str):
+                raise KeyProblem((), "must be the path of a creature's file")
+            data["creature"] = read_yaml(beside(path, name)) | changes
         for _, entry in _mesh_entries(data):
             if isinstance(entry["shape"].get("file"), str):
-                entry["shape"] = entry["shape"] | {"file": str(folder / entry["shape"]["file"])}
-    floor: Any = data
-    for key in ("world", "ground", "floor"):
-        floor = floor.get(key) if isinstance(floor, dict) else None
+                file = str(Path(name).parent / entry["shape"]["file"])
+                entry["shape"] = entry["shape"] | {"file": file}
+    key = ("world", "ground", "floor")
+    floor = value_at(data, key)
     if isinstance(floor, dict) and floor.get("type") == "relief" and "file" in floor:
         given = {key: floor.pop(key) for key in ("file", "lowest", "highest") if key in floor}
-        floor["heights"] = read_heights(path, given)
+        with under(*key):
+            floor["heights"] = read_heights(path, given)
 
 
 def _read_meshes(data: dict[str, Any], path: Path) -> None:
@@ -172,7 +166,8 @@ def _read_meshes(data: dict[str, Any], path: Path) -> None:
     for key, entry in _mesh_entries(data):
         shape = entry["shape"]
         if repr(shape) not in found:
-            found[repr(shape)] = read_mesh(path, key, shape)
+            with under(*key):
+                found[repr(shape)] = read_mesh(path, shape)
         entry["shape"] = found[repr(shape)]
 
 
@@ -223,45 +218,35 @@ def _elsewhere(path: Path) -> str:
 
 
 def _apply(data: dict[str, Any], override: str) -> None:
-    """Set one value of the raw configuration."""
+    """Set one value of the raw configuration, in sections that are made where there are none."""
     key, separator, text = override.partition("=")
+
+    def refused(problem: str) -> ConfigError:
+        return ConfigError("command line", key.split("."), problem)
+
     if not separator or not key:
         raise ConfigError("command line", (), f"{override!r} is not of the form key.path=value")
     text = as_utf8(text)
     if any("\ud800" <= character <= "\udfff" for character in text):
-        raise ConfigError("command line", key.split("."), f"{text!a} is not UTF-8 text")
+        raise refused(f"{text!a} is not UTF-8 text")
     try:
         value = parse_yaml(text)
     except yaml.YAMLError as error:
-        _, problem = syntax_problem(text, error)
-        words = f"{text!r} is not YAML: {problem}"
-        raise ConfigError("command line", key.split("."), words) from None
+        raise refused(f"{text!r} is not YAML: {syntax_problem(text, error)[1]}") from None
     *parents, last = key.split(".")
-    place: Any = data
-    for i, part in enumerate(parents):
-        if isinstance(place, dict):
-            place = place.setdefault(part, {})
-        elif isinstance(place, list) and is_index(part, place):
-            place = place[int(part)]
-        else:
-            problem = _lacks(".".join(parents[:i]), part, place)
-            raise ConfigError("command line", key.split("."), problem)
-    if isinstance(place, list) and is_index(last, place):
-        place[int(last)] = value
-    elif isinstance(place, dict):
+    place, known = follow(data, parents)
+    for part in parents[known:]:
+        if not isinstance(place, dict) or part in place:
+            break
+        place[part] = {}
+        place, known = place[part], known + 1
+    if known == len(parents) and isinstance(place, dict):
         place[last] = value
+    elif known == len(parents) and isinstance(place, list) and is_index(last, place):
+        place[int(last)] = value
     else:
-        problem = _lacks(".".join(parents), last, place)
-        raise ConfigError("command line", key.split("."), problem)
-
-
-def _lacks(key: str, part: str, place: Any) -> str:
-    """Return what is wrong with a part of a key, and what a list has instead."""
-    if isinstance(place, list) and place:
-        return f"{key} has no {part}; its entries are numbered from 0 to {len(place) - 1}"
-    return f"{key} has no {part}"
-
-
-def is_index(part: str, place: list[Any]) -> bool:
-    """Whether a part of a key, as ``bodies.1`` has it, is the number of an entry of a list."""
-    return part.isascii() and part.isdigit() and int(part) < len(place)
+        parts = [*parents, last]
+        problem = f"{'.'.join(parts[:known])} has no {parts[known]}"
+        if isinstance(place, list) and place:
+            problem = f"{problem}; its entries are numbered from 0 to {len(place) - 1}"
+        raise refused(problem)

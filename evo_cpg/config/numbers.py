@@ -1,11 +1,9 @@
 """The real numbers of a configuration by their keys, such as ``world.water.form_drag``."""
 
-import copy
-import dataclasses
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,11 +12,10 @@ from jaxtyping import Array, Float
 from pydantic import BaseModel, ValidationError
 
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.load import check_config, is_index
+from evo_cpg.config.keys import follow, inside, put
+from evo_cpg.config.load import check_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.spatial.numerics import Number
-
-_T = TypeVar("_T")
 
 # Sections that a trial does not depend on, and lists too long to be parameters one by one.
 _OUTSIDE = ("audit", "evolution", "noise")
@@ -37,27 +34,23 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     Raises:
         ConfigError: there is none.
     """
-    place: Any = config.model_dump(mode="json")
-    for part in key.split("."):
-        if isinstance(place, dict) and part in place:
-            place = place[part]
-        elif isinstance(place, list) and is_index(part, place):
-            place = place[int(part)]
-        else:
-            raise ConfigError(source, key.split("."), f"does not exist; {_hint(config, key)}")
-    if isinstance(place, float):
+    parts = key.split(".")
+    place, known = follow(config.model_dump(mode="json"), parts)
+    if known < len(parts):
+        problem = f"does not exist; {_hint(config, key)}"
+    elif isinstance(place, float):
         return place
-    if isinstance(place, int) and not isinstance(place, bool):
+    elif isinstance(place, int) and not isinstance(place, bool):
         problem = f"is a whole number ({place}), by which there is no derivative"
     elif isinstance(place, (dict, list)):
         problem = f"is a part of the configuration, not a number; {_hint(config, key)}"
     else:
         problem = f"is {place!r}, not a number"
-    raise ConfigError(source, key.split("."), problem)
+    raise ConfigError(source, parts, problem)
 
 
 def with_numbers(
-    config: ExperimentConfig, numbers: dict[str, float], source: Path | str
+    config: ExperimentConfig, numbers: Mapping[str, float], source: Path | str
 ) -> ExperimentConfig:
     """A configuration with other numbers.
 
@@ -69,13 +62,9 @@ def with_numbers(
     Raises:
         ConfigError: numbers that are not allowed.
     """
-    data = copy.deepcopy(config.model_dump(mode="json"))
+    data = config.model_dump(mode="json")
     for key, number in numbers.items():
-        *parents, last = key.split(".")
-        place: Any = data
-        for part in parents:
-            place = place[int(part)] if isinstance(place, list) else place[part]
-        place[int(last) if isinstance(place, list) else last] = number
+        data = put(data, key.split("."), number)
     return check_config(data, source)
 
 
@@ -93,7 +82,7 @@ def are_allowed(config: ExperimentConfig, columns: Mapping[str, Float[np.ndarray
         *_, (section, rest) = _sections(config, key)
         for extreme in (values.min(), values.max()):
             try:
-                changed = _put(section, rest, float(extreme))
+                changed = put(section, rest, float(extreme))
                 type(section).model_validate(changed.model_dump(mode="json"))
             except ValidationError:
                 return False
@@ -132,16 +121,8 @@ def put_numbers(config: ExperimentConfig, numbers: Mapping[str, Number]) -> Expe
         numbers: by key.
     """
     for key, number in numbers.items():
-        config = _put(config, key.split("."), number)
+        config = put(config, key.split("."), number)
     return config
-
-
-def unchecked(settings: type[_T], fields: Mapping[str, Any]) -> _T:
-    """A frozen dataclass whose fields were checked when they were known."""
-    made = object.__new__(settings)
-    for name, value in fields.items():
-        object.__setattr__(made, name, value)
-    return made
 
 
 def _sections(place: Any, key: str) -> Iterator[tuple[BaseModel, list[str]]]:
@@ -150,26 +131,7 @@ def _sections(place: Any, key: str) -> Iterator[tuple[BaseModel, list[str]]]:
     for i, name in enumerate(names):
         if isinstance(place, BaseModel):
             yield place, names[i:]
-            place = getattr(place, name)
-        else:
-            place = place[int(name)] if isinstance(place, (list, tuple)) else place[name]
-
-
-def _put(place: Any, key: Sequence[str], number: Number) -> Any:
-    """A part of a configuration with another number."""
-    if not key:
-        return number
-    name, *rest = key
-    if isinstance(place, BaseModel):
-        return place.model_copy(update={name: _put(getattr(place, name), rest, number)})
-    if isinstance(place, Mapping):
-        return {**place, name: _put(place[name], rest, number)}
-    if isinstance(place, (tuple, list)):
-        parts = list(place)
-        parts[int(name)] = _put(parts[int(name)], rest, number)
-        return type(place)(parts)
-    fields = {field.name: getattr(place, field.name) for field in dataclasses.fields(place)}
-    return unchecked(type(place), fields | {name: _put(fields[name], rest, number)})
+        place = inside(place, name)
 
 
 def _numbers(place: Any, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:

@@ -1,8 +1,8 @@
 """Numbers of a configuration as parameters by which a trial can be differentiated.
 
-What a configuration describes is built of traced numbers (see `evo_cpg.config.building`), exactly
-and wherever they are, as long as the choices stay. What no parameter changes remains a constant of
-the compiled program (see `Inputs`).
+What a configuration describes is built of traced numbers (see `evo_cpg.config.traced_build`). The
+result is exact wherever they are, as long as the choices stay. What no parameter changes remains a
+constant of the compiled program (see `Inputs`).
 
 Which elements those are, and whether choices or kinks are near, is found by building at values
 near by.
@@ -19,13 +19,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.config.build import build_experiment
-from evo_cpg.config.building import Building
-from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.errors import ConfigError, KeyProblem
+from evo_cpg.config.lines import located
 from evo_cpg.config.numbers import number_at, number_keys, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.traced_build import Building, Built, values_of
 from evo_cpg.creature.surface import PointLayout
+from evo_cpg.fusion.jax_internals import Tracer
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.spatial.choices import all_hold
 from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
 from evo_cpg.training.experiment import Experiment
 
@@ -48,8 +51,8 @@ _ROUNDING = 16 * np.finfo(float).eps
 # Where force laws have the surfaces that meet the water.
 _PATCHES = jax.tree_util.GetAttrKey("patches")
 
-# What does not change may differ by this share: rounding.
-_LAYOUT = 1e-9
+# Which elements of which leaves follow a number.
+Change = dict[int, np.ndarray]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -95,10 +98,7 @@ class Parameters:
             for key, value in zip(self.keys, values, strict=True)
         }
         leaves = self.building.traced(self.config, given)
-        changed = [
-            jnp.asarray(leaves[place], values.dtype).reshape(-1)[own]
-            for place, own in zip(self.inputs.places, self.inputs.elements, strict=True)
-        ]
+        changed = values_of(leaves, self.inputs, values.dtype)
         return self.inputs.put(self.experiment.simulation, changed)
 
     def _refusal(self, key: str) -> ConfigError:
@@ -113,25 +113,33 @@ class Parameters:
         Raises:
             ConfigError: the values are not allowed, or the simulation is laid out differently.
         """
-        leaves = self.building.known(self.config_at(values)).same_layout(self.building.own)
-        if leaves is None or not self._covers(leaves):
-            named = zip(self.keys, values, strict=True)
-            place = ", ".join(f"{key}={value:g}" for key, value in named)
-            problem = f"at {place} the simulation is laid out differently"
-            raise ConfigError(self.source, (), problem)
+        with located(self.source):
+            other, own = self.building.known(self.config_at(values)), self.building.own
+            if not (other.has_layout_of(own) and all_hold(own.agrees(other.leaves, self.inputs))):
+                named = zip(self.keys, values, strict=True)
+                place = ", ".join(f"{key}={value:g}" for key, value in named)
+                raise KeyProblem((), f"at {place} the simulation is laid out differently")
 
-    def _covers(self, leaves: list[Any]) -> bool:
-        """Whether nothing differs from the configuration's own simulation but what changes."""
-        changing = dict(zip(self.inputs.places, self.inputs.elements, strict=True))
-        for place, (leaf, old) in enumerate(zip(leaves, self.building.own.leaves, strict=True)):
-            if is_number(leaf):
-                rest = np.delete(np.ravel(leaf), changing.get(place, []))
-                theirs = np.delete(np.ravel(old), changing.get(place, []))
-                least = _ROUNDING * np.abs(old, where=np.isfinite(old), out=np.zeros(np.shape(old)))
-                slack = float(np.max(least, initial=0.0))
-                if not np.allclose(rest, theirs, rtol=_LAYOUT, atol=slack):
-                    return False
-        return True
+    def checked(self, values: Float[Array, " k"]) -> Float[Array, " k"]:
+        """Return the values, and raise the error of `require` as soon as they are known.
+
+        In a compiled function that is when it runs. JAX then raises an error of its own, with the
+        words of this one.
+        """
+
+        def check(given: Array) -> np.ndarray:
+            # In the precision of the trial the configuration's own values are rounded.
+            known = np.asarray(given)
+            own = self.values.astype(known.dtype)
+            self.require(np.where(known == own, self.values, known))
+            return np.zeros((), np.int8)
+
+        if not isinstance(values, Tracer):
+            check(values)
+            return values
+        shape, known = jax.ShapeDtypeStruct((), np.int8), jax.lax.stop_gradient(values)
+        zero = jax.pure_callback(check, shape, known, vmap_method="sequential")
+        return values + zero.astype(values.dtype)
 
     def config_at(self, values: Float[np.ndarray, " k"]) -> ExperimentConfig:
         """The configuration with other values.
@@ -170,21 +178,27 @@ def parametrise(
         number_at(config, key, source)
     # A user's own classes can be imported from here on.
     experiment = build_experiment(config, source, folders)
-    building, changes, kinks = Building(config, source), {}, {}
+    kinks: dict[str, str] = {}
 
-    def found() -> dict[str, dict[int, np.ndarray]]:
+    def changes() -> dict[str, Change]:
         kinks.clear()
-        return {key: _changes(building, config, key, None if smooth else kinks) for key in keys}
+        return {key: _change(building, config, key, None if smooth else kinks) for key in keys}
 
-    try:
-        changes = found()
-    except ConfigError:
-        # Grouped surfaces may part, and their points change places.
-        building = Building(config, source, "separate")
-        changes = found()
-        experiment = build_experiment(config, source, folders, "separate")
-    _require_followed(building, config, changes)
-    every = changes.values()
+    with located(source):
+        building = Building(config)
+        try:
+            found = changes()
+        except KeyProblem:
+            # Grouped surfaces may part, and their points change places.
+            building = Building(config, layout="separate")
+            found = changes()
+            experiment = build_experiment(config, source, folders, layout="separate")
+        followed = _followed(building, config, found)
+        for key in found:
+            if key not in followed:
+                problem = _hindrance(building, config, {key: found[key]})
+                raise KeyProblem(key.split("."), f"{problem}, so it has no derivative")
+    every = found.values()
     places = sorted({place for change in every for place in change})
     moves = [np.any([c[place] for c in every if place in c], axis=0) for place in places]
     inputs = Inputs(tuple(places), tuple(map(np.flatnonzero, moves)))
@@ -212,14 +226,14 @@ def all_parameters(
     wet = {i for i, (path, _) in enumerate(paths) if _PATCHES in path}
     layouts: tuple[PointLayout, ...] = ("merged", "separate") if surfaces else ("merged",)
     for layout in layouts:
-        building = Building(config, source, layout)
+        building = Building(config, layout)
         changes = {}
         for key in number_keys(config):
             if key in found:
                 continue
             try:
-                change = _changes(building, config, key)
-            except ConfigError:
+                change = _change(building, config, key)
+            except KeyProblem:
                 continue
             if surfaces or not wet & set(change):
                 changes[key] = change
@@ -227,9 +241,9 @@ def all_parameters(
     return tuple(key for key in number_keys(config) if key in found)
 
 
-def _changes(
+def _change(
     building: Building, config: ExperimentConfig, key: str, kinks: dict[str, str] | None = None
-) -> dict[int, np.ndarray]:
+) -> Change:
     """Which elements of which leaves follow one number.
 
     Args:
@@ -239,92 +253,67 @@ def _changes(
         kinks: to which it is added why there is no derivative at a kink; None to raise that.
 
     Raises:
-        ConfigError: more than leaves change, none does, or there is no derivative.
+        KeyProblem: more than leaves change, none does, or there is no derivative.
     """
-    value, where = number_at(config, key, building.source), key.split(".")
-    step = _STEP * (abs(value) or 1.0)
-    beyond = f"has no allowed values on either side of {value:g}"
-    others: list[list[Any]] | None = None
-    both = False
-    for shares in (_BOTH_SIDES, _ONE_SIDE, [-share for share in _ONE_SIDE]):
-        neighbours = []
-        try:
-            for share in shares:
-                pairs = {key: value + share * step}
-                neighbours.append(building.known(with_numbers(config, pairs, building.source)))
-        except ConfigError:
-            # At the end of what is allowed: from the other side.
-            continue
-        found = [neighbour.same_layout(building.own) for neighbour in neighbours]
-        others = [leaves for leaves in found if leaves is not None]
-        if len(others) < len(found):
-            raise ConfigError(
-                building.source,
-                where,
-                "changes more than numbers (which parts there are, how they are joined or "
-                "grouped, which of several is the largest, steps of time), so there is no "
-                "derivative by it",
-            )
-        both = shares is _BOTH_SIDES
-        break
-    if others is None:
-        raise ConfigError(building.source, where, beyond)
-    changes = {}
+    value, where = number_at(config, key), key.split(".")
+    others, both = _neighbours(building, config, key, value)
+    if not all(other.has_layout_of(building.own) for other in others):
+        raise KeyProblem(
+            where,
+            "changes more than numbers (which parts there are, how they are joined or grouped, "
+            "which of several is the largest, steps of time), so there is no derivative by it",
+        )
+    change: Change = {}
     for place, leaf in enumerate(building.own.leaves):
         if not is_number(leaf):
             continue
         accuracy = _SEARCHED if _is_searched(building, place) else 0.0
-        moves, smooth = _moves(leaf, [other[place] for other in others], both, accuracy)
+        moves, smooth = _moves(leaf, [other.leaves[place] for other in others], both, accuracy)
         if not smooth:
             problem = (
                 f"{value:g} is at a kink of `{building.name(place)}` (the lowest of several feet, "
                 "a limit), so there is no derivative by it"
             )
             if kinks is None:
-                raise ConfigError(building.source, where, problem)
+                raise KeyProblem(where, problem)
             kinks[key] = problem
         if moves.any():
-            changes[place] = moves
-    if not changes:
-        raise ConfigError(building.source, where, "changes nothing in a trial of this experiment")
-    for place in changes:
+            change[place] = moves
+    if not change:
+        raise KeyProblem(where, "changes nothing in a trial of this experiment")
+    for place in change:
         if getattr(building.own.paths[place][-1], "name", None) in TABLES:
-            raise ConfigError(
-                building.source,
-                where,
-                "changes a table of places (a mesh, a relief): not differentiable",
-            )
-    return changes
+            problem = "changes a table of places (a mesh, a relief): not differentiable"
+            raise KeyProblem(where, problem)
+    return change
 
 
-def _require_followed(
-    building: Building, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
-) -> None:
-    """Check that the traced building follows numbers wherever the known one does.
+def _neighbours(
+    building: Building, config: ExperimentConfig, key: str, value: float
+) -> tuple[list[Built], bool]:
+    """Build at values near one, on both sides, or on one if the other is not allowed.
 
-    Args:
-        building: how simulations are built.
-        config: the configuration.
-        changes: what each number changes, by key.
+    Returns:
+        What is built, in the order of the values, and whether they lie on both sides.
 
     Raises:
-        ConfigError: it does not.
+        KeyProblem: there are no allowed values on either side.
     """
-    if not _hindrance(building, config, changes):
-        return
-    # Which one it is.
-    for key, change in changes.items():
-        problem = _hindrance(building, config, {key: change})
-        if problem:
-            raise ConfigError(
-                building.source, key.split("."), f"{problem}, so it has no derivative"
-            )
+    step = _STEP * (abs(value) or 1.0)
+    for fractions in (_BOTH_SIDES, _ONE_SIDE, [-fraction for fraction in _ONE_SIDE]):
+        try:
+            near = [with_numbers(config, {key: value + x * step}, "") for x in fractions]
+            return [building.known(each) for each in near], fractions is _BOTH_SIDES
+        except KeyProblem:
+            # At the end of what is allowed: from the other side.
+            continue
+    raise KeyProblem(key.split("."), f"has no allowed values on either side of {value:g}")
 
 
 def _followed(
-    building: Building, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
+    building: Building, config: ExperimentConfig, changes: dict[str, Change]
 ) -> list[str]:
-    """The keys of those numbers that the traced building follows; see `_require_followed`."""
+    """The keys of those numbers that the traced building follows wherever the known one does."""
     if not changes or not _hindrance(building, config, changes):
         return list(changes)
     if len(changes) == 1:
@@ -334,9 +323,7 @@ def _followed(
     return [key for half in halves for key in _followed(building, config, half)]
 
 
-def _hindrance(
-    building: Building, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
-) -> str:
+def _hindrance(building: Building, config: ExperimentConfig, changes: dict[str, Change]) -> str:
     """Why the traced building does not follow some numbers; nothing where it does."""
     places = sorted({place for change in changes.values() for place in change})
     constant: list[int] = []

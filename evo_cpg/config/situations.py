@@ -2,7 +2,6 @@
 
 import functools
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.errors import KeyProblem
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.schema.task import DEFAULT_LIGHT
 from evo_cpg.config.schema.trial import SituationConfig
@@ -37,12 +36,12 @@ _FARTHEST_LIGHT = 1000.0
 
 
 def build_situations(
-    config: ExperimentConfig, creature: Creature, world: World, source: Path | str
+    config: ExperimentConfig, creature: Creature, world: World
 ) -> tuple[Situation, ...]:
     """The situations of the trials, or the one that all trials have.
 
     Raises:
-        ConfigError: there is no place to stand or no rest, or a light that cannot be reached.
+        KeyProblem: there is no place to stand or no rest, or a light that cannot be reached.
     """
     settings = config.simulation
     common = config.task.goal
@@ -50,8 +49,7 @@ def build_situations(
     settling = functools.cache(lambda: Settling(world, h))
     situations: list[Situation] = []
     begins: list[Situation] = []
-    entries = settings.trials if isinstance(settings.trials, list) else [SituationConfig()]
-    for i, entry in enumerate(entries):
+    for i, entry in enumerate(settings.situations or [SituationConfig()]):
         key = ("simulation", "trials", i)
         x, y = settings.start if entry.start is None else entry.start
         turn = entry.start_heading_deg
@@ -62,14 +60,13 @@ def build_situations(
         else:
             height = _start_height(creature, world, x, y, heading, settings.start_clearance)
             if height is None:
-                raise ConfigError(
-                    source,
+                raise KeyProblem(
                     ("simulation", "start") if entry.start is None else (*key, "start"),
                     f"no place to stand at ({x:g}, {y:g}); is it in an obstacle?",
                 )
             begin = Situation((x, y, height), heading)
             if settings.start_pose == "settled":
-                begin = _settled(settling, world, h, begin, source)
+                begin = _settled(settling, world, h, begin)
         begins.append(begin)
         start, light = begin.start_position, common
         if entry.light is not None:
@@ -81,7 +78,7 @@ def build_situations(
         )
         if problem:
             own = entry.light is not None
-            raise ConfigError(source, (*key, "light") if own else ("task", "light"), problem)
+            raise KeyProblem((*key, "light") if own else ("task", "light"), problem)
         situations.append(begin._replace(light=goal))
     return tuple(situations)
 
@@ -95,43 +92,34 @@ def _same_start(begins: list[Situation], x: float, y: float, heading: float) -> 
 
 
 def _settled(
-    settling: Callable[[], Settling],
-    world: World,
-    h: float,
-    situation: Situation,
-    source: Path | str,
+    settling: Callable[[], Settling], world: World, h: float, situation: Situation
 ) -> Situation:
     """The situation with the creature at rest.
 
     Raises:
-        ConfigError: it does not come to rest.
+        KeyProblem: it does not come to rest.
     """
     try:
         return settled(settling, world, h, situation)
     except NoRestError as error:
         x, y, _ = situation.start_position
-        raise ConfigError(
-            source,
+        raise KeyProblem(
             ("simulation", "start_pose"),
             f"'settled': no rest from the start at ({x:g}, {y:g}), {error}; "
             "'neutral' starts in the neutral pose",
         ) from None
 
 
-def require_light(config: ExperimentConfig, task: Task, source: Path | str) -> None:
+def require_light(config: ExperimentConfig, task: Task) -> None:
     """Check that no trial moves a light that the task does not have.
 
     Raises:
-        ConfigError: one does.
+        KeyProblem: one does.
     """
-    trials = config.simulation.trials
-    for i, entry in enumerate(trials if isinstance(trials, list) else []):
+    for i, entry in enumerate(config.simulation.situations):
         if entry.light is not None and task.light is None:
-            raise ConfigError(
-                source,
-                ("simulation", "trials", i, "light"),
-                f"a task of type {config.task.type!r} has no light",
-            )
+            problem = f"a task of type {config.task.type!r} has no light"
+            raise KeyProblem(("simulation", "trials", i, "light"), problem)
 
 
 def _is_still_within_reach(

@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from evo_cpg.config.errors import ConfigError, Key
+from evo_cpg.config.errors import KeyProblem
 from evo_cpg.config.files import require_small
 from evo_cpg.system import named, resolved, working_folder
 
@@ -38,7 +38,7 @@ def trusting(own: bool = True) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def noting() -> Iterator[list[Path]]:
+def recording_files() -> Iterator[list[Path]]:
     """Within it, the files that configurations name are added to a list, each once."""
     files: list[Path] = []
     token = _noted.set(files)
@@ -53,16 +53,15 @@ def is_trusted() -> bool:
     return _trusted.get() or os.environ.get(VARIABLE) == "1"
 
 
-def beside(source: Path, name: str, where: Key) -> Path:
+def beside(source: Path, name: str) -> Path:
     """The file of this name, seen from a configuration file.
 
     Args:
         source: the configuration file.
         name: as it stands there.
-        where: its key, for messages.
 
     Raises:
-        ConfigError: it lies outside of the configuration's folder, and that is not trusted.
+        KeyProblem: it lies outside of the configuration's folder, and that is not trusted.
     """
     path = source.parent / named(name)
     noted = _noted.get()
@@ -76,40 +75,38 @@ def beside(source: Path, name: str, where: Key) -> Path:
         # A name that is none, or links that go round in circles.
         inside = True
     if not inside:
-        raise ConfigError(
-            source,
-            where,
+        raise KeyProblem(
+            (),
             f"{name[:200]!r} lies outside of the configuration's folder; if the configuration is "
             "yours, say so: evo-cpg --trust ...",
         )
     return path
 
 
-def named_file(source: Path, name: str, where: Key, suffixes: Sequence[str]) -> Path:
+def named_file(source: Path, name: str, suffixes: Sequence[str]) -> Path:
     """Return the file of this name beside a configuration file, if it can be read.
 
     Args:
         source: the configuration file.
         name: as it stands there.
-        where: its key, for messages.
         suffixes: that are known.
 
     Raises:
-        ConfigError: the file has another suffix, is missing, too large, a folder or not trusted.
+        KeyProblem: the file has another suffix, is missing, too large, a folder or not trusted.
     """
-    path = beside(source, name, where)
+    path = beside(source, name)
     if path.suffix.lower() not in suffixes:
         problem = f"{path.suffix!r} is not known; allowed: {', '.join(suffixes)}"
-        raise ConfigError(source, where, f"{name}: {problem}")
+        raise KeyProblem((), f"{name}: {problem}")
     try:
         require_small(path)
     except FileNotFoundError:
-        raise ConfigError(source, where, f"{name}: no such file") from None
+        raise KeyProblem((), f"{name}: no such file") from None
     except (OSError, ValueError) as error:
         problem = getattr(error, "strerror", None) or error
-        raise ConfigError(source, where, f"{name[:60]}: cannot be read ({problem})") from None
+        raise KeyProblem((), f"{name[:60]}: cannot be read ({problem})") from None
     if path.is_dir():
-        raise ConfigError(source, where, f"{name}: is a folder")
+        raise KeyProblem((), f"{name}: is a folder")
     return path
 
 

@@ -1,12 +1,12 @@
 """What pydantic finds wrong with a configuration, in words: key, value, what is allowed."""
 
-from pathlib import Path
 from typing import Any, TypeVar
 
 import pydantic
 
-from evo_cpg.config.allowed import Allowed, is_of_key, key_of, value_at
-from evo_cpg.config.errors import ConfigError, Key, nearest
+from evo_cpg.config.allowed import Allowed, is_of_key, key_of
+from evo_cpg.config.errors import KeyProblem, nearest
+from evo_cpg.config.keys import value_at
 
 _Section = TypeVar("_Section", bound=pydantic.BaseModel)
 
@@ -14,35 +14,12 @@ _Section = TypeVar("_Section", bound=pydantic.BaseModel)
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 _LENGTH = ("too_short", "too_long")
 
-# A value of another kind than the place takes.
-_WRONG_KIND = (
-    "bool_parsing",
-    "bool_type",
-    "dataclass_type",
-    "dict_type",
-    "float_parsing",
-    "float_type",
-    "int_from_float",
-    "int_parsing",
-    "int_type",
-    "list_type",
-    "literal_error",
-    "mapping_type",
-    "model_attributes_type",
-    "model_type",
-    "string_type",
-    "tuple_type",
-)
-
 _TRUTHS = "YAML reads yes, no, on, off, true and false as truth values; in quotes they are text"
 
 
 def worded(
-    error: pydantic.ValidationError,
-    model: type[pydantic.BaseModel],
-    data: dict[str, Any],
-    source: Path | str,
-) -> ConfigError:
+    error: pydantic.ValidationError, model: type[pydantic.BaseModel], data: dict[str, Any]
+) -> KeyProblem:
     """Return the first problem, in words.
 
     A key that is no text and an unknown key go first: a typo explains what is missing.
@@ -51,7 +28,6 @@ def worded(
         error: what pydantic found.
         model: of the whole configuration.
         data: the given configuration.
-        source: file it came from, for messages.
     """
     problems = sorted(error.errors(), key=lambda p: not (is_of_key(p) or p["type"] in _UNKNOWN_KEY))
     problem = _closest(problems, data)
@@ -60,51 +36,48 @@ def worded(
     tags = frozenset(part for part in problem["loc"] if isinstance(part, str))
     allowed = Allowed(model, data, tags)
     if is_of_key(problem):
-        return ConfigError(source, key, _about_key(given, value_at(data, (*key, given))))
+        return KeyProblem(key, _about_key(given, value_at(data, (*key, given))))
     if kind in _UNKNOWN_KEY:
-        return ConfigError(source, key, f"unknown key; {_near_key(allowed, key)}")
+        return KeyProblem(key, f"unknown key; {_near_key(allowed, key)}")
     if kind == "missing":
         beside = [p["loc"][-1] for p in problems if p["loc"][:-1] == problem["loc"][:-1]]
         missing = [place + 1 for place in beside if isinstance(place, int)]
         if missing:
-            return ConfigError(source, key, f"{short(given)}: {max(missing)} values are needed")
-        return ConfigError(source, key, "is missing and has no default")
+            return KeyProblem(key, f"{short(given)}: {max(missing)} values are needed")
+        return KeyProblem(key, "is missing and has no default")
     message = problem["msg"].removeprefix("Value error, ")
     if kind == "value_error":
-        return ConfigError(source, key, message)
+        return KeyProblem(key, message)
     if kind == "union_tag_not_found" and isinstance(given, dict):
-        return ConfigError(source, (*key, "type"), "is missing and has no default")
+        return KeyProblem((*key, "type"), "is missing and has no default")
     if kind.startswith("union_tag") and isinstance(given, dict):
         expected = problem.get("ctx", {}).get("expected_tags", "")
         expected = expected.replace("'custom'", "or module:Class for your own")
         found = given.get("type")
-        return ConfigError(source, (*key, "type"), f"{found!r} is not known; allowed: {expected}")
+        return KeyProblem((*key, "type"), f"{found!r} is not known; allowed: {expected}")
     if kind in _LENGTH:
         limits = problem.get("ctx", {})
-        if kind == "too_short":
-            words = f"at least {limits.get('min_length')}"
-        else:
-            words = f"at most {limits.get('max_length')}"
-        count = limits.get("actual_length")
-        return ConfigError(source, key, f"{short(given)}: must have {words}, has {count}")
-    if kind in _WRONG_KIND or kind.startswith("union_tag"):
-        return ConfigError(source, key, f"{short(given)}: {_about_kind(allowed, key, given)}")
+        least, most = limits.get("min_length"), limits.get("max_length")
+        words = f"at least {least}" if kind == "too_short" else f"at most {most}"
+        problem = f"must have {words}, has {limits.get('actual_length')}"
+        return KeyProblem(key, f"{short(given)}: {problem}")
+    if _is_wrong_kind(problem) or kind.startswith("union_tag"):
+        return KeyProblem(key, f"{short(given)}: {_about_kind(allowed, key, given)}")
     keys = {key_of(each, data) for each in problems}
     more = f" ({len(keys)} problems in all)" if len(keys) > 1 else ""
-    return ConfigError(source, key, f"{short(given)}: {message[:1].lower()}{message[1:]}{more}")
+    return KeyProblem(key, f"{short(given)}: {message[:1].lower()}{message[1:]}{more}")
 
 
-def check_section(model: type[_Section], data: Any, source: Path | str, where: Key) -> _Section:
-    """Return a section that stands at a key of a configuration.
+def checked(model: type[_Section], data: Any) -> _Section:
+    """Return a section with these contents.
 
     Raises:
-        ConfigError: something in it is wrong.
+        KeyProblem: something in it is wrong.
     """
     try:
         return model.model_validate(data)
     except pydantic.ValidationError as error:
-        found = worded(error, model, data, source)
-    raise ConfigError(source, (*where, *found.key), found.problem)
+        raise worded(error, model, data) from None
 
 
 def short(value: Any) -> str:
@@ -132,6 +105,12 @@ def _about_key(given: Any, value: Any) -> str:
     return f"the key {given} must be text; write it in quotes: '{given}'"
 
 
+def _is_wrong_kind(problem: Any) -> bool:
+    """Return whether a value is of another kind than its place takes."""
+    named = ("literal_error", "int_from_float")
+    return problem["type"].endswith(("_type", "_parsing")) or problem["type"] in named
+
+
 def _near_key(allowed: Allowed, key: tuple[str | int, ...]) -> str:
     """Return the valid keys beside an unknown one, or the sections that have one of its name."""
     valid = allowed.keys(key[:-1])
@@ -147,7 +126,7 @@ def _closest(problems: list[Any], data: dict[str, Any]) -> Any:
     Where a place takes several kinds, pydantic reports what is wrong with each of them.
     """
     first = problems[0]
-    if first["type"] not in _WRONG_KIND or not isinstance(first.get("input"), (dict, list)):
+    if not _is_wrong_kind(first) or not isinstance(first.get("input"), (dict, list)):
         return first
     key = key_of(first, data)
     inner = [each for each in problems if key_of(each, data)[: len(key)] == key]

@@ -6,8 +6,6 @@ from typing import Any
 
 import yaml
 
-from evo_cpg.config.files import require_shallow
-
 # libyaml's, where PyYAML was built with it, is ten times faster.
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -25,6 +23,12 @@ _NUMBERS = {
         r"|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"
     ),
 }
+
+# Sections of configurations lie at most ten deep.
+_DEEPEST = 50
+
+# Values, with aliases written out: seven times those of the largest relief.
+_MOST_VALUES = 500_000
 
 
 class _Loader(_SafeLoader):
@@ -119,7 +123,7 @@ def parse_yaml(text: str) -> Any:
     Raises:
         yaml.YAMLError: it is none, or larger than any that is meant.
     """
-    require_shallow(text, _Loader)
+    _require_shallow(text, _Loader)
     return yaml.load(text, _Loader)
 
 
@@ -129,7 +133,7 @@ def compose_yaml(text: str) -> yaml.Node | None:
     Raises:
         yaml.YAMLError: it is none, or larger than any that is meant.
     """
-    require_shallow(text, _Loader)
+    _require_shallow(text, _Loader)
     return yaml.compose(text, _Loader)
 
 
@@ -148,6 +152,48 @@ def to_yaml(data: Any, flow: bool | None = False) -> str:
         default_flow_style=flow,
         width=10**9 if flow else None,
     )
+
+
+def _require_shallow(text: str, loader: type) -> None:
+    """Check that YAML is not nested deeper, and does not hold more, than any that is meant.
+
+    An alias counts as all that it stands for: a few lines of them would fill the memory.
+
+    Raises:
+        yaml.YAMLError: it is or does, an alias stands within what it names, or it is no YAML.
+    """
+    # Of every open collection: its anchor, and values in it so far.
+    opened: list[tuple[str | None, int]] = [(None, 0)]
+    sizes: dict[str, int | None] = {}
+    for event in yaml.parse(text, loader):
+        added = 0
+        anchor = getattr(event, "anchor", None)
+        if isinstance(event, yaml.CollectionStartEvent):
+            opened.append((anchor, 1))
+            if anchor:
+                sizes[anchor] = None
+        elif isinstance(event, yaml.CollectionEndEvent):
+            anchor, added = opened.pop()
+            if anchor:
+                sizes[anchor] = added
+        elif isinstance(event, yaml.AliasEvent):
+            size = sizes.get(event.anchor, 0)
+            if size is None:
+                raise _refused(event, f"*{event.anchor} stands within what it names")
+            added = size
+        elif isinstance(event, yaml.ScalarEvent):
+            added = 1
+            if anchor:
+                sizes[anchor] = 1
+        opened[-1] = opened[-1][0], opened[-1][1] + added
+        if len(opened) > _DEEPEST:
+            raise _refused(event, f"nested more than {_DEEPEST} deep")
+        if opened[-1][1] > _MOST_VALUES:
+            raise _refused(event, f"more than {_MOST_VALUES} values")
+
+
+def _refused(event: yaml.Event, problem: str) -> yaml.YAMLError:
+    return yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
 
 
 def _require_different(keys: Any) -> None:

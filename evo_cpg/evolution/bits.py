@@ -7,7 +7,7 @@ ranks 9 to 15 are never parents. The children come from one-point crossover, and
 
 The thesis does not say whether mutation is per child or per pair, nor whether a gene is flipped or
 drawn anew: here each child has its own, and a gene is drawn anew unless ``mutation`` says "flip".
-Chapter 4 tells of a first attempt with 5 kept and 10 replaced (``elite_count`` 5), and proposes to
+Chapter 4 tells of a first attempt with 5 kept and 10 replaced (``elites`` 5), and proposes to
 carry several copies of the best (``best_copies``). Differs from the thesis: an individual that
 diverged is never kept, and its place goes to one more child.
 
@@ -38,13 +38,13 @@ class BitGenetics(Genetics):
 
     Attributes:
         population: number of individuals.
-        elite_count: places of the next generation that hold the best individuals, unchanged;
+        elites: places of the next generation that hold the best individuals, unchanged;
             children fill the others.
         best_copies: how many of these places hold the best one.
         rank_probabilities: that a parent is of each rank, best first; lower ranks are no parents.
         mutation_probability: that a child mutates.
-        mutated_genes_min: fewest genes that a mutation changes.
-        mutated_genes_max: most genes that a mutation changes; every number between is as likely.
+        mutated_genes: fewest and most genes that a mutation changes; every number between is as
+            likely.
         mutation: what happens to a gene that is changed, one of ``MUTATIONS``.
 
     Raises:
@@ -52,29 +52,28 @@ class BitGenetics(Genetics):
     """
 
     population: int = eqx.field(static=True, default=15)
-    elite_count: int = eqx.field(static=True, default=7)
+    elites: int = eqx.field(static=True, default=7)
     best_copies: int = eqx.field(static=True, default=1)
     rank_probabilities: tuple[float, ...] = eqx.field(
         static=True, default=(0.30, 0.20, 0.20, 0.10, 0.10, 0.05, 0.03, 0.02)
     )
     mutation_probability: float = eqx.field(static=True, default=0.5)
-    mutated_genes_min: int = eqx.field(static=True, default=2)
-    mutated_genes_max: int = eqx.field(static=True, default=30)
+    mutated_genes: tuple[int, int] = eqx.field(static=True, default=(2, 30))
     mutation: str = eqx.field(static=True, default="redraw")
 
     def __post_init__(self):
         if self.population < 1:
             raise ValueError(f"population must be at least 1, got {self.population}")
-        if not 0 <= self.elite_count < self.population:
+        if not 0 <= self.elites < self.population:
             raise ValueError(
-                f"elite_count must be at least 0 and less than the population of "
-                f"{self.population}, got {self.elite_count}"
+                f"elites must be at least 0 and less than the population of "
+                f"{self.population}, got {self.elites}"
             )
-        most_copies = max(self.elite_count, 1)
+        most_copies = max(self.elites, 1)
         if not 1 <= self.best_copies <= most_copies:
             raise ValueError(
-                f"best_copies must be from 1 to {most_copies} with an elite_count of "
-                f"{self.elite_count}, got {self.best_copies}"
+                f"best_copies must be from 1 to {most_copies} with "
+                f"{self.elites} elites, got {self.best_copies}"
             )
         if not 1 <= len(self.rank_probabilities) <= self.population:
             raise ValueError(
@@ -92,10 +91,10 @@ class BitGenetics(Genetics):
             raise ValueError(
                 f"mutation_probability must be from 0 to 1, got {self.mutation_probability}"
             )
-        if not 1 <= self.mutated_genes_min <= self.mutated_genes_max:
+        fewest, most = self.mutated_genes
+        if not 1 <= fewest <= most:
             raise ValueError(
-                f"mutated_genes_min must be at least 1 and at most the mutated_genes_max of "
-                f"{self.mutated_genes_max}, got {self.mutated_genes_min}"
+                f"mutated_genes must be fewest, at least 1, and most, got {fewest} and {most}"
             )
         if self.mutation not in MUTATIONS:
             raise ValueError(f"mutation must be {' or '.join(MUTATIONS)}, got {self.mutation!r}")
@@ -124,16 +123,14 @@ class BitGenetics(Genetics):
             mutate_key,
             children,
             self.mutation_probability,
-            self.mutated_genes_min,
-            self.mutated_genes_max,
+            *self.mutated_genes,
             self.mutation,
         )
-        return keep_elites(genes, fitness, children, self.elite_count, self.best_copies)
+        return keep_elites(genes, fitness, children, self.elites, self.best_copies)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """All but the first mutated, every one."""
-        fewest, most = self.mutated_genes_min, self.mutated_genes_max
-        changed = bit_mutation(key, genes, 1.0, fewest, most, self.mutation)
+        changed = bit_mutation(key, genes, 1.0, *self.mutated_genes, self.mutation)
         return changed.at[:, 0].set(genes[:, 0])
 
 

@@ -79,7 +79,7 @@ class RealGenetics(Genetics):
 
     Attributes:
         population: number of individuals.
-        elite_count: best individuals that pass on unchanged.
+        elites: best individuals that pass on unchanged.
         selection: of parents, ``rank`` or ``lexicase``.
         parent_fraction: part of the population that may become parents by rank.
         crossover_probability: that two parents' genomes are cut and rejoined.
@@ -89,7 +89,7 @@ class RealGenetics(Genetics):
     """
 
     population: int = eqx.field(static=True)
-    elite_count: int = eqx.field(static=True)
+    elites: int = eqx.field(static=True)
     parent_fraction: float = eqx.field(static=True)
     crossover_probability: float
     mutation_rate: float
@@ -120,7 +120,7 @@ class RealGenetics(Genetics):
         children = gaussian_mutation(
             mutate_key, children, self.mutation_rate, self.mutation_sigma, self.gene_bound
         )
-        return keep_elites(genes, fitness, children, self.elite_count)
+        return keep_elites(genes, fitness, children, self.elites)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """All but the first mutated."""

@@ -93,15 +93,13 @@ class OfBits(Variation):
     Attributes:
         crossover: probability that the parents are crossed; otherwise a child is the first one's.
         mutation_probability: that a child mutates.
-        mutated_genes_min: fewest genes that a mutation changes.
-        mutated_genes_max: most.
+        mutated_genes: fewest and most genes that a mutation changes.
         mutation: what happens to a gene that is changed, one of ``bits.MUTATIONS``.
     """
 
     crossover: float = 1.0
     mutation_probability: float = 0.5
-    mutated_genes_min: int = eqx.field(static=True, default=2)
-    mutated_genes_max: int = eqx.field(static=True, default=30)
+    mutated_genes: tuple[int, int] = eqx.field(static=True, default=(2, 30))
     mutation: str = eqx.field(static=True, default="redraw")
 
     def __call__(
@@ -119,8 +117,7 @@ class OfBits(Variation):
         return self._changed(key, genes, 1.0)
 
     def _changed(self, key: Array, genes: Array, probability: float) -> Array:
-        fewest, most = self.mutated_genes_min, self.mutated_genes_max
-        return bit_mutation(key, genes, probability, fewest, most, self.mutation)
+        return bit_mutation(key, genes, probability, *self.mutated_genes, self.mutation)
 
 
 class MapStrategy(Strategy):

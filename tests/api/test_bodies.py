@@ -122,6 +122,18 @@ def test_what_is_wrong_is_said(experiment, genomes, numbers):
     fitness = experiment.fitness_function(numbers=[DENSITY])
     with pytest.raises(ValueError, match=r"values must have the shape \(1,\), got none"):
         fitness(genomes[0])
+    with pytest.raises(evo.ConfigError, match="greater than 0"):
+        fitness(genomes[0], np.array([-1.0]))
+
+
+def test_values_that_change_the_layout_are_refused(experiment, genomes):
+    fitness = experiment.fitness_function(numbers=["controller.cpg.time_scale"])
+    words = r"time_scale=0\.1 the simulation is laid out differently"
+    with pytest.raises(evo.ConfigError, match=words):
+        fitness(genomes[0], np.array([0.1]))
+    compiled = jax.jit(jax.grad(fitness, 1))
+    with pytest.raises(RuntimeError, match=words):
+        compiled(genomes[0], np.array([0.1])).block_until_ready()
 
 
 @pytest.mark.usefixtures("x64")

@@ -15,9 +15,9 @@ from creatures import box_chain, coast, in_water, quick_jit, random_state
 from evo_cpg.analysis.energy import ledger
 from evo_cpg.cli.export import export
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.lint import lint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.parameters import parametrise
-from evo_cpg.config.plausible import doubts
 from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.fusion.engine import EngineWarning
@@ -230,9 +230,9 @@ def test_an_exported_model_says_that_a_law_is_left_out(glider, capsys):
 def test_a_law_may_hold_a_creature_that_nothing_else_holds(glider):
     """Neither `validate` nor the search for rest complains of it: it may be a leash."""
     held = ["world.water=null", "world.ground=null"]
-    falls = [d.key for d in doubts(load_config(glider / "glider.yaml", held), "glider.yaml")]
+    falls = [d.key for d in lint(load_config(glider / "glider.yaml", held), "glider.yaml")]
     free = [*held, "world.forces=[]"]
-    there = [d.key for d in doubts(load_config(glider / "glider.yaml", free), "glider.yaml")]
+    there = [d.key for d in lint(load_config(glider / "glider.yaml", free), "glider.yaml")]
     assert ("world", "gravity") in there and ("world", "gravity") not in falls
 
 

@@ -16,16 +16,17 @@ HEXAPOD = REPOSITORY / "configs" / "hexapod.yaml"
 
 
 def build(*ground: str):
+    """The ground alone."""
     config = load_config(HEXAPOD, [f"world.ground.{override}" for override in ground])
-    return build_experiment(config, HEXAPOD).simulation
+    return config.world.ground.build()
 
 
 def floor(text: str):
-    return build(f"floor={text}").world.ground.floor
+    return build(f"floor={text}").floor
 
 
 def test_ground_is_level_unless_said_otherwise():
-    assert build().world.ground.level == 0.0
+    assert build().level == 0.0
 
 
 def test_a_plane_falls_in_the_direction_given():
@@ -55,7 +56,7 @@ def test_obstacles():
     ground = build(
         "obstacles=[{type: boulder, centre: [1, 2, 0], radius: 0.5}, "
         "{type: block, centre: [4, 0, 0], size: [2, 4, 1], heading_deg: 90}]"
-    ).world.ground
+    )
     boulder, block = ground.obstacles
     assert boulder == Boulder((1.0, 2.0, 0.0), 0.5)
     assert block == Block((4.0, 0.0, 0.0), (1.0, 2.0, 0.5), np.pi / 2)
@@ -82,7 +83,7 @@ def test_heights_from_a_file_end_up_in_the_configuration(suffix, tmp_path):
     (tmp_path / "config.yaml").write_text(dump_config(config))
     again = load_config(tmp_path / "config.yaml")
     assert again == config
-    relief = build_experiment(again, "x.yaml").simulation.world.ground.floor
+    relief = again.world.ground.build().floor
     scale = 2 if suffix in ("png", "tif") else 1
     np.testing.assert_allclose(relief.heights, scale * heights, atol=0.01)
     assert (relief.corner, relief.spacing) == ((-0.5, -0.25), 0.5)
@@ -90,7 +91,8 @@ def test_heights_from_a_file_end_up_in_the_configuration(suffix, tmp_path):
 
 def test_an_animal_starts_standing_wherever_it_is_put():
     """As high above a plateau as above level ground, and turned as asked."""
-    level = build().situations[0].start_position[2]
+    level = build_experiment(load_config(HEXAPOD), HEXAPOD).simulation.situations[0]
+    height = level.start_position[2] + 0.8
     config = load_config(
         HEXAPOD,
         [
@@ -101,7 +103,7 @@ def test_an_animal_starts_standing_wherever_it_is_put():
         ],
     )
     (situation,) = build_experiment(config, HEXAPOD).simulation.situations
-    assert situation.start_position == pytest.approx((4, -1, level + 0.8), abs=1e-5)
+    assert situation.start_position == pytest.approx((4, -1, height), abs=1e-5)
     assert situation.start_heading == pytest.approx(np.pi / 2)
 
 

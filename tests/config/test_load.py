@@ -263,7 +263,7 @@ def test_postures_and_bits_go_together():
     experiment = build_experiment(check_config(data, "x.yaml"), "x.yaml")
     assert experiment.simulation.controller.gene_count == 8 * 1 * 3
     assert experiment.strategy.population == 15
-    assert experiment.strategy.elite_count == 5
+    assert experiment.strategy.elites == 5
     assert experiment.generations == 500
 
 
@@ -272,7 +272,7 @@ def test_postures_and_bits_go_together():
     [
         ({"controller__type": "postures"}, "set evolution.type to 'bits', not 'real'"),
         ({"evolution__type": "bits"}, "set evolution.type to 'real', not 'bits'"),
-        ({**POSTURES, "evolution__elites": 15}, "elite_count must be"),
+        ({**POSTURES, "evolution__elites": 15}, "elites must be"),
         ({**POSTURES, "evolution__rank_probabilities": [0.5, 0.2]}, "must add up to 1"),
         (POSTURES, "evolution.mutated_genes: at most 24, the bits in a genome"),
         ({**POSTURES, "evolution__mutation": "swap"}, "evolution.mutation"),

@@ -132,7 +132,7 @@ def check_derivatives(config, keys):
     def rebuilt(values):
         parameters.require(values)
         layout = parameters.building.layout
-        return inputs.of(build_simulation(parameters.config_at(values), CONFIG, layout)[1])
+        return inputs.of(build_simulation(parameters.config_at(values), layout)[1])
 
     with_elements = quick_jit(lambda elements: terms(inputs.put(simulation, elements)))
     values = parameters.values

@@ -7,10 +7,10 @@ import pytest
 
 from evo_cpg.api.load import load
 from evo_cpg.config import shipped as module
-from evo_cpg.config.copying import copy_shipped
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.shipped import (
+    copy_shipped,
     find_config,
     shipped,
     shipped_folder,

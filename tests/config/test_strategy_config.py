@@ -93,7 +93,7 @@ def test_a_map_measures_what_its_axes_are():
 def test_how_bits_on_a_map_vary():
     given = f"type: map_elites, axes: {AXES}, crossover: 0.5, mutation_probability: 1"
     flips = f"evolution={{{given}, mutated_genes: [1, 10], mutation: flip}}"
-    assert build(WALKER, flips).strategy.vary == OfBits(0.5, 1.0, 1, 10, "flip")
+    assert build(WALKER, flips).strategy.vary == OfBits(0.5, 1.0, (1, 10), "flip")
     with pytest.raises(ConfigError, match=r"mutated_genes: at most 192, the bits in a genome"):
         build(WALKER, f"evolution={{{given}, mutated_genes: [1, 193]}}")
     with pytest.raises(ConfigError, match="mutated_genes must be fewest and most, got 3 and 2"):

@@ -40,10 +40,10 @@ def check_elements(config, keys, accuracy=1e-14):
 
     def known(values):
         building = parameters.building
-        leaves = building.known(parameters.config_at(values)).same_layout(building.own)
-        assert leaves is not None
+        built = building.known(parameters.config_at(values))
+        assert built.has_layout_of(building.own)
         changed = zip(inputs.places, inputs.elements, strict=True)
-        return [np.ravel(leaves[place])[own] for place, own in changed]
+        return [np.ravel(built.leaves[place])[own] for place, own in changed]
 
     def around(values, step):
         """What is built on either side, or on one where the other is not allowed."""

@@ -64,7 +64,7 @@ def ranks(genes: int = GENES) -> jax.Array:
 @pytest.fixture(scope="module")
 def picks():
     """Ranks of 100,000 parents: of every pair of 12,500 generations."""
-    step = BitGenetics(mutation_probability=0.0, mutated_genes_max=2).next_generation
+    step = BitGenetics(mutation_probability=0.0, mutated_genes=(2, 2)).next_generation
     keys = jax.random.split(jax.random.key(1), 12_500)
     fitness = jnp.asarray(FITNESS, jnp.float32)
     children = quick_jit(jax.vmap(lambda key: step(key, ranks(2), fitness)))(keys)
@@ -119,7 +119,7 @@ def test_children_of_whole_pairs_fill_all_places_that_are_not_kept():
     changes = {"rank_probabilities": (1.0,), **CHANGED}
     genes = np.asarray(bits())
     numbers = (0, 5, 6, 14)
-    generations = bred_under([{"elite_count": n, **changes} for n in numbers], genes)
+    generations = bred_under([{"elites": n, **changes} for n in numbers], genes)
     for elites, children in zip(numbers, generations, strict=True):
         np.testing.assert_array_equal(children[:, :elites], genes[:, ::-1][:, :elites])
         changed = (children != genes[:, -1:]).sum(0)[elites:]
@@ -264,19 +264,19 @@ def test_what_is_not_compiled_breeds_the_same(seed):
     ("changes", "words"),
     [
         ({"population": 0}, "population must be at least 1, got 0"),
-        ({"elite_count": 15}, "at least 0 and less than the population of 15, got 15"),
-        ({"elite_count": -1}, "at least 0 and less than the population of 15, got -1"),
-        ({"best_copies": 0}, "best_copies must be from 1 to 7 with an elite_count of 7, got 0"),
-        ({"best_copies": 8}, "best_copies must be from 1 to 7 with an elite_count of 7, got 8"),
-        ({"elite_count": 0, "best_copies": 2}, "from 1 to 1 with an elite_count of 0, got 2"),
+        ({"elites": 15}, "at least 0 and less than the population of 15, got 15"),
+        ({"elites": -1}, "at least 0 and less than the population of 15, got -1"),
+        ({"best_copies": 0}, "best_copies must be from 1 to 7 with 7 elites, got 0"),
+        ({"best_copies": 8}, "best_copies must be from 1 to 7 with 7 elites, got 8"),
+        ({"elites": 0, "best_copies": 2}, "from 1 to 1 with 0 elites, got 2"),
         ({"rank_probabilities": ()}, "must be 1 to 15 numbers, .* got 0"),
-        ({"population": 7, "elite_count": 3}, "must be 1 to 7 numbers, .* got 8"),
+        ({"population": 7, "elites": 3}, "must be 1 to 7 numbers, .* got 8"),
         ({"rank_probabilities": (1.5, -0.5)}, r"must not be negative, got \(1.5, -0.5\)"),
         ({"rank_probabilities": (np.nan,)}, r"must not be negative, got \(nan,\)"),
         ({"rank_probabilities": (30.0, 70.0)}, "must add up to 1, got a sum of 100"),
         ({"mutation_probability": 1.5}, "mutation_probability must be from 0 to 1, got 1.5"),
-        ({"mutated_genes_min": 0}, "at least 1 and at most the mutated_genes_max of 30, got 0"),
-        ({"mutated_genes_min": 31}, "at least 1 and at most the mutated_genes_max of 30, got 31"),
+        ({"mutated_genes": (0, 30)}, "fewest, at least 1, and most, got 0 and 30"),
+        ({"mutated_genes": (31, 30)}, "fewest, at least 1, and most, got 31 and 30"),
         ({"mutation": "swap"}, "mutation must be redraw or flip, got 'swap'"),
     ],
 )

@@ -19,7 +19,7 @@ def genetics(**changes) -> RealGenetics:
     """Settings under which every child differs from its parents, unless changed."""
     settings = {
         "population": POPULATION,
-        "elite_count": ELITES,
+        "elites": ELITES,
         "parent_fraction": 0.5,
         "crossover_probability": 0.5,
         "mutation_rate": 1.0,
@@ -85,7 +85,7 @@ def test_when_all_diverged_every_place_goes_to_a_child():
 
 def test_no_elites_and_hardly_any_parents():
     fitness = np.arange(POPULATION)
-    genes, children = bred(fitness, elite_count=0, parent_fraction=0.01, mutation_rate=0.0)
+    genes, children = bred(fitness, elites=0, parent_fraction=0.01, mutation_rate=0.0)
     np.testing.assert_array_equal(children, np.repeat(genes[:, -1:], POPULATION, 1))
 
 

@@ -353,7 +353,7 @@ def test_a_search_is_none_the_wiser_for_a_map():
 
 
 def test_children_of_bits_are_bits_of_two_parents():
-    vary = OfBits(mutated_genes_max=2, mutation_probability=0.0)
+    vary = OfBits(mutated_genes=(2, 2), mutation_probability=0.0)
     genes = jnp.asarray(np.random.default_rng(0).integers(0, 2, (GENES, 5)), jnp.float32)
     parents = jnp.array([[0, 1, 2, 3], [4, 3, 2, 0]])
     children = np.asarray(jax.jit(vary)(jax.random.key(0), genes, parents))
@@ -365,7 +365,7 @@ def test_children_of_bits_are_bits_of_two_parents():
 
 
 def test_children_of_bits_that_are_not_crossed_are_the_first_parents_but_for_what_is_flipped():
-    vary = OfBits(0.0, 1.0, 1, 3, "flip")
+    vary = OfBits(0.0, 1.0, (1, 3), "flip")
     genes = jnp.asarray(np.random.default_rng(0).integers(0, 2, (GENES, 2)), jnp.float32)
     parents = jnp.array([[0] * 500, [1] * 500])
     for children in (
@@ -436,7 +436,7 @@ def test_what_evosax_does_not_have_is_refused():
 
 @pytest.mark.parametrize("name", [*NAMES, "bits"])
 def test_a_population_about_an_individual_keeps_it(name):
-    strategy = BitGenetics(SIZE, mutated_genes_max=3) if name == "bits" else STRATEGIES[name]()
+    strategy = BitGenetics(SIZE, mutated_genes=(2, 3)) if name == "bits" else STRATEGIES[name]()
     one = jnp.tile(jnp.array([1.0, 0, 1, 1, 0, 1]), genes_of(name) // GENES)
     around = jax.jit(strategy.around)(jax.random.key(0), jnp.tile(one[:, None], (1, SIZE)))
     assert around.shape == (len(one), SIZE)

@@ -1,9 +1,12 @@
 """Sections of which there are several kinds, told apart by their ``type``."""
 
+import importlib
+import inspect
 from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, Discriminator, Field
 
+from evo_cpg.config.errors import KeyProblem
 from evo_cpg.config.schema.section import Section, pattern
 
 
@@ -58,6 +61,38 @@ class CustomConfig(Section):
     goal: ClassVar[None] = None
     needs_ground: ClassVar[bool] = False
     body_keys: ClassVar[tuple[str, ...]] = ()
+    uses_senses: ClassVar[bool] = True
+    genome: ClassVar[None] = None
+
+    def instance(self, kind: Any, **about: Any) -> Any:
+        """Import the class, and build it from its options and what its constructor takes.
+
+        Args:
+            kind: the class that it must derive from.
+            about: keyword arguments, of which the constructor gets those that it names.
+
+        Raises:
+            KeyProblem: there is no such class, or it cannot be built.
+        """
+        module, _, name = self.type.partition(":")
+        try:
+            made = getattr(importlib.import_module(module), name)
+        except Exception as error:
+            # Whatever the user's module raises is about the user's module.
+            problem = f"{self.type!r} cannot be imported ({type(error).__name__}: {error})"
+            raise KeyProblem(("type",), problem) from None
+        if not (isinstance(made, type) and issubclass(made, kind)):
+            problem = f"{self.type!r} is not a subclass of {kind.__module__}:{kind.__name__}"
+            raise KeyProblem(("type",), problem)
+        taken = inspect.signature(made).parameters
+        try:
+            return made(**self.options, **{name: about[name] for name in about if name in taken})
+        except Exception as error:
+            # Whatever the user's class raises is about the user's class; some messages are a key.
+            known = isinstance(error, (TypeError, ValueError))
+            words = f"{error}" if known else f"{type(error).__name__}: {error}"
+            problem = f"{self.type} cannot be built with them ({words})"
+            raise KeyProblem(("options",), problem) from None
 
 
 def by_type(default: str | None) -> Discriminator:

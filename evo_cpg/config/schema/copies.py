@@ -53,13 +53,13 @@ class Entry(NamedTuple):
             "side": ("mirror", self.mirror is not None, "mirrored"),
         }
         inherited = set(_PLACEHOLDER.findall(self.parent or ""))
-        for mark, (key, wanted, adjective) in own.items():
+        for mark, (key, copied, adjective) in own.items():
             there = f"{{{mark}}}" in self.name
-            if wanted and not there:
+            if copied and not there:
                 return f"name: a {adjective} body needs {{{mark}}} in its name, got {self.name!r}"
-            if wanted and self.parent is None:
+            if copied and self.parent is None:
                 return f"{key}: the root, which has no joint, cannot be {adjective}"
-            if wanted and mark in inherited:
+            if copied and mark in inherited:
                 return (
                     f"{key}: is copied with its parent {self.parent!r} already, whose name has "
                     f"{{{mark}}}"
@@ -70,7 +70,7 @@ class Entry(NamedTuple):
                     f"its name too, got {self.name!r}"
                 )
             # A row of one is a row.
-            if there and not wanted and mark not in inherited and mark != "i":
+            if there and not copied and mark not in inherited and mark != "i":
                 return f"name: {{{mark}}} stands for nothing in {self.name!r} without `{key}`"
         return None
 

@@ -1,18 +1,21 @@
 """How a creature is written in YAML: lengths in m, angles in degrees, z up, facing +x."""
 
+import itertools
 import re
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
+from evo_cpg.config.errors import Key, KeyProblem, nearest
 from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
 from evo_cpg.config.schema.frames import moved, reflected, unit
 from evo_cpg.config.schema.joint import JointConfig
-from evo_cpg.config.schema.plausible import SOLID, VIEW
-from evo_cpg.config.schema.section import NotNegative, Positive, Section, Share, Vector, pattern
-from evo_cpg.config.schema.sensor import SensorConfig
+from evo_cpg.config.schema.section import Fraction, NotNegative, Positive, Section, pattern
+from evo_cpg.config.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
 from evo_cpg.config.schema.shape import ShapeConfig
+from evo_cpg.config.schema.typical import SOLID
 from evo_cpg.creature.creature import (
     Body,
     Creature,
@@ -60,7 +63,7 @@ class MaterialConfig(Section):
     """
 
     density: Annotated[Positive, SOLID]
-    restitution: Share = 0.1
+    restitution: Fraction = 0.1
     static_friction: NotNegative = 0.5
     dynamic_friction: NotNegative = 0.4
 
@@ -111,42 +114,6 @@ class BodyConfig(Section):
         """What says which bodies it stands for."""
         parent = self.joint.parent if self.joint else None
         return Entry(self.name, parent, self.repeat, self.radial, self.mirror)
-
-
-class LightSensorConfig(Section):
-    """A directional eye (Iwadate 2010, eq. 1).
-
-    Attributes:
-        body: that carries it; a name with placeholders has one on each body that it stands for.
-        position: in the frame of the body, m.
-        axis: where it looks, in the frame of the body.
-        field_of_view_deg: full opening angle, degrees.
-    """
-
-    body: str
-    position: Vector = (0.0, 0.0, 0.0)
-    axis: Vector = (1.0, 0.0, 0.0)
-    field_of_view_deg: Annotated[float, Field(gt=0, le=360), VIEW] = 180.0
-
-    @model_validator(mode="after")
-    def _check(self) -> "LightSensorConfig":
-        if not any(self.axis):
-            raise ValueError("axis: must not be the zero vector")
-        return self
-
-
-class DepthSensorConfig(Section):
-    """A depth gauge: reads 0 at the water's surface and above it, and 1 deep down.
-
-    Attributes:
-        body: that carries it; a name with placeholders has one on each body that it stands for.
-        position: in the frame of the body, m.
-        full_scale: depth from which down it reads 1, m.
-    """
-
-    body: str
-    position: Vector = (0.0, 0.0, 0.0)
-    full_scale: Positive = 1.0
 
 
 class SelfCollisionConfig(Section):
@@ -276,51 +243,50 @@ class CreatureConfig(Section):
         """Which entry of ``bodies`` stands for the body of this number."""
         return self.copies()[body].entry
 
-    def references(self) -> list[tuple[tuple[str | int, ...], str, list[str]]]:
-        """Every name that must exist: its key, the name, and the valid names."""
+    def require_names(self) -> None:
+        """Check that every body has a name of its own, and that every name used exists.
+
+        Raises:
+            KeyProblem: two bodies have one name, or a name is that of nothing.
+        """
         everything = self.copies()
-        bodies = [copy.name for copy in everything]
-        found: list[tuple[tuple[str | int, ...], str, list[str]]] = []
-
-        def refer(key: tuple[str | int, ...], name: str) -> None:
-            # With placeholders it stands for bodies, and is not the name of one.
-            if not copies_named(name, everything):
-                found.append((key, name, bodies))
-
-        for i, entry in enumerate(self.bodies):
-            found.append((("bodies", i, "material"), entry.material, list(self.materials)))
-            if entry.joint:
-                refer(("bodies", i, "joint", "parent"), entry.joint.parent)
-        for i, eye in enumerate(self.light_sensors):
-            refer(("light_sensors", i, "body"), eye.body)
-        for i, gauge in enumerate(self.depth_sensors):
-            refer(("depth_sensors", i, "body"), gauge.body)
-        for i, sensor in enumerate(self.sensors):
-            for key in sensor.body_keys:
-                refer(("sensors", i, key), getattr(sensor, key))
-        if self.pressure_sensors != "all":
-            for i, name in enumerate(self.pressure_sensors):
-                refer(("pressure_sensors", i), name)
-        if isinstance(self.self_collision, SelfCollisionConfig):
-            for which in ("exclude", "include"):
-                for i, pair in enumerate(getattr(self.self_collision, which)):
-                    for k, name in enumerate(pair):
-                        if name != "all":
-                            refer(("self_collision", which, i, k), name)
-        return found
-
-    def named_twice(self) -> tuple[tuple[str | int, ...], str] | None:
-        """Return the key of a name that another body has as well, and the problem; or None."""
         owners: dict[str, int] = {}
-        for copy in self.copies():
+        for copy in everything:
             first = owners.setdefault(copy.name, copy.entry)
             if first != copy.entry:
-                problem = (
+                raise KeyProblem(
+                    ("bodies", copy.entry, "name"),
                     f"two bodies are called {copy.name!r}, the other one in "
-                    f"creature.bodies.{first}; every body needs a name of its own"
+                    f"creature.bodies.{first}; every body needs a name of its own",
                 )
-                return ("bodies", copy.entry, "name"), problem
-        return None
+        for key, name in self._references():
+            valid = list(self.materials) if key[-1] == "material" else list(owners)
+            # With placeholders it stands for bodies, and is not the name of one.
+            if name in valid or (key[-1] != "material" and copies_named(name, everything)):
+                continue
+            problem = f"{name!r} does not exist; {nearest(name, valid)}"
+            if "*" in name:
+                problem = f"{problem}; a name here may have placeholders such as {{i}}, but no *"
+            raise KeyProblem(key, problem)
+
+    def _references(self) -> Iterator[tuple[Key, str]]:
+        """The names of bodies and materials that the creature refers to, with their keys."""
+        for i, entry in enumerate(self.bodies):
+            yield ("bodies", i, "material"), entry.material
+            if entry.joint:
+                yield ("bodies", i, "joint", "parent"), entry.joint.parent
+        for kind in ("light_sensors", "depth_sensors", "sensors"):
+            for i, sensor in enumerate(getattr(self, kind)):
+                for key in sensor.body_keys:
+                    yield (kind, i, key), getattr(sensor, key)
+        if self.pressure_sensors != "all":
+            for i, name in enumerate(self.pressure_sensors):
+                yield ("pressure_sensors", i), name
+        if isinstance(self.self_collision, SelfCollisionConfig):
+            for which, pairs in self.self_collision:
+                for i, k in itertools.product(range(len(pairs)), range(2)):
+                    if pairs[i][k] != "all":
+                        yield ("self_collision", which, i, k), pairs[i][k]
 
     def _shape(self, copy: Copy) -> ShapeConfig:
         shape = self.bodies[copy.entry].shape

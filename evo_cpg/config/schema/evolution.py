@@ -1,19 +1,31 @@
 """The search: a genetic algorithm, or another strategy."""
 
+import abc
+import functools
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag, model_validator
+from typing_extensions import override
 
+from evo_cpg.config.errors import KeyProblem, nearest
 from evo_cpg.config.schema.choice import CustomConfig, Options, by_type
-from evo_cpg.config.schema.section import Count, Finite, NotNegative, Positive, Section, Share
+from evo_cpg.config.schema.section import Count, Finite, Fraction, NotNegative, Positive, Section
 from evo_cpg.evolution.archive import Axis
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
-from evo_cpg.evolution.map_elites import AlongTheLine, OfBits
+from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, OfBits
+from evo_cpg.evolution.random_search import RandomSearch
+from evo_cpg.evolution.strategy import Strategy
+from evo_cpg.installation import command_for
+from evo_cpg.simulation.genome import Genome
+from evo_cpg.training.experiment import Learning
 
 # Individuals that a generation may have.
 Population = Annotated[int, Field(ge=2, le=1_000_000)]
+
+# Elites that learn unless the configuration says how many: a full vector on one core.
+_LEARNERS = 16
 
 # Cells of a map, each of which holds a genome.
 _MOST_CELLS = 100_000
@@ -115,6 +127,22 @@ class MapSection(Section):
                 "axes: at least one is needed, such as {name: speed, range: [0, 1], cells: 10}"
             )
 
+    @abc.abstractmethod
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search on one island.
+
+        Args:
+            genome: what evolves.
+            population: of one island.
+
+        Raises:
+            KeyProblem: the search is not installed, or does not fit the genome.
+        """
+
+    def build_learning(self) -> Learning | None:
+        """Which elites learn; None if none do."""
+        return None
+
     def build_axes(self) -> tuple[Axis, ...]:
         """The axes as the search has them."""
         return tuple(Axis(axis.name, *axis.range, axis.cells) for axis in self.axes)
@@ -160,29 +188,22 @@ class RealEvolutionConfig(MapSection):
     elites: Annotated[int, Field(ge=0)] = 20
     selection: Literal["rank", "lexicase"] = "rank"
     parent_fraction: Annotated[float, Field(gt=0, le=1)] = 0.5
-    crossover_probability: Share = 0.2
-    mutation_rate: Share = 0.05
+    crossover_probability: Fraction = 0.2
+    mutation_rate: Fraction = 0.05
     mutation_sigma: NotNegative = 0.5
     gene_bound: Positive = 8.0
     learning: LearningConfig | None = None
     islands: IslandsConfig | None = None
 
-    def build(self, population: int) -> RealGenetics:
-        """The settings of the generation step.
+    def build(self, genome: Genome, population: int) -> RealGenetics:
+        """Build the search; see `MapSection.build`."""
+        del genome
+        return self.into(RealGenetics, population=population)
 
-        Args:
-            population: of one island.
-        """
-        return RealGenetics(
-            population=population,
-            elite_count=self.elites,
-            parent_fraction=self.parent_fraction,
-            crossover_probability=self.crossover_probability,
-            mutation_rate=self.mutation_rate,
-            mutation_sigma=self.mutation_sigma,
-            gene_bound=self.gene_bound,
-            selection=self.selection,
-        )
+    @override
+    def build_learning(self) -> Learning | None:
+        given = self.learning
+        return given and given.into(Learning, elites=given.elites or min(_LEARNERS, self.elites))
 
     @model_validator(mode="after")
     def _check(self) -> "RealEvolutionConfig":
@@ -221,36 +242,21 @@ class BitEvolutionConfig(MapSection):
     population: Population = 15
     elites: Annotated[int, Field(ge=0)] = 7
     best_copies: Count = 1
-    rank_probabilities: tuple[Share, ...] = BitGenetics().rank_probabilities
-    mutation_probability: Share = 0.5
+    rank_probabilities: tuple[Fraction, ...] = BitGenetics().rank_probabilities
+    mutation_probability: Fraction = 0.5
     mutated_genes: tuple[Count, Count] = (2, 30)
     mutation: Literal["redraw", "flip"] = "redraw"
     islands: IslandsConfig | None = None
 
-    def build(self, population: int) -> BitGenetics:
-        """The settings of the generation step.
-
-        Args:
-            population: of one island.
-
-        Raises:
-            ValueError: values that do not go together.
-        """
-        fewest, most = self.mutated_genes
-        return BitGenetics(
-            population=population,
-            elite_count=self.elites,
-            best_copies=self.best_copies,
-            rank_probabilities=self.rank_probabilities,
-            mutation_probability=self.mutation_probability,
-            mutated_genes_min=fewest,
-            mutated_genes_max=most,
-            mutation=self.mutation,
-        )
+    def build(self, genome: Genome, population: int) -> BitGenetics:
+        """Build the search; see `MapSection.build`."""
+        _require_enough(genome, self.mutated_genes)
+        return self.into(BitGenetics, population=population)
 
     @model_validator(mode="after")
     def _check(self) -> "BitEvolutionConfig":
-        self.build(self.population // (self.islands.count if self.islands else 1))
+        each = self.population // (self.islands.count if self.islands else 1)
+        self.into(BitGenetics, population=each)
         return self
 
 
@@ -277,18 +283,17 @@ class MapElitesConfig(MapSection):
     iso_sigma: NotNegative = 0.05
     line_sigma: NotNegative = 0.2
     gene_bound: Positive = 8.0
-    crossover: Share = 1.0
-    mutation_probability: Share = 0.5
+    crossover: Fraction = 1.0
+    mutation_probability: Fraction = 0.5
     mutated_genes: tuple[Count, Count] = (2, 30)
     mutation: Literal["redraw", "flip"] = "redraw"
 
-    def of_numbers(self) -> AlongTheLine:
-        """How real-valued genomes vary."""
-        return AlongTheLine(self.iso_sigma, self.line_sigma, self.gene_bound)
-
-    def of_bits(self) -> OfBits:
-        """How bits vary."""
-        return OfBits(self.crossover, self.mutation_probability, *self.mutated_genes, self.mutation)
+    def build(self, genome: Genome, population: int) -> MapElites:
+        """Build the search; see `MapSection.build`."""
+        if genome.binary:
+            _require_enough(genome, self.mutated_genes)
+        vary = self.into(OfBits if genome.binary else AlongTheLine)
+        return MapElites(population, self.build_axes(), vary)
 
     @model_validator(mode="after")
     def _check(self) -> "MapElitesConfig":
@@ -324,10 +329,30 @@ class PyribsConfig(MapSection):
     emitters: Count = 5
     es: Literal["sep_cma_es", "lm_ma_es", "openai_es", "cma_es"] = "sep_cma_es"
     sigma: Positive = 0.5
-    learning_rate: Share = 0.01
+    learning_rate: Fraction = 0.01
     threshold_min: Finite | None = None
     gene_bound: Positive = 8.0
     options: dict[str, bool | int | Finite] = Field(default_factory=dict)
+
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search; see `MapSection.build`."""
+        from evo_cpg.evolution.from_pyribs import Ribs
+        from evo_cpg.evolution.pyribs_host import UnknownPyribsError
+
+        try:
+            return self.into(
+                Ribs,
+                **_of_genome(genome, self.gene_bound),
+                population=population,
+                axes=self.build_axes(),
+                options=tuple(sorted(self.options.items())),
+            )
+        except ImportError as error:
+            raise _missing("pyribs", error) from None
+        except UnknownPyribsError as error:
+            raise KeyProblem(("type",), str(error)) from None
+        except (TypeError, ValueError) as error:
+            raise KeyProblem((), f"{self.es} cannot be built ({error})") from None
 
     @model_validator(mode="after")
     def _check(self) -> "PyribsConfig":
@@ -372,6 +397,30 @@ class EvosaxConfig(MapSection):
     options: Options = Field(default_factory=dict)
     islands: IslandsConfig | None = None
 
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search; see `MapSection.build`."""
+        from evo_cpg.evolution import from_evosax
+
+        try:
+            known = from_evosax.algorithms()
+        except ImportError as error:
+            raise _missing("evosax", error) from None
+        if self.algorithm not in known:
+            problem = f"evosax has no {self.algorithm!r}; {nearest(self.algorithm, known)}"
+            raise KeyProblem(("algorithm",), problem)
+        try:
+            return self.into(
+                from_evosax.Evosax,
+                **_of_genome(genome, self.gene_bound),
+                population=population,
+                params=tuple(sorted(self.params.items())),
+                options=tuple(sorted(self.options.items())),
+            )
+        except (AssertionError, TypeError, ValueError) as error:
+            whose = f"{population} individuals" + (" on each island" if self.islands else "")
+            problem = f"{self.algorithm} of {whose} cannot be built ({error})"
+            raise KeyProblem((), problem) from None
+
 
 class RandomSearchConfig(MapSection):
     """Random search, which any other search has to beat.
@@ -385,6 +434,10 @@ class RandomSearchConfig(MapSection):
     type: Literal["random"] = "random"
     generations: Count = 50
     population: Population = 200
+
+    def build(self, genome: Genome, population: int) -> RandomSearch:
+        """Build the search; see `MapSection.build`."""
+        return RandomSearch(population, functools.partial(genome.random, batch=(population,)))
 
 
 class CustomEvolutionConfig(CustomConfig, MapSection):
@@ -401,6 +454,37 @@ class CustomEvolutionConfig(CustomConfig, MapSection):
     generations: Count = 50
     population: Population = 200
     islands: IslandsConfig | None = None
+
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search; see `MapSection.build`."""
+        about = {"population": population, "gene_count": genome.count, "binary": genome.binary}
+        return self.instance(Strategy, **about)
+
+
+def _of_genome(genome: Genome, bound: float) -> dict[str, Any]:
+    """What strategies that compute with numbers need to know of genomes."""
+    return {
+        "gene_count": genome.count,
+        "binary": genome.binary,
+        "gene_bound": genome.bound(bound),
+    }
+
+
+def _require_enough(genome: Genome, mutated: tuple[int, int]) -> None:
+    """Check that a mutation can change so many genes.
+
+    Raises:
+        KeyProblem: the genome has fewer.
+    """
+    if mutated[1] > genome.count:
+        problem = f"at most {genome.count}, the bits in a genome of this creature, can change"
+        raise KeyProblem(("mutated_genes",), f"{problem}, got {mutated[1]}")
+
+
+def _missing(extra: str, error: ImportError) -> KeyProblem:
+    """Return what to say if the package of an extra cannot be imported."""
+    problem = f"'{extra}' is not installed here ({error}); `{command_for(extra)}` installs it"
+    return KeyProblem(("type",), problem)
 
 
 EvolutionConfig = Annotated[

@@ -59,6 +59,14 @@ class ExperimentConfig(Section):
     engine: EngineName = "auto"
     instruction_set: InstructionSet = "host"
 
+    @property
+    def trial_count(self) -> int:
+        """Trials of every individual; without noise, one in each situation."""
+        trials = self.simulation.trials
+        if isinstance(trials, list):
+            return len(trials)
+        return 1 if self.noise.silent else trials
+
     @model_validator(mode="after")
     def _check(self) -> "ExperimentConfig":
         if self.seed + self.runs > 2**31:
@@ -66,17 +74,13 @@ class ExperimentConfig(Section):
                 f"runs: the seed of the last of {self.runs} runs must be less than {2**31}, got "
                 f"{self.seed + self.runs - 1}"
             )
-        wanted = {"postures": "bits", "brain_cpg": "real"}.get(self.controller.type)
-        if getattr(self.controller, "graded", False):
-            # Bits are numbers, too.
-            wanted = None
+        genome, given = self.controller.genome, self.evolution.type
         # Other strategies take whatever the genome is made of.
-        given = self.evolution.type
-        if wanted is not None and given in ("real", "bits") and given != wanted:
+        if genome is not None and given in ("real", "bits") and given != genome:
             raise ValueError(
                 f"a controller of type {self.controller.type!r} has a genome of "
-                f"{'bits' if wanted == 'bits' else 'real numbers'}: set evolution.type to "
-                f"{wanted!r}, not {self.evolution.type!r}"
-                f"{', or controller.graded to true' if wanted == 'bits' else ''}"
+                f"{'bits' if genome == 'bits' else 'real numbers'}: set evolution.type to "
+                f"{genome!r}, not {given!r}"
+                f"{', or controller.graded to true' if genome == 'bits' else ''}"
             )
         return self

@@ -2,13 +2,16 @@
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from typing_extensions import override
 
 from evo_cpg.config.schema.choice import by_type
-from evo_cpg.config.schema.plausible import Direction
-from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Share, Vector
-from evo_cpg.physics.footing import Combination
-from evo_cpg.physics.terrain import Axis
+from evo_cpg.config.schema.section import Finite, Fraction, NotNegative, Positive, Section, Vector
+from evo_cpg.config.schema.typical import Direction
+from evo_cpg.physics.footing import Combination, Ground
+from evo_cpg.physics.terrain import Axis, Block, Boulder, Obstacle, Part, Plane, Relief, Shore
+from evo_cpg.spatial.numerics import Number, xp
 
 # Heights are written into the run folder's configuration, and every step looks them up.
 MOST_HEIGHTS = 256
@@ -16,7 +19,16 @@ MOST_HEIGHTS = 256
 Place = tuple[Finite, Finite]
 
 
-class PlaneConfig(Section):
+class FloorSection(Section):
+    """A kind of floor."""
+
+    @property
+    def lowest(self) -> float | None:
+        """Height of its lowest place, m; None if that is unknown, or it has no end."""
+        return None
+
+
+class PlaneConfig(FloorSection):
     """Flat ground.
 
     Attributes:
@@ -31,8 +43,20 @@ class PlaneConfig(Section):
     downhill_deg: Annotated[Finite, Direction()] = 0.0
     height: Finite = 0.0
 
+    @property
+    @override
+    def lowest(self) -> float | None:
+        return None if self.slope_deg else self.height
 
-class ShoreConfig(Section):
+    def build(self) -> Part:
+        """The floor."""
+        slope, downhill = xp.deg2rad(self.slope_deg), xp.deg2rad(self.downhill_deg)
+        level = xp.sin(slope)
+        normal = (level * xp.cos(downhill), level * xp.sin(downhill), xp.cos(slope))
+        return Plane(normal, self.height * normal[2])
+
+
+class ShoreConfig(FloorSection):
     """A level, a slope, and a level: land that runs into water.
 
     Attributes:
@@ -51,6 +75,15 @@ class ShoreConfig(Section):
     start_height: Finite = 0.0
     stop_height: Finite
 
+    def build(self) -> Part:
+        """The floor."""
+        return self.into(Shore)
+
+    @property
+    @override
+    def lowest(self) -> float:
+        return min(self.start_height, self.stop_height)
+
     @model_validator(mode="after")
     def _check(self) -> "ShoreConfig":
         if not self.stop > self.start:
@@ -58,7 +91,7 @@ class ShoreConfig(Section):
         return self
 
 
-class HillsConfig(Section):
+class HillsConfig(FloorSection):
     """Rolling ground, smooth and random.
 
     Attributes:
@@ -79,6 +112,21 @@ class HillsConfig(Section):
     spacing: Positive = 0.2
     clearing: NotNegative = 1.0
 
+    def build(self) -> Part:
+        """The floor: smoothed noise, 0 at the origin and nearly so around it."""
+        count = round(self.size / self.spacing) + 1
+        place = (np.arange(count) - (count - 1) / 2) * self.spacing
+        noise = np.random.default_rng(self.seed).normal(size=(count, count))
+        # A Gaussian in the frequencies; waves longer than `length` remain.
+        wave = 2 * np.pi * np.fft.fftfreq(count, self.spacing)
+        width = self.length / 4
+        soft = np.exp(-0.5 * width**2 * (wave[:, None] ** 2 + wave[None] ** 2))
+        heights = np.fft.ifft2(np.fft.fft2(noise) * soft).real
+        heights = heights * (self.height / max(heights.std(), np.finfo(float).tiny))
+        away = np.hypot(*np.meshgrid(place, place, indexing="ij"))
+        flat = np.exp(-0.5 * (away / max(self.clearing, self.spacing)) ** 2)
+        return _relief(heights * (1 - flat), self.spacing)
+
     @model_validator(mode="after")
     def _check(self) -> "HillsConfig":
         count = self.size / self.spacing + 1
@@ -90,7 +138,7 @@ class HillsConfig(Section):
         return self
 
 
-class ReliefConfig(Section):
+class ReliefConfig(FloorSection):
     """Heights of one's own on a regular grid.
 
     Attributes:
@@ -105,6 +153,15 @@ class ReliefConfig(Section):
     spacing: Positive = 0.1
     corner: Place | None = None
 
+    def build(self) -> Part:
+        """The floor."""
+        return _relief(np.array(self.heights), self.spacing, self.corner)
+
+    @property
+    @override
+    def lowest(self) -> float:
+        return min(map(min, self.heights))
+
     @field_validator("heights")
     @classmethod
     def _check(cls, heights: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
@@ -116,6 +173,14 @@ class ReliefConfig(Section):
                 f"{len(heights)} x {lengths.pop()} heights; allowed: 2 to {MOST_HEIGHTS} each way"
             )
         return heights
+
+
+def _relief(heights: np.ndarray, spacing: Number, corner: Place | None = None) -> Relief:
+    """Heights on a grid, around the origin unless a corner is given."""
+    if corner is None:
+        x, y = (-(count - 1) / 2 * spacing for count in heights.shape)
+        corner = (x, y)
+    return Relief(heights, corner, spacing)
 
 
 class ReliefFileConfig(Section):
@@ -154,6 +219,10 @@ class BoulderConfig(Section):
     centre: Vector
     radius: Positive
 
+    def build(self) -> Obstacle:
+        """The obstacle."""
+        return self.into(Boulder)
+
 
 class BlockConfig(Section):
     """An upright box: a wall, a step, a pillar.
@@ -169,6 +238,11 @@ class BlockConfig(Section):
     centre: Vector
     size: tuple[Positive, Positive, Positive]
     heading_deg: Annotated[Finite, Direction()] = 0.0
+
+    def build(self) -> Obstacle:
+        """The obstacle."""
+        x, y, z = self.size
+        return Block(self.centre, (x / 2, y / 2, z / 2), xp.deg2rad(self.heading_deg))
 
 
 ObstacleConfig = Annotated[
@@ -192,7 +266,7 @@ class GroundConfig(Section):
         obstacles: that stand on it.
     """
 
-    restitution: Share = 0.5
+    restitution: Fraction = 0.5
     static_friction: NotNegative = 0.8
     dynamic_friction: NotNegative = 0.8
     restitution_rule: Combination = "multiply"
@@ -201,3 +275,8 @@ class GroundConfig(Section):
     stribeck_speed: Positive = 0.01
     floor: FloorConfig = PlaneConfig()
     obstacles: tuple[ObstacleConfig, ...] = ()
+
+    def build(self) -> Ground:
+        """The ground."""
+        obstacles = tuple(obstacle.build() for obstacle in self.obstacles)
+        return self.into(Ground, floor=self.floor.build(), obstacles=obstacles)

@@ -7,8 +7,8 @@ from pydantic import Field, model_validator
 
 from evo_cpg.config.schema.copies import MirrorAxis
 from evo_cpg.config.schema.frames import moved, opposed, reflected, unit
-from evo_cpg.config.schema.plausible import Direction
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
+from evo_cpg.config.schema.typical import Direction
 from evo_cpg.creature.creature import Actuator, Joint
 from evo_cpg.spatial.numerics import as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix

@@ -1,18 +1,21 @@
 """What every section is made of: its base class and the kinds of numbers."""
 
+import inspect
 import re
 from collections.abc import Callable, Iterator
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_serializer
 from pydantic_core import PydanticCustomError
+
+_T = TypeVar("_T")
 
 # Of no quantity in SI units that animals have to do with; powers of it are still numbers.
 LARGEST = 1e12
 
 Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, le=1)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
 Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 # Far beyond what anybody waits for, and within 32 bits.
@@ -38,6 +41,11 @@ class Section(BaseModel):
     """A part of a configuration file; unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def into(self, kind: Callable[..., _T], **others: Any) -> _T:
+        """Build an object from the fields that its constructor names, and others."""
+        names = inspect.signature(kind).parameters
+        return kind(**{name: value for name, value in self if name in names} | others)
 
     def __str__(self) -> str:
         return repr(self)

@@ -1,13 +1,55 @@
-"""Sensors beside eyes, pressure sensors and depth gauges."""
+"""Sensors: eyes, depth gauges, and further ones that are told apart by their ``type``."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Tag
+from pydantic import Field, Tag, model_validator
 
 from evo_cpg.config.schema.choice import CustomConfig, by_type
-from evo_cpg.config.schema.section import Positive, Section
+from evo_cpg.config.schema.section import Positive, Section, Vector
+from evo_cpg.config.schema.typical import VIEW
 from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.velocity_sensor import VelocitySensor
+
+
+class LightSensorConfig(Section):
+    """A directional eye (Iwadate 2010, eq. 1).
+
+    Attributes:
+        body: that carries it; a name with placeholders has one on each body that it stands for.
+        position: in the frame of the body, m.
+        axis: where it looks, in the frame of the body.
+        field_of_view_deg: full opening angle, degrees.
+    """
+
+    body: str
+    position: Vector = (0.0, 0.0, 0.0)
+    axis: Vector = (1.0, 0.0, 0.0)
+    field_of_view_deg: Annotated[float, Field(gt=0, le=360), VIEW] = 180.0
+
+    # Keys whose values are names of bodies, here and below.
+    body_keys: ClassVar[tuple[str, ...]] = ("body",)
+
+    @model_validator(mode="after")
+    def _check(self) -> "LightSensorConfig":
+        if not any(self.axis):
+            raise ValueError("axis: must not be the zero vector")
+        return self
+
+
+class DepthSensorConfig(Section):
+    """A depth gauge: reads 0 at the water's surface and above it, and 1 deep down.
+
+    Attributes:
+        body: that carries it; a name with placeholders has one on each body that it stands for.
+        position: in the frame of the body, m.
+        full_scale: depth from which down it reads 1, m.
+    """
+
+    body: str
+    position: Vector = (0.0, 0.0, 0.0)
+    full_scale: Positive = 1.0
+
+    body_keys: ClassVar[tuple[str, ...]] = ("body",)
 
 
 class VelocitySensorConfig(Section):
@@ -23,10 +65,9 @@ class VelocitySensorConfig(Section):
     body: str
     full_scale: Positive = 1.0
 
-    # Keys whose values are names of bodies.
     body_keys: ClassVar[tuple[str, ...]] = ("body",)
 
-    def build(self) -> Sensor:
+    def build(self, **_: Any) -> Sensor:
         """Build the sensor."""
         return VelocitySensor(self.body, self.full_scale)
 

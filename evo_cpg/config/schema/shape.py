@@ -1,6 +1,7 @@
 """How the shapes of bodies are written: lengths in m, in the frame of the body."""
 
-from typing import Annotated, Literal, Self
+from collections.abc import Callable
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -19,6 +20,14 @@ Index = Annotated[int, Field(ge=0, lt=2**31)]
 
 class SolidConfig(Section):
     """A kind of shape."""
+
+    kind: ClassVar[Callable[..., Shape]]
+    # The key that says how large it is; None if there is none.
+    size_key: ClassVar[str | None] = None
+
+    def build(self) -> Shape:
+        """The shape, centred on its own frame."""
+        return self.into(self.kind)
 
     @property
     def centre(self) -> np.ndarray:
@@ -42,9 +51,7 @@ class BoxConfig(SolidConfig):
     type: Literal["box"]
     size: Size
 
-    def build(self) -> Shape:
-        """The shape."""
-        return Box(self.size)
+    kind, size_key = Box, "size"
 
 
 class SphereConfig(SolidConfig):
@@ -58,9 +65,7 @@ class SphereConfig(SolidConfig):
     type: Literal["sphere"]
     radius: Positive
 
-    def build(self) -> Shape:
-        """The shape."""
-        return Sphere(self.radius)
+    kind, size_key = Sphere, "radius"
 
 
 class EllipsoidConfig(SolidConfig):
@@ -74,9 +79,7 @@ class EllipsoidConfig(SolidConfig):
     type: Literal["ellipsoid"]
     radii: Size
 
-    def build(self) -> Shape:
-        """The shape."""
-        return Ellipsoid(self.radii)
+    kind, size_key = Ellipsoid, "radii"
 
 
 class CapsuleConfig(SolidConfig):
@@ -92,9 +95,7 @@ class CapsuleConfig(SolidConfig):
     radius: Positive
     length: Positive
 
-    def build(self) -> Shape:
-        """The shape."""
-        return Capsule(self.radius, self.length)
+    kind, size_key = Capsule, "length"
 
 
 class MeshConfig(SolidConfig):
@@ -126,8 +127,8 @@ class MeshConfig(SolidConfig):
         faces = tuple((a, c, b) for a, b, c in self.faces)
         return self.model_copy(update={"vertices": vertices, "faces": faces})
 
+    @override
     def build(self) -> Shape:
-        """The shape, centred on its own frame."""
         return self._made()[0]
 
     def _made(self) -> tuple[ConvexMesh, np.ndarray]:

@@ -6,7 +6,6 @@ import numpy as np
 from pydantic import Field, Tag, field_validator, model_validator
 
 from evo_cpg.config.schema.choice import CustomConfig, by_type
-from evo_cpg.config.schema.plausible import Direction
 from evo_cpg.config.schema.section import (
     Finite,
     NotNegative,
@@ -15,6 +14,7 @@ from evo_cpg.config.schema.section import (
     Section,
     Vector,
 )
+from evo_cpg.config.schema.typical import Direction
 from evo_cpg.creature.creature import Creature
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.task import Task
@@ -141,14 +141,8 @@ class ReachLightConfig(_TaskSection):
         """
         del creature
         assert light is not None
-        return ReachLight(
-            light=light,
-            distance_weight=self.distance_weight,
-            energy_weight=self.energy_weight,
-            energy_max=self.energy_max,
-            light_weight=self.light_weight,
-            final_steps=chosen(lambda: max(1, round(self.final_seconds * control_rate))),
-        )
+        final_steps = chosen(lambda: max(1, round(self.final_seconds * control_rate)))
+        return self.into(ReachLight, light=light, final_steps=final_steps)
 
 
 class DistanceConfig(_TaskSection):
@@ -165,7 +159,7 @@ class DistanceConfig(_TaskSection):
     def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
         """Build the task; see `ReachLightConfig.build`."""
         del creature, light, control_rate
-        return Distance(heading=self.heading)
+        return self.into(Distance)
 
 
 class WalkConfig(_TaskSection):
@@ -193,9 +187,7 @@ class WalkConfig(_TaskSection):
         """Build the task; see `ReachLightConfig.build`."""
         del light, control_rate
         torso = next(body for body in creature.bodies if body.joint is None)
-        weights = dict(self)
-        del weights["type"]
-        return Walk(torso_length=2 * torso.shape.half_extents[0], **weights)
+        return self.into(Walk, torso_length=2 * torso.shape.half_extents[0])
 
 
 TaskConfig = Annotated[

@@ -4,7 +4,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, field_validator
 
-from evo_cpg.config.schema.plausible import Direction
 from evo_cpg.config.schema.section import (
     Count,
     Finite,
@@ -14,6 +13,7 @@ from evo_cpg.config.schema.section import (
     Section,
 )
 from evo_cpg.config.schema.task import LightConfig
+from evo_cpg.config.schema.typical import Direction
 
 _MOST_TRIALS = 10_000
 
@@ -66,6 +66,11 @@ class SimulationConfig(Section):
     start_clearance: NotNegative = 0.0
     start_pose: Literal["neutral", "settled"] = "neutral"
     trials: TrialsConfig = 1
+
+    @property
+    def situations(self) -> list[SituationConfig]:
+        """The trials that are listed one by one; none if there is but their number."""
+        return self.trials if isinstance(self.trials, list) else []
 
     @field_validator("trials", mode="before")
     @classmethod

@@ -6,9 +6,10 @@ from pydantic import Field, field_validator
 
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.ground import GroundConfig
-from evo_cpg.config.schema.plausible import GRAVITY, LIQUID
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
+from evo_cpg.config.schema.typical import GRAVITY, LIQUID
 from evo_cpg.physics.fluid import DragLaw
+from evo_cpg.physics.water import Current, Vortex, Water
 
 # Relative to the largest element of a gradient: what typing decimals leaves.
 _TRACE_TOLERANCE = 1e-6
@@ -65,6 +66,12 @@ class WaterConfig(Section):
     skin_resolution: Annotated[int, Field(ge=1, le=32)] = 1
     random_points: Annotated[int, Field(ge=1, le=10_000)] = 32
     points_seed: Annotated[int, Field(ge=0)] = 0
+
+    def build(self) -> Water:
+        """The water, without the forces that it exerts."""
+        vortices = (vortex.into(Vortex) for vortex in self.vortices)
+        current = Current(self.current, self.current_gradient)
+        return Water(self.density, self.surface, (current, *vortices))
 
     @field_validator("current_gradient")
     @classmethod

@@ -4,8 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from evo_cpg.config.plausible.doubt import Case, Doubt
-from evo_cpg.config.plausible.surroundings import lowest_ground
+from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.creature.creature import neutral_pose
 
@@ -16,48 +15,45 @@ _TILT = 45.0
 _LEAST_READING = 0.01
 
 
-def light_without(case: Case) -> Iterator[Doubt]:
+@rule
+def light_without(case: Case) -> Iterator[LintWarning]:
     """Eyes where no trial has a light."""
     task = case.config.task
     if task.goal is not None or isinstance(task, CustomConfig):
         return
-    for i, eye in enumerate(case.config.creature.light_sensors):
-        yield Doubt(
+    for i in range(len(case.config.creature.light_sensors)):
+        yield case.warning(
             ("creature", "light_sensors", i, "body"),
-            eye.body,
             f"a task of type {task.type!r} has no light, so this eye sees none (it still tells how "
             "far it is tilted); leave the eye out, or choose a task with a light: reach_light",
         )
 
 
-def light_unseen(case: Case) -> Iterator[Doubt]:
+@rule
+def light_unseen(case: Case) -> Iterator[LintWarning]:
     """A task about a light, and an animal that has no eye, or whose controller uses none."""
     config = case.config
     if config.task.goal is None:
         return
     instead = "or choose a task without a light, such as task: {type: distance}"
-    if config.controller.type == "postures":
-        yield Doubt(
+    if not config.controller.uses_senses:
+        yield case.warning(
             ("task", "type"),
-            config.task.type,
-            "a controller of type 'postures' senses nothing, so the animal cannot steer towards "
-            f"the light; take a controller that does, such as brain_cpg, {instead}",
+            f"a controller of type {config.controller.type!r} senses nothing, so the animal cannot "
+            f"steer towards the light; take a controller that does, such as brain_cpg, {instead}",
         )
-    elif not config.creature.light_sensors and not _own_sensors(case):
-        yield Doubt(
+    elif not config.creature.light_sensors and not any(
+        isinstance(sensor, CustomConfig) for sensor in config.creature.sensors
+    ):
+        yield case.warning(
             ("creature", "light_sensors"),
-            [],
             "the task rewards coming near to a light (reach_light, the default), but the animal "
             f"has no eye; add one, such as light_sensors: [{{body: {case.root}}}], {instead}",
         )
 
 
-def _own_sensors(case: Case) -> bool:
-    """Return whether the creature has sensors of the user's own, which may see the light."""
-    return any(isinstance(sensor, CustomConfig) for sensor in case.config.creature.sensors)
-
-
-def light_never_in_view(case: Case) -> Iterator[Doubt]:
+@rule
+def light_never_in_view(case: Case) -> Iterator[LintWarning]:
     """Eyes of a walker that look away from every light, however it turns about the vertical."""
     config = case.config
     if config.world.ground is None or config.world.water is not None:
@@ -71,9 +67,8 @@ def light_never_in_view(case: Case) -> Iterator[Doubt]:
         high = float(np.rad2deg(np.arcsin(np.clip(axis[2], -1, 1))))
         nearest = min(abs(high - light) for light in lights)
         if nearest > given.field_of_view_deg / 2 + _TILT:
-            yield Doubt(
+            yield case.warning(
                 ("creature", "light_sensors", i, "axis"),
-                given.axis,
                 f"the eye looks {high:.0f} degrees above the horizon and sees "
                 f"{given.field_of_view_deg / 2:g} to each side; no light comes nearer than "
                 f"{nearest:.0f}, whichever way the animal faces; turn the axis, such as [1, 0, 0] "
@@ -83,33 +78,31 @@ def light_never_in_view(case: Case) -> Iterator[Doubt]:
 
 def _elevations(case: Case) -> list[float] | None:
     """Of the lights above the horizon, degrees; None where they cannot be told."""
-    goal, trials = case.config.task.goal, case.config.simulation.trials
+    goal, trials = case.config.task.goal, case.config.simulation.situations
     if goal is None:
         return None
-    own = [entry.light for entry in trials if entry.light] if isinstance(trials, list) else []
-    lights = [light.over(goal) for light in own] or [goal]
-    if isinstance(trials, list) and len(own) < len(trials):
-        lights.append(goal)
+    lights = [entry.light.over(goal) if entry.light else goal for entry in trials] or [goal]
     found = [light.elevation_deg for light in lights]
     return None if None in found else [angle for angle in found if angle is not None]
 
 
-def touch_without_ground(case: Case) -> Iterator[Doubt]:
+@rule
+def touch_without_ground(case: Case) -> Iterator[LintWarning]:
     """Pressure sensors, asked for by name, where there is nothing to touch."""
     named = case.config.creature.pressure_sensors
     # All is the default, and costs nothing.
     if named == "all" or case.config.world.ground is not None:
         return
-    for i, name in enumerate(named):
-        yield Doubt(
+    for i in range(len(named)):
+        yield case.warning(
             ("creature", "pressure_sensors", i),
-            name,
             "there is no ground to press against it, so it always feels 0; give the world a "
             "ground (world.ground: {}), or leave the sensor out (pressure_sensors: [])",
         )
 
 
-def touch_inside(case: Case) -> Iterator[Doubt]:
+@rule
+def touch_inside(case: Case) -> Iterator[LintWarning]:
     """Pressure sensors on bodies that lie inside of another one at rest."""
     named = case.config.creature.pressure_sensors
     if named == "all" or case.config.world.ground is None:
@@ -122,32 +115,33 @@ def touch_inside(case: Case) -> Iterator[Doubt]:
         for outer, body in enumerate(creature.bodies):
             own = (points - centres[outer]) @ turns[outer]
             if outer != inner and (body.shape.distance(own) < 0).all():
-                yield Doubt(
+                yield case.warning(
                     ("creature", "pressure_sensors", i),
-                    name,
                     f"the body lies inside of {body.name!r}, which touches the ground before it; "
                     f"put the sensor on {body.name!r}",
+                    name,
                 )
 
 
-def depth_without_surface(case: Case) -> Iterator[Doubt]:
+@rule
+def depth_without_surface(case: Case) -> Iterator[LintWarning]:
     """Depth gauges where there is no surface to be deep under."""
     water = case.config.world.water
     if water is not None and water.surface is not None:
         return
     lacks = "there is no water" if water is None else "the water has no surface"
     likely = "world.water" if water is None else "world.water.surface: 0"
-    for i, gauge in enumerate(case.config.creature.depth_sensors):
-        yield Doubt(
+    for i in range(len(case.config.creature.depth_sensors)):
+        yield case.warning(
             ("creature", "depth_sensors", i, "body"),
-            gauge.body,
             f"{lacks}, so this gauge always reads 0; set {likely}, or leave the gauge out",
         )
 
 
-def depth_out_of_scale(case: Case) -> Iterator[Doubt]:
+@rule
+def depth_out_of_scale(case: Case) -> Iterator[LintWarning]:
     """Depth gauges whose scale is so long that the deepest place is a tick on it."""
-    water, lowest = case.config.world.water, lowest_ground(case)
+    water, lowest = case.config.world.water, case.lowest_ground
     if water is None or water.surface is None or lowest is None:
         return
     deepest = water.surface - lowest
@@ -155,42 +149,32 @@ def depth_out_of_scale(case: Case) -> Iterator[Doubt]:
         return
     for i, gauge in enumerate(case.config.creature.depth_sensors):
         if deepest < _LEAST_READING * gauge.full_scale:
-            yield Doubt(
+            yield case.warning(
                 ("creature", "depth_sensors", i, "full_scale"),
-                gauge.full_scale,
                 f"the water is {deepest:.3g} m deep, so this gauge never reads more than "
                 f"{deepest / gauge.full_scale:.2g}; plausible is about the water's depth; lengths "
                 "are in m: is this in mm?",
             )
 
 
-def controller_without_senses(case: Case) -> Iterator[Doubt]:
+@rule
+def controller_without_senses(case: Case) -> Iterator[LintWarning]:
     """Sensors of an animal that takes its postures in turn and senses nothing."""
-    creature = case.config.creature
-    if case.config.controller.type != "postures":
+    creature, controller = case.config.creature, case.config.controller
+    if controller.uses_senses:
         return
-    named = [] if creature.pressure_sensors == "all" else creature.pressure_sensors
-    listed = [("light_sensors", eye.body) for eye in creature.light_sensors]
-    listed += [("depth_sensors", gauge.body) for gauge in creature.depth_sensors]
-    listed += [("pressure_sensors", name) for name in named]
-    listed += [("sensors", sensor.type) for sensor in creature.sensors]
-    for kind in dict.fromkeys(kind for kind, _ in listed):
-        names = [name for other, name in listed if other == kind]
-        yield Doubt(
-            ("creature", kind),
-            names,
-            "a controller of type 'postures' senses nothing; leave them out, or take one that "
-            "does: brain_cpg",
-        )
-
-
-RULES = (
-    light_without,
-    light_unseen,
-    light_never_in_view,
-    touch_without_ground,
-    touch_inside,
-    depth_without_surface,
-    depth_out_of_scale,
-    controller_without_senses,
-)
+    pressure = creature.pressure_sensors
+    listed = {
+        "light_sensors": [eye.body for eye in creature.light_sensors],
+        "depth_sensors": [gauge.body for gauge in creature.depth_sensors],
+        "pressure_sensors": [] if pressure == "all" else pressure,
+        "sensors": [sensor.type for sensor in creature.sensors],
+    }
+    for kind, names in listed.items():
+        if names:
+            yield case.warning(
+                ("creature", kind),
+                f"a controller of type {controller.type!r} senses nothing; leave them out, or "
+                "take one that does: brain_cpg",
+                names,
+            )

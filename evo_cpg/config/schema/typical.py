@@ -1,7 +1,7 @@
 """Metadata of fields: the values that people mean, which are fewer than those that are allowed.
 
-A field carries it in its annotation, as ``gravity: Annotated[NotNegative, Plausible(0, 30, ...)]``.
-`evo_cpg.config.plausible` reads it and warns of other values.
+A field carries it in its annotation: ``gravity: Annotated[NotNegative, TypicalRange(0, 30, ...)]``.
+`evo_cpg.config.lint` reads it, and warns of other values.
 """
 
 from collections.abc import Mapping
@@ -17,12 +17,12 @@ TURN = 360.0
 _COMMON, ROUNDING = 15.0, 0.006
 
 
-class Plausible(NamedTuple):
-    """Plausible range of a number.
+class TypicalRange(NamedTuple):
+    """Typical range of a number.
 
     Attributes:
-        low: smallest plausible value.
-        high: largest plausible value.
+        low: smallest typical value.
+        high: largest typical value.
         unit: of both.
         units: other units that may have been meant, and what a number in them is multiplied by.
         about: a value to compare with; said if no other unit fits.
@@ -74,18 +74,18 @@ class Direction(NamedTuple):
 
 # Solids from foam to osmium, and liquids from petrol to the Dead Sea.
 _DENSITIES = {"g/cm^3": 1000.0, "g/m^3": 1e-3}
-SOLID = Plausible(20.0, 23_000.0, "kg/m^3", _DENSITIES, "water has 1000")
-LIQUID = Plausible(500.0, 2000.0, "kg/m^3", _DENSITIES, "water has 1000")
+SOLID = TypicalRange(20.0, 23_000.0, "kg/m^3", _DENSITIES, "water has 1000")
+LIQUID = TypicalRange(500.0, 2000.0, "kg/m^3", _DENSITIES, "water has 1000")
 
 # The strongest gravity of a planet of the sun is 24.8 m/s^2.
-GRAVITY = Plausible(0.0, 30.0, "m/s^2", {"cm/s^2": 0.01}, "the earth has 9.81")
+GRAVITY = TypicalRange(0.0, 30.0, "m/s^2", {"cm/s^2": 0.01}, "the earth has 9.81")
 
 # An eye that sees less than this sees a slit of the world.
-VIEW = Plausible(
+VIEW = TypicalRange(
     2 * np.pi + ROUNDING, TURN, "degrees", {"radians": np.rad2deg(1.0)}, "a slit sees no light"
 )
 
 # Joints of animals and robots turn at up to 20 rad/s, the fastest servos at 60.
-RATE = Plausible(
+RATE = TypicalRange(
     -60.0, 60.0, "rad/s", {"degrees per second": np.deg2rad(1.0)}, "fast servos reach 60"
 )

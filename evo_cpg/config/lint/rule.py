@@ -1,19 +1,21 @@
-"""What the rules are given, and what they yield."""
+"""What a rule is: what it gets, and what it yields."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from evo_cpg.config.errors import Key
+from evo_cpg.config.keys import value_at
 from evo_cpg.config.schema.copies import copies_named
 from evo_cpg.config.schema.creature import BodyConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.creature.creature import Body, Creature, neutral_pose
+from evo_cpg.config.schema.joint import JointConfig
+from evo_cpg.creature.creature import Body, Creature, Joint, neutral_pose
 
 
-class Doubt(NamedTuple):
-    """A value that is hardly meant.
+class LintWarning(NamedTuple):
+    """A value that is allowed but hardly meant.
 
     Attributes:
         key: its place in the configuration.
@@ -30,6 +32,26 @@ class Doubt(NamedTuple):
         return f"{'.'.join(map(str, self.key))}: {_written(self.value)}: {self.problem}"
 
 
+class Jointed(NamedTuple):
+    """A body with a joint.
+
+    Attributes:
+        key: of the joint in the configuration.
+        given: the joint there.
+        repeat: bodies in the row that the body is of.
+        built: the joint of the creature.
+        body: that hangs on it.
+        parent: on which it hangs.
+    """
+
+    key: Key
+    given: JointConfig
+    repeat: int
+    built: Joint
+    body: Body
+    parent: Body
+
+
 class Case(NamedTuple):
     """What the rules look at.
 
@@ -41,11 +63,30 @@ class Case(NamedTuple):
     config: ExperimentConfig
     creature: Creature
 
+    def warning(self, key: Key, problem: str, value: Any = None) -> LintWarning:
+        """Return a warning about a key.
+
+        Args:
+            key: of the value.
+            problem: what is odd about it.
+            value: to be shown instead of that at the key.
+        """
+        shown = value_at(self.config, key) if value is None else value
+        return LintWarning(tuple(key), shown, problem)
+
     def bodies(self) -> Iterator[tuple[Key, BodyConfig, Body]]:
         """Every body with its entry in the configuration and the key of that."""
-        for i, body in enumerate(self.creature.bodies):
-            entry = self.config.creature.entry_of(i)
-            yield ("creature", "bodies", entry), self.config.creature.bodies[entry], body
+        entries = self.config.creature.bodies
+        for copy, body in zip(self.config.creature.copies(), self.creature.bodies, strict=True):
+            yield ("creature", "bodies", copy.entry), entries[copy.entry], body
+
+    def joints(self) -> Iterator[Jointed]:
+        """Every body that has a joint."""
+        named = {body.name: body for body in self.creature.bodies}
+        for key, entry, body in self.bodies():
+            if entry.joint and body.joint:
+                parent, key = named[body.joint.parent], (*key, "joint")
+                yield Jointed(key, entry.joint, entry.repeat, body.joint, body, parent)
 
     def named(self, name: str) -> list[str]:
         """The bodies that a name in the configuration stands for, placeholders filled in."""
@@ -74,6 +115,24 @@ class Case(NamedTuple):
         centres, _ = neutral_pose(self.creature)
         reach = np.array([body.shape.reach for body in self.creature.bodies])
         return float(np.linalg.norm(np.ptp(centres, axis=0)) + 2 * reach.max())
+
+    @property
+    def lowest_ground(self) -> float | None:
+        """Height of the lowest ground, m; None if there is none, or it has no end."""
+        ground = self.config.world.ground
+        return ground and ground.floor.lowest
+
+
+Rule = Callable[[Case], Iterator[LintWarning]]
+
+# All rules, in the order in which they are looked at.
+RULES: list[Rule] = []
+
+
+def rule(function: Rule) -> Rule:
+    """Add a function to the rules."""
+    RULES.append(function)
+    return function
 
 
 def _written(value: Any) -> str:

@@ -1,0 +1,76 @@
+"""Values by their keys: in mappings, lists, sections of a configuration and frozen dataclasses.
+
+The parts of a key are names, and numbers of entries of lists; either may be text, as the parts of
+``creature.bodies.1.joint`` are.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
+
+from evo_cpg.config.errors import Key
+
+_T = TypeVar("_T")
+
+
+def follow(place: Any, key: Key) -> tuple[Any, int]:
+    """Return the value at a key, or where that ends, and how much of the key there is."""
+    for known, part in enumerate(key):
+        try:
+            place = inside(place, part)
+        except LookupError:
+            return place, known
+    return place, len(key)
+
+
+def value_at(place: Any, key: Key) -> Any:
+    """Return the value at a key; None if there is none."""
+    value, known = follow(place, key)
+    return value if known == len(key) else None
+
+
+def inside(place: Any, part: str | int) -> Any:
+    """Return what one part of a key stands for.
+
+    Raises:
+        LookupError: there is none.
+    """
+    if isinstance(place, BaseModel) or dataclasses.is_dataclass(place):
+        return getattr(place, str(part))
+    if isinstance(place, Mapping):
+        return place[part]
+    if isinstance(place, (list, tuple)) and is_index(part, place):
+        return place[int(part)]
+    raise LookupError(part)
+
+
+def put(place: Any, key: Key, value: Any) -> Any:
+    """Return a copy with another value at a key, which is there; nothing is checked."""
+    if not key:
+        return value
+    name, *rest = key
+    changed = put(inside(place, name), rest, value)
+    if isinstance(place, BaseModel):
+        return place.model_copy(update={str(name): changed})
+    if isinstance(place, Mapping):
+        return {**place, name: changed}
+    if isinstance(place, (tuple, list)):
+        return type(place)(changed if i == int(name) else old for i, old in enumerate(place))
+    fields = {field.name: getattr(place, field.name) for field in dataclasses.fields(place)}
+    return unchecked(type(place), fields | {str(name): changed})
+
+
+def unchecked(settings: type[_T], fields: Mapping[str, Any]) -> _T:
+    """Return a frozen dataclass whose fields were checked when they were known."""
+    made = object.__new__(settings)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+def is_index(part: str | int, place: list | tuple) -> bool:
+    """Return whether a part of a key is the number of an entry of a list."""
+    text = str(part)
+    return text.isascii() and text.isdigit() and int(text) < len(place)

@@ -1,0 +1,64 @@
+"""Warnings about values of a configuration that are allowed but hardly meant.
+
+The plausible range of a single field is metadata of the field (`config.schema.typical`). A rule
+compares several fields: it is a function, decorated with `rule`, that takes a `Case` and yields a
+warning for each value that was hardly meant. A new rule goes into the file of its kind; importing
+the files below fills `RULES`.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from evo_cpg.config.build import build_creature
+from evo_cpg.config.errors import Key
+from evo_cpg.config.lint import bodies as bodies
+from evo_cpg.config.lint import senses as senses
+from evo_cpg.config.lint import world as world
+from evo_cpg.config.lint.rule import RULES, Case, LintWarning
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.schema.typical import Direction, TypicalRange
+
+
+def lint(config: ExperimentConfig, source: Path | str) -> list[LintWarning]:
+    """Return warnings about values that are hardly meant, one for each key.
+
+    Args:
+        config: the configuration.
+        source: file it came from, for messages.
+
+    Raises:
+        ConfigError: its bodies do not form one tree.
+    """
+    case = Case(config, build_creature(config, source))
+    found: dict[Key, LintWarning] = {}
+    for rule in (single_fields, *RULES):
+        for warning in rule(case):
+            found.setdefault(warning.key, warning)
+    return list(found.values())
+
+
+def single_fields(case: Case) -> Iterator[LintWarning]:
+    """Fields that carry what is plausible."""
+    for key, problem in _of_fields((), case.config):
+        yield case.warning(key, problem)
+
+
+def _of_fields(key: Key, value: Any) -> Iterator[tuple[Key, str]]:
+    if isinstance(value, dict):
+        for name, each in value.items():
+            yield from _of_fields((*key, name), each)
+    elif isinstance(value, (list, tuple)) and value and isinstance(value[0], BaseModel):
+        for i, each in enumerate(value):
+            yield from _of_fields((*key, i), each)
+    elif isinstance(value, BaseModel):
+        for name, field in type(value).model_fields.items():
+            own, given = (*key, name), getattr(value, name)
+            for mark in field.metadata:
+                if isinstance(mark, (TypicalRange, Direction)) and given is not None:
+                    problem = mark.problem(given)
+                    if problem:
+                        yield own, problem
+            yield from _of_fields(own, given)

@@ -1,0 +1,257 @@
+"""Bodies and joints: lengths that look like those of another unit, places, limits, motors."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.config.errors import Key
+from evo_cpg.config.lint.rule import Case, LintWarning, rule
+from evo_cpg.config.schema.typical import ROUNDING, TURN
+from evo_cpg.creature.creature import Body
+from evo_cpg.creature.shapes import Shape
+from evo_cpg.spatial.numerics import Triple
+
+# The longest edge of a body: from the limb of a small insect to a whale, m.
+_BODIES = (0.001, 30.0)
+
+# How much larger or smaller than the median of all bodies a body may be, and how many have to be
+# there for a median to mean anything.
+_UNLIKE, _SEVERAL = 50.0, 3
+
+# In float32 a body carries a limb of up to so many times its mass: with 8000 times the motion was
+# right, with 37,000 times it became infinite. A creature may have up to so many times the mass of
+# its lightest body: with 1e12 times the motion was right, with 1e15 times it became infinite.
+_CARRIES, _LIGHTER = 5000.0, 1e12
+
+# What a motor must be able to do to its own body in a trial, degrees.
+_LEAST_TURN = 1.0
+
+# A place may stick out of its body by this share of the body's largest half extent: bodies are
+# joined with gaps between them, and eyes stand on stalks.
+_OUT = 0.3
+
+# Bodies of a row that are each turned by so much against the one before it make a ring, degrees.
+_CURLS = 45.0
+
+
+@rule
+def body_size(case: Case) -> Iterator[LintWarning]:
+    """No body is as large as a house, as small as dust, or unlike all the others."""
+    edges = [2 * float(body.shape.half_extents.max()) for body in case.creature.bodies]
+    middle = float(np.median(edges))
+    low, high = _BODIES
+    for (key, entry, _), edge in zip(case.bodies(), edges, strict=True):
+        if not low <= edge <= high:
+            likely = f"in mm it would be {edge / 1000:g} m, in cm {edge / 100:g} m"
+            if edge < low:
+                likely = "is it in km, or divided by 1000 twice?"
+            problem = f"a body of {edge:g} m; plausible are {low:g} to {high:g} m; {likely}"
+        elif len(edges) >= _SEVERAL and not 1 / _UNLIKE <= edge / middle <= _UNLIKE:
+            problem = (
+                f"a body of {edge:g} m among others of {middle:g} m; plausible is up to "
+                f"{_UNLIKE:g} times as much or as little; is it in another unit than m?"
+            )
+        else:
+            continue
+        # A mesh has no key that says how large it is.
+        size = entry.shape.size_key
+        place = (*key, "shape", size) if size else (*key, "shape")
+        yield case.warning(place, problem, None if size else "mesh")
+
+
+@rule
+def masses(case: Case) -> Iterator[LintWarning]:
+    """No body carries a limb that is far heavier, or is a speck on the creature."""
+    bodies = case.creature.bodies
+    mass = {body.name: float(body.mass) for body in bodies}
+    parents = {body.name: body.joint.parent for body in bodies if body.joint is not None}
+    carried = dict(mass)
+    for name in mass:
+        above = parents.get(name)
+        while above is not None:
+            carried[above] += mass[name]
+            above = parents.get(above)
+    total = sum(mass.values())
+    for key, _, body in case.bodies():
+        own, above = mass[body.name], parents.get(body.name)
+        if above is not None and carried[body.name] > _CARRIES * mass[above]:
+            yield case.warning(
+                (*key, "joint", "parent"),
+                f"a body of {mass[above]:.2g} kg that carries a limb of {carried[body.name]:.2g} "
+                f"kg; float32 resolves up to {_CARRIES:g} times its mass; make the heavier body "
+                "the parent",
+            )
+        if total > _LIGHTER * own:
+            yield case.warning(
+                (*key, "material"),
+                f"a body of {own:.2g} kg on a creature of {total:.2g} kg; float32 resolves down to "
+                f"{1 / _LIGHTER:g} of its mass; is it in another unit than m?",
+            )
+
+
+@rule
+def joint_limits(case: Case) -> Iterator[LintWarning]:
+    """A joint that turns by three degrees at most, or by more than a full turn."""
+    for joint in case.joints():
+        for lower, upper in joint.given.limits:
+            widest = max(abs(lower), abs(upper))
+            if widest <= np.pi + ROUNDING:
+                problem = (
+                    f"the joint turns by {widest:g} degrees at most; plausible are 5 to 180; as "
+                    f"radians it would be {np.rad2deg(widest):.3g} degrees"
+                )
+            elif widest > TURN:
+                problem = (
+                    f"the joint turns by {widest:g} degrees; plausible is up to {TURN:g}; "
+                    f"converted twice? then it was {np.deg2rad(widest):.3g}"
+                )
+            elif lower > 0 or upper < 0:
+                problem = (
+                    "the neutral pose, 0 degrees, is beyond the limits, which will jerk it back"
+                )
+            else:
+                continue
+            yield case.warning((*joint.key, "limits_deg"), problem)
+            break
+
+
+@rule
+def postures(case: Case) -> Iterator[LintWarning]:
+    """Postures that differ by a few degrees: these keys have no ``_deg`` but are degrees."""
+    # A class made while the schema is read, which pyright cannot follow.
+    given: Any = case.config.controller
+    if given.type != "postures":
+        return
+    # However many: refused later.
+    reach = given.angle_step * (2.0 ** min(given.bits_per_joint, 60) - 1)
+    if reach <= 2 * np.pi:
+        yield case.warning(
+            ("controller", "angle_step"),
+            f"all angles of a joint lie within {reach:.3g} degrees; plausible are 10 to 180; as "
+            f"radians a step would be {np.rad2deg(given.angle_step):.3g} degrees: write that",
+        )
+    for name in ("lowest_angle", "neutral_angle"):
+        angle = getattr(given, name)
+        if 0 < abs(angle) <= 2 * np.pi and angle != round(angle):
+            yield case.warning(
+                ("controller", name),
+                "angles of postures are degrees, 180 straight on by default; as radians it would "
+                f"be {np.rad2deg(angle):.3g} degrees: write that",
+            )
+
+
+@rule
+def no_motor(case: Case) -> Iterator[LintWarning]:
+    """Joints of which none has a motor."""
+    joints = list(case.joints())
+    if joints and all(joint.given.actuator is None for joint in joints):
+        yield case.warning(
+            (*joints[0].key, "actuator"),
+            "no joint has a motor, so the controller moves nothing; give the joints that it is to "
+            "move a motor, such as actuator: {gain: 1}",
+        )
+
+
+@rule
+def no_rate(case: Case) -> Iterator[LintWarning]:
+    """Motors that are told to stand still."""
+    # A class made while the schema is read, which pyright cannot follow.
+    given: Any = case.config.controller
+    if given.type == "brain_cpg" and given.rate_gain == 0:
+        yield case.warning(
+            ("controller", "rate_gain"),
+            "the rhythm sets a rate of 0 for every joint, so the animal stays in its neutral pose; "
+            "plausible are 1 to 20 rad/s",
+        )
+
+
+@rule
+def weak_motors(case: Case) -> Iterator[LintWarning]:
+    """Motors of which none could turn even its own body by a degree in the whole trial."""
+    simulation = case.config.simulation
+    time = simulation.steps / simulation.control_rate_hz
+    found = []
+    for joint in case.joints():
+        motor, body = joint.given.actuator, joint.body
+        if motor is None:
+            continue
+        limit = np.inf if motor.torque_limit is None else motor.torque_limit
+        # Of a rod that turns about its end: other bodies and water only add to it.
+        mass = float(body.mass)
+        inertia = mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
+        turn = float(np.rad2deg(limit / inertia * time**2 / 2))
+        found.append((turn, (*joint.key, "actuator", "torque_limit")))
+    if not found or max(found)[0] >= _LEAST_TURN:
+        return
+    turn, key = max(found)
+    problem = (
+        f"the motors are too weak to move anything: the strongest turns its own body by {turn:.2g} "
+        f"degrees in the {time:.3g} s of a trial; torques are in N m"
+    )
+    yield case.warning(key, problem)
+
+
+@rule
+def repeated_place(case: Case) -> Iterator[LintWarning]:
+    """A row whose joint fits the first body's parent, but not the bodies of the row themselves."""
+    for joint in case.joints():
+        at, parent, body = joint.built.parent_anchor, joint.parent, joint.body
+        fits, gap = _gap(parent.shape, at), _gap(body.shape, at)
+        if joint.repeat == 1 or abs(fits) > _OUT * parent.shape.half_extents.max():
+            continue
+        if abs(gap) > _OUT * body.shape.half_extents.max():
+            side = "outside of" if gap > 0 else "inside"
+            yield case.warning(
+                (*joint.key, "at"),
+                f"repeat takes this place for every body of the row: on {parent.name!r}, on which "
+                f"the first one hangs, it fits, but it lies {abs(gap):.3g} m {side} {body.name!r}, "
+                "on which the next one hangs; give the first body an entry of its own",
+            )
+
+
+@rule
+def repeated_turn(case: Case) -> Iterator[LintWarning]:
+    """A row that curls up: each of its bodies is turned against the one before it."""
+    for joint in case.joints():
+        most = max(map(abs, joint.given.rotation_deg))
+        if joint.repeat > 1 and most >= _CURLS:
+            yield case.warning(
+                (*joint.key, "rotation_deg"),
+                f"repeat turns every body of the row by {most:g} degrees against the one before "
+                f"it; plausible are less than {_CURLS:g}; to turn the row as a whole give the "
+                "first body an entry of its own",
+            )
+
+
+@rule
+def far_places(case: Case) -> Iterator[LintWarning]:
+    """A joint, an eye or a gauge that is nowhere near a body to which it belongs."""
+    places: list[tuple[Key, str, Body, Triple]] = []
+    for joint in case.joints():
+        parent, body, built = joint.parent, joint.body, joint.built
+        on = f"{parent.name!r}, on which {body.name!r} hangs"
+        places.append(((*joint.key, "at"), on, parent, built.parent_anchor))
+        places.append(((*joint.key, "child_at"), f"{body.name!r} itself", body, built.child_anchor))
+    for kind in ("light_sensors", "depth_sensors"):
+        for i, _, sensor in case.sensors(kind):
+            body = case.creature.bodies[case.creature.body_index(sensor.body)]
+            key = "creature", kind, i, "position"
+            places.append((key, repr(sensor.body), body, sensor.position))
+    for key, whose, body, place in places:
+        (x, y, z), gap = body.shape.half_extents, _gap(body.shape, place)
+        most = max(x, y, z)
+        likely = "places count from the body's centre, so half its size reaches its surface"
+        if gap > 100 * most:
+            likely = "places are in m: is this in mm?"
+        if gap > _OUT * most:
+            yield case.warning(
+                key,
+                f"lies {gap:.3g} m outside of body {whose}, which reaches to {x:.3g}, {y:.3g}, "
+                f"{z:.3g} m; {likely}",
+            )
+
+
+def _gap(shape: Shape, place: Triple) -> float:
+    """Return the distance from a shape's surface to a place in its frame, m; negative inside."""
+    return float(shape.distance(np.array([place]))[0])

@@ -1,0 +1,220 @@
+"""World, trials and search: what was hardly meant, or with which the task means nothing."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.config.errors import Key
+from evo_cpg.config.lint.rule import Case, LintWarning, rule
+from evo_cpg.config.schema.evolution import RealEvolutionConfig
+from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfig
+from evo_cpg.creature.creature import lowest_height
+
+# Of half the thickness of a body, the most that gravity may move it in a physics step. At 0.6 the
+# body sinks into the ground by a twentieth of that half. At 2 a floating body never comes to rest.
+_SINK = 0.5
+
+# An obstacle may be so many times the creature's length.
+_OBSTACLE = 100.0
+
+# Of a body's length: so much may the floor rise between its ends.
+_BUMP = 0.1
+
+# An animal that starts so many times its own length above what holds it falls for long.
+_FALL = 10.0
+
+
+@rule
+def step_length(case: Case) -> Iterator[LintWarning]:
+    """A step is short enough for what rests on the ground, or floats, to come to rest."""
+    world, simulation = case.config.world, case.config.simulation
+    if world.ground is None and (world.water is None or world.water.surface is None):
+        return
+    half, name = min((float(b.shape.half_extents.min()), b.name) for b in case.creature.bodies)
+    h = 1.0 / (simulation.control_rate_hz * simulation.substeps)
+    if world.gravity * h * h > _SINK * half:
+        enough = np.sqrt(world.gravity / (_SINK * half)) / simulation.control_rate_hz
+        yield case.warning(
+            ("simulation", "substeps"),
+            f"body {name!r} is {2 * half:.2g} m thick and falls {world.gravity * h * h:.2g} m in a "
+            f"physics step of {h:.2g} s; it would sink into the ground or bob for ever; plausible "
+            f"are {int(np.ceil(enough))} and more",
+        )
+
+
+@rule
+def obstacle_size(case: Case) -> Iterator[LintWarning]:
+    """No obstacle is a hundred times as large as the creature across."""
+    ground = case.config.world.ground
+    most = _OBSTACLE * case.length
+    for i, obstacle in enumerate(ground.obstacles if ground else ()):
+        name = "radius" if isinstance(obstacle, BoulderConfig) else "size"
+        edge = float(np.min(getattr(obstacle, name)))
+        if edge > most:
+            yield case.warning(
+                ("world", "ground", "obstacles", i, name),
+                f"{edge:g} m beside a creature of {case.length:.2g} m; plausible is up to "
+                f"{most:.2g} m; lengths are in m: is this in mm?",
+            )
+
+
+@rule
+def floor_bumps(case: Case) -> Iterator[LintWarning]:
+    """A box feels the floor by the corners of its lowest face, and no bump between them."""
+    boxes = [
+        (2 * float(body.shape.half_extents.max()), body.name)
+        for body in case.creature.bodies
+        if any(part.kind == "box" for part in body.shape.floor_parts())
+    ]
+    ground = case.config.world.ground
+    if not boxes or ground is None:
+        return
+    (edge, name), floor = max(boxes), ground.floor
+    problem = f"body {name!r} is {edge:.3g} m long and feels the floor by its corners alone"
+    if isinstance(floor, HillsConfig) and floor.height > 0 and floor.length < edge:
+        key = "world", "ground", "floor", "length"
+        yield case.warning(key, f"{problem}; plausible are hills of {edge:.3g} m and more")
+    if isinstance(floor, ReliefConfig):
+        height = _bump(np.array(floor.heights), round(edge / (2 * floor.spacing)))
+        if height > _BUMP * edge:
+            key = "world", "ground", "floor", "spacing"
+            yield case.warning(
+                key,
+                f"{problem}, and a bump of {height:.2g} m has room between them: bodies pass "
+                "through it; shorter bodies would feel it",
+            )
+
+
+def _bump(heights: np.ndarray, reach: int) -> float:
+    """The highest that a grid rises above the middle between places so many steps to both sides."""
+    highest = 0.0
+    for rows in (heights, heights.T):
+        if 0 < reach < len(rows) / 2:
+            ends = (rows[: -2 * reach] + rows[2 * reach :]) / 2
+            highest = max(highest, float((rows[reach:-reach] - ends).max()))
+    return highest
+
+
+@rule
+def friction(case: Case) -> Iterator[LintWarning]:
+    """Nothing that slides is held more than what rests."""
+    materials = case.config.creature.materials.items()
+    places: dict[Key, Any] = {("creature", "materials", name): each for name, each in materials}
+    if case.config.world.ground is not None:
+        places["world", "ground"] = case.config.world.ground
+    for key, given in places.items():
+        if given.dynamic_friction > given.static_friction:
+            yield case.warning(
+                (*key, "dynamic_friction"),
+                f"more than static_friction ({given.static_friction:g}); what slides is held less "
+                "than what rests; were the two swapped?",
+            )
+
+
+@rule
+def water_by_default(case: Case) -> Iterator[LintWarning]:
+    """Ground that lies under water since nothing was written about water."""
+    world = case.config.world
+    if world.ground is None or "water" in world.model_fields_set:
+        return
+    yield case.warning(
+        ("world", "water"),
+        "unless it is written, there is water everywhere, so the ground lies under water; write "
+        "water: null for dry land, water: {surface: 0} for water up to a height, or water: {} for "
+        "water everywhere",
+        "left out",
+    )
+
+
+@rule
+def water_below_ground(case: Case) -> Iterator[LintWarning]:
+    """Water that lies under the ground everywhere."""
+    water, lowest = case.config.world.water, case.lowest_ground
+    if water is None or water.surface is None or lowest is None or water.surface > lowest:
+        return
+    yield case.warning(
+        ("world", "water", "surface"),
+        f"the ground is nowhere lower than {lowest:.3g} m, so there is no water above it; raise "
+        "the surface, lower the ground (world.ground.floor), or leave the water out (water: null)",
+    )
+
+
+@rule
+def nothing_to_hold_it(case: Case) -> Iterator[LintWarning]:
+    """Gravity, but neither water, ground nor a force law: the animal falls for ever."""
+    world = case.config.world
+    if world.gravity and world.water is None and world.ground is None and not world.forces:
+        yield case.warning(
+            ("world", "gravity"),
+            "there is neither water nor ground, so the animal falls from start to end; give the "
+            "world a ground (ground: {}) or water (water: {}), or set gravity to 0",
+        )
+
+
+@rule
+def ground_without_weight(case: Case) -> Iterator[LintWarning]:
+    """Ground on which nothing presses the animal."""
+    world = case.config.world
+    if not world.gravity and world.water is None and world.ground is not None:
+        yield case.warning(
+            ("world", "gravity"),
+            "without gravity nothing holds the animal on the ground; the earth has 9.81 m/s^2",
+        )
+
+
+@rule
+def start_above(case: Case) -> Iterator[LintWarning]:
+    """A start high above the ground or the water, or above a ground that is not there."""
+    world, clearance = case.config.world, case.config.simulation.start_clearance
+    key, most = ("simulation", "start_clearance"), _FALL * case.length
+    if world.ground is None and clearance:
+        problem = "there is no ground, so this changes nothing; give the world a ground, or leave "
+        yield case.warning(key, f"{problem}it out")
+    elif world.ground is not None and world.gravity and clearance > most:
+        problem = f"the animal of {case.length:.2g} m falls from that height; plausible is up to "
+        yield case.warning(key, f"{problem}{most:.2g} m; lengths are in m: is this in mm?")
+    water = world.water
+    if world.ground is None and world.gravity and water is not None and water.surface is not None:
+        height = float(lowest_height(case.creature)) - water.surface
+        if height > most:
+            yield case.warning(
+                ("world", "water", "surface"),
+                f"the animal of {case.length:.2g} m starts {height:.3g} m above the water, at "
+                f"height 0, and falls in; plausible is up to {most:.2g} m",
+            )
+
+
+@rule
+def walk_without_ground(case: Case) -> Iterator[LintWarning]:
+    """The task of walking where there is nothing to walk on."""
+    task = case.config.task
+    if task.needs_ground and case.config.world.ground is None:
+        yield case.warning(
+            ("task", "type"),
+            "there is no ground to walk on, so the animal counts as airborne all the time; give "
+            "the world a ground (world.ground: {}), or choose task: {type: distance}",
+        )
+
+
+@rule
+def selection(case: Case) -> Iterator[LintWarning]:
+    """Lexicase selection goes through the trials of an individual, one after the other."""
+    evolution = case.config.evolution
+    lexicase = isinstance(evolution, RealEvolutionConfig) and evolution.selection == "lexicase"
+    if lexicase and case.config.trial_count == 1:
+        problem = "individuals have but one trial; give several in simulation.trials, or take rank"
+        yield case.warning(("evolution", "selection"), problem)
+
+
+@rule
+def trials_alike(case: Case) -> Iterator[LintWarning]:
+    """Several trials that differ in nothing."""
+    trials = case.config.simulation.trials
+    if isinstance(trials, int):
+        alike, count, hint = True, trials, "one is run"
+    else:
+        alike, count, hint = trials.count(trials[0]) == len(trials), len(trials), "one would do"
+    if case.config.noise.silent and alike and count > 1:
+        problem = f"without noise all {count} trials are alike, so {hint}; give noise, or a list of"
+        yield case.warning(("simulation", "trials"), f"{problem} situations that differ", count)

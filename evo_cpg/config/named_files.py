@@ -1,0 +1,115 @@
+"""Files that a configuration names in the place of numbers: meshes of bodies, heights of ground."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.config.errors import KeyProblem, under
+from evo_cpg.config.schema.ground import MOST_HEIGHTS, ReliefFileConfig
+from evo_cpg.config.schema.shape import MeshFileConfig
+from evo_cpg.config.trust import named_file
+from evo_cpg.config.wording import checked
+from evo_cpg.creature.mesh import MeshError, convex_mesh
+from evo_cpg.system import lend_matplotlib_a_folder
+
+_ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+
+
+def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
+    """A shape with the vertices (m) and faces of a file in the place of its name.
+
+    Args:
+        source: the configuration file, beside which the file is looked for.
+        given: keys and values of the shape.
+
+    Raises:
+        KeyProblem: a key is wrong, there is no such file, it does not hold a mesh, or the mesh
+            cannot be a body.
+    """
+    shape = checked(MeshFileConfig, given)
+    with under("file"):
+        path = named_file(source, shape.file, (".obj", ".stl"))
+        try:
+            vertices, faces = _triangles(path)
+        except Exception as error:
+            # Whatever the reader raises is about the file.
+            problem = " ".join(str(error).split()) or type(error).__name__
+            problem = f"{shape.file}: cannot be read as a mesh ({problem})"
+            raise KeyProblem((), problem) from None
+        with np.errstate(over="ignore"):
+            vertices = vertices * np.array(shape.scale)
+        try:
+            convex_mesh(vertices, faces)
+        except MeshError as error:
+            raise KeyProblem((), f"{shape.file}: {error}") from None
+    return {"type": "mesh", "vertices": vertices.tolist(), "faces": faces.tolist()}
+
+
+def _triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices, each once, and triangles."""
+    import trimesh
+
+    mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
+    if not np.isfinite(mesh.vertices).all():
+        raise ValueError("a coordinate of a vertex is not a finite number")
+    # Merging takes places for whole numbers; those that are too large are refused later.
+    with np.errstate(all="ignore"):
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    if not len(mesh.faces):
+        raise ValueError("it has no faces")
+    return np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, int).reshape(-1, 3)
+
+
+def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
+    """Heights from an array (.npy), a table (.csv, .txt) or an image, m.
+
+    Args:
+        source: the configuration file, beside which the file is looked for.
+        given: keys of `ReliefFileConfig`. The first axis of an array, and a line of a table, is x;
+            an image is seen from above, its right edge straight ahead.
+
+    Raises:
+        KeyProblem: a key is wrong, there is no such file, or it does not hold a grid of numbers.
+    """
+    relief = checked(ReliefFileConfig, given)
+    with under("file"):
+        path = named_file(source, relief.file, (*_ARRAYS, *_TABLES, *_IMAGES))
+        suffix = path.suffix.lower()
+        try:
+            if suffix in _ARRAYS:
+                # Mapped, so that a header that promises more than the file holds is found out.
+                heights = np.load(path, mmap_mode="r", allow_pickle=False)
+            elif suffix in _TABLES:
+                heights = np.loadtxt(path, delimiter="," if suffix == ".csv" else None)
+            else:
+                heights = _image(path, relief.lowest, relief.highest)
+            if heights.ndim == 2 and max(heights.shape) <= MOST_HEIGHTS:
+                heights = np.asarray(heights, float)
+        except Exception as error:
+            # Whatever the readers raise is about the file.
+            raise KeyProblem((), f"{relief.file}: cannot be read ({error})") from None
+        problem = None
+        if heights.ndim != 2 or not np.isfinite(heights[:MOST_HEIGHTS, :MOST_HEIGHTS]).all():
+            problem = f"must hold a grid of finite numbers, not {heights.shape}"
+        elif not all(2 <= count <= MOST_HEIGHTS for count in heights.shape):
+            size = " x ".join(map(str, heights.shape))
+            problem = f"{size} heights; allowed: 2 to {MOST_HEIGHTS} each way"
+        if problem is not None:
+            raise KeyProblem((), f"{relief.file}: {problem}")
+    return heights.tolist()
+
+
+def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
+    lend_matplotlib_a_folder()
+    from matplotlib.image import imread
+    from PIL import Image
+
+    with Image.open(path) as image:
+        if max(image.size) > MOST_HEIGHTS:
+            raise ValueError(f"{image.width} x {image.height} pixels, of {MOST_HEIGHTS} each way")
+    pixels = np.asarray(imread(path))
+    full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
+    grey = pixels if pixels.ndim == 2 else pixels[..., :3].mean(-1)
+    # Rows go down in the picture, which is to the right on the ground.
+    return lowest + (highest - lowest) / full * grey[::-1].T

@@ -1,0 +1,312 @@
+"""Checks of a user's own classes: what their methods return, on a trial of shapes alone."""
+
+from collections.abc import Callable, Iterable
+from typing import Any, NoReturn
+
+import jax
+import jax.numpy as jnp
+
+from evo_cpg.config.errors import Key, KeyProblem
+from evo_cpg.config.own_classes import own_parts
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.control.controller import Command
+from evo_cpg.evolution.strategy import Evaluation, Strategy
+from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.control_step import (
+    Effects,
+    begin_episode,
+    no_forces,
+    sense,
+    snapshot_of,
+    transition,
+)
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.task import term_names
+from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
+
+# As many as two individuals are updated from one, and from what a creature has two of.
+_INDIVIDUALS = 7
+_BATCH = (_INDIVIDUALS,)
+
+# Returns what is wrong with a value, after the name of the method; None if it is right.
+Test = Callable[[Any], str | None]
+
+
+def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
+    """Let the user's own classes take part in one control step, of which only shapes are computed.
+
+    Raises:
+        KeyProblem: one of them fails, or gives something of another kind or shape than it must.
+    """
+    own = own_parts(config)
+    if not own:
+        return
+
+    def methods(part: Any, *key: str | int) -> _Methods:
+        return _Methods(part, key, key in own)
+
+    def go(genes: jax.Array) -> None:
+        controller = methods(simulation.controller, "controller")
+        draw = jax.random.key(0), _BATCH, jnp.float32
+        shape = simulation.controller.gene_count, _INDIVIDUALS
+        own_genes = controller.call("random_genes", *draw, test=_is_array(shape))
+        controller.call("decode", jnp.asarray(own_genes, genes.dtype))
+        constants, animal = begin_episode(simulation, genes, None, None)
+        forces = no_forces(simulation, animal.state)
+        for i, sensor in enumerate(simulation.extra_sensors):
+            snapshot = snapshot_of(simulation, constants, animal.state)
+            readings = _is_array((sensor.count, _INDIVIDUALS))
+            sensor = methods(sensor, "creature", "sensors", i)
+            sensor.call("sense", snapshot, forces, test=readings)
+        observation = sense(simulation, constants, animal)
+        dofs = simulation.world.tree.dof_count, _INDIVIDUALS
+
+        def is_act(found: Any) -> str | None:
+            if not (_is_pair(found) and isinstance(found[1], Command)):
+                return "must return a pair of the next state and a Command"
+            given = found[1]._asdict().items()
+            return _is_like("the next state", animal.nerves)(found[0]) or _first(
+                _is_array(dofs, f"its {name}")(value)
+                for name, value in given
+                if value is not None or name != "target_angle"
+            )
+
+        nerves = constants.phenotype.controller, animal.nerves
+        _, command = controller.call("act", *nerves, observation, test=is_act)
+        energy = jnp.zeros(_INDIVIDUALS, genes.dtype)
+        effects = Effects(animal.state, animal.state, observation, command, forces, energy, energy)
+        seen = transition(simulation, constants, effects, jnp.int32(0))
+        _check_task(methods(simulation.task, "task"), simulation, seen)
+
+    shape = simulation.genome.count, _INDIVIDUALS
+    with using(Engine("jax")):
+        jax.eval_shape(go, jax.ShapeDtypeStruct(shape, jnp.float32))
+
+
+def _check_task(task: "_Methods", simulation: Simulation, seen: Any) -> None:
+    steps = simulation.steps
+    tally = task.call("begin", _BATCH, seen.energy.dtype, steps)
+    after = task.call("update", tally, seen, steps, test=_is_like("the tally", tally))
+    terms = task.call("terms", after, steps, test=_is_dict("term", _BATCH))
+    terms = terms | dict.fromkeys(simulation.measures.names, seen.energy)
+    scales = task.call("scales", terms, test=_is_dict("scale", ()))
+    task.call("descriptors", terms, test=_is_dict("descriptor", _BATCH))
+    task.call("fitness", terms, scales, test=_is_array(_BATCH))
+    alone = {name: jnp.asarray(term)[0] for name, term in terms.items()}
+    task.call("fitness", alone, scales, test=_is_array((), "one individual alone"))
+
+
+def check_own_forces(config: ExperimentConfig, world: World) -> None:
+    """Let the user's own force laws act on the creature, of which only shapes are computed.
+
+    Raises:
+        KeyProblem: one of them fails, or gives something of another kind or shape than it must.
+    """
+    count = len(config.world.forces)
+    if not count:
+        return
+    shape = 6, world.tree.body_count, _INDIVIDUALS
+
+    def go() -> None:
+        state = resting_state(world.tree, _BATCH, jnp.float32)
+        bodies = world.bodies(kinematics(world.tree, state), 1e-3)
+        for i, law in enumerate(world.forces[-count:]):
+            law = _Methods(law, ("world", "forces", i))
+            law.call("wrench", bodies, test=_is_array(shape))
+            law.call("derivative", bodies, test=_is_array((6, *shape)))
+
+    with using(Engine("jax")):
+        jax.eval_shape(go)
+
+
+def check_own_strategy(
+    strategy: Strategy,
+    population: int,
+    simulation: Simulation,
+    trials: int,
+    metrics: tuple[str, ...],
+    where: str,
+) -> None:
+    """Let a strategy of the user's own take part in two generations, of which only shapes matter.
+
+    Args:
+        strategy: on one island.
+        population: that it was updated to have.
+        simulation: the trial.
+        trials: of each individual.
+        metrics: names of those that a map adds to metrics.csv.
+        where: ``on each island``, if there are several.
+
+    Raises:
+        KeyProblem: it fails, or gives something of another kind or shape than it must.
+    """
+    own = _Methods(strategy, ())
+    if strategy.population != population:
+        kind = type(strategy).__name__
+        problem = f"{population}{where}: {kind} has another population, {strategy.population}"
+        raise KeyProblem(("population",), problem)
+    shape = simulation.genome.count, strategy.population
+    names = (*term_names(simulation.task), *simulation.measures.names)
+    taken = {*TABLE_COLUMNS, *metrics, *(f"best_{name}" for name in names)}
+
+    def are_new(names: Any) -> str | None:
+        if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
+            return f"must be a tuple of names, got {names!r}"
+        return _first(
+            f"must not have {name!r}, which metrics.csv has already"
+            for name in names
+            if name in taken or names.count(name) > 1
+        )
+
+    declared = own.call("metric_names", test=are_new)
+
+    def are_declared(found: Any) -> str | None:
+        problem = _is_dict("metric", ())(found)
+        if problem is None and set(found) != set(declared):
+            expected, given = (", ".join(names) or "nothing" for names in (declared, found))
+            problem = f"must return what metric_names has, {expected}; got {given}"
+        return problem
+
+    def go(random: jax.Array, fitness: jax.Array) -> None:
+        def is_generation(found: Any) -> str | None:
+            if not _is_pair(found):
+                return "must return a pair of genomes and a state"
+            like = found[1] if kept is None else kept
+            return _is_array(shape)(found[0]) or _is_like("the state", like)(found[1])
+
+        draw, kept = jax.random.key(0), None
+        _, kept = own.call("ask", draw, own.call("init", draw, random), test=is_generation)
+        terms = dict.fromkeys(names, fitness)
+        in_trials = jnp.tile(fitness, (trials, 1))
+        worth = Evaluation(fitness, terms, descriptors(simulation, terms), in_trials)
+        updated = own.call("tell", draw, kept, random, worth)
+        _, kept = own.call("ask", draw, updated, test=is_generation)
+        # Of a state after trials, as in a run.
+        own.call("metrics", kept, test=are_declared)
+
+    given = (jax.ShapeDtypeStruct(x, jnp.float32) for x in (shape, shape[1:]))
+    jax.eval_shape(go, *given)
+
+
+class _Methods:
+    """Methods of a part of the simulation; if it is the user's own, they may fail.
+
+    Args:
+        part: the object.
+        key: of its section.
+        own: whether it is the user's own.
+    """
+
+    def __init__(self, part: Any, key: Key, own: bool = True):
+        self._part, self._key, self._own = part, key, own
+
+    def call(self, method: str, *given: Any, test: Test | None = None) -> Any:
+        """Return what a method returns, or the value of an attribute.
+
+        Raises:
+            KeyProblem: the method of the user's own fails, or the test does.
+        """
+        try:
+            found = getattr(self._part, method)
+            found = found(*given) if given else found
+        except Exception as error:
+            if not self._own:
+                raise
+            reason = str(error).strip().splitlines() or [""]
+            self._refuse(method, f"fails ({type(error).__name__}: {reason[0]})")
+        problem = test(found) if test else None
+        if problem:
+            self._refuse(method, problem)
+        return found
+
+    def _refuse(self, method: str, problem: str) -> NoReturn:
+        name = f"{type(self._part).__name__}.{method}"
+        raise KeyProblem((*self._key, "type"), f"{name} {problem}") from None
+
+
+def _is_array(shape: tuple[int, ...], what: str = "") -> Test:
+    """Test for an array of real numbers of a shape."""
+    what = f" for {what}" if what else ""
+
+    def test(value: Any) -> str | None:
+        found = getattr(value, "shape", () if isinstance(value, (int, float)) else None)
+        if found != shape:
+            numbers = " x ".join(map(str, shape[:-1])) or "one number"
+            axis = f", the last axis being individuals ({shape[-1]} here)" if shape else ""
+            return f"must return {numbers}{what}, shape {shape}{axis}; got {described(value)}"
+        return None if is_real(value) else f"must return real numbers{what}; got {described(value)}"
+
+    return test
+
+
+def _is_dict(kind: str, shape: tuple[int, ...]) -> Test:
+    """Test for a dict of arrays of a shape by name."""
+
+    def test(value: Any) -> str | None:
+        if not isinstance(value, dict) or not all(isinstance(name, str) for name in value):
+            return f"must return a dict by name, not {described(value)}"
+        return _first(
+            _is_array(shape, f"the {kind} {name!r}")(each) for name, each in value.items()
+        )
+
+    return test
+
+
+def _is_like(what: str, model: Any) -> Test:
+    """Test for a pytree of the same structure, shapes and types as another one."""
+
+    def kinds(tree: Any) -> Any:
+        return jax.tree.map(lambda x: (getattr(x, "shape", ()), _type_of(x)), tree)
+
+    def test(value: Any) -> str | None:
+        if any(_type_of(leaf) is None for leaf in jax.tree.leaves(value)):
+            return f"must return {what} as a pytree of arrays; got {described(value)}"
+        if jax.tree.structure(value) != jax.tree.structure(model) or kinds(value) != kinds(model):
+            return (
+                f"must return {what} with the same structure, shapes and types as it began with, "
+                f"{described(model)}; got {described(value)}"
+            )
+        return None
+
+    return test
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, tuple) and len(value) == 2
+
+
+def _first(problems: Iterable[str | None]) -> str | None:
+    """The first problem, if there is one."""
+    return next(filter(None, problems), None)
+
+
+def is_real(value: Any) -> bool:
+    """Whether an array, or a number, is of integers, real numbers or truth values."""
+    kinds = jnp.bool_, jnp.integer, jnp.floating
+    found = _type_of(value)
+    return found is not None and any(jnp.issubdtype(found, kind) for kind in kinds)
+
+
+def _type_of(value: Any) -> Any:
+    """Of the numbers of an array; None where it is none."""
+    try:
+        return jnp.result_type(value)
+    except TypeError:
+        return None
+
+
+def described(value: Any) -> str:
+    """What somebody's method returned, for messages: kinds and shapes of arrays."""
+    if hasattr(value, "shape"):
+        return f"{_type_of(value)}{list(value.shape)}"
+    if jax.tree.structure(value) == jax.tree.structure(0):
+        return repr(value)
+
+    def kind(x: Any) -> str:
+        found = _type_of(x)
+        return repr(x) if found is None else f"{found}{list(jnp.shape(x))}"
+
+    return str(jax.tree.map(kind, value))
