@@ -44,7 +44,7 @@ def noisy(made):
 
 
 PAIR = alone(SEED)._replace(runs=2)
-REAL, BITS = PAIR.strategy, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, 1, 2)
+REAL, BITS = PAIR.strategy, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, (1, 2))
 # Every individual of two noisy runs lives twice.
 NOISY = noisy(PAIR)._replace(trials=2, generations=2)
 
