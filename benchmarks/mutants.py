@@ -403,13 +403,13 @@ MUTANTS = (
     ),
     Mutant(
         "simulation/rules.py",
-        "kept &= ((gap >= -rules.overlap) | passes).all(0)",
-        "kept &= ((gap >= -rules.overlap) | passes).any(0)",
+        "valid &= ((gap >= -rules.overlap) | passes).all(0)",
+        "valid &= ((gap >= -rules.overlap) | passes).any(0)",
         "simulation/test_rules.py",
     ),
     Mutant(
         "simulation/control_step.py",
-        "mean + share * force",
+        "mean + fraction * force",
         "mean + force",
         "simulation/test_transport_and_slip.py simulation/test_trials.py",
     ),
@@ -421,8 +421,8 @@ MUTANTS = (
     ),
     Mutant(
         "control/brain.py",
-        "*blocks, bias = jnp.split(whole, [*_cuts(count), count], axis=1)",
-        "bias, *blocks = jnp.split(whole, [1, *(1 + c for c in _cuts(count))], axis=1)",
+        "*blocks, bias = jnp.split(table, [*_cuts(count), count], axis=1)",
+        "bias, *blocks = jnp.split(table, [1, *(1 + c for c in _cuts(count))], axis=1)",
         "control/test_brain.py",
     ),
     Mutant(

@@ -83,6 +83,7 @@ def test_bodies_that_do_not_fit_the_plan_are_built_alone(experiment, genomes):
         np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_limbs_that_meet_others_make_a_new_plan():
     hips = [f"creature.bodies.{i}.joint.at.0" for i in (1, 3)]
     loaded = evo.load(WALKER, ["simulation.steps=3"]).with_numbers(dict.fromkeys(hips, 1.2))

@@ -72,8 +72,8 @@ def check_elements(config, keys, accuracy=1e-14):
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.slow)], ids=["some", "all"])
-def test_a_swimmers_numbers(every):
+@pytest.mark.slow
+def test_a_swimmers_numbers():
     settings = (
         "world.water.added_mass=true",
         "simulation.substeps=1",
@@ -94,7 +94,7 @@ def test_a_swimmers_numbers(every):
         "controller.cpg.child_weight",
         "controller.steering_range",
     ]
-    check_elements(config, keys[::every])
+    check_elements(config, keys)
 
 
 SHAPES = """

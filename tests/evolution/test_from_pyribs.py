@@ -142,6 +142,7 @@ def test_annealed_thresholds_are_those_of_pyribs():
     require_same(made(), 30)
 
 
+@pytest.mark.slow
 def test_a_run_under_vmap_is_the_run_alone():
     strategy = made()
     keys = jax.vmap(jax.random.key)(jnp.arange(3))

@@ -28,6 +28,11 @@ SHAPES = {
     "capsule": Capsule(0.05, 0.3),
     "ellipsoid": Ellipsoid((0.15, 0.1, 0.06)),
 }
+# `make test-slow` drops them all.
+ALL = [
+    pytest.param(name, marks=[] if name in ("box", "capsule") else pytest.mark.slow)
+    for name in SHAPES
+]
 
 
 def above(count: int, heights) -> np.ndarray:
@@ -261,7 +266,7 @@ def test_a_block_rests_on_the_ground_at_its_height():
     assert np.abs(np.asarray(states.velocity)[-1]).max() < 1e-3
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", ALL)
 def test_a_fall_at_ten_metres_a_second(name):
     """In any orientation it is never deeper than it would fall in half a step, h v / 2 = 21 mm.
 
@@ -285,7 +290,7 @@ def test_a_fall_at_ten_metres_a_second(name):
         assert np.abs(np.asarray(states.velocity)[-1]).max() < 1e-3
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("name", ALL)
 def test_push_out_does_bounded_work(name):
     """It lifts what is buried, by its depth, and leaves it the energy of the way out, 0.5 m/s.
 

@@ -228,6 +228,7 @@ def beginning(recording: Recording, count: int) -> Recording:
     return recording._replace(**fields)
 
 
+@pytest.mark.slow
 def test_several_processes_draw_the_same_film(movie, creature, recording, tmp_path, monkeypatch):
     """In its order, frame by frame; the last round is not full: 10 frames, 6 ahead."""
     monkeypatch.setattr(frame_processes, "_WORTH", 3)
