@@ -108,7 +108,7 @@ def read_json(path: Path, kind: Any) -> Any:
     try:
         # Pydantic's own reader refuses file names that are not UTF-8 (`evo_cpg.system.name_of`).
         content = json.loads(path.read_bytes())
-        return TypeAdapter(kind).validate_python(content)
+        return TypeAdapter(kind).validate_python(content, strict=True)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     except ValidationError as error:

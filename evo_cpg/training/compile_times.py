@@ -7,9 +7,8 @@ estimate.
 """
 
 import contextlib
-import dataclasses
 import json
-from typing import Annotated
+from typing import Annotated, TypedDict
 
 from pydantic import Field, FiniteFloat
 
@@ -29,17 +28,16 @@ _MOST = 500
 _Number = Annotated[FiniteFloat, Field(ge=0)]
 
 
-@dataclasses.dataclass
-class _Times:
-    """What was measured.
+class _Times(TypedDict):
+    """Measured times.
 
     Attributes:
         rate: operations, and the seconds that they took.
         animals: seconds by the digest of the animal.
     """
 
-    rate: tuple[_Number, _Number] = (0.0, 0.0)
-    animals: dict[str, _Number] = dataclasses.field(default_factory=dict)
+    rate: Annotated[list[_Number], Field(min_length=2, max_length=2)]
+    animals: dict[str, _Number]
 
 
 def expected_seconds(operations: float, animal: str | None = None) -> float | None:
@@ -50,10 +48,10 @@ def expected_seconds(operations: float, animal: str | None = None) -> float | No
         animal: a digest of all that its program depends on; None for code that is not kept.
     """
     times = _read()
-    known = times.animals.get(animal or "")
+    known = times["animals"].get(animal or "")
     if known is not None:
         return known
-    measured, seconds = times.rate
+    measured, seconds = times["rate"]
     return seconds / measured * operations if measured > 0 else None
 
 
@@ -69,15 +67,15 @@ def note_seconds(operations: float, animal: str, spent: Spent) -> None:
     if folder is None or not spent.seconds > 0:
         return
     times = _read()
-    animals = {name: seconds for name, seconds in times.animals.items() if name != animal}
+    animals = {name: seconds for name, seconds in times["animals"].items() if name != animal}
     animals[animal] = spent.seconds - spent.compiler
     if spent.compiler > 0:
-        measured, seconds = (_MEMORY * x for x in times.rate)
-        times.rate = measured + operations, seconds + spent.seconds
-    times.animals = dict(list(animals.items())[-_MOST:])
+        measured, seconds = (_MEMORY * x for x in times["rate"])
+        times["rate"] = [measured + operations, seconds + spent.seconds]
+    times["animals"] = dict(list(animals.items())[-_MOST:])
     # Estimates are no reason to fail.
     with contextlib.suppress(OSError):
-        write_text(folder / _FILE, json.dumps(dataclasses.asdict(times)))
+        write_text(folder / _FILE, json.dumps(times))
 
 
 def _read() -> _Times:
@@ -86,4 +84,4 @@ def _read() -> _Times:
     with contextlib.suppress(OSError, ValueError):
         if folder is not None:
             return read_json(folder / _FILE, _Times)
-    return _Times()
+    return {"rate": [0.0, 0.0], "animals": {}}
