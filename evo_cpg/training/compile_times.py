@@ -8,9 +8,10 @@ estimate.
 
 import contextlib
 import json
-from typing import Annotated, TypedDict
+from typing import Annotated
 
 from pydantic import Field, FiniteFloat
+from typing_extensions import TypedDict  # pydantic takes no other before Python 3.12
 
 from evo_cpg.files import read_json, write_text
 from evo_cpg.fusion.backend import machine
