@@ -1,10 +1,14 @@
 """Checks of a user's own classes: what their methods return, on a trial of shapes alone."""
 
+import inspect
+import traceback
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import Any, NoReturn
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from evo_cpg.config.errors import Key, KeyProblem
 from evo_cpg.config.own_classes import own_parts
@@ -12,6 +16,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.controller import Command
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.world import World
@@ -25,6 +30,7 @@ from evo_cpg.simulation.control_step import (
 )
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import term_names
+from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
 
 # As many as two individuals are updated from one, and from what a creature has two of.
@@ -100,26 +106,35 @@ def _check_task(task: "_Methods", simulation: Simulation, seen: Any) -> None:
 
 
 def check_own_forces(config: ExperimentConfig, world: World) -> None:
-    """Let the user's own force laws act on the creature, of which only shapes are computed.
+    """Let the user's own force laws act on the creature, which is at rest.
 
     Raises:
-        KeyProblem: one of them fails, or gives something of another kind or shape than it must.
+        KeyProblem: one of them fails, gives something of another kind or shape than it must, or is
+            infinite or NaN at rest.
     """
     count = len(config.world.forces)
     if not count:
         return
     shape = 6, world.tree.body_count, _INDIVIDUALS
+    laws = [_Methods(law, ("world", "forces", i)) for i, law in enumerate(world.forces[-count:])]
 
-    def go() -> None:
+    def go() -> list[dict[str, jax.Array]]:
         state = resting_state(world.tree, _BATCH, jnp.float32)
         bodies = world.bodies(kinematics(world.tree, state), 1e-3)
-        for i, law in enumerate(world.forces[-count:]):
-            law = _Methods(law, ("world", "forces", i))
-            law.call("wrench", bodies, test=_is_array(shape))
-            law.call("derivative", bodies, test=_is_array((6, *shape)))
+        return [
+            {
+                "wrench": law.call("wrench", bodies, test=_is_array(shape)),
+                "derivative": law.call("derivative", bodies, test=_is_array((6, *shape))),
+            }
+            for law in laws
+        ]
 
     with using(Engine("jax")):
         jax.eval_shape(go)
+        at_rest = [] if is_traced(world) else quick_jit(go)()
+    for law, values in zip(laws, at_rest, strict=False):
+        for method, value in values.items():
+            law.require(method, _is_finite_at_rest, value)
 
 
 def check_own_strategy(
@@ -216,11 +231,24 @@ class _Methods:
             if not self._own:
                 raise
             reason = str(error).strip().splitlines() or [""]
-            self._refuse(method, f"fails ({type(error).__name__}: {reason[0]})")
-        problem = test(found) if test else None
+            place = self._place(error)
+            self._refuse(method, f"fails{place} ({type(error).__name__}: {reason[0]})")
+        if test:
+            self.require(method, test, found)
+        return found
+
+    def require(self, method: str, test: Test, value: Any) -> None:
+        """Raise a KeyProblem if what a method returned does not pass a test."""
+        problem = test(value)
         if problem:
             self._refuse(method, problem)
-        return found
+
+    def _place(self, error: Exception) -> str:
+        """Return where an error was raised, in the user's own file."""
+        file = inspect.getsourcefile(type(self._part))
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if frame.filename == file]
+        return f" at line {lines[-1]} of {Path(file).name}" if file and lines else ""
 
     def _refuse(self, method: str, problem: str) -> NoReturn:
         name = f"{type(self._part).__name__}.{method}"
@@ -240,6 +268,16 @@ def _is_array(shape: tuple[int, ...], what: str = "") -> Test:
         return None if is_real(value) else f"must return real numbers{what}; got {described(value)}"
 
     return test
+
+
+def _is_finite_at_rest(value: Any) -> str | None:
+    """Test for numbers; a creature may begin at rest."""
+    if np.isfinite(value).all():
+        return None
+    return (
+        "is NaN or infinite for a creature at rest; a speed that divides, or whose root is taken, "
+        "needs a small number: jnp.sqrt(v @ v + 1e-12)"
+    )
 
 
 def _is_dict(kind: str, shape: tuple[int, ...]) -> Test:

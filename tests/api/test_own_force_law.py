@@ -170,6 +170,12 @@ def glider(here, monkeypatch):
     (here / "plate.py").write_text(
         plate
         + SWIM.format(name="Wrong", line="return bodies.velocity[3:]")
+        + SWIM.format(name="Broken", line="return jnp.stack([0.0, bodies.velocity])")
+        + SWIM.format(name="Slow", line="return bodies.velocity / jnp.abs(bodies.velocity)")
+        + SWIM.format(
+            name="Kinked",
+            line="return bodies.velocity * jnp.linalg.norm(bodies.velocity, axis=0)[None]",
+        )
         + SWIM.format(
             name="Strange",
             line="return super().wrench(bodies) + 0 * jnp.fft.fft(bodies.velocity, axis=0).real",
@@ -246,6 +252,18 @@ def test_a_law_may_hold_a_creature_that_nothing_else_holds(glider):
         (
             {"type": "plate:Wrong", "options": {"body": "fluke", "area": 1}},
             r"Wrong.wrench must return 6 x 2, shape \(6, 2, 7\)",
+        ),
+        (
+            {"type": "plate:Broken", "options": {"body": "fluke", "area": 1}},
+            r"Broken.wrench fails at line \d+ of plate.py \(ValueError",
+        ),
+        (
+            {"type": "plate:Slow", "options": {"body": "fluke", "area": 1}},
+            r"Slow\.\w+ is NaN or infinite for a creature at rest",
+        ),
+        (
+            {"type": "plate:Kinked", "options": {"body": "fluke", "area": 1}},
+            "Kinked.derivative is NaN or infinite for a creature at rest",
         ),
         ({"type": "drag"}, "must be a module and a class, such as my_module:MyClass"),
     ],

@@ -294,9 +294,13 @@ def test_a_preview_that_cannot_be_is_refused(refused):
             {},
             "task.type: Unreal.fitness must return real numbers; got complex64[7]",
         ),
-        ("my_tasks:Ranked", {}, "task.type: Ranked.fitness fails ("),
+        ("my_tasks:Ranked", {}, "task.type: Ranked.fitness fails at line 51 of my_tasks.py ("),
         ("my_tasks:Listed", {}, "Listed.descriptors must return a dict by name, not ['float32[7]"),
-        ("my_tasks:Described", {}, "task.type: Described.descriptors fails (KeyError: 'energy')"),
+        (
+            "my_tasks:Described",
+            {},
+            "task.type: Described.descriptors fails at line 59 of my_tasks.py (KeyError: 'energy')",
+        ),
         (
             "my_tasks:Worded",
             {},
@@ -307,7 +311,7 @@ def test_a_preview_that_cannot_be_is_refused(refused):
         (
             "my_tasks:Lost",
             {},
-            "task.type: Lost.update fails (ValueError: there is no body 'nose'; there are head, ",
+            "task.type: Lost.update fails at line 71 of my_tasks.py (ValueError: there is no body 'nose'; there are head, ",
         ),
     ],
 )
