@@ -25,21 +25,21 @@ SECONDS = 1.0
 # its length from its reference (MuJoCo's a half), after 0.25 s 0.03 of it (0.11).
 GROUND_SECONDS = 0.25
 FINER = 16
-CROWD = 16
+LANES = 16
 
 
 def our_error(exercise: Exercise, program: Program, mesh: Mesh) -> float:
-    """Of a compiled motion with at least `CROWD` lanes, in body lengths."""
+    """Of a compiled motion with at least `LANES` lanes, in body lengths."""
     steps = steps_until_compared(exercise)
     exact = our_places(exercise, mesh, steps, FINER)
-    return typical_distance(program.run(steps)[:, :CROWD], exact) / body_length(exercise)
+    return typical_distance(program.run(steps)[:, :LANES], exact) / body_length(exercise)
 
 
 def our_places(exercise: Exercise, mesh: Mesh, steps: int, finer: int) -> Float[np.ndarray, "3 n"]:
     """Of the first individuals after so many steps, each divided, in float64; m."""
-    lanes = exercise.lanes(full_lanes(CROWD, mesh)).astype(float)
+    lanes = exercise.lanes(full_lanes(LANES, mesh)).astype(float)
     with jax.enable_x64(True):
-        return compile_motion(exercise, lanes, mesh, finer).run(steps * finer)[:, :CROWD]
+        return compile_motion(exercise, lanes, mesh, finer).run(steps * finer)[:, :LANES]
 
 
 def mujoco_error(exercise: Exercise, kind: Kind, threads: int) -> float:
@@ -53,7 +53,7 @@ def mujoco_places(
     exercise: Exercise, kind: Kind, threads: int, steps: int, finer: int
 ) -> Float[np.ndarray, "3 n"]:
     """Of MuJoCo's first individuals after so many steps, each divided; m."""
-    motion = Motion(exercise, kind, exercise.lanes(CROWD), threads, finer)
+    motion = Motion(exercise, kind, exercise.lanes(LANES), threads, finer)
     return places(motion.states(motion.rest(), motion.signals(steps * finer)))
 
 

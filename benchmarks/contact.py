@@ -64,26 +64,26 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
     """
     simulation = exercise.experiment.simulation
     world, h = simulation.world, simulation.step_length
-    footing = world.footing
-    assert footing is not None
+    contact_model = world.contact_model
+    assert contact_model is not None
     pairs = dtype is np.float64
     lanes = np.asarray(exercise.lanes(count), dtype)
     lanes = np.concatenate([lanes, lanes], 1) if pairs else lanes
-    told = exercise.prepare(jnp.asarray(lanes))
+    commands = exercise.prepare(jnp.asarray(lanes))
     place = simulation.situations[0].start_position
     state = resting_state(world.tree, lanes.shape[1:], dtype, position=place)
     warmstart = first_warmstart(world, lanes.shape[1:], lanes.dtype)
 
     def advance(carry: tuple, index: Array) -> tuple[tuple, tuple]:
         state, warmstart = carry
-        new, effort = step(world, state, *_both(exercise.command(told, index), h), warmstart)
+        new, effort = step(world, state, *_both(exercise.command(commands, index), h), warmstart)
         kin = kinematics(world.tree, new)
         assert effort.contact_frame_force is not None and effort.residual is not None
         touches = (effort.contact_frame_force[2] > 0).any(0)
         overlap = jnp.zeros_like(effort.energy)
         if world.pairs is not None:
             overlap = jnp.maximum(-separations(world.pairs, kin).gap.min(0), 0.0)
-        seen = touches, *effort.residual, -clearance(footing, kin), overlap
+        seen = touches, *effort.residual, -clearance(contact_model, kin), overlap
         return (new, effort.warmstart), jax.tree.map(lambda x: x[..., :count], seen)
 
     size = round(WINDOW / h)
@@ -119,9 +119,12 @@ def _both(command: tuple[Array, Array | None], h: float) -> tuple[Array, float, 
 def _disturbed(state: State, count: int, rng: np.random.Generator) -> State:
     """The first individuals, and the same beside themselves."""
     parts = [np.asarray(part)[..., :count] for part in jax.tree.leaves(state)]
-    ways = [rng.normal(size=part.shape) for part in parts]
-    norm = np.sqrt(sum((way**2).sum(0) for way in ways))
-    moved = [part + DISTURBANCE * way / norm for part, way in zip(parts, ways, strict=True)]
+    directions = [rng.normal(size=part.shape) for part in parts]
+    norm = np.sqrt(sum((direction**2).sum(0) for direction in directions))
+    moved = [
+        part + DISTURBANCE * direction / norm
+        for part, direction in zip(parts, directions, strict=True)
+    ]
     both = [np.concatenate(pair, -1) for pair in zip(parts, moved, strict=True)]
     return jax.tree.unflatten(jax.tree.structure(state), [jnp.asarray(part) for part in both])
 
@@ -136,7 +139,7 @@ def _distance(state: State, count: int) -> Float[np.ndarray, " n"]:
 
 def row(animal: str, dtype: type, found: Thrashing) -> str:
     """Of the table; shares are of contact steps, or of all points at all times."""
-    share = functools.partial(_share, found.touches)
+    fraction = functools.partial(_fraction, found.touches)
     growth = (
         ""
         if not found.growth.size
@@ -148,8 +151,8 @@ def row(animal: str, dtype: type, found: Thrashing) -> str:
         animal,
         np.dtype(dtype).name,
         f"{found.touches.mean():.0%}",
-        f"{share(found.solved, 1e-3):.3g}",
-        f"{share(found.coulomb, 1e-2):.3g} / {share(found.coulomb, 1.0):.3g}",
+        f"{fraction(found.solved, 1e-3):.3g}",
+        f"{fraction(found.coulomb, 1e-2):.3g} / {fraction(found.coulomb, 1.0):.3g}",
         f"{100 * (found.depth > 1e-3).mean():.2g} / {100 * (found.depth > 3e-3).mean():.2g}",
         f"{1e3 * found.depth.max():.2g}",
         f"{100 * (found.overlap > 3e-3).mean():.2g}, {1e3 * found.overlap.max():.2g}",
@@ -165,7 +168,7 @@ growth: median / 99 % / most |
 |---|---|---|---|---|---|---|---|---|"""
 
 
-def _share(touches: np.ndarray, residual: np.ndarray, bound: float) -> float:
+def _fraction(touches: np.ndarray, residual: np.ndarray, bound: float) -> float:
     """Per cent of contact steps with a larger residual."""
     return 100 * float((residual[touches] > bound).mean())
 

@@ -1,4 +1,4 @@
-"""What a population of an animal is told to do, the same for us and for our peers.
+"""Commands to a population of an animal, the same for us and for our peers.
 
 An exercise has no brain: the commands of the motors are given. They are held over a physics step
 of the config, however finely that is divided.
@@ -45,11 +45,11 @@ class Exercise(abc.ABC):
         """What is worked out once, before the first step."""
 
     @abc.abstractmethod
-    def command(self, told: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
+    def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
         """Target rates ``(d, n)`` in rad/s and, for motors with springs, target angles in rad.
 
         Args:
-            told: from `prepare`.
+            commands: from `prepare`.
             index: number of the physics step.
         """
 
@@ -72,10 +72,10 @@ class Wave(Exercise):
         """The factors themselves."""
         return lanes
 
-    def command(self, told: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
+    def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
         """A row of the table of one period, times the factors."""
-        table = jnp.asarray(self.period(), told.dtype)
-        return table[index % len(table)][:, None] * told, None
+        table = jnp.asarray(self.period(), commands.dtype)
+        return table[index % len(table)][:, None] * commands, None
 
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
@@ -118,10 +118,10 @@ class Postures(Exercise):
         """Angles ``(postures, d, n)``, rad."""
         return self.controller.decode(lanes)
 
-    def command(self, told: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
+    def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
         """No rates; the angles of the posture of the present time."""
         posture = self.controller.posture(index // self.experiment.simulation.substeps)
-        return jnp.zeros_like(told[0]), told[posture]
+        return jnp.zeros_like(commands[0]), commands[posture]
 
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]

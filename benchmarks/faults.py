@@ -134,15 +134,15 @@ def kills_of(out: Path, kind: str, count: int) -> dict[str, Any]:
     file, name = CONFIGS / f"{config}.yaml", kind.replace(" ", "_")
     whole = out / f"{name}_whole"
     finish(out, whole, command("train", file, *settings, "--cores", 1, "--out", whole))
-    wanted = contents(whole)
+    expected = contents(whole)
     chance, killed, finished, differ = random.Random(kind), 0, 0, []
     signals = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
     while killed < count:
         run = out / f"{name}_{finished}"
         start = command("train", file, *settings, "--cores", 1, "--out", run)
         while killed < count:
-            begun = (run / "config.yaml").exists()
-            words = command("resume", run, "--cores", 1) if begun else start
+            started = (run / "config.yaml").exists()
+            words = command("resume", run, "--cores", 1) if started else start
             process = subprocess.Popen(
                 words, env=environment(out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
             )
@@ -155,7 +155,7 @@ def kills_of(out: Path, kind: str, count: int) -> dict[str, Any]:
                 killed += 1
         finish(out, run, start)
         found = contents(run)
-        differ += [f"{run}: {part}" for part in wanted if found[part] != wanted[part]]
+        differ += [f"{run}: {part}" for part in expected if found[part] != expected[part]]
         finished += 1
         shutil.rmtree(run)
     return {"killed": killed, "finished": finished, "differ": differ}
@@ -313,7 +313,7 @@ def open_damaged(folder: Path, number: int) -> str:
     run = folder.parent / "odd" / f"{original.name}_{number}"
     shutil.copytree(original, run)
     broken = damage(run, chance)
-    told = []
+    outcomes = []
     commands: dict[str, Callable[[], object]] = {
         "plot": lambda: plot(run),
         "verify": lambda: verify(run, 1),
@@ -330,20 +330,20 @@ def open_damaged(folder: Path, number: int) -> str:
                 contextlib.redirect_stderr(io.StringIO()),
             ):
                 call()
-            told.append(f"{name} done")
+            outcomes.append(f"{name} done")
         except SystemExit as error:
-            told.append(f"{name} ends with {error.code}")
+            outcomes.append(f"{name} ends with {error.code}")
         except Exception as error:
             if not isinstance(error, UserError):
                 raise RuntimeError(f"{name} after damage to {', '.join(broken)}") from error
-            told.append(f"{name} refused")
-    if told[-1] == "resume done":
+            outcomes.append(f"{name} refused")
+    if outcomes[-1] == "resume done":
         sound, found = RunFolder(original).load(), RunFolder(run).load()
         assert sound is not None and found is not None
         if "config.yaml" not in broken and not np.array_equal(sound.genes, found.genes):
             raise RuntimeError(f"after damage to {', '.join(broken)} other genes came out")
     shutil.rmtree(run)
-    return ", ".join(told)
+    return ", ".join(outcomes)
 
 
 # In worker processes ----------------------------------------------------------------------------
@@ -364,11 +364,11 @@ def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: A
             Path("/proc/self/clear_refs").write_text("5")
         start = time.perf_counter()
         try:
-            told, problem = call(folder, number), ""
+            outcomes, problem = call(folder, number), ""
         except BaseException:
-            told, problem = "FAILED", traceback.format_exc()
+            outcomes, problem = "FAILED", traceback.format_exc()
         seconds = time.perf_counter() - start
-        results.put((number, told, problem, seconds, _memory("VmHWM") - before))
+        results.put((number, outcomes, problem, seconds, _memory("VmHWM") - before))
 
 
 def _memory(kind: str = "VmRSS") -> int:
@@ -396,7 +396,7 @@ def fuzz(
 
     for _ in range(2):
         hire()
-    told, wrong, times, sizes = collections.Counter(), [], [], []
+    outcomes, wrong, times, sizes = collections.Counter(), [], [], []
     seen, patience = 0, max(60.0, 12 * slow)
     while seen < count:
         try:
@@ -406,7 +406,7 @@ def fuzz(
             wrong.append("a process hung or died; see the numbers that are missing")
             break
         seen += 1
-        told[what] += 1
+        outcomes[what] += 1
         times.append(seconds)
         sizes.append(grown)
         if problem or seconds > slow or grown > _LARGE:
@@ -418,7 +418,7 @@ def fuzz(
         worker.terminate()
     return {
         "count": seen,
-        "told": dict(told),
+        "outcomes": dict(outcomes),
         "wrong": len(wrong),
         "longest_s": max(times, default=0.0),
         "largest_MiB": max(sizes, default=0) / 2**20,

@@ -33,7 +33,7 @@ from evo_cpg.training.experiment import compile_trials
 # A call of a physics program has so many steps, for seven vectors of individuals.
 _STEPS, _INDIVIDUALS = 400, 112
 # A trial of so many control steps, for more individuals than the widest chunk that is tried.
-_CONTROL_STEPS, _CROWD = 30, 2048
+_CONTROL_STEPS, _POPULATION = 30, 2048
 # Gradients of trials of so many control steps, of one vector of individuals.
 _SLOPE_STEPS = 120
 
@@ -59,10 +59,10 @@ def _physics(animal: str) -> Call:
     return functools.partial(program.run, _STEPS)
 
 
-def _crowd() -> Call:
+def _large_population() -> Call:
     simulation = experiment_of("iwadate2010_swimmer").simulation
     simulation = dataclasses.replace(simulation, steps=_CONTROL_STEPS)
-    genes = random_genes(simulation, _CROWD)
+    genes = random_genes(simulation, _POPULATION)
     return functools.partial(compile_trials(simulation, population_mesh(1)), genes)
 
 
@@ -85,8 +85,8 @@ _PHYSICS = {
 CONSTANTS = {
     "VALUE_REGISTERS": Constant((0.5, 0.625, 0.6875, 0.8125, 0.875), _PHYSICS),
     "LLVM_EFFORT": Constant((0, 1, 3), _PHYSICS),
-    "WIDEST_CHUNK": Constant((1, 4, 16, 128), {"trials of swimmers": _crowd}),
-    "KEPT_FOR_THE_WAY_BACK": Constant((0,), {"slopes of swimmers": _slopes}),
+    "WIDEST_CHUNK": Constant((1, 4, 16, 128), {"trials of swimmers": _large_population}),
+    "LARGEST_RESIDUALS": Constant((0,), {"slopes of swimmers": _slopes}),
 }
 
 

@@ -135,13 +135,13 @@ def _prepare(program: str, model: mujoco.MjModel, signals: np.ndarray) -> Any:
 
     many = jax.jit(jax.vmap(one))
     first = jax.tree.map(lambda x: np.repeat(np.asarray(x)[None], len(signals), axis=0), start)
-    told = signals.astype(np.float32)
-    compiled = many.lower(first, told).compile()
+    signals_in = signals.astype(np.float32)
+    compiled = many.lower(first, signals_in).compile()
 
     def work(repeats: int) -> dict[str, Any]:
         state = first
         for _ in range(repeats):
-            state = compiled(state, told)
+            state = compiled(state, signals_in)
         place = np.asarray(jax.block_until_ready(state).qpos if program == "mjx" else state.q)
         return {"finite": int(np.isfinite(place).all(-1).sum())}
 

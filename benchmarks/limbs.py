@@ -33,12 +33,12 @@ class Limbs(NamedTuple):
     Attributes:
         overlap: the deepest, m.
         touches: whether limbs pushed each other.
-        way: from start to end, m.
+        displacement: from start to end, m.
     """
 
     overlap: Float[np.ndarray, " t"]
     touches: Bool[np.ndarray, " t"]
-    way: float
+    displacement: float
 
 
 def walk(simulation: Simulation, genes: Float[np.ndarray, " g"]) -> Limbs:
@@ -68,8 +68,8 @@ def walk(simulation: Simulation, genes: Float[np.ndarray, " g"]) -> Limbs:
     begin = start, first_warmstart(world, (1,), start.q.dtype)
     run = jax.jit(lambda begin: jax.lax.scan(advance, begin, jnp.asarray(numbers)))
     (end, _), (gap, touches) = run(begin)
-    way = float(np.hypot(*np.asarray(end.position)[:2, 0]))
-    return Limbs(np.maximum(-np.asarray(gap), 0.0), np.asarray(touches), way)
+    displacement = float(np.hypot(*np.asarray(end.position)[:2, 0]))
+    return Limbs(np.maximum(-np.asarray(gap), 0.0), np.asarray(touches), displacement)
 
 
 def main() -> None:
@@ -85,7 +85,7 @@ def main() -> None:
         cells = (
             experiment.name,
             f"{champion.generation}",
-            f"{found.way:.2f}",
+            f"{found.displacement:.2f}",
             f"{100 * found.touches.mean():.0f}",
             f"{1e3 * found.overlap.max():.1f}",
         )

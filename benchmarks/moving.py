@@ -36,7 +36,7 @@ _FEWEST_OF_OURS = 1000
 _FEWEST_CONTROL_STEPS = 60
 # The whole stack takes about this much longer than the physics, by which its calls are measured
 # out: finding out would take another compiling. They are no shorter than the trial of the config.
-_WHOLE_SHARE = 0.6
+_TRIAL_FRACTION = 0.6
 # Where MuJoCo starts to be timed, s: what it costs depends on what touches the ground by then. So
 # many individuals move until then, and the others start like them.
 _SETTLED, _SETTLING = 1.0, 64
@@ -179,7 +179,7 @@ def _at_size(
 def _whole_stack(exercise: Exercise, size: int, steps: int, mesh: Mesh, quick: bool) -> _Ours:
     simulation = exercise.experiment.simulation
     fewest = _FEWEST_CONTROL_STEPS if quick else simulation.steps
-    trial = max(round(_WHOLE_SHARE * steps / simulation.substeps), fewest)
+    trial = max(round(_TRIAL_FRACTION * steps / simulation.substeps), fewest)
     simulation = dataclasses.replace(simulation, steps=trial)
     genes = random_genes(simulation, size)
     live: Callable[[], Outcome] = functools.partial(compile_trials(simulation, mesh), genes)

@@ -7,7 +7,7 @@ import mujoco
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.contact_model import Ground
 
 GRAVITY = 9.81
 

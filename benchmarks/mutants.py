@@ -199,8 +199,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact.py",
-        "bounce = expand_dims_like(footing.restitution, approach) * fraction * approach",
-        "bounce = expand_dims_like(footing.restitution, approach) * fraction * approach**2",
+        "bounce = expand_dims_like(contact_model.restitution, approach) * fraction * approach",
+        "bounce = expand_dims_like(contact_model.restitution, approach) * fraction * approach**2",
         "physics/test_contact.py",
     ),
     Mutant(

@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 from jax.sharding import Mesh
 
-from benchmarks.accuracy import CROWD, FINER, SECONDS
+from benchmarks.accuracy import FINER, LANES, SECONDS
 from benchmarks.ours import Program, compile_for_all, full_lanes
 from benchmarks.plan import Plan, experiment_of
 from benchmarks.rows import Row, finite
@@ -41,7 +41,7 @@ def measure_cpg(plan: Plan, peak: float) -> Iterator[Row]:
         program = _compile_rhythm(controller, _tempers(full_lanes(size, mesh)), mesh)
         if error is None:
             steps = round(SECONDS / controller.control_step)
-            tempers = _tempers(full_lanes(CROWD, mesh)).astype(float)
+            tempers = _tempers(full_lanes(LANES, mesh)).astype(float)
             with jax.enable_x64(True):
                 reference = _compile_rhythm(controller, tempers, mesh, FINER).run(steps * FINER)
             error = _relative(program.run(steps), reference)
@@ -58,7 +58,7 @@ def measure_brain(plan: Plan, peak: float) -> Iterator[Row]:
         plan.say(f"brain, {size} individuals")
         program = _compile_thought(controller, _genes(controller, full_lanes(size, mesh)), mesh)
         if error is None:
-            genes = _genes(controller, full_lanes(CROWD, mesh)).astype(float)
+            genes = _genes(controller, full_lanes(LANES, mesh)).astype(float)
             with jax.enable_x64(True):
                 reference = _compile_thought(controller, genes, mesh).run(1)
             error = _relative(program.run(1), reference)
@@ -125,7 +125,7 @@ def _compile_thought(controller: BrainCpg, genes: np.ndarray, mesh: Mesh) -> Pro
 
 
 def _relative(found: np.ndarray, exact: np.ndarray) -> float | None:
-    found, exact = found[:, :CROWD], exact[:, :CROWD]
+    found, exact = found[:, :LANES], exact[:, :LANES]
     return finite(np.sqrt(np.mean((found - exact) ** 2) / np.mean(exact**2)))
 
 

@@ -80,11 +80,11 @@ def compile_motion(exercise: Exercise, lanes: np.ndarray, mesh: Mesh, finer: int
     world, h = simulation.world, simulation.step_length / finer
 
     def move(count: Array, lanes: Array) -> Array:
-        told = exercise.prepare(lanes)
+        commands = exercise.prepare(lanes)
 
         def advance(index, carry):
             state, warmstart = carry
-            rate, angle = exercise.command(told, index // finer)
+            rate, angle = exercise.command(commands, index // finer)
             state, effort = step(world, state, rate, h, angle, warmstart)
             return state, effort.warmstart
 

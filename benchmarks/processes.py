@@ -73,21 +73,21 @@ def main() -> None:
     parser.add_argument("--latency", type=float, default=0.0, help="of the network, s")
     parser.add_argument("--bandwidth", type=float, default=1e9, help="of the network, bit/s")
     parser.add_argument("--worker", nargs=3, help=argparse.SUPPRESS)
-    asked = parser.parse_args()
-    if asked.worker:
-        index, count, port = map(int, asked.worker)
-        _work(index, count, port, asked.rounds)
+    options = parser.parse_args()
+    if options.worker:
+        index, count, port = map(int, options.worker)
+        _work(index, count, port, options.rounds)
         return
     heads = ("processes", "population", "bytes", "median ms", "tenth ms")
     print(_columns(*heads))
     exchanges = []
     for count in _PROCESSES:
-        for one in _measure(count, asked.rounds):
+        for one in _measure(count, options.rounds):
             exchanges.append(one)
             times = f"{one.median * 1e3:.3f}", f"{one.tenth * 1e3:.3f}"
             print(_columns(count, one.population, one.size, *times))
     a, b, c = _fit([one for one in exchanges if one.processes > 1])
-    b, c = b + asked.latency, c + 8 / asked.bandwidth
+    b, c = b + options.latency, c + 8 / options.bandwidth
     genes, digest, breeding = _of_each()
     print(f"t = {a * 1e3:.3f} ms + {b * 1e3:.3f} ms (P - 1) + {c * 1e9:.2f} ns (P - 1) B")
     print(f"of each individual ({genes} genes): ", end="")
@@ -95,16 +95,16 @@ def main() -> None:
     heads = ("hosts", "population", "gather ms", "digest ms", "breed ms", "efficiency", "genomes")
     print(_columns(*heads))
     for hosts in _HOSTS:
-        population = hosts * asked.individuals
+        population = hosts * options.individuals
         parts = (
             a + (hosts - 1) * (b + c * population * _BYTES),
             digest * population,
             breeding * population,
         )
-        share = asked.seconds / (asked.seconds + sum(parts))
+        fraction = options.seconds / (options.seconds + sum(parts))
         memory = f"{population * genes * 4 / 2**20:.0f} MiB"
         times = (f"{part * 1e3:.1f}" for part in parts)
-        print(_columns(hosts, population, *times, f"{share:.1%}", memory))
+        print(_columns(hosts, population, *times, f"{fraction:.1%}", memory))
 
 
 def _columns(*words: object) -> str:
@@ -144,9 +144,9 @@ def _work(index: int, count: int, port: int, rounds: int) -> None:
     rows = []
     for population in _POPULATIONS:
         genes = np.ones((_FEW_GENES, population), np.float32)
-        share = team.part(population)
-        part = {name: np.zeros(share.stop - share.start, np.float32) for name in "abc"}
-        part["alive"] = np.ones(share.stop - share.start, bool)
+        fraction = team.part(population)
+        part = {name: np.zeros(fraction.stop - fraction.start, np.float32) for name in "abc"}
+        part["alive"] = np.ones(fraction.stop - fraction.start, bool)
         times = []
         for generation in range(rounds):
             start = time.perf_counter()

@@ -100,11 +100,13 @@ def main() -> None:
     console = Console()
     console.print(HEADER, soft_wrap=True)
     world = limp(experiment_of("fukui2003_model1").simulation).world
-    footing = world.footing
-    assert footing is not None
+    contact_model = world.contact_model
+    assert contact_model is not None
     for restitution in RESTITUTIONS:
-        every = np.full_like(np.asarray(footing.restitution), restitution)
-        own = eqx.tree_at(lambda w: w.footing, world, footing._replace(restitution=every))
+        every = np.full_like(np.asarray(contact_model.restitution), restitution)
+        own = eqx.tree_at(
+            lambda w: w.contact_model, world, contact_model._replace(restitution=every)
+        )
         for speed in SPEEDS:
             found = fall(own, arguments.count, arguments.seconds, speed, arguments.step)
             rise = f"{100 * np.median(found.rise):.2g}, {100 * found.rise.max():.2g}"

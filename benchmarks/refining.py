@@ -30,7 +30,7 @@ LEARNING = Learning(every=5, elites=6, steps=5)
 
 
 def main() -> None:
-    """Evolve, then go on in three ways for the same time."""
+    """Evolve, then continue by three methods for the same time."""
     parser = argparse.ArgumentParser(prog="benchmarks.refining", description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("config", type=Path, nargs="?", default=SWIMMER)
@@ -45,29 +45,32 @@ def main() -> None:
     start = RunFolder(out / "start")
     if not start.config.exists():
         start.create(dump_config(config), {"devices": devices})
-    begun = train(experiment, start, _tell)
-    before = [champion.fitness for champion in begun.champions if champion]
-    refined, seconds = _refine(experiment, begun, chosen.rounds)
-    ways = {
+    started = train(experiment, start, _tell)
+    before = [champion.fitness for champion in started.champions if champion]
+    refined, seconds = _refine(experiment, started, chosen.rounds)
+    methods = {
         "refined": refined,
         "evolved": _evolve(experiment, start, out / "evolved", seconds),
     }
     if not chosen.skip_learning:
         learner = experiment._replace(learning=LEARNING)
-        ways["learned"] = _evolve(learner, start, out / "learned", seconds)
-    study = {"before": before, "seconds": seconds, **ways}
+        methods["learned"] = _evolve(learner, start, out / "learned", seconds)
+    study = {"before": before, "seconds": seconds, **methods}
     (out / "refining.json").write_text(json.dumps(study, indent=2))
     print(f"\n{config.name}, {experiment.generations} generations, then {seconds:.0f} s each way\n")
-    print("| run | before | " + " | ".join(ways) + " |\n|---|---|" + "---|" * len(ways))
-    gains = {name: np.subtract(after, before) for name, after in ways.items()}
+    print("| run | before | " + " | ".join(methods) + " |\n|---|---|" + "---|" * len(methods))
+    gains = {name: np.subtract(after, before) for name, after in methods.items()}
     for run, fitness in enumerate(before):
         print(f"| {run} | {fitness:.4f} | " + _row(gain[run] for gain in gains.values()))
-    for name, share in (("median", 50), ("lower quartile", 25), ("upper quartile", 75)):
-        middle = np.percentile(before, share)
-        print(f"| {name} | {middle:.4f} | " + _row(np.percentile(g, share) for g in gains.values()))
+    for name, percentile in (("median", 50), ("lower quartile", 25), ("upper quartile", 75)):
+        middle = np.percentile(before, percentile)
+        print(
+            f"| {name} | {middle:.4f} | "
+            + _row(np.percentile(g, percentile) for g in gains.values())
+        )
 
 
-def _refine(experiment: Experiment, begun: Checkpoint, count: int) -> tuple[list[float], float]:
+def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[list[float], float]:
     """Fitness of every champion afterwards, and the seconds that one took."""
     refine = compile_refinement(experiment, Refinement(count))
     rounds: list[Round] = []
@@ -76,7 +79,7 @@ def _refine(experiment: Experiment, begun: Checkpoint, count: int) -> tuple[list
         rounds.append(done)
         print(f"round {done.number}: {done.champion.fitness:.4f}, {done.seconds:.1f} s", flush=True)
 
-    after = [refine(champion, keep).fitness for champion in begun.champions if champion]
+    after = [refine(champion, keep).fitness for champion in started.champions if champion]
     # The first of all compiles.
     return after, count * statistics.median(done.seconds for done in rounds[1:])
 

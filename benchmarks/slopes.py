@@ -21,8 +21,8 @@ from scipy.optimize import linprog
 
 from benchmarks.plan import experiment_of
 from evo_cpg.physics.contact import find_contacts
+from evo_cpg.physics.contact_model import ContactModel
 from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.footing import Footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import first_warmstart, step
@@ -67,9 +67,9 @@ class Standing(NamedTuple):
 
 def stander(world: World, h: float) -> Callable[[float], Standing]:
     """A function of the slope, degrees, that lets an animal stand on it with a step of h (s)."""
-    footing = world.footing
-    assert footing is not None
-    friction, dtype = np.asarray(footing.static_friction), np.dtype(np.float32)
+    contact_model = world.contact_model
+    assert contact_model is not None
+    friction, dtype = np.asarray(contact_model.static_friction), np.dtype(np.float32)
     second = round(1 / h)
 
     @jax.jit
@@ -80,8 +80,8 @@ def stander(world: World, h: float) -> Callable[[float], Standing]:
 
         def advance(carry: tuple, index: Array) -> tuple[tuple, tuple]:
             state, warmstart = carry
-            share = jnp.minimum((index + 1) * h / LOADING, 1.0)
-            loaded = dataclasses.replace(slope, gravity=world.gravity * share)
+            fraction = jnp.minimum((index + 1) * h / LOADING, 1.0)
+            loaded = dataclasses.replace(slope, gravity=world.gravity * fraction)
             state, effort = step(loaded, state, still, h, still, warmstart)
             assert effort.contact_frame_force is not None
             return (state, effort.warmstart), (
@@ -90,11 +90,11 @@ def stander(world: World, h: float) -> Callable[[float], Standing]:
             )
 
         steps = jnp.arange(round((LOADING + SETTLING) / h))
-        (end, _), (way, support) = jax.lax.scan(advance, (start, warmstart), steps)
+        (end, _), (displacement, support) = jax.lax.scan(advance, (start, warmstart), steps)
         kin = kinematics(slope.tree, end)
-        places = kin.origin[:, np.array(footing.bodies)]
-        places = places + find_contacts(_sloping(footing, angle), kin, h).offset
-        creep = jnp.linalg.norm(way[-1] - way[-1 - second])
+        places = kin.origin[:, np.array(contact_model.bodies)]
+        places = places + find_contacts(_sloping(contact_model, angle), kin, h).offset
+        creep = jnp.linalg.norm(displacement[-1] - displacement[-1 - second])
         return creep, support[-1], places[..., 0], _centre(slope, end)
 
     def of(degrees: float) -> Standing:
@@ -119,21 +119,23 @@ def _centre(world: World, state: State) -> Float[Array, "3"]:
 
 def _on_slope(world: World, angle: Array) -> tuple[World, State]:
     """Dry and bare ground that falls towards x, and the animal with its lowest point on it."""
-    assert world.footing is not None
-    footing, none = _sloping(world.footing, angle), jnp.zeros_like(angle)
-    slope = dataclasses.replace(world, footing=footing, water=None, forces=(), cells=())
+    assert world.contact_model is not None
+    contact_model, none = _sloping(world.contact_model, angle), jnp.zeros_like(angle)
+    slope = dataclasses.replace(world, contact_model=contact_model, water=None, forces=(), cells=())
     half = jnp.stack([jnp.cos(angle / 2), none, jnp.sin(angle / 2), none])
     state = resting_state(world.tree, (1,), angle.dtype)
     state = dataclasses.replace(state, orientation=half[:, None])
-    gap = clearance(footing, kinematics(slope.tree, state)).min(0)
+    gap = clearance(contact_model, kinematics(slope.tree, state)).min(0)
     down = jnp.stack([jnp.sin(angle), none, jnp.cos(angle)])[:, None] * gap[None]
     return slope, dataclasses.replace(state, position=state.position - down)
 
 
-def _sloping(footing: Footing, angle: Array) -> Footing:
+def _sloping(contact_model: ContactModel, angle: Array) -> ContactModel:
     """On a plane."""
     floor = Plane((jnp.sin(angle), 0.0, jnp.cos(angle)))
-    return footing._replace(ground=dataclasses.replace(footing.ground, floor=floor, obstacles=()))
+    return contact_model._replace(
+        ground=dataclasses.replace(contact_model.ground, floor=floor, obstacles=())
+    )
 
 
 def limit_of_statics(standing: Standing) -> float:

@@ -56,7 +56,7 @@ class Case(NamedTuple):
     sized: bool = True
 
 
-class Wanted(NamedTuple):
+class Selection(NamedTuple):
     """What the user asked for.
 
     Attributes:
@@ -103,41 +103,41 @@ CASES: dict[str, Case] = {
 }
 
 
-def main(wanted: Wanted) -> bool:
+def main(selection: Selection) -> bool:
     """Measure, print and keep what is asked for.
 
     Returns:
         Whether nothing became slower than the earlier rows allow.
     """
     # Read first: measuring takes long, and the file may be no benchmark.
-    earlier = rows.load(wanted.earlier) if wanted.earlier else None
+    earlier = rows.load(selection.earlier) if selection.earlier else None
     cores = use_cores()
     console = Console()
     with working("the machine's peak") as work:
-        where, found = measure(wanted, cores, work)
+        where, found = measure(selection, cores, work)
     for table in report.tables(found, where):
         console.print(table)
     for line in report.notes(found):
         console.print(line, highlight=False)
-    if wanted.json is not None:
-        console.print(str(wanted.json), highlight=False)
-    if wanted.plot is not None:
-        picture.draw(found, where, wanted.plot)
-        console.print(str(wanted.plot), highlight=False)
+    if selection.json is not None:
+        console.print(str(selection.json), highlight=False)
+    if selection.plot is not None:
+        picture.draw(found, where, selection.plot)
+        console.print(str(selection.plot), highlight=False)
     if earlier is None:
         return True
-    verdict: Verdict = compare(earlier, (where, found), wanted.tolerance)
-    console.print(report.comparison(verdict, wanted.tolerance))
+    verdict: Verdict = compare(earlier, (where, found), selection.tolerance)
+    console.print(report.comparison(verdict, selection.tolerance))
     for line in verdict.remarks:
         console.print(line, highlight=False)
     return not verdict.slower
 
 
-def measure(wanted: Wanted, cores: int, work: Work) -> tuple[dict[str, Any], list[Row]]:
+def measure(selection: Selection, cores: int, work: Work) -> tuple[dict[str, Any], list[Row]]:
     """Measure what is asked for, and keep it as JSON where that is asked for.
 
     Args:
-        wanted: cases, sizes, and how thoroughly.
+        selection: cases, sizes, and how thoroughly.
         cores: that are JAX's devices.
         work: is told what is being done, and of every row.
 
@@ -147,18 +147,20 @@ def measure(wanted: Wanted, cores: int, work: Work) -> tuple[dict[str, Any], lis
     found: list[Row] = []
     with _nothing_kept():
         peak = machine.matrix_product_rate()
-        where = machine.describe(cores, peak) | {"quick": wanted.quick}
-        call_seconds, repeats = _QUICK if wanted.quick else _THOROUGH
-        limit = min(wanted.limit, _QUICK_LIMIT) if wanted.quick else wanted.limit
-        plan = Plan(cores, wanted.sizes, call_seconds, repeats, limit, wanted.quick, work.doing)
+        where = machine.describe(cores, peak) | {"quick": selection.quick}
+        call_seconds, repeats = _QUICK if selection.quick else _THOROUGH
+        limit = min(selection.limit, _QUICK_LIMIT) if selection.quick else selection.limit
+        plan = Plan(
+            cores, selection.sizes, call_seconds, repeats, limit, selection.quick, work.doing
+        )
         for name in CASES:
-            if not wanted.cases or name in wanted.cases:
+            if not selection.cases or name in selection.cases:
                 for row in CASES[name].measure(plan, peak):
                     found.append(row)
                     work.say(report.line(row))
                     # Cases take minutes; what is measured is not lost where the next one fails.
-                    if wanted.json is not None:
-                        rows.save(wanted.json, where, found)
+                    if selection.json is not None:
+                        rows.save(selection.json, where, found)
     return where, found
 
 

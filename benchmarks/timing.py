@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
-# A call that takes this share of the wanted time tells well enough how long others will take.
+# A call that takes this fraction of the intended time predicts well how long others will take.
 _TELLING = 0.2
 
 
@@ -58,13 +58,13 @@ def seconds(call: Callable[[], object]) -> float:
 
 
 def count_lasting(
-    prepare: Callable[[int], Callable[[], object]], wanted: float, fewest: int, most: int
+    prepare: Callable[[int], Callable[[], object]], call_time: float, fewest: int, most: int
 ) -> int:
-    """How many steps (or whatever is counted) take about the wanted time.
+    """How many steps (or whatever is counted) take about the intended time.
 
     Args:
         prepare: makes a call of so many steps; what it does itself is not timed.
-        wanted: s.
+        call_time: s.
         fewest: steps; the first try.
         most: steps.
     """
@@ -72,6 +72,6 @@ def count_lasting(
     prepare(count)()
     while True:
         taken = seconds(prepare(count))
-        if count >= most or taken >= _TELLING * wanted:
-            return min(max(round(count * wanted / taken), fewest), most)
+        if count >= most or taken >= _TELLING * call_time:
+            return min(max(round(count * call_time / taken), fewest), most)
         count = min(count * 8, most)

@@ -42,9 +42,9 @@ def _editable() -> str | None:
     """The folder that an editable installation imports from; None for another installation."""
     try:
         text = metadata.distribution(_NAME).read_text("direct_url.json") or ""
-        told = json.loads(text)
-        if told["dir_info"]["editable"]:
-            return url2pathname(urlsplit(told["url"]).path)
+        origin = json.loads(text)
+        if origin["dir_info"]["editable"]:
+            return url2pathname(urlsplit(origin["url"]).path)
     except (KeyError, OSError, TypeError, ValueError, metadata.PackageNotFoundError):
         pass
     return None

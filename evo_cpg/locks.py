@@ -153,7 +153,7 @@ def _name_holder(descriptor: int) -> None:
     command = [Path(sys.argv[0]).name if sys.argv else "", *sys.argv[1:]]
     if command[0] == "__main__.py":
         command[0] = "evo-cpg"
-    told = {
+    holder = {
         "process": os.getpid(),
         "host": platform.node(),
         "command": shlex.join(command)[:_LONGEST],
@@ -163,17 +163,17 @@ def _name_holder(descriptor: int) -> None:
     with contextlib.suppress(OSError):
         os.ftruncate(descriptor, 0)
         os.lseek(descriptor, 0, os.SEEK_SET)
-        os.write(descriptor, json.dumps(told).encode())
+        os.write(descriptor, json.dumps(holder).encode())
 
 
 def _holder(descriptor: int) -> str:
     """Who holds a lock, in words."""
     try:
         os.lseek(descriptor, 0, os.SEEK_SET)
-        told = json.loads(os.read(descriptor, _MOST))
+        holder = json.loads(os.read(descriptor, _MOST))
         words = (
-            f"process {int(told['process'])} on {told['host']} (`{told['command']}`, since "
-            f"{told['since']})"
+            f"process {int(holder['process'])} on {holder['host']} (`{holder['command']}`, since "
+            f"{holder['since']})"
         )
     except (KeyError, OSError, RecursionError, TypeError, ValueError):
         return "another process"

@@ -91,7 +91,7 @@ def lend_matplotlib_a_folder() -> None:
         os.environ["MPLCONFIGDIR"] = folder
 
 
-def told_by(file: Path) -> str:
+def described_by(file: Path) -> str:
     """Return what a file of the system says, such as those in ``/proc``; "" where it cannot."""
     try:
         return file.read_text(encoding="utf-8", errors="replace")

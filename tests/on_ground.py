@@ -11,7 +11,7 @@ from creatures import quick_jit
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
@@ -36,7 +36,7 @@ def alone(
         friction_rule="geometric",
         **ground,
     )
-    return World(tree, GRAVITY, footing=make_footing(creature, tree, floor))
+    return World(tree, GRAVITY, contact_model=make_contact_model(creature, tree, floor))
 
 
 def released(world: World, position, velocity=0.0, orientation=(1.0, 0.0, 0.0, 0.0)) -> State:
@@ -54,7 +54,7 @@ def recorder(world: World, steps: int, h: float = H):
     @quick_jit
     def run(state, restitution):
         changed = eqx.tree_at(
-            lambda w: w.footing, world, world.footing._replace(restitution=restitution)
+            lambda w: w.contact_model, world, world.contact_model._replace(restitution=restitution)
         )
 
         def advance(s, _):
@@ -69,4 +69,4 @@ def recorder(world: World, steps: int, h: float = H):
 def record(world: World, state: State, steps: int, h: float = H):
     """States and supports at every step, as NumPy arrays."""
     run = recorder(world, steps, h)
-    return jax.tree.map(np.asarray, run(state, np.asarray(world.footing.restitution)))
+    return jax.tree.map(np.asarray, run(state, np.asarray(world.contact_model.restitution)))

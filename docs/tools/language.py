@@ -18,12 +18,12 @@ WIDTH = 100
 
 # The field's word for each is in CONTRIBUTING.
 PRIVATE_WORDS = re.compile(
-    "asked|begun|coasting|crowds?|departures?|doubts?|footing|gangs?|grip|lives|looks|noting|"
-    "partly|people|plausible|repeating|seats?|shares?|spokes?|strays|surroundings|told|wanted|"
+    "asked|begun|coasting|crowds?|departures?|doubts?|footing|gangs?|grip|lives|looks|recording_decisions|"
+    "partly|people|plausible|replaying_decisions|seats?|shares?|spokes?|strays|surroundings|told|wanted|"
     "ways?|who|yardsticks?"
 )
-# Public names of 1.0, and names of other projects.
-EXCEPTIONS: frozenset[str] = frozenset()
+# Keys, columns and names in files of 1.0; a lock that is shared.
+EXCEPTIONS = frozenset({"airborne_way", "limp_way", "lives", "peak_share", "share", "told"})
 
 
 def main() -> int:

@@ -171,11 +171,11 @@ def _ground_work(
     world: World, force: Float[Array, "3 p t"], first: Kinematics, middle: Kinematics, h: float
 ) -> tuple[Array, Array, Array, Array]:
     """Work of normal forces, of friction and of push-out, J, and the force on every point, N."""
-    if world.footing is None:
+    if world.contact_model is None:
         none = jnp.zeros_like(first.origin[0, 0])
         return none, none, none, force
-    contacts = find_contacts(world.footing, first, h)
-    bodies = np.array(world.footing.bodies)
+    contacts = find_contacts(world.contact_model, first, h)
+    bodies = np.array(world.contact_model.bodies)
     velocity = take(middle.linear, bodies) + cross(take(middle.angular, bodies), contacts.offset)
     local, moving = matvec(contacts.frame, force), matvec(contacts.frame, velocity)
     lift, friction = local[2] * moving[2], dot(local[:2], moving[:2])

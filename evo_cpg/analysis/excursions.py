@@ -107,7 +107,7 @@ def excursions(
     return Excursions(
         displacement=travelled,
         airborne_way=(
-            0.0 if world.footing is None else _airborne_displacement(steps, swims, light, h)
+            0.0 if world.contact_model is None else _airborne_displacement(steps, swims, light, h)
         ),
         penetration=float(max(0.0, -clearance.min(initial=np.inf))),
         overlap=overlap,
@@ -141,9 +141,9 @@ def displacement(
 
 def _clearance(world: World, kin: Kinematics) -> Float[Array, "p t"]:
     """Of the contact points above the ground, m."""
-    if world.footing is None:
+    if world.contact_model is None:
         return kin.origin[0, :0]
-    return contact_points(world.footing, kin).gap
+    return contact_points(world.contact_model, kin).gap
 
 
 def _gaps(pairs: Pairs | None, kin: Kinematics) -> Float[Array, "k t"]:
@@ -262,9 +262,9 @@ def _seen_through_ground(
     """Share of the light seen with ground in the way, control step by control step."""
     world, sensors = simulation.world, simulation.sensors
     bodies = np.array(sensors.eye_bodies, int)
-    if world.footing is None or light is None or not len(bodies) or sensors.blind:
+    if world.contact_model is None or light is None or not len(bodies) or sensors.blind:
         return 0.0
-    floor = world.footing.ground.floor
+    floor = world.contact_model.ground.floor
     # From just beside the eye to just beside the light.
     fractions = np.linspace(0.0, 1.0, _POINTS + 2)[1:-1]
 

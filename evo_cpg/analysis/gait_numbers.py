@@ -173,7 +173,7 @@ def _quantities(
     duration = len(recording.time) * step
     root = next(i for i, body in enumerate(creature.bodies) if body.joint is None)
     place = np.asarray(recording.position, float)
-    on_ground = simulation.world.footing is not None
+    on_ground = simulation.world.contact_model is not None
     straight = (place[-1, root] - place[0, root])[: 2 if on_ground else 3]
     distance = float(np.linalg.norm(straight))
     speed = distance / (duration - step) if duration > step else math.nan
@@ -317,12 +317,12 @@ def _feet(
     first: int,
     frequency: float,
 ) -> Feet | None:
-    footing, tree = simulation.world.footing, simulation.world.tree
-    if footing is None:
+    contact_model, tree = simulation.world.contact_model, simulation.world.tree
+    if contact_model is None:
         return None
     step = 1.0 / simulation.control_rate
     force = np.asarray(frames["contact_force"])[..., 0]
-    owners = np.array(footing.bodies, int)
+    owners = np.array(contact_model.bodies, int)
     names = [body.name for body in creature.bodies]
     limbs = sorted({int(i) for i in owners if i > 0}, key=lambda i: names.index(tree.names[i]))
     touched = footfalls.touching(force, owners, limbs) if limbs else np.zeros((len(force), 0), bool)

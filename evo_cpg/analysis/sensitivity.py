@@ -136,7 +136,7 @@ def followed(simulation: Simulation) -> Simulation:
     task = simulation.task
     ahead = simulation.lights[0] is not None or task.heading == "forward"
     duration = (simulation.steps - 1) / simulation.control_rate
-    axes = 1 if ahead else 3 if simulation.world.footing is None else 2
+    axes = 1 if ahead else 3 if simulation.world.contact_model is None else 2
     progress = Measures((_SPEED,), (_Progress(duration=duration, axes=axes),))
     return dataclasses.replace(simulation, measures=simulation.measures | progress)
 

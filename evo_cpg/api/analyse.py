@@ -143,7 +143,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
         audit=audit,
         stale=bool(audit) and not _is_of(audit, champion),
         half_step=_kept_at_half_the_step(meta, champion),
-        departures=paper_differences(config),
+        differences=paper_differences(config),
         program=version().splitlines()[0],
         made=now(),
     )
@@ -176,7 +176,7 @@ def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
     simulation, creature = experiment.simulation, experiment.creature
     places = (
         ("in water", simulation.world.water is not None),
-        ("on the ground", simulation.world.footing is not None),
+        ("on the ground", simulation.world.contact_model is not None),
     )
     where = " and ".join(words for words, there in places if there) or "in empty space"
     bodies = f"{len(creature.bodies)} bodies and {simulation.world.tree.dof_count} joint axes"

@@ -191,7 +191,7 @@ def _opinions(
     theirs, missing = [], ""
     try:
         theirs.append(second_opinion(simulation, creature, steps))
-        if simulation.world.footing is not None:
+        if simulation.world.contact_model is not None:
             theirs.append(second_opinion(simulation, creature, steps, hard=True))
             if simulation.controller.uses_senses:
                 brain = _brain(experiment, champion)
@@ -316,7 +316,7 @@ def books(
     if np.isfinite(world.tree.torque_limit).any():
         checks.append(check("overload", "torque over its limit", worst("overload")))
     checks += _between_limbs(experiment, found, ledgers, check)
-    if world.footing is not None:
+    if world.contact_model is not None:
         checks += [
             check("penetration", "penetration of the ground", worst("penetration"), "m"),
             check(
@@ -330,10 +330,10 @@ def books(
             checks.append(check("airborne_way", "way made while airborne", worst("airborne_way")))
     if any(np.any(trial.steps.coulomb_residual) for trial in trials):
         checks.append(check("unsolved", "steps not solved", worst("unsolved")))
-        if world.footing is not None:
+        if world.contact_model is not None:
             checks.append(check("slipping", "steps off the friction cone", worst("slipping")))
     lit = any(light is not None for light in simulation.lights)
-    if lit and simulation.sensors.eye_bodies and world.footing is not None:
+    if lit and simulation.sensors.eye_bodies and world.contact_model is not None:
         seen = worst("seen_through_ground")
         checks.append(check("seen_through_ground", "light seen through the ground", seen))
     for name, excess in simulation.task.beyond_scales(champion.terms, champion.scales).items():
@@ -396,7 +396,7 @@ def _variations(
         "precision": Variation("float64", (simulation,), double=True),
     }
     more_and_less = (1 + _CHANGE, 1 - _CHANGE)
-    if simulation.world.footing is not None:
+    if simulation.world.contact_model is not None:
         sims = [variations.with_friction(simulation, x) for x in more_and_less]
         found["friction"] = drawn("friction 10 % up and down", *sims)
     if simulation.world.water is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 from evo_cpg.fusion.engine import Engine, described
 from evo_cpg.installation import version_of
-from evo_cpg.system import told_by
+from evo_cpg.system import described_by
 
 _PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
 
@@ -55,7 +55,7 @@ def machine_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[s
 
 def _processor() -> str:
     """Return name and number of the processor, or its kind if the system does not tell."""
-    parts = [line.partition(":") for line in told_by(Path("/proc/cpuinfo")).splitlines()]
+    parts = [line.partition(":") for line in described_by(Path("/proc/cpuinfo")).splitlines()]
     found = {name.strip(): value.strip() for name, _, value in parts}
     name = found.get("model name") or platform.processor() or platform.machine()
     numbers = [found[key] for key in ("cpu family", "model", "stepping") if key in found]

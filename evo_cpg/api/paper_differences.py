@@ -10,7 +10,7 @@ from typing import Any
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped, shipped_names
-from evo_cpg.view.page.subject import Departures, Difference, Note
+from evo_cpg.view.page.subject import Difference, Note, PaperDifferences
 
 # `  steps: 2000   # paper`: indent, key, value and comment.
 _LINE = re.compile(r"^( *)([A-Za-z_]\w*):\s*(.*?)\s*(?:# ?(.*))?$")
@@ -19,8 +19,8 @@ _WHOSE = re.compile(r"\bours\b|\bpaper\b(?!')")
 _CONTINUED = re.compile(r"^\s+# ?(.*)$")
 
 
-def paper_differences(config: ExperimentConfig) -> Departures | None:
-    """See `Departures`; None where no configuration of this name is shipped."""
+def paper_differences(config: ExperimentConfig) -> PaperDifferences | None:
+    """See `PaperDifferences`; None where no configuration of this name is shipped."""
     if config.name not in shipped_names():
         return None
     ours = shipped(config.name)
@@ -33,7 +33,7 @@ def paper_differences(config: ExperimentConfig) -> Departures | None:
             found += [n._replace(key=f"creature.{n.key}") for n in notes(creature)]
     listed = [note for note in found if note.text]
     differ = tuple(differences(config, load_config(path)))
-    return Departures(ours.about, differ, tuple(listed))
+    return PaperDifferences(ours.about, differ, tuple(listed))
 
 
 def differences(config: ExperimentConfig, shipped: ExperimentConfig) -> list[Difference]:

@@ -80,8 +80,8 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
     def add(name: str, unit: str, values: np.ndarray) -> None:
         columns[name], units[name] = np.asarray(values), unit
 
-    tree, footing = simulation.world.tree, simulation.world.footing
-    owners = np.array(() if footing is None else footing.bodies, int)
+    tree, contact_model = simulation.world.tree, simulation.world.contact_model
+    owners = np.array(() if contact_model is None else contact_model.bodies, int)
     arrays = {name: np.asarray(values)[..., 0] for name, values in frames.items()}
     force, position, rotation = (arrays[n] for n in ("contact_force", "position", "rotation"))
     for i, body in enumerate(tree.names):
@@ -94,7 +94,7 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
             add(f"{body}.velocity_{axis}", "m/s", arrays["velocity"][:, k, i])
         for k, axis in enumerate(_AXES):
             add(f"{body}.angular_velocity_{axis}", "rad/s", arrays["angular_velocity"][:, k, i])
-        for k, axis in enumerate(_AXES if footing is not None else ()):
+        for k, axis in enumerate(_AXES if contact_model is not None else ()):
             add(f"{body}.contact_force_{axis}", "N", force[:, k, owners == i].sum(1))
     pairs = simulation.world.pairs
     if pairs is not None:

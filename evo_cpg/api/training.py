@@ -237,7 +237,7 @@ class Recorder:
 
     Attributes:
         seen: what the first look came to; None without one.
-        looks: whether it takes a first look.
+        checks: whether it checks the first champion.
         skipped: whether that was skipped.
     """
 
@@ -249,11 +249,11 @@ class Recorder:
         animal: str | None = None,
     ):
         self.seen: Check | None = None
-        self.looks, self.skipped = least is not None, False
+        self.checks, self.skipped = least is not None, False
         self._experiment, self._folder, self._least = experiment, folder, least
         self._animal = animal
         # Without noise, the recording measures the displacement to compare with.
-        self._measures_way = self.looks and experiment.simulation.noise.silent
+        self._measures_displacement = self.checks and experiment.simulation.noise.silent
         self._displacement: float | None = None
         self._thread = ThreadPoolExecutor(1, "recording")
         self._program: _Compilation | None = None
@@ -281,14 +281,14 @@ class Recorder:
             note_seconds(operations, self._animal, spent)
         devices = self._folder.read_meta()["devices"]
         recorded = self._experiment
-        if self._measures_way:
+        if self._measures_displacement:
             recorded = recorded._replace(simulation=with_displacement(recorded.simulation))
         self._program = _Compilation(self._thread, took, compile_replay, recorded, devices)
         if self._least is not None:
             from evo_cpg.api.audit import compile_first_look
 
             # With noise, the displacement at the original step takes another program.
-            programs = 1 if self._measures_way else 2
+            programs = 1 if self._measures_displacement else 2
             expected = None if took is None else programs * took
             self._look = _Compilation(
                 self._thread, expected, compile_first_look, self._experiment, self._least
@@ -314,7 +314,7 @@ class Recorder:
             self.compile()
         assert self._program is not None
         _, terms, motion = self._program(champion)
-        if self._measures_way:
+        if self._measures_displacement:
             self._displacement = float(np.nan_to_num(terms[DISPLACEMENT]))
         self._folder.save_champion(champion, motion)
 

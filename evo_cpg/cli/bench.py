@@ -69,7 +69,9 @@ def bench(
             raise UsageError(f"--json: {json} cannot be written ({error.strerror})") from None
     if plot is not None:
         output_path(plot, suite.picture.SUFFIXES)
-    request: Any = suite.Wanted(cases or [], numbers, quick, limit, json, plot, compare, tolerance)
+    request: Any = suite.Selection(
+        cases or [], numbers, quick, limit, json, plot, compare, tolerance
+    )
     try:
         fine = suite.main(request)
     except suite.rows.RowsError as error:

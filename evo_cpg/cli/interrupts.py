@@ -78,12 +78,12 @@ class _Again:
 
     def __init__(self) -> None:
         self._timer: threading.Timer | None = None
-        self._asked = False
+        self._requested = False
 
     def __call__(self) -> None:
-        if self._asked:
+        if self._requested:
             return
-        self._asked = True
+        self._requested = True
         # To this thread, so that it wakes up should it sleep by then.
         main = threading.main_thread().ident
         self._timer = threading.Timer(_MOMENT, self._interrupt, [main])
@@ -92,7 +92,7 @@ class _Again:
 
     def _interrupt(self, main: int) -> None:
         # First: the interrupt may ask for another one while this thread has not ended yet.
-        self._asked = False
+        self._requested = False
         signal.pthread_kill(main, signal.SIGINT)
 
     def cancel(self) -> None:

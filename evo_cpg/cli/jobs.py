@@ -29,7 +29,7 @@ from evo_cpg.config.trust import is_trusted, trusting
 from evo_cpg.files import write_text
 from evo_cpg.installation import command_for
 from evo_cpg.locks import LockedError, joined, locked
-from evo_cpg.system import named, told_by
+from evo_cpg.system import described_by, named
 from evo_cpg.training.devices import available_cores, use_cores
 from evo_cpg.training.run_folder import RunFolderError, read_checked
 
@@ -357,7 +357,7 @@ def _failed(job: Any, group: Sequence[Member], work: Work) -> list[str]:
     left = _names([member for member in group if not member.finished])
     if left:
         path = Path(job.paths.stderr)
-        last = [line for line in told_by(path).splitlines() if line.strip()][-_LAST_LINES:]
+        last = [line for line in described_by(path).splitlines() if line.strip()][-_LAST_LINES:]
         work.say(f"job {job.job_id} failed ({', '.join(left)}); {path} ends:")
         for line in last or ["(nothing)"]:
             work.say(f"    {line}")

@@ -45,8 +45,8 @@ def preview(
         with working("finding how it starts"):
             simulation = build_experiment(given, config).simulation
             pose = starting_pose(simulation.situations[0], simulation.world.tree, names)
-        footing = simulation.world.footing
-        ground = footing.ground if footing is not None else False
+        contact_model = simulation.world.contact_model
+        ground = contact_model.ground if contact_model is not None else False
     with working("drawing"):
         made = draw(creature, place, pixels, ground=ground, pose=pose, surface=surface)
     print(made)

@@ -266,7 +266,7 @@ def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
     expected = recorder.expected_to_record()
     with working("recording the champion's motion", expected=expected):
         recorder.record(champion)
-    if recorder.looks:
+    if recorder.checks:
         what = "trying the champion at half the step; control-C skips this"
         try:
             with working(what, expected=recorder.expected_to_look()):

@@ -25,7 +25,7 @@ from evo_cpg.physics.pairs import Pairs
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
-from evo_cpg.spatial.choices import Condition, Undecidable, all_hold
+from evo_cpg.spatial.decisions import Condition, Undecidable, all_hold
 
 
 class BodyPlan:

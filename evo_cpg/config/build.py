@@ -31,8 +31,8 @@ from evo_cpg.fusion.engine import Engine, target, using
 from evo_cpg.fusion.unsupported import Unsupported
 from evo_cpg.physics.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.buoyancy import make_cells
+from evo_cpg.physics.contact_model import make_contact_model
 from evo_cpg.physics.fluid import Drag, Patch, make_patches
-from evo_cpg.physics.footing import make_footing
 from evo_cpg.physics.force_law import ForceLaw
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.world import World
@@ -43,7 +43,7 @@ from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task, term_names
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.system import resolved, with_working_folder
 from evo_cpg.training.experiment import Experiment
@@ -149,7 +149,7 @@ def build_simulation(
     """The creature that a configuration describes, and what its trials are made of.
 
     The numbers of the configuration may be traced (see `evo_cpg.config.keys.put`) where what is
-    chosen by them is known (`evo_cpg.spatial.choices.repeating`).
+    chosen by them is known (`evo_cpg.spatial.decisions.replaying_decisions`).
 
     Args:
         config: the configuration; a user's own classes can be imported.
@@ -176,7 +176,7 @@ def build_simulation(
         push=config.noise.push,
         friction=config.noise.friction,
     )
-    if config.noise.friction and world.footing is None:
+    if config.noise.friction and world.contact_model is None:
         raise KeyProblem(("noise", "friction"), "there is no ground to be rough")
     with using(engine):
         situations = build_situations(config, creature, world)
@@ -224,7 +224,7 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
             problem = f"is no measure; {nearest(name, known)}"
         elif name in own:
             problem = "is a term of the task already"
-        elif name in GROUND_MEASURES and world.footing is None:
+        elif name in GROUND_MEASURES and world.contact_model is None:
             problem = "means nothing: there is no ground"
         elif name == "cost_of_transport" and not chosen(lambda: world.gravity > 0):
             problem = "means nothing: there is no gravity"
@@ -247,7 +247,7 @@ def _build_rules(
     limits = config.audit.limits().of_length(length_of(creature))
     if "power" in names and limits.power is None:
         raise KeyProblem(("audit", "power"), "is missing; disqualify names it")
-    if "penetration" in names and world.footing is None:
+    if "penetration" in names and world.contact_model is None:
         raise KeyProblem(("audit", "disqualify"), "penetration: there is no ground")
     most = {name: getattr(limits, name) for name in names}
     if "speed" in most:
@@ -258,7 +258,7 @@ def _build_rules(
         return Rules(**most)
     watched = world.watched
     if pairs is not None:
-        given = config.creature.build_self_collision(on_ground=world.footing is not None)
+        given = config.creature.build_self_collision(on_ground=world.contact_model is not None)
         include = given.include if given else ()
         watched = SelfCollision(include=include, only=pairs.watched)
     return Rules(**most, pairs=make_pairs(creature, world.tree, watched))
@@ -326,7 +326,7 @@ def _build_world(
         gravity=config.world.gravity,
         water=water and water.build(),
         forces=tuple(forces),
-        footing=ground and make_footing(creature, tree, ground),
+        contact_model=ground and make_contact_model(creature, tree, ground),
         cells=make_cells(creature, tree) if water and water.surface is not None else (),
         pairs=watched and make_pairs(creature, tree, watched),
     )

@@ -28,7 +28,7 @@ from evo_cpg.creature.surface import PointLayout
 from evo_cpg.fusion.jax_internals import Tracer
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.spatial.choices import all_hold
+from evo_cpg.spatial.decisions import all_hold
 from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
 from evo_cpg.training.experiment import Experiment
 

@@ -24,7 +24,7 @@ from evo_cpg.simulation.plans import Programs
 from evo_cpg.simulation.settle import NoRestError, Settling, settled
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
-from evo_cpg.spatial.choices import Condition, chosen, searched
+from evo_cpg.spatial.decisions import Condition, chosen, searched
 from evo_cpg.spatial.numerics import Number, Triple, is_traced, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
@@ -175,14 +175,14 @@ def _start_height(
 
     None where there is no place to stand.
     """
-    footing = world.footing
-    if footing is None:
+    contact_model = world.contact_model
+    if contact_model is None:
         return 0.0
     height = start_clearance - lowest_height(creature)
-    if footing.ground.level is not None:
-        return footing.ground.level + height
-    floor = footing.ground.floor
-    if isinstance(floor, Plane) and not footing.ground.obstacles:
+    if contact_model.ground.level is not None:
+        return contact_model.ground.level + height
+    floor = contact_model.ground.floor
+    if isinstance(floor, Plane) and not contact_model.ground.obstacles:
         normal = xp.array(floor.normal)
         normal = normal / xp.linalg.norm(normal)
         seen = euler_to_matrix(0.0, 0.0, heading).T @ normal
@@ -244,13 +244,13 @@ def _gap(
     world: World, x: Number, y: Number, heading: Number, height: Number
 ) -> tuple[Array, Array]:
     """Of an animal in its neutral pose over the ground, m, and its slope by the height."""
-    footing = world.footing
-    assert footing is not None
+    contact_model = world.contact_model
+    assert contact_model is not None
 
     def gap(height: Array) -> Array:
         turn = Situation((x, y, 0.0), heading).orientation
         state = resting_state(world.tree, (), height.dtype, (x, y, height), turn)
-        return clearance(footing, kinematics(world.tree, state)).min()
+        return clearance(contact_model, kinematics(world.tree, state)).min()
 
     height = jnp.asarray(height, float)
     return jax.jvp(gap, (height,), (jnp.ones_like(height),))

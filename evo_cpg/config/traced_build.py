@@ -1,7 +1,7 @@
 """Simulations that differ in numbers alone: built of known numbers, or of traced ones.
 
 What a configuration describes is built of its numbers twice. With known ones NumPy makes constants,
-and notes what was chosen by them (see `evo_cpg.spatial.choices`). With traced ones JAX makes the
+and notes what was chosen by them (see `evo_cpg.spatial.decisions`). With traced ones JAX makes the
 same functions of the numbers, exactly and wherever they are, as long as the choices hold.
 """
 
@@ -22,7 +22,13 @@ from evo_cpg.creature.surface import PointLayout
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
-from evo_cpg.spatial.choices import Choices, Condition, Undecidable, noting, repeating
+from evo_cpg.spatial.decisions import (
+    Condition,
+    StaticDecisions,
+    Undecidable,
+    recording_decisions,
+    replaying_decisions,
+)
 from evo_cpg.spatial.numerics import is_number, is_traced, xp
 
 # What no number changes may differ by this fraction of the largest number in its array: rounding.
@@ -42,7 +48,7 @@ class Built(NamedTuple):
     paths: list[Any]
     leaves: list[Any]
     structure: Any
-    choices: Choices
+    choices: StaticDecisions
 
     def has_layout_of(self, other: "Built") -> bool:
         """Whether nothing but numbers is different in the other one."""
@@ -97,7 +103,7 @@ class Building:
         Raises:
             KeyProblem: parts that do not fit together.
         """
-        with noting() as choices:
+        with recording_decisions() as choices:
             simulation = self._build(config)
         paths, structure = jax.tree_util.tree_flatten_with_path(simulation)
         names, leaves = zip(*paths, strict=True)
@@ -119,7 +125,7 @@ class Building:
         Raises:
             Undecidable: the numbers are traced in a way that no condition can be computed.
         """
-        with repeating(self.own.choices, conditions), jax.numpy_rank_promotion("allow"):
+        with replaying_decisions(self.own.choices, conditions), jax.numpy_rank_promotion("allow"):
             leaves, structure = jax.tree.flatten(self._build(put_numbers(config, numbers)))
         if conditions is not None and structure != self.own.structure:
             raise Undecidable("what is no number would change")

@@ -58,7 +58,7 @@ from evo_cpg.control.matsuoka import (
 )
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 

@@ -29,7 +29,7 @@ from jaxtyping import Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Cosines and sines below this are rounding.

@@ -59,7 +59,7 @@ from evo_cpg.control.couplings import (
 )
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 

@@ -37,7 +37,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 

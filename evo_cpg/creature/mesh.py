@@ -28,7 +28,7 @@ from evo_cpg.creature.shapes import (
     Skin,
     Surface,
 )
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # More triangles tell nothing that the physics would feel, and go into the run folder's config.

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.choices import Condition
+from evo_cpg.spatial.decisions import Condition
 from evo_cpg.spatial.numerics import Numbers, xp
 
 # Joints give way: limits count as wider by this, rad.

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.creature.reach import PIECES, keeps_apart
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.choices import Condition, all_hold
+from evo_cpg.spatial.decisions import Condition, all_hold
 from evo_cpg.spatial.numerics import Numbers, is_traced, xp
 
 # Projections by which the nearest points of two boxes are found, and what they must come nearer

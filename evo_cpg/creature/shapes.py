@@ -19,7 +19,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
 
 # Discs into which the cylinder of a capsule is cut. Between them they have its second moment; a

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from evo_cpg.creature.creature import Body, Creature, neutral_pose
 from evo_cpg.creature.shapes import Surface
-from evo_cpg.spatial.choices import Condition, all_hold, chosen
+from evo_cpg.spatial.decisions import Condition, all_hold, chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Layout of the surface points of a model. Usually sheltered points are left out, and those that

@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 
 # A soft limit is a critically damped spring on the inertia that the joint sees, slow enough for

@@ -31,7 +31,7 @@ from evo_cpg.exchange.mjcf_joints import add_hinges, joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
 from evo_cpg.exchange.refusals import ExchangeError
-from evo_cpg.physics.footing import Ground, combine
+from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
 
 # MuJoCo has a body of this name in every model: the one that does not move.

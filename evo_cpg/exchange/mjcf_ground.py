@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from evo_cpg.exchange.refusals import ExchangeError
-from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
 
 # How far slabs reach, and how thick they and height fields are, m: more than an animal walks in a

@@ -107,8 +107,8 @@ class Brain:
         with using(simulation.engine):
             alone = jnp.asarray(genes, jnp.float32)[:, None]
             constants, animal = begin_episode(simulation, alone, keys, number)
-        footing = simulation.world.footing
-        owners = np.array([] if footing is None else footing.bodies, int)
+        contact_model = simulation.world.contact_model
+        owners = np.array([] if contact_model is None else contact_model.bodies, int)
         # A body's first contact point stands for all of them: the skin adds them up.
         self._first = {body: int(np.flatnonzero(owners == body)[0]) for body in set(owners)}
         self._points, self._nerves = len(owners), animal.nerves
@@ -354,7 +354,7 @@ def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
 def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:
     """Return the fraction of the time in which nothing holds the animal; None without meaning."""
     everywhere = world.water_level == np.inf
-    return None if world.footing is None or everywhere else float(1.0 - held.mean())
+    return None if world.contact_model is None or everywhere else float(1.0 - held.mean())
 
 
 def _upright_fraction(orientation: Float[np.ndarray, "4 t"]) -> float:

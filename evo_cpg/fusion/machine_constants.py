@@ -61,7 +61,7 @@ VECTOR_GROUP = 16
 """Fitted: vectors that run together (`evo_cpg.fusion.backend.packing`) in programs with a loop that
 ends at different rounds for each individual."""
 
-KEPT_FOR_THE_WAY_BACK = 256 * 2**20
+LARGEST_RESIDUALS = 256 * 2**20
 """Fitted, bytes: what may be kept of all control steps of a trial on a device, for its gradient;
 beyond that parts are computed again: with 0, gradients of 16 swimmers take 1.4 times as long. To be
 raised where there is memory."""

@@ -33,8 +33,8 @@ def main(instructions: str) -> None:
         for count in (1, 3, 60):
             x = jnp.asarray(values[:, :count])
             found = jax.jit(functools.partial(fuse, program, batch_ndim=1))(x)
-            for got, wanted in zip(found, program(x), strict=True):
-                if not np.allclose(got, wanted, rtol=1e-5, atol=1e-6):
+            for got, expected in zip(found, program(x), strict=True):
+                if not np.allclose(got, expected, rtol=1e-5, atol=1e-6):
                     raise ArithmeticError(f"native code and JAX differ for {count} individuals")
 
 

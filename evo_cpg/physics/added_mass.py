@@ -27,7 +27,7 @@ from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.buoyancy import displacement
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part, blocks
-from evo_cpg.spatial.choices import Condition, chosen
+from evo_cpg.spatial.decisions import Condition, chosen
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 

@@ -35,8 +35,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.fusion.fuse import symmetric
+from evo_cpg.physics.contact_model import STIFFNESS, ContactModel
 from evo_cpg.physics.contact_points import contact_points
-from evo_cpg.physics.footing import STIFFNESS, Footing
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import PerBody, take
 from evo_cpg.physics.spatial_algebra import Inertia, Motion, Wrench
@@ -106,17 +106,17 @@ class ContactLinearization(NamedTuple):
     normal: Float[Array, "p *n"]
 
 
-def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
+def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Contacts:
     """The lowest point of every part, and the normal velocity that it should come to.
 
     Args:
-        footing: what may touch.
+        contact_model: what may touch.
         kin: kinematics of the creature at the start of the step.
         h: s.
     """
-    bodies = np.array(footing.bodies)
-    ground = footing.ground
-    offset, material, gap, normal, curvature, ahead = contact_points(footing, kin, h)
+    bodies = np.array(contact_model.bodies)
+    ground = contact_model.ground
+    offset, material, gap, normal, curvature, ahead = contact_points(contact_model, kin, h)
     frame = _frame(normal)
     angular, linear = take(kin.angular, bodies), take(kin.linear, bodies)
     velocity = linear + cross(angular, offset)
@@ -130,7 +130,7 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
         gap, left = gap + ahead * approach, h - ahead
     push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
     fraction = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
-    bounce = expand_dims_like(footing.restitution, approach) * fraction * approach
+    bounce = expand_dims_like(contact_model.restitution, approach) * fraction * approach
     # Times a reciprocal: to divide takes a processor many times as long.
     rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
     # The law gives way by a share of the speed, and a point that moves farther in a step than the
@@ -157,30 +157,33 @@ def lifting_power(contacts: Contacts, force: Float[Array, "3 p *n"]) -> Float[Ar
     return jnp.maximum(contacts.rest_velocity * force[2], 0.0).sum(0)
 
 
-def resting_stiffness(footing: Footing, h: float) -> Float[Numbers, " p"]:
+def resting_stiffness(contact_model: ContactModel, h: float) -> Float[Numbers, " p"]:
     """Normal force on a point that rests per depth, N/m: there ``v* = v_n + f_n / c`` lifts it.
 
     It holds up to the depth from which the way out is no faster, ``5/2 h`` m/s.
     """
-    return footing.stiffness * BAUMGARTE_FRACTION / h**2
+    return contact_model.stiffness * BAUMGARTE_FRACTION / h**2
 
 
 def cone_radius(
-    footing: Footing, contacts: Contacts, velocity: Float[Array, "3 p *n"], h: float
+    contact_model: ContactModel, contacts: Contacts, velocity: Float[Array, "3 p *n"], h: float
 ) -> Float[Array, "p *n"]:
     """Radius of the friction cone of every point, ``mu(|v_t|) f_n``, N."""
-    stiffness = expand_dims_like(footing.stiffness / h, velocity[2])
+    stiffness = expand_dims_like(contact_model.stiffness / h, velocity[2])
     normal_force = stiffness * jnp.maximum(contacts.target_velocity - velocity[2], 0.0)
     dynamic, more = (
         expand_dims_like(mu, normal_force)
-        for mu in (footing.dynamic_friction, footing.static_friction - footing.dynamic_friction)
+        for mu in (
+            contact_model.dynamic_friction,
+            contact_model.static_friction - contact_model.dynamic_friction,
+        )
     )
-    ratio = _square(velocity) * (1.0 / footing.ground.stribeck_speed**2)
+    ratio = _square(velocity) * (1.0 / contact_model.ground.stribeck_speed**2)
     return (dynamic + more * (1.0 / (1.0 + ratio))) * normal_force
 
 
 def linearize_contacts(
-    footing: Footing,
+    contact_model: ContactModel,
     contacts: Contacts,
     radius: Float[Array, "p *n"],
     velocity: Float[Array, "3 p *n"],
@@ -189,13 +192,13 @@ def linearize_contacts(
     """The laws linearized at some velocity.
 
     Args:
-        footing: what may touch.
+        contact_model: what may touch.
         contacts: of this step.
         radius: of the friction cones, N.
         velocity: m/s.
         h: s.
     """
-    stiffness = expand_dims_like(footing.stiffness / h, radius)
+    stiffness = expand_dims_like(contact_model.stiffness / h, radius)
     square, short = _square(velocity), contacts.target_velocity - velocity[2]
     inverse = 1.0 / jnp.sqrt(square)
     sticks = stiffness * square * inverse <= radius
@@ -210,14 +213,14 @@ def linearize_contacts(
 
 
 def friction_change(
-    footing: Footing,
+    contact_model: ContactModel,
     radius: Float[Array, "p *n"],
     other: Float[Array, "p *n"],
     velocity: Float[Array, "3 p *n"],
     h: float,
 ) -> Float[Array, "p *n"]:
     """By how much tangential forces (N) at some velocity differ under two friction cones."""
-    sticking = expand_dims_like(footing.stiffness / h, radius) * jnp.sqrt(_square(velocity))
+    sticking = expand_dims_like(contact_model.stiffness / h, radius) * jnp.sqrt(_square(velocity))
     return jnp.minimum(sticking, other) - jnp.minimum(sticking, radius)
 
 
@@ -231,12 +234,16 @@ def linearized_force(
 
 
 def contact_inertia(
-    footing: Footing, contacts: Contacts, linear: ContactLinearization, like: Inertia, h: float
+    contact_model: ContactModel,
+    contacts: Contacts,
+    linear: ContactLinearization,
+    like: Inertia,
+    h: float,
 ) -> Inertia:
     """``h sum J^T K J`` of all points of every body: inertias that linearized contacts add to them.
 
     Args:
-        footing: what may touch.
+        contact_model: what may touch.
         contacts: of this step.
         linear: their laws, linearized.
         like: inertias of the bodies, for their shapes and type.
@@ -257,30 +264,30 @@ def contact_inertia(
     mixed = matmul(shift, slope)
     blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, slope)
     bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), slope.ndim - 3)
-    return bodies.plus(footing.bodies, blocks).stacked()
+    return bodies.plus(contact_model.bodies, blocks).stacked()
 
 
 def contact_wrench(
-    footing: Footing, contacts: Contacts, force: Float[Array, "3 p *n"], like: Wrench
+    contact_model: ContactModel, contacts: Contacts, force: Float[Array, "3 p *n"], like: Wrench
 ) -> Wrench:
     """The wrenches of contact forces (N, contact frame) on all bodies.
 
     Args:
-        footing: what may touch.
+        contact_model: what may touch.
         contacts: of this step.
         force: on every point.
         like: wrenches of the bodies, likewise.
     """
     force = matvec_t(contacts.frame, force)
     bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), force.ndim - 2)
-    return bodies.plus(footing.bodies, Wrench(cross(contacts.offset, force), force)).stacked()
+    return bodies.plus(contact_model.bodies, Wrench(cross(contacts.offset, force), force)).stacked()
 
 
 def change_of_velocity(
-    footing: Footing, contacts: Contacts, accelerations: Motion, h: float
+    contact_model: ContactModel, contacts: Contacts, accelerations: Motion, h: float
 ) -> Float[Array, "3 p *n"]:
     """What accelerations of the bodies change at every contact point, contact frame, m/s."""
-    bodies = np.array(footing.bodies)
+    bodies = np.array(contact_model.bodies)
     angular = take(accelerations.angular, bodies)
     change = take(accelerations.linear, bodies) + cross(angular, contacts.offset)
     return h * matvec(contacts.frame, change)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.physics.footing import CORNERS, ContactPoints, Footing
+from evo_cpg.physics.contact_model import CORNERS, ContactModel, ContactPoints
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.obstacles import meeting_time, obstacle_points, tangent_point
 from evo_cpg.physics.per_body import take
@@ -18,8 +18,8 @@ from evo_cpg.physics.separation import RoundedBoxes
 from evo_cpg.physics.sweep import Moving, fast_from, moved, time_of_crossing
 from evo_cpg.physics.terrain import Part, Plane, nearest
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
+from evo_cpg.spatial.mixed_array import MixedArray
 from evo_cpg.spatial.numerics import Numbers, xp
-from evo_cpg.spatial.partly import PartlyTraced
 
 # Slope up which corners of a mesh count as lying beside the lowest one: of a body that falls flat
 # at 5 rad/s they are found 5 steps ahead.
@@ -29,21 +29,21 @@ _TILT = 0.1
 _FLOOR = 1e-20
 
 
-def contact_points(footing: Footing, kin: Kinematics, h: float = 0.0) -> ContactPoints:
+def contact_points(contact_model: ContactModel, kin: Kinematics, h: float = 0.0) -> ContactPoints:
     """See `ContactPoints`.
 
     Args:
-        footing: what may touch.
+        contact_model: what may touch.
         kin: kinematics of the creature.
         h: corners are those that will be lowest after so many seconds; what moves fast is looked at
             where it meets the ground within them.
     """
-    ground = footing.ground
-    found = _lowest(footing, kin, h)
-    if footing.solids is not None:
+    ground = contact_model.ground
+    found = _lowest(contact_model, kin, h)
+    if contact_model.solids is not None:
         # A mesh meets them with its corners and with an ellipsoid within it.
-        found += _corners_on_obstacles(footing, kin, h)
-        found += obstacle_points(footing.solids, ground, kin, h)
+        found += _corners_on_obstacles(contact_model, kin, h)
+        found += obstacle_points(contact_model.solids, ground, kin, h)
     offset, material, gap, normal, curvature, times = zip(*found, strict=True)
     ahead = None
     if any(time is not None for time in times):
@@ -59,26 +59,26 @@ def contact_points(footing: Footing, kin: Kinematics, h: float = 0.0) -> Contact
     )
 
 
-def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
+def _lowest(contact_model: ContactModel, kin: Kinematics, h: float) -> list[ContactPoints]:
     """The points that are lowest as the floor lies below their body's centre."""
-    boxes, meshes, balls, ellipsoids = _counts(footing)
+    boxes, meshes, balls, ellipsoids = _counts(contact_model)
     # A box and a mesh have several contact points, all others one.
     angular = boxes + meshes
     once = CORNERS * angular + balls + ellipsoids
-    bodies = np.array(footing.bodies[:once])
+    bodies = np.array(contact_model.bodies[:once])
     bodies = np.concatenate([bodies[: CORNERS * angular : CORNERS], bodies[CORNERS * angular :]])
     if not len(bodies):
         return []
     rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
-    centre = matvec(rotation, expand_dims_like(footing.centre, rotation[0]))
+    centre = matvec(rotation, expand_dims_like(contact_model.centre, rotation[0]))
     linear, spin = take(kin.linear, bodies), take(kin.angular, bodies)
-    floor = (footing.ground.floor,)
+    floor = (contact_model.ground.floor,)
     above, up = _surface(floor, origin + centre)
     sloping = h > 0 and not isinstance(floor[0], Plane)
-    size = expand_dims_like(_sizes(footing), above)
+    size = expand_dims_like(_sizes(contact_model), above)
     if sloping and angular + ellipsoids:
         # A cliff ahead is met by the front of a body.
-        least, velocity = fast_from(footing.ground.margin, size), linear + cross(spin, centre)
+        least, velocity = fast_from(contact_model.ground.margin, size), linear + cross(spin, centre)
         time = time_of_crossing(floor, origin + centre, velocity, 0.0, least, h, size)
         _, up = _surface(floor, origin + centre + time[None] * velocity)
     # As a body sees it h later; d(e . up)/dt = e . (up x w).
@@ -92,22 +92,26 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
         point = start + offset
         if not sloping:
             return *_surface(floor, point), None
-        least = fast_from(footing.ground.margin, jnp.repeat(size[own], each, 0))
+        least = fast_from(contact_model.ground.margin, jnp.repeat(size[own], each, 0))
         velocity = v + cross(w, offset)
         time = time_of_crossing(floor, point, velocity, radius, least, h)
         return *_surface(floor, point + time[None] * velocity), time
 
     if boxes:
         own = slice(boxes)
-        offset = _lowest_corners(later[:, own], footing.boxes, rotation[:, :, own], centre[:, own])
+        offset = _lowest_corners(
+            later[:, own], contact_model.boxes, rotation[:, :, own], centre[:, own]
+        )
         found.append(_material(offset, *on_floor(own, offset)))
     if meshes:
         own = slice(boxes, angular)
-        offset = _offsets_of_meshes(footing, rotation[:, :, own], centre[:, own], later[:, own])
+        offset = _offsets_of_meshes(
+            contact_model, rotation[:, :, own], centre[:, own], later[:, own]
+        )
         found.append(_material(offset, *on_floor(own, offset)))
     if balls:
         own = slice(angular, angular + balls)
-        radii = expand_dims_like(footing.radii, above)
+        radii = expand_dims_like(contact_model.radii, above)
         over, normal, time = above[own], up[:, own], None
         if sloping:
             over, normal, time = on_floor(own, centre[:, own], radii)
@@ -115,7 +119,7 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
         found.append(_material(offset, over - radii, normal, time, centre[:, own]))
     if ellipsoids:
         own = slice(angular + balls, None)
-        turned, radii = rotation[:, :, own], expand_dims_like(footing.semi_axes, centre)
+        turned, radii = rotation[:, :, own], expand_dims_like(contact_model.semi_axes, centre)
         touching, curvature = tangent_point(turned, radii, up[:, own], spin[:, own])
         offset = centre[:, own] + touching
         gap, normal, time = on_floor(own, offset)
@@ -123,15 +127,19 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
     return found
 
 
-def _corners_on_obstacles(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
+def _corners_on_obstacles(
+    contact_model: ContactModel, kin: Kinematics, h: float
+) -> list[ContactPoints]:
     """The corners of meshes that are lowest as the nearest obstacle lies below their centre."""
-    boxes, meshes, *_ = _counts(footing)
-    ground, solids = footing.ground, footing.solids
+    boxes, meshes, *_ = _counts(contact_model)
+    ground, solids = contact_model.ground, contact_model.solids
     if not meshes or solids is None:
         return []
-    bodies = np.array(footing.bodies[CORNERS * boxes : CORNERS * (boxes + meshes) : CORNERS])
+    bodies = np.array(contact_model.bodies[CORNERS * boxes : CORNERS * (boxes + meshes) : CORNERS])
     rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
-    centre = matvec(rotation, expand_dims_like(footing.centre[:, boxes:], rotation[0])[:, :meshes])
+    centre = matvec(
+        rotation, expand_dims_like(contact_model.centre[:, boxes:], rotation[0])[:, :meshes]
+    )
     spin, time = take(kin.angular, bodies), None
     if h > 0:
         place = np.array([solids.ellipsoids.bodies.index(body) for body in bodies])
@@ -142,27 +150,33 @@ def _corners_on_obstacles(footing: Footing, kin: Kinematics, h: float) -> list[C
         rotation, origin, centre = now.at.axes, now.origin, now.at.centre - now.origin
         time = jnp.repeat(time, CORNERS, 0)
     _, up = _surface(ground.obstacles, origin + centre)
-    offset = _offsets_of_meshes(footing, rotation, centre, up + h * cross(up, spin))
+    offset = _offsets_of_meshes(contact_model, rotation, centre, up + h * cross(up, spin))
     corner = jnp.repeat(origin, CORNERS, 1) + offset
     return [_material(offset, *_surface(ground.obstacles, corner), time)]
 
 
-def _counts(footing: Footing) -> tuple[int, ...]:
+def _counts(contact_model: ContactModel) -> tuple[int, ...]:
     """How many boxes, meshes, balls and ellipsoids there are."""
-    kinds = footing.boxes, footing.meshes, footing.radii, footing.semi_axes
+    kinds = contact_model.boxes, contact_model.meshes, contact_model.radii, contact_model.semi_axes
     return tuple(kind.shape[-1] for kind in kinds)
 
 
-def _sizes(footing: Footing) -> Numbers:
+def _sizes(contact_model: ContactModel) -> Numbers:
     """From the middle of boxes, meshes, balls and ellipsoids to their ends, m."""
-    boxes, meshes = (xp.sqrt((x * x).sum(0)) for x in (footing.boxes, footing.meshes))
-    ends = meshes.max(0, initial=0.0), footing.radii, footing.semi_axes.max(0, initial=0.0)
+    boxes, meshes = (xp.sqrt((x * x).sum(0)) for x in (contact_model.boxes, contact_model.meshes))
+    ends = (
+        meshes.max(0, initial=0.0),
+        contact_model.radii,
+        contact_model.semi_axes.max(0, initial=0.0),
+    )
     return xp.concatenate([boxes, *ends])
 
 
-def _offsets_of_meshes(footing: Footing, turned: Array, centre: Array, later: Array) -> Array:
+def _offsets_of_meshes(
+    contact_model: ContactModel, turned: Array, centre: Array, later: Array
+) -> Array:
     """From the origins of their bodies to the corners of meshes that are lowest."""
-    lowest = _lowest_of_meshes(footing.meshes, matvec_t(turned, later))
+    lowest = _lowest_of_meshes(contact_model.meshes, matvec_t(turned, later))
     return jnp.repeat(centre, CORNERS, 1) + matvec(jnp.repeat(turned, CORNERS, 2), lowest)
 
 
@@ -175,9 +189,9 @@ def _material(
     return ContactPoints(offset, material, gap, normal, none, time)
 
 
-def clearance(footing: Footing, kin: Kinematics) -> Float[Array, "p *n"]:
+def clearance(contact_model: ContactModel, kin: Kinematics) -> Float[Array, "p *n"]:
     """Distance of every contact point from the ground, m; negative inside of it."""
-    return contact_points(footing, kin).gap
+    return contact_points(contact_model, kin).gap
 
 
 def _surface(parts: tuple[Part, ...], point: Float[Array, "3 p *n"]) -> tuple[Array, Array]:
@@ -188,7 +202,7 @@ def _surface(parts: tuple[Part, ...], point: Float[Array, "3 p *n"]) -> tuple[Ar
 
 def _lowest_corners(
     up: Array,
-    half_edges: np.ndarray | Array | PartlyTraced,
+    half_edges: np.ndarray | Array | MixedArray,
     rotation: Float[Array, "3 3 b *n"],
     centre: Array,
 ) -> Float[Array, "3 c *n"]:

@@ -117,7 +117,9 @@ def prepare(
         passive, derivative = passive_torque(tree, state, h)
         derivative = derivative + expand_dims_like(tree.armature, derivative)
         start_torque = servo_torque(tree, state, target_rate, target_angle, h)
-        contacts = None if world.footing is None else find_contacts(world.footing, kin, h)
+        contacts = (
+            None if world.contact_model is None else find_contacts(world.contact_model, kin, h)
+        )
         pairs = (
             None if world.pairs is None else find_pair_contacts(tree, world.pairs, kin, state.qd, h)
         )

@@ -38,9 +38,9 @@ from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
-from evo_cpg.spatial.choices import Condition, all_hold, chosen
+from evo_cpg.spatial.decisions import Condition, all_hold, chosen
+from evo_cpg.spatial.mixed_array import MixedArray
 from evo_cpg.spatial.numerics import Number, Numbers, xp
-from evo_cpg.spatial.partly import PartlyTraced
 
 # Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 _SPEED_FLOOR = 1e-12
@@ -242,7 +242,7 @@ def _patch_drag(
     """Constant factors go into the constant matrices, so a point costs few operations."""
     flat = velocity.reshape(6, -1)
 
-    def product(constant: np.ndarray | Array | PartlyTraced, x: Array) -> Array:
+    def product(constant: np.ndarray | Array | MixedArray, x: Array) -> Array:
         return jnp.asarray(constant, flat.dtype) @ x
 
     pressure = 0.5 * density

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.box_separation import separation_of_boxes
+from evo_cpg.physics.contact_model import NEAREST, ContactPoints, Ground, Parts, Solids
 from evo_cpg.physics.ellipsoids import nearest_to_ball, nearest_to_box
-from evo_cpg.physics.footing import NEAREST, ContactPoints, Ground, Parts, Solids
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import (

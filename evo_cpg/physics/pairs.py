@@ -44,7 +44,7 @@ from evo_cpg.physics.separation import (
     separation_of_rounded,
 )
 from evo_cpg.physics.spatial_algebra import BodyMotion
-from evo_cpg.spatial.choices import Condition, Undecidable, all_hold, chosen
+from evo_cpg.spatial.decisions import Condition, Undecidable, all_hold, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew
 from evo_cpg.spatial.numerics import Numbers, is_traced, xp
 

@@ -30,8 +30,8 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics import joints
 from evo_cpg.physics.contact import resting_stiffness
+from evo_cpg.physics.contact_model import ContactModel
 from evo_cpg.physics.contact_points import contact_points
-from evo_cpg.physics.footing import Footing
 from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, passive_torque, servo_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.per_body import take
@@ -106,11 +106,11 @@ def static_forces(
             wrench = wrench + law.wrench(still)
     moment, force = matvec(kin.rotation, wrench[:3]), matvec(kin.rotation, wrench[3:])
     touch = Touch(*friction[:2], friction.held, friction.slip, friction.slip)
-    if world.footing is not None:
-        force_on, touch = _ground(world.footing, h, kin, friction)
-        owner = np.array(world.footing.bodies)[:, None] == np.arange(tree.body_count)
+    if world.contact_model is not None:
+        force_on, touch = _ground(world.contact_model, h, kin, friction)
+        owner = np.array(world.contact_model.bodies)[:, None] == np.arange(tree.body_count)
         owner = owner.astype(float)
-        offset = touch.place - take(kin.origin, np.array(world.footing.bodies))
+        offset = touch.place - take(kin.origin, np.array(world.contact_model.bodies))
         moment, force = moment + cross(offset, force_on) @ owner, force + force_on @ owner
     # Moments about the world's origin add up over the bodies that a joint carries.
     about = moment + cross(kin.origin, force)
@@ -132,20 +132,20 @@ def _carried(tree: Tree) -> Float[np.ndarray, "b d"]:
 
 
 def next_friction(
-    footing: Footing, h: float, friction: FrictionState, touch: Touch
+    contact_model: ContactModel, h: float, friction: FrictionState, touch: Touch
 ) -> FrictionState:
     """Return the friction state after a displacement: Coulomb's law with static friction alone.
 
     A point that friction cannot hold slides, and one that turns back sticks again.
 
     Args:
-        footing: what may touch.
+        contact_model: what may touch.
         h: step of the simulation, s.
         friction: before.
         touch: what the ground does at its end.
     """
-    stiffness = expand_dims_like(resting_stiffness(footing, h), friction.held)
-    limit = expand_dims_like(footing.static_friction, friction.held) * touch.normal_force
+    stiffness = expand_dims_like(resting_stiffness(contact_model, h), friction.held)
+    limit = expand_dims_like(contact_model.static_friction, friction.held) * touch.normal_force
     pull = -stiffness[None] * touch.slip
     size = jnp.sqrt(dot(pull, pull))
     sticks = friction.held > 0
@@ -188,13 +188,13 @@ def radius_of_gyration(tree: Tree) -> float:
 
 
 def _ground(
-    footing: Footing, h: float, kin: Kinematics, friction: FrictionState
+    contact_model: ContactModel, h: float, kin: Kinematics, friction: FrictionState
 ) -> tuple[Float[Array, "3 p"], Touch]:
     """Force on every contact point, N, and what the ground does."""
-    bodies = np.array(footing.bodies)
-    stiffness = expand_dims_like(resting_stiffness(footing, h), friction.held)
-    offset, _, gap, normal, *_ = contact_points(footing, kin)
-    point, place = _on_body(footing, kin, offset)
+    bodies = np.array(contact_model.bodies)
+    stiffness = expand_dims_like(resting_stiffness(contact_model, h), friction.held)
+    offset, _, gap, normal, *_ = contact_points(contact_model, kin)
+    point, place = _on_body(contact_model, kin, offset)
     normal_force = stiffness * jnp.maximum(-gap, 0.0)
     now = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), friction.point)
     displacement = now - friction.place
@@ -206,8 +206,8 @@ def _ground(
 
 
 def _on_body(
-    footing: Footing, kin: Kinematics, offset: Float[Array, "3 p"]
+    contact_model: ContactModel, kin: Kinematics, offset: Float[Array, "3 p"]
 ) -> tuple[Float[Array, "3 p"], Float[Array, "3 p"]]:
     """Return points in their body's axes, and in the world."""
-    bodies = np.array(footing.bodies)
+    bodies = np.array(contact_model.bodies)
     return matvec_t(take(kin.rotation, bodies, 2), offset), take(kin.origin, bodies) + offset

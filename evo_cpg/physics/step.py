@@ -88,7 +88,7 @@ def first_warmstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> W
 
 def needs_iteration(world: World) -> bool:
     """Whether steps of a world need a search, because its laws have kinks."""
-    contact = world.footing is not None or world.pairs is not None
+    contact = world.contact_model is not None or world.pairs is not None
     return contact or _can_overload(world.tree)
 
 

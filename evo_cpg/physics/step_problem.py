@@ -142,10 +142,10 @@ class StepProblem(NamedTuple):
 
     def change_of_velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"]:
         """Of the contact points because of accelerations, m/s."""
-        footing, contacts = self.world.footing, self.equations.contacts
-        assert footing is not None and contacts is not None
+        contact_model, contacts = self.world.contact_model, self.equations.contacts
+        assert contact_model is not None and contacts is not None
         accelerations = body_accelerations(self.world.tree, self.equations.kin, y)
-        return change_of_velocity(footing, contacts, accelerations, self.h)
+        return change_of_velocity(contact_model, contacts, accelerations, self.h)
 
     def linearized(
         self,
@@ -169,9 +169,9 @@ class StepProblem(NamedTuple):
         change = self.h * qdd
         stop, stop_slope = limit_torque(tree, state.q, state.qd + change, self.h)
         torque, slope = torque + stop + stop_slope * change, slope + stop_slope
-        footing, contacts, linear = self.world.footing, self.equations.contacts, None
-        if footing is not None and contacts is not None and velocity is not None:
-            linear = linearize_contacts(footing, contacts, radius, velocity, self.h)
+        contact_model, contacts, linear = self.world.contact_model, self.equations.contacts, None
+        if contact_model is not None and contacts is not None and velocity is not None:
+            linear = linearize_contacts(contact_model, contacts, radius, velocity, self.h)
         apart = self.equations.pairs
         pushes = None if apart is None else apart.at(qdd)
         return Linearization(torque, slope, linear, pushes)
@@ -196,10 +196,10 @@ class StepProblem(NamedTuple):
 
     def _by_elimination(self, linear: Linearization) -> Float[Array, "v *n"]:
         tree, equations, h = self.world.tree, self.equations, self.h
-        footing, contacts = self.world.footing, equations.contacts
+        contact_model, contacts = self.world.contact_model, equations.contacts
         matrix, force, torque = self.mass, self.force, linear.torque
-        if footing is not None and contacts is not None and linear.contact is not None:
-            blocks = contact_inertia(footing, contacts, linear.contact, equations.inertia, h)
+        if contact_model is not None and contacts is not None and linear.contact is not None:
+            blocks = contact_inertia(contact_model, contacts, linear.contact, equations.inertia, h)
             matrix = matrix + mass_matrix(tree, equations.kin, blocks)
             force = force + self._ground(
                 linearized_force(linear.contact, contacts.unconstrained_velocity)
@@ -213,13 +213,13 @@ class StepProblem(NamedTuple):
     def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
         """The accelerations without pairs, by the articulated-body algorithm."""
         equations, h = self.equations, self.h
-        footing, contacts = self.world.footing, equations.contacts
+        contact_model, contacts = self.world.contact_model, equations.contacts
         inertia, bias = equations.inertia, equations.bias
-        if footing is not None and contacts is not None and linear.contact is not None:
-            blocks = contact_inertia(footing, contacts, linear.contact, inertia, h)
+        if contact_model is not None and contacts is not None and linear.contact is not None:
+            blocks = contact_inertia(contact_model, contacts, linear.contact, inertia, h)
             inertia = jax.tree.map(jnp.add, inertia, blocks)
             force = linearized_force(linear.contact, contacts.unconstrained_velocity)
-            wrench = contact_wrench(footing, contacts, force, bias)
+            wrench = contact_wrench(contact_model, contacts, force, bias)
             bias = jax.tree.map(jnp.subtract, bias, wrench)
         torque, slope = equations.passive + linear.torque, equations.derivative + h * linear.slope
         found = solve(self.world.tree, equations.kin, inertia, bias, torque, slope)
@@ -278,10 +278,10 @@ class StepProblem(NamedTuple):
             velocity: of the contact points in it.
             linear: the laws linearized there.
         """
-        footing = self.world.footing
-        if footing is None or velocity is None:
+        contact_model = self.world.contact_model
+        if contact_model is None or velocity is None:
             return jnp.zeros(linear.torque.shape[1:], linear.torque.dtype)
-        change = friction_change(footing, radius, allowed, velocity, self.h)
+        change = friction_change(contact_model, radius, allowed, velocity, self.h)
         return jnp.sqrt((change * change).sum(0)) / self.load(linear)
 
     def load(self, linear: Linearization) -> Float[Array, "*n"]:
@@ -296,10 +296,10 @@ class StepProblem(NamedTuple):
 
     def cone_radius(self, velocity: Float[Array, "3 p *n"] | None) -> Float[Array, "p *n"]:
         """Of the friction cones, under the normal forces of the laws at some velocity, N."""
-        footing, contacts = self.world.footing, self.equations.contacts
-        if footing is None or contacts is None or velocity is None:
+        contact_model, contacts = self.world.contact_model, self.equations.contacts
+        if contact_model is None or contacts is None or velocity is None:
             return self.force[:0]
-        return cone_radius(footing, contacts, velocity, self.h)
+        return cone_radius(contact_model, contacts, velocity, self.h)
 
     def must_reduce_restitution(
         self, y: Float[Array, "v *n"], linear: Linearization
@@ -373,9 +373,9 @@ class StepProblem(NamedTuple):
 
     def _ground(self, force: Float[Array, "3 p *n"]) -> Float[Array, "v *n"]:
         """What forces on the contact points are to the root and the joints."""
-        footing, equations = self.world.footing, self.equations
-        assert footing is not None and equations.contacts is not None
-        wrench = contact_wrench(footing, equations.contacts, force, equations.bias)
+        contact_model, equations = self.world.contact_model, self.equations
+        assert contact_model is not None and equations.contacts is not None
+        wrench = contact_wrench(contact_model, equations.contacts, force, equations.bias)
         return generalized_force(self.world.tree, equations.kin, wrench)
 
 

@@ -166,8 +166,8 @@ def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
 
 def coldstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmstart:
     """Return the warm start of a first step: no contact, motors below their limits."""
-    points = 0 if world.footing is None else len(world.footing.bodies)
-    velocity = None if world.footing is None else jnp.zeros((3, points, *batch), dtype)
+    points = 0 if world.contact_model is None else len(world.contact_model.bodies)
+    velocity = None if world.contact_model is None else jnp.zeros((3, points, *batch), dtype)
     qdd = jnp.zeros((world.tree.dof_count, *batch), dtype)
     return Warmstart(qdd, velocity, jnp.zeros((points, *batch), dtype))
 
@@ -195,7 +195,7 @@ def _with_velocity_products(
 
 def _cone_rounds(problem: StepProblem) -> int:
     """Return the largest number of rounds of friction cones."""
-    return 1 if problem.world.footing is None else _CONE_ROUNDS
+    return 1 if problem.world.contact_model is None else _CONE_ROUNDS
 
 
 def _pair_biases(problem: StepProblem) -> int:

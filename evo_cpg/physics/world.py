@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.buoyancy import Cells
+from evo_cpg.physics.contact_model import ContactModel, Ground
 from evo_cpg.physics.fluid import Drag
-from evo_cpg.physics.footing import Footing, Ground
 from evo_cpg.physics.force_law import Bodies, ForceLaw, bodies_in
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.pairs import Pairs
@@ -31,7 +31,7 @@ class World(eqx.Module):
         water: the medium; None on dry land.
         forces: what acts on the bodies besides weight, buoyancy, joints and contact, in the order
             in which it is added up.
-        footing: the contact points; None where there is nothing to stand on.
+        contact_model: the contact points; None where there is nothing to stand on.
         cells: the bodies' volumes; none are needed where water is everywhere.
         pairs: bodies that must not pass through each other; None where none can meet.
     """
@@ -40,7 +40,7 @@ class World(eqx.Module):
     gravity: Number
     water: Water | None = None
     forces: tuple[ForceLaw, ...] = ()
-    footing: Footing | None = None
+    contact_model: ContactModel | None = None
     cells: tuple[Cells, ...] = ()
     pairs: Pairs | None = None
 
@@ -48,7 +48,7 @@ class World(eqx.Module):
         water = "no water" if self.water is None else "water everywhere"
         if self.water is not None and self.water.surface is not None:
             water = f"water up to {self.water.surface} m"
-        ground = "no ground" if self.footing is None else "ground"
+        ground = "no ground" if self.contact_model is None else "ground"
         return f"World(gravity {self.gravity} m/s^2, {water}, {ground})"
 
     def bodies(self, kin: Kinematics, h: float) -> Bodies:
@@ -93,12 +93,12 @@ class World(eqx.Module):
     @property
     def submerged(self) -> bool:
         """Whether the creature is in deep water, always and everywhere."""
-        return self.water is not None and self.water.surface is None and self.footing is None
+        return self.water is not None and self.water.surface is None and self.contact_model is None
 
     @property
     def ground(self) -> Ground | None:
         """None where there is nothing to stand on."""
-        return None if self.footing is None else self.footing.ground
+        return None if self.contact_model is None else self.contact_model.ground
 
     def with_friction(self, factor: Float[Numbers, " *n"] | Array | float) -> "World":
         """The same on ground with more or less friction, static and dynamic.
@@ -106,16 +106,16 @@ class World(eqx.Module):
         Raises:
             ValueError: there is no ground.
         """
-        if self.footing is None:
+        if self.contact_model is None:
             raise ValueError("there is no ground to be rough")
         axes = (1,) * np.ndim(factor)
         factor = xp.asarray(factor)[None] if axes else factor
         static, dynamic = (
             mu.reshape(-1, *axes) * factor
-            for mu in (self.footing.static_friction, self.footing.dynamic_friction)
+            for mu in (self.contact_model.static_friction, self.contact_model.dynamic_friction)
         )
-        rougher = self.footing._replace(static_friction=static, dynamic_friction=dynamic)
-        return eqx.tree_at(lambda world: world.footing, self, rougher)
+        rougher = self.contact_model._replace(static_friction=static, dynamic_friction=dynamic)
+        return eqx.tree_at(lambda world: world.contact_model, self, rougher)
 
     def with_drag(self, factor: float) -> "World":
         """Return the same in water with more or less drag of both kinds.

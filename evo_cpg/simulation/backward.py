@@ -70,7 +70,7 @@ class Backward(NamedTuple):
             return advance(carry, number)[0], None
 
         kept = _kept_bytes(step, carry)
-        if self.copies * steps * kept <= machine_constants.KEPT_FOR_THE_WAY_BACK:
+        if self.copies * steps * kept <= machine_constants.LARGEST_RESIDUALS:
             return segment(steps)(carry, 0)[0]
         # The least memory for the states between segments and for one segment together.
         length = max(1, math.isqrt(steps * _bytes(jax.tree.leaves(carry)) // kept))

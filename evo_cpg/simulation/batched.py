@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.spatial.mixed_array import MixedArray
 from evo_cpg.spatial.numerics import is_number
-from evo_cpg.spatial.partly import PartlyTraced
 
 # Differences of so many units in the last place are rounding.
 _ROUNDING = 16 * np.finfo(float).eps
@@ -51,7 +51,7 @@ class Inputs(NamedTuple):
         for place, own, value in zip(self.places, self.elements, values, strict=True):
             known = np.asarray(leaves[place], float)
             if known.ndim and len(own) < known.size:
-                leaves[place] = PartlyTraced(known, own, value)
+                leaves[place] = MixedArray(known, own, value)
             else:
                 leaves[place] = value.reshape(known.shape)
         return jax.tree.unflatten(structure, leaves)

@@ -264,7 +264,7 @@ def move(
         )
 
     pressure = animal.pressure
-    if world.footing is not None and simulation.sensors.pressure_bodies:
+    if world.contact_model is not None and simulation.sensors.pressure_bodies:
         pressure = fuse(touch, moved, ground_force, batch_ndim=len(batch), name="sensors")
     kept = forces if animal.forces else None
     after = AnimalState(moved, animal.nerves, pressure, kept, warmstart)
@@ -296,8 +296,8 @@ def _light_of(constants: EpisodeConstants, own: Array | None, position: Array) -
 
 def no_forces(simulation: Simulation, state: State) -> Forces:
     """Return zero forces: idle motors, no contact with the ground or between limbs."""
-    footing, pairs = simulation.world.footing, simulation.world.pairs
-    points = 0 if footing is None else len(footing.bodies)
+    contact_model, pairs = simulation.world.contact_model, simulation.world.pairs
+    points = 0 if contact_model is None else len(contact_model.bodies)
     meeting = 0 if pairs is None else len(pairs.owners[0])
     batch, dtype = state.position.shape[1:], state.q.dtype
     none = (jnp.zeros((*shape, *batch), dtype) for shape in ((3, points), (meeting,)))

@@ -313,11 +313,11 @@ def distance(displacement: Displacement, world: World) -> Float[Array, " *n"]:
     """In a straight line, m; over ground heights do not count."""
     x, y, z = displacement.end - displacement.start
     level = x * x + y * y
-    return jnp.sqrt(level if world.footing is not None else level + z * z)
+    return jnp.sqrt(level if world.contact_model is not None else level + z * z)
 
 
 def _limbs(world: World) -> list[int]:
     """Bodies with contact points, but for the root, which is the first."""
-    footing = world.footing
-    owners = np.array(() if footing is None else footing.bodies, int)
+    contact_model = world.contact_model
+    owners = np.array(() if contact_model is None else contact_model.bodies, int)
     return [int(body) for body in np.unique(owners) if body > 0]

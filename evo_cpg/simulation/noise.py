@@ -83,9 +83,9 @@ def disturb_start(
         jnp.clip(state.q + noise.joint_angle * bend, lower, upper),
         state.qd,
     )
-    if world.footing is None:
+    if world.contact_model is None:
         return state
-    depth = -clearance(world.footing, kinematics(tree, state)).min(0)
+    depth = -clearance(world.contact_model, kinematics(tree, state)).min(0)
     lift = [jnp.zeros_like(state.position[:2]), jnp.maximum(depth, 0.0)[None]]
     return eqx.tree_at(lambda s: s.position, state, state.position + jnp.concatenate(lift))
 

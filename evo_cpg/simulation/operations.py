@@ -14,7 +14,7 @@ import numpy as np
 
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.footing import CORNERS, Footing
+from evo_cpg.physics.contact_model import CORNERS, ContactModel
 from evo_cpg.physics.pairs import KINDS, Pairs
 from evo_cpg.physics.step import needs_iteration
 from evo_cpg.physics.terrain import Plane
@@ -109,8 +109,8 @@ def _counts(simulation: Simulation) -> dict[str, dict[str, float]]:
     return {
         "bodies": {"body": tree.body_count, "axis": axes},
         "limits": {"axis": axes, "axis below axis": below} if needs_iteration(world) else {},
-        "ground": {} if world.footing is None else _on_ground(tree, world.footing),
-        "obstacles": {} if world.footing is None else _at_obstacles(world.footing),
+        "ground": {} if world.contact_model is None else _on_ground(tree, world.contact_model),
+        "obstacles": {} if world.contact_model is None else _at_obstacles(world.contact_model),
         "pairs": {} if world.pairs is None else _of_pairs(tree, chains, world.pairs),
         "looped pairs": {} if world.pairs is None else _of_loops(tree, chains, world.pairs),
         "brain": {"gene": simulation.controller.gene_count},
@@ -118,34 +118,35 @@ def _counts(simulation: Simulation) -> dict[str, dict[str, float]]:
     }
 
 
-def _on_ground(tree: Tree, footing: Footing) -> dict[str, float]:
-    meshes = footing.meshes.shape[-1]
+def _on_ground(tree: Tree, contact_model: ContactModel) -> dict[str, float]:
+    meshes = contact_model.meshes.shape[-1]
     boxes, balls, ellipsoids = (
-        part.shape[-1] for part in (footing.boxes, footing.radii, footing.semi_axes)
+        part.shape[-1]
+        for part in (contact_model.boxes, contact_model.radii, contact_model.semi_axes)
     )
     points = CORNERS * (boxes + meshes) + balls + ellipsoids
     return {
         "body": tree.body_count,
         "box": boxes,
-        **_of_meshes(footing),
+        **_of_meshes(contact_model),
         "ball": balls,
         "ellipsoid": ellipsoids,
-        "point on uneven floor": 0 if isinstance(footing.ground.floor, Plane) else points,
+        "point on uneven floor": 0 if isinstance(contact_model.ground.floor, Plane) else points,
     }
 
 
-def _at_obstacles(footing: Footing) -> dict[str, float]:
-    if footing.solids is None:
+def _at_obstacles(contact_model: ContactModel) -> dict[str, float]:
+    if contact_model.solids is None:
         return {}
-    boxes, lines, balls, ellipsoids, _ = footing.solids
+    boxes, lines, balls, ellipsoids, _ = contact_model.solids
     kinds = {"box": boxes, "capsule": lines, "ball": balls, "ellipsoid": ellipsoids}
-    count = len(footing.ground.obstacles)
+    count = len(contact_model.ground.obstacles)
     found = {name: count * len(parts.bodies) for name, parts in kinds.items()}
-    return found | _of_meshes(footing)
+    return found | _of_meshes(contact_model)
 
 
-def _of_meshes(footing: Footing) -> dict[str, float]:
-    _, corners, meshes = footing.meshes.shape
+def _of_meshes(contact_model: ContactModel) -> dict[str, float]:
+    _, corners, meshes = contact_model.meshes.shape
     return {"mesh": meshes, "corner of a mesh": corners * meshes}
 
 

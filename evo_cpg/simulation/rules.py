@@ -54,8 +54,8 @@ def keeps(
     if rules.power is not None:
         valid &= energy <= rules.power * duration
     kin = kinematics(world.tree, state)
-    if rules.penetration is not None and world.footing is not None:
-        valid &= (clearance(world.footing, kin) >= -rules.penetration).all(0)
+    if rules.penetration is not None and world.contact_model is not None:
+        valid &= (clearance(world.contact_model, kin) >= -rules.penetration).all(0)
     if rules.overlap is not None and rules.pairs is not None:
         gap = separations(rules.pairs, kin).gap
         # Pairs without stiffness are those of other bodies of a plan.

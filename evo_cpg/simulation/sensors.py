@@ -13,8 +13,8 @@ from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import dot, expand_dims_like, matvec
+from evo_cpg.spatial.mixed_array import MixedArray
 from evo_cpg.spatial.numerics import Numbers, xp
-from evo_cpg.spatial.partly import PartlyTraced
 
 # Added under the root so that the direction to a light at the sensor's own place has a gradient.
 _DISTANCE_FLOOR = 1e-12
@@ -88,9 +88,9 @@ def pressure_readings(
         force: of the ground on every contact point, contact frame, N; None without ground.
     """
     bodies = np.array(sensors.pressure_bodies, int)
-    if force is None or world.footing is None or not len(bodies):
+    if force is None or world.contact_model is None or not len(bodies):
         return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
-    owners = np.array(world.footing.bodies)
+    owners = np.array(world.contact_model.bodies)
     normal = jnp.stack([take(force[2], np.flatnonzero(owners == i), 0).sum(0) for i in bodies])
     pressing = jnp.zeros_like(normal)
     if world.water is not None and world.water.surface is not None:
@@ -117,7 +117,7 @@ def _depth(
     surface: ArrayLike,
     kin: Kinematics,
     bodies: np.ndarray,
-    places: np.ndarray | Array | PartlyTraced,
+    places: np.ndarray | Array | MixedArray,
 ) -> Float[Array, "k *n"]:
     """Return the depth of places of bodies under the water's surface, m; negative above it."""
     own = take(kin.origin[2], bodies, 0)

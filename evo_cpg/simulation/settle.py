@@ -40,7 +40,7 @@ from evo_cpg.physics.statics import (
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.plans import Programs, WorldPlan
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.spatial.choices import Undecidable, chosen, searched
+from evo_cpg.spatial.decisions import Undecidable, chosen, searched
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import axis_rotation, integrate_quaternion, quaternion_to_matrix
 
@@ -155,7 +155,7 @@ class Settling:
         self.weight = float(tree.mass.sum() * abs(world.gravity)) or 1.0
         self.scale = np.where(self.free < root.LENGTHS, self.size, 1.0)
         self.stay = np.where(np.isin(self.free, root.SYMMETRIES), _STAY, 0.0)
-        self.farthest = _FARTHEST if world.footing is None else _FARTHEST_ON_GROUND
+        self.farthest = _FARTHEST if world.contact_model is None else _FARTHEST_ON_GROUND
         moment = self.weight * self.size
         search, numbers = _searches.of(world, self.free, h)
         given = numbers, self.scale, moment
@@ -228,7 +228,7 @@ class Settling:
 
     def _first_friction(self, start: State) -> FrictionState:
         """Of an animal none of whose places has touched anything yet."""
-        places = 0 if self.world.footing is None else len(self.world.footing.bodies)
+        places = 0 if self.world.contact_model is None else len(self.world.contact_model.bodies)
         none, nothing = jnp.zeros((3, places)), jnp.zeros(places)
         touch = self._at(
             np.zeros(len(self.free)), start, FrictionState(none, none, none, nothing, none)
@@ -333,8 +333,8 @@ class _Search:
         ) -> tuple[State, FrictionState]:
             numbers, length, _ = given
             world = plan.world(numbers)
-            if world.footing is not None:
-                friction = next_friction(world.footing, h, friction, touch)
+            if world.contact_model is not None:
+                friction = next_friction(world.contact_model, h, friction, touch)
             x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
             return base.displaced(x), friction
 
@@ -422,14 +422,14 @@ def _require_support(world: World) -> None:
         # A force law of the user's own may carry it.
         return
     if water is None:
-        if world.footing is None:
+        if world.contact_model is None:
             raise NoRestError("it falls: there is neither ground nor water to carry it")
         return
     own, displaced = float(tree.mass.sum()), water.density * float(tree.volume.sum())
     if abs(own - displaced) < _EXACT * own:
         return
     weights = f"its mass is {own:.6g} kg, and it displaces {displaced:.6g} kg of water at most"
-    if own > displaced and world.footing is None:
+    if own > displaced and world.contact_model is None:
         raise NoRestError(f"it sinks: {weights}, with no ground below")
     if own < displaced and water.surface is None:
         raise NoRestError(f"it rises for ever: {weights}, which has no surface")

@@ -2,7 +2,7 @@
 
 What follows from the state is computed when it is asked for, and what nobody asks for costs
 nothing. Bodies and degrees of freedom are in the order of the tree (`Snapshot.body`,
-`Snapshot.dof` find them by name), contact points in that of the footing; trailing axes are
+`Snapshot.dof` find them by name), contact points in that of the contact model; trailing axes are
 individuals.
 """
 
@@ -93,8 +93,8 @@ class Snapshot:
     @property
     def contact_bodies(self) -> Int[np.ndarray, " p"]:
         """Index of the body that each contact point belongs to."""
-        footing = self.world.footing
-        return np.array(() if footing is None else footing.bodies, int)
+        contact_model = self.world.contact_model
+        return np.array(() if contact_model is None else contact_model.bodies, int)
 
     @property
     def contact_position(self) -> Float[Array, "3 p *n"]:
@@ -148,10 +148,10 @@ class Snapshot:
     @functools.cached_property
     def _lowest(self) -> tuple[Array, Array]:
         """From the bodies' origins to the contact points, world axes, and their clearance."""
-        if self.world.footing is None:
+        if self.world.contact_model is None:
             origin = self.kinematics.origin
             return origin[:, :0], origin[0, :0]
-        offset, _, gap, *_ = contact_points(self.world.footing, self.kinematics)
+        offset, _, gap, *_ = contact_points(self.world.contact_model, self.kinematics)
         return offset, gap
 
     def _mean(self, of_bodies: Float[Array, "3 b *n"]) -> Float[Array, "3 *n"]:

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.spatial.mixed_array import MixedArray
 from evo_cpg.spatial.numerics import is_traced, xp
-from evo_cpg.spatial.partly import PartlyTraced
 
 inlined = functools.partial(jax.jit, inline=True)
 """Decorator of a function of arrays alone: JAX traces it once for arguments of each shape and type.
@@ -34,7 +34,7 @@ _AFTER_NEXT = np.array([2, 0, 1])
 
 
 def expand_dims_like(
-    constant: np.ndarray | Array | PartlyTraced, like: Array, rank: int | None = None
+    constant: np.ndarray | Array | MixedArray, like: Array, rank: int | None = None
 ) -> Array:
     """Append unit axes to a constant so that it broadcasts against an array.
 

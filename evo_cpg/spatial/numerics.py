@@ -3,7 +3,7 @@
 A model is built from the numbers of a configuration. Of known numbers NumPy makes constants, in
 float64 and without compiling anything; of traced ones the same lines make a JAX program, by which
 the building can be differentiated, mapped and compiled. So builders call ``xp.sqrt`` and the like,
-never write into arrays, and take what is no number from `evo_cpg.spatial.choices`.
+never write into arrays, and take what is no number from `evo_cpg.spatial.decisions`.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.spatial.partly import PartlyTraced
+from evo_cpg.spatial.mixed_array import MixedArray
 
 # A float, or a traced scalar where a model is built of traced numbers.
 Number = Any
@@ -26,12 +26,12 @@ TABLES = ("heights", "meshes", "triangles")
 
 def is_traced(*values: Any) -> bool:
     """Whether any number in some values, nested or not, is one of JAX's."""
-    return any(isinstance(x, (jax.Array, PartlyTraced)) for x in jax.tree.leaves(values))
+    return any(isinstance(x, (jax.Array, MixedArray)) for x in jax.tree.leaves(values))
 
 
 def _whole(value: Any) -> Any:
     """JAX's functions of jit refuse arrays that are but like its own."""
-    return jnp.asarray(value) if isinstance(value, PartlyTraced) else value
+    return jnp.asarray(value) if isinstance(value, MixedArray) else value
 
 
 class _Namespace:

@@ -44,7 +44,7 @@ def bench_suite() -> ModuleType:
 def measure(workshop: Workshop, case: str) -> list[Table]:
     """The rows of a case."""
     suite = bench_suite()
-    request = suite.Wanted((case,), quick=workshop.quick)
+    request = suite.Selection((case,), quick=workshop.quick)
     machine, rows = suite.measure(request, workshop.devices, workshop.work)
     if case in _MOVING:
         suite.picture.draw(rows, machine, workshop.picture())

@@ -302,4 +302,4 @@ def compile_ascent(
 
 def _is_rough(simulation: Simulation) -> bool:
     """Whether slopes lead over ground (see `evo_cpg.simulation.backward`)."""
-    return simulation.world.footing is not None
+    return simulation.world.contact_model is not None

@@ -19,7 +19,7 @@ from pathlib import Path
 import jax
 
 from evo_cpg.fusion.backend.machine import keep_code_in
-from evo_cpg.system import home_folder, is_writable, told_by
+from evo_cpg.system import described_by, home_folder, is_writable
 
 # The oldest programs go when all take up more than this, bytes. One is 1 to 4 MB.
 _MOST = 1 << 30
@@ -69,7 +69,7 @@ def compiled_folder() -> Path | None:
 def _processor() -> str:
     """A short name for the kind of processor, the same for all that run the same machine code."""
     kind = [platform.system(), platform.machine(), platform.processor()]
-    lines = told_by(Path("/proc/cpuinfo")).splitlines()
+    lines = described_by(Path("/proc/cpuinfo")).splitlines()
     kind += sorted({line for line in lines if line.startswith(("flags", "Features", "model"))})
     return hashlib.sha256("\n".join(kind).encode()).hexdigest()[:16]
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import jax
 
 from evo_cpg.errors import UserError
-from evo_cpg.system import told_by
+from evo_cpg.system import described_by
 from evo_cpg.training.experiment import Experiment, begin
 
 # Bytes of everything else, and copies of all genomes, and of what a search remembers, at the worst
@@ -56,7 +56,7 @@ def available() -> int | None:
     for file in _CONTROL_GROUPS:
         # No such group, or one without a limit.
         with contextlib.suppress(ValueError):
-            found.append(int(told_by(Path(file))))
+            found.append(int(described_by(Path(file))))
     with contextlib.suppress(AttributeError, OSError, ValueError):
         found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     return min(found, default=None)

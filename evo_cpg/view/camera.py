@@ -42,7 +42,7 @@ _AROUND = np.radians(14.0)
 CAMERAS = ("follow", *_ASPECTS, "orbit")
 # Points along a line of sight at which obstacles are looked for, and the number of frames in which
 # that is done.
-_SAMPLES, _LOOKS = 24, 60
+_SAMPLES, _VIEWPOINTS = 24, 60
 
 
 class CameraPath(NamedTuple):
@@ -146,7 +146,7 @@ def hidden(
         height: of what may hide them, m; a function of x and y ``(..., 2)``.
         margin: by which a line of sight must be above it at the camera, m; 0 at the points.
     """
-    every = max(len(points) // _LOOKS, 1)
+    every = max(len(points) // _VIEWPOINTS, 1)
     points, eye = points[::every], path.position[::every, None]
     # A point may itself be within a stone or the ground.
     along = np.linspace(0.1, 1.0, _SAMPLES)[:, None, None]

@@ -32,7 +32,7 @@ def set_scene(stage: Stage, bodies: Sequence[Sequence[pv.Actor]]) -> Callable[[i
         A function that draws a frame by its number: bytes ``(height, width, 3)``, bottom row first.
     """
     plotter, away = stage.plotter, stage.away
-    updates = _add_surroundings(stage)
+    updates = _add_environment(stage)
     plotter.camera.view_angle = stage.camera.view_angle
     plotter.camera.up = (0.0, 0.0, 1.0)
     # Makes the window, in which nothing need be drawn yet; without it VTK resets the camera later.
@@ -56,7 +56,7 @@ def set_scene(stage: Stage, bodies: Sequence[Sequence[pv.Actor]]) -> Callable[[i
     return show
 
 
-def _add_surroundings(stage: Stage) -> list[Update]:
+def _add_environment(stage: Stage) -> list[Update]:
     """Draw everything but the animal.
 
     Translucent actors are drawn in the order in which they are added. What lies in the plane of the

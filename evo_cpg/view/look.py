@@ -63,7 +63,7 @@ class Look:
     zenith: str | None
 
 
-LOOKS = {
+STYLES = {
     "water": Look(
         distance="#052a3b",
         floor=("#0d4c5c", "#2f8a8c"),
@@ -112,7 +112,7 @@ LOOKS = {
 
 # Where water has a surface that is seen from above.
 SHORE = dataclasses.replace(
-    LOOKS["land"],
+    STYLES["land"],
     distance="#dfebf1",
     floor=("#bfa77a", "#eedcb1"),
     grid="#7d6b4a",

@@ -192,7 +192,7 @@ def _draw_rows(
         time: s.
         signals: of the joints ``(t, d)``, by their label: a line, and a dashed line.
     """
-    looks = ((BLUE, 1.8, "solid"), (RED, 1.2, (0, (4, 2))))
+    styles = ((BLUE, 1.8, "solid"), (RED, 1.2, (0, (4, 2))))
     tops = [1.25 * max(float(np.abs(values).max()), 1e-3) for values in signals.values()]
     lines = []
     for i, panel in enumerate(panels):
@@ -200,7 +200,7 @@ def _draw_rows(
         panel.set_xlim(time[0], time[-1])
         scales = panel, right_axis(panel)
         for axes, (label, values), (color, width, style), top in zip(
-            scales, signals.items(), looks, tops, strict=True
+            scales, signals.items(), styles, tops, strict=True
         ):
             lines += axes.plot(time, values[:, i], color=color, lw=width, ls=style)
             axes.set_ylim(-top, top)

@@ -13,14 +13,14 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Body, Creature, lowest_height, neutral_pose
-from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import VIEW_ANGLE, CameraPath, level_axes
 from evo_cpg.view.clip import sample
 from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.legible import font, legible, lettering, write
-from evo_cpg.view.look import LOOKS
+from evo_cpg.view.look import STYLES
 from evo_cpg.view.meshes import add_bodies, shape_mesh
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.offscreen import canvas
@@ -31,7 +31,7 @@ from evo_cpg.view.stage import Stage
 # Names and axes stand out from these colours of dry land, a shore and the bottom of the sea.
 _BACKGROUND = "#f4f6f8"
 _DRY = dataclasses.replace(
-    LOOKS["land"],
+    STYLES["land"],
     distance=_BACKGROUND,
     floor=("#d3cab8", "#ece5d8"),
     grid="#a89c84",

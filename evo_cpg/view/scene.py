@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording, require_whole
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.view.camera import course
 from evo_cpg.view.clip import Clip
-from evo_cpg.view.look import LOOKS, SHORE, Look
+from evo_cpg.view.look import SHORE, STYLES, Look
 from evo_cpg.view.signals import Signals
 from evo_cpg.view.terrain import Terrain, make_terrain
 from evo_cpg.view.textures import CELLS
@@ -78,8 +78,8 @@ def check_panel(panel: Panel) -> None:
         raise ValueError(
             f"surface is {panel.surface:g}; it must be finite, or None where there is none"
         )
-    if panel.world not in LOOKS:
-        raise ValueError(f"world is {panel.world!r}; choose {' or '.join(LOOKS)}")
+    if panel.world not in STYLES:
+        raise ValueError(f"world is {panel.world!r}; choose {' or '.join(STYLES)}")
     require_whole(panel.recording, panel.creature)
 
 
@@ -175,7 +175,7 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
     if surface is not None and surface_is_seen(creature, clip, panel.ground, surface):
         look = SHORE
     else:
-        look, surface = LOOKS[panel.world], None
+        look, surface = STYLES[panel.world], None
     # The recorded distance without a light is that of the root.
     root = clip.position[:, next(i for i, body in enumerate(creature.bodies) if not body.joint)]
     bearing = course(root, panel.recording.goal, radius / 10)

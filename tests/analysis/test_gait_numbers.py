@@ -13,7 +13,7 @@ from evo_cpg.analysis.gait_numbers import GaitNumbers, gait_numbers
 from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.recording import Recording
 
@@ -63,7 +63,7 @@ def numbers_of(
 
 def lying(creature: Creature) -> World:
     tree = build_tree(creature)
-    return World(tree, 9.81, footing=make_footing(creature, tree, Ground()))
+    return World(tree, 9.81, contact_model=make_contact_model(creature, tree, Ground()))
 
 
 def wave(joints: int = 5, frequency: float = 1.0) -> np.ndarray:
@@ -91,8 +91,8 @@ def test_who_lies_still_has_no_stride_length_and_no_relative_slip(speed):
     """It wriggles on the ground; the tail is on it all the time, and drags at the same speed."""
     creature = snake()
     world = lying(creature)
-    force = np.zeros((COUNT, 3, len(world.footing.bodies), 1))
-    force[:, 2, np.array(world.footing.bodies) == 5] = 3.0
+    force = np.zeros((COUNT, 3, len(world.contact_model.bodies), 1))
+    force[:, 2, np.array(world.contact_model.bodies) == 5] = 3.0
     place = swims(speed)
     found = numbers_of(creature, world, place, wave(), contact_force=force)
     assert found.value("path_speed") == pytest.approx(speed, rel=1e-3)

@@ -9,7 +9,7 @@ import pytest
 import trials
 from evo_cpg.analysis import sensitivity
 from evo_cpg.analysis.sensitivity import changed, differentiate, measured, sensitivities
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.simulation import measures as gait
 from evo_cpg.simulation.judge import Outcome, finish_tally
 from evo_cpg.simulation.measures import Displacement
@@ -81,8 +81,8 @@ def test_a_step_beside_the_value_is_not_confirmed_and_ranks_by_the_change_found(
 def test_speed_is_no_term_of_the_task_and_no_measure(monkeypatch, names):
     simulation = dataclasses.replace(trials.experiment(steps=91).simulation, task=OneTerm("own"))
     simulation = dataclasses.replace(simulation, measures=gait.measures(*names))
-    ground = make_footing(trials.swimmer(()), simulation.world.tree, Ground(0.0, 0.6, 0.6))
-    world = dataclasses.replace(simulation.world, footing=ground)
+    ground = make_contact_model(trials.swimmer(()), simulation.world.tree, Ground(0.0, 0.6, 0.6))
+    world = dataclasses.replace(simulation.world, contact_model=ground)
     start, end = jnp.zeros((3, 1)), jnp.array([[3.0], [4.0], [1.0]])
 
     def lived(simulation, genes, keys):

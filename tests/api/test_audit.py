@@ -21,7 +21,7 @@ from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Ellipsoid
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.mujoco_state import load_state
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.water import Current, Water
@@ -86,7 +86,7 @@ def walker(slope=0.0, height=0.0, torque_limit=5.0, light=None, short=False):
     base = experiment(steps=40)
     simulation = dataclasses.replace(
         base.simulation,
-        world=World(tree, 9.81, footing=make_footing(creature, tree, floor)),
+        world=World(tree, 9.81, contact_model=make_contact_model(creature, tree, floor)),
         sensors=place_sensors(creature, tree),
         controller=SineController(),
         task=Distance(),

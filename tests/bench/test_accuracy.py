@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy import (
-    CROWD,
     FINER,
+    LANES,
     body_length,
     mujoco_error,
     mujoco_places,
@@ -64,7 +64,7 @@ def test_the_error_falls_with_the_step(places):
 def test_errors_are_in_body_lengths(chain, places):
     """The float32 motion at the step itself has about the error that its float64 twin has."""
     mesh = population_mesh()
-    program = compile_motion(chain, chain.lanes(full_lanes(CROWD, mesh)), mesh)
+    program = compile_motion(chain, chain.lanes(full_lanes(LANES, mesh)), mesh)
     twin = typical_distance(places("ours", 1), places("ours", FINER)) / body_length(chain)
     # Rounding is a tenth of so small an error.
     assert our_error(chain, program, mesh) == pytest.approx(twin, rel=0.2)

@@ -10,7 +10,7 @@ from creatures import quick_jit
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.parameters import all_parameters, parametrise
-from evo_cpg.spatial.partly import PartlyTraced
+from evo_cpg.spatial.mixed_array import MixedArray
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 # Shares of a value at which is built anew: errors of fourth order are below rounding.
@@ -34,7 +34,7 @@ def check_elements(config, keys, accuracy=1e-14):
 
     def traced(values):
         built = parameters.simulation(values)
-        leaves = jax.tree.leaves(built, is_leaf=lambda leaf: isinstance(leaf, PartlyTraced))
+        leaves = jax.tree.leaves(built, is_leaf=lambda leaf: isinstance(leaf, MixedArray))
         places = zip(inputs.places, inputs.elements, strict=True)
         return [jnp.asarray(leaves[place]).reshape(-1)[own] for place, own in places]
 

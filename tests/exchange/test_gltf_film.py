@@ -15,7 +15,7 @@ import trimesh
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.mesh import convex_mesh
 from evo_cpg.exchange.gltf_film import Z_UP, gltf_film
-from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane, Shore
 from evo_cpg.simulation.recording import Recording, RecordingError
 from evo_cpg.view.clip import quaternions

@@ -18,7 +18,7 @@ from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.joint_torque import clamp_torque, passive_torque, servo_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore

@@ -13,7 +13,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.control.postures import PostureController
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, own_opinion, second_opinion
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.simulation.physics_steps import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 from tiny_run import CONFIG, PAIR
@@ -64,10 +64,10 @@ def test_who_is_in_water_is_not_airborne(swimmer):
     assert own_opinion(simulation, steps).airborne is None
     assert second_opinion(simulation, creature, steps).airborne is None
     world = simulation.world
-    footing = make_footing(creature, world.tree, Ground())
+    contact_model = make_contact_model(creature, world.tree, Ground())
     for surface, share in ((None, None), (2.0, 0.0), (-2.0, 1.0)):
         water = dataclasses.replace(world.water, surface=surface)
-        changed = dataclasses.replace(world, water=water, footing=footing)
+        changed = dataclasses.replace(world, water=water, contact_model=contact_model)
         pool = dataclasses.replace(simulation, world=changed)
         assert own_opinion(pool, steps).airborne == share
 

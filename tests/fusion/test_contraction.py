@@ -118,7 +118,7 @@ def test_values_stay_and_instructions_do_not_grow(data, reorder):
     before, count = [value(node, {}) for node in wanted], instructions(wanted)
     scales = [magnitude(node) for node in wanted]
     after = contracted(builder, nodes[-1], inside, reorder=reorder)
-    wanted = [after.wanted[0], *after.parts[0].arguments]
+    wanted = [after.result_nodes[0], *after.parts[0].arguments]
     for node, old, scale in zip(wanted, before, scales, strict=True):
         assert abs(value(node, {}) - old) <= 1e-12 * scale or not np.isfinite(scale)
     assert instructions(wanted) <= count
@@ -141,7 +141,7 @@ def test_products_are_added_one_by_one():
     a, b, c, d, e, f, x = given_nodes(builder, 7)
     ab, cd, ef = (builder.multiply(*pair) for pair in ((a, b), (c, d), (e, f)))
     root = builder.add(builder.add(ab, cd), builder.add(ef, x))
-    assert counts(contracted(builder, root).wanted) == {"input": 7, "fma": 3}
+    assert counts(contracted(builder, root).result_nodes) == {"input": 7, "fma": 3}
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,7 @@ def test_signs_are_kept(signs, made):
     first = builder.add(y, ab) if signs[1] == "+" else builder.subtract(y, ab)
     root = builder.add(x, first) if signs[0] == "+" else builder.subtract(x, first)
     before = value(root, {})
-    (root,) = contracted(builder, root).wanted
+    (root,) = contracted(builder, root).result_nodes
     assert value(root, {}) == pytest.approx(before, rel=1e-14)
     assert counts([root])["mul"] == 0
     assert made in counts([root]) or signs == "--"
@@ -167,7 +167,7 @@ def test_the_written_order_is_kept_where_it_matters():
     inner = builder.add(builder.add(a, builder.multiply(b, c)), d)
     root = builder.subtract(inner, builder.multiply(e, f))
     other = builder.subtract(builder.multiply(a, d), e)
-    root, other = contracted(builder, root, other, reorder=False).wanted
+    root, other = contracted(builder, root, other, reorder=False).result_nodes
     inner = root.operands[2]
     assert root.op == "fnma" and root.operands == (e, f, inner)
     assert inner.op == "add" and d in inner.operands
@@ -182,7 +182,7 @@ def test_a_sum_or_product_that_others_use_is_left_whole():
     shared = builder.add(builder.multiply(a, b), builder.multiply(c, d))
     product = builder.multiply(a, c)
     roots = [builder.add(shared, a), builder.multiply(shared, b), builder.add(product, d), product]
-    roots = contracted(builder, *roots).wanted
+    roots = contracted(builder, *roots).result_nodes
     (shared,) = {node for node in roots[0].operands if node.op != "input"}
     product = roots[3]
     assert all(shared in root.operands for root in roots[:2])
@@ -199,7 +199,7 @@ def test_what_another_program_reads_is_left_as_it_is():
     root = builder.add(s, e)
     before = value(s, {})
     after = contracted(builder, root, elsewhere)
-    root, (s,) = after.wanted[0], after.parts[0].arguments
+    root, (s,) = after.result_nodes[0], after.parts[0].arguments
     assert value(s, {}) == pytest.approx(before, rel=1e-15)
     assert s in root.operands and s.op == "fma"
 
@@ -211,4 +211,4 @@ def test_all_orders_of_terms_are_one_chain():
         x = given_nodes(builder, 8)
         terms = [builder.multiply(x[2 * i], x[2 * i + 1]) for i in order]
         root = builder.add(builder.add(terms[0], terms[1]), builder.add(terms[2], terms[3]))
-        assert counts(contracted(builder, root).wanted) == {"input": 8, "mul": 1, "fma": 3}
+        assert counts(contracted(builder, root).result_nodes) == {"input": 8, "mul": 1, "fma": 3}

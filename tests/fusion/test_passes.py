@@ -213,7 +213,7 @@ def test_rewrite_makes_new_users_and_leaves_the_old():
     graph = graph_of(lambda b, x, y, z: b.negate(b.add(x, y)))
     x, _, z, total, negative = graph.nodes
     new = rewrite(graph, {total: Change("sub", (x, z), total.number)})
-    (root,) = new.wanted
+    (root,) = new.result_nodes
     assert negative.operands == (total,) and total.op == "add"
     assert root is not negative and root.operands[0].op == "sub"
     assert root.operands[0].operands == (x, z)

@@ -11,7 +11,7 @@ from creatures import quick_jit
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.physics import contact
 from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.footing import combine
+from evo_cpg.physics.contact_model import combine
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.terrain import Plane
@@ -60,7 +60,7 @@ def lowest_points(world: World, state: State) -> np.ndarray:
     @quick_jit
     def places(state):
         kin = kinematics(world.tree, state)
-        return kin.origin + find_contacts(world.footing, kin, H).offset
+        return kin.origin + find_contacts(world.contact_model, kin, H).offset
 
     return np.asarray(places(state))
 
@@ -80,9 +80,9 @@ def test_combination_rules(rule, expected):
 def test_a_place_has_the_combined_values():
     """Of restitution the product with the ground's, which is 1; of frictions geometric means."""
     world = alone(SHAPES["box"], restitution=0.54, static=0.8, dynamic=0.4)
-    np.testing.assert_allclose(world.footing.restitution, 0.54, rtol=1e-12)
-    np.testing.assert_allclose(world.footing.static_friction, 0.8, rtol=1e-12)
-    np.testing.assert_allclose(world.footing.dynamic_friction, 0.4, rtol=1e-12)
+    np.testing.assert_allclose(world.contact_model.restitution, 0.54, rtol=1e-12)
+    np.testing.assert_allclose(world.contact_model.static_friction, 0.8, rtol=1e-12)
+    np.testing.assert_allclose(world.contact_model.dynamic_friction, 0.4, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["box", "sphere"])
@@ -97,7 +97,7 @@ def test_restitution(name):
     run = recorder(alone(shape), 150)
     for setting in (0.0, 0.27, 0.54, 0.75):
         world = alone(shape, setting)
-        states, support = run(released(world, start), jnp.asarray(world.footing.restitution))
+        states, support = run(released(world, start), jnp.asarray(world.contact_model.restitution))
         hit = (np.asarray(support)[:, 2].sum(1) > 0).argmax(0)
         speed = np.asarray(states.velocity)[:, 5]
         columns = np.arange(len(drops))
@@ -106,7 +106,7 @@ def test_restitution(name):
         ratio = after / -speed[hit - 1, columns]
         np.testing.assert_allclose(ratio, setting, atol=0.05)
         if setting > 0:
-            places = len(world.footing.bodies)
+            places = len(world.contact_model.bodies)
             np.testing.assert_allclose(ratio, kept_speed(setting, places), atol=0.005)
 
 

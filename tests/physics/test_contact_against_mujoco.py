@@ -17,7 +17,7 @@ from evo_cpg.creature.shapes import Box, Capsule
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import first_warmstart, step
@@ -32,7 +32,7 @@ STIFF = {"timestep": 1 / 4000, "cone": "elliptic", "impratio": 100, "integrator"
 def both(creature: Creature, ground: Ground, state: dict, seconds: float):
     """Our states, supports and the contact points' arms along x; MuJoCo's model and data."""
     tree = build_tree(creature)
-    world = World(tree, GRAVITY, footing=make_footing(creature, tree, ground))
+    world = World(tree, GRAVITY, contact_model=make_contact_model(creature, tree, ground))
     start = resting_state(tree, (1,), jnp.float64, position=state["position"])
     turn = state.get("orientation", (1.0, 0.0, 0.0, 0.0))
     start = State(
@@ -47,7 +47,7 @@ def both(creature: Creature, ground: Ground, state: dict, seconds: float):
     def run(state):
         def advance(carry, _):
             now, warmstart = carry
-            offset = find_contacts(world.footing, kinematics(tree, now), H).offset[0]
+            offset = find_contacts(world.contact_model, kinematics(tree, now), H).offset[0]
             now, effort = step(world, now, jnp.zeros_like(now.qd), H, warmstart=warmstart)
             return (now, effort.warmstart), (now, effort.contact_frame_force, offset)
 

@@ -15,8 +15,8 @@ from evo_cpg.config.load import load_config
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Sphere
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.fluid import Drag
-from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
@@ -114,7 +114,7 @@ def test_a_gradient_through_contact_of_two_balls_equals_central_differences():
     creature = Creature("balls", balls)
     tree = build_tree(creature)
     ground = Ground(static_friction=0.6, dynamic_friction=0.5)
-    world = World(tree, 9.81, footing=make_footing(creature, tree, ground))
+    world = World(tree, 9.81, contact_model=make_contact_model(creature, tree, ground))
     start = resting_state(tree, dtype=jnp.float64, position=(0.0, 0.0, 0.12))
 
     def roll(numbers):

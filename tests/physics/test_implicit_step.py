@@ -27,9 +27,9 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics import fluid
 from evo_cpg.physics.contact import find_contacts
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.equations import prepare, solve_at_once
-from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import make_pairs, separations
 from evo_cpg.physics.state import State, resting_state
@@ -273,9 +273,11 @@ def test_motors_contacts_limits_and_water_together():
     tree = world.tree
     floor = Ground(1.0, friction, friction, friction_rule="min")
     pairs = make_pairs(creature, tree, SelfCollision())
-    world = dataclasses.replace(world, footing=make_footing(creature, tree, floor), pairs=pairs)
-    footing, states = world.footing, random_state(tree, rng, (count,))
-    gaps = quick_jit(lambda s: clearance(footing, kinematics(tree, s)))
+    world = dataclasses.replace(
+        world, contact_model=make_contact_model(creature, tree, floor), pairs=pairs
+    )
+    contact_model, states = world.contact_model, random_state(tree, rng, (count,))
+    gaps = quick_jit(lambda s: clearance(contact_model, kinematics(tree, s)))
     up = np.array([0, 0, 1.0])[:, None]
     states = dataclasses.replace(
         states,
@@ -291,8 +293,8 @@ def test_motors_contacts_limits_and_water_together():
     @quick_jit
     def touching(state):
         kin = kinematics(tree, state)
-        origin = kin.origin[:, np.array(footing.bodies)]
-        arms = find_contacts(footing, kin, H).offset
+        origin = kin.origin[:, np.array(contact_model.bodies)]
+        arms = find_contacts(contact_model, kin, H).offset
         return origin + arms, separations(pairs, kin)
 
     places, apart = jax.tree.map(np.asarray, touching(states))
@@ -308,7 +310,7 @@ def test_motors_contacts_limits_and_water_together():
     for n in range(count):
         state, later = (jax.tree.map(lambda x, n=n: x[..., n], x) for x in (states, afterwards))
         later = None if touched[n] else later
-        pushes = [(i, places[:, k, n], force[:, k, n]) for k, i in enumerate(footing.bodies)]
+        pushes = [(i, places[:, k, n], force[:, k, n]) for k, i in enumerate(contact_model.bodies)]
         for bodies, points, sign in zip(pairs.owners, apart[2:4], (-1, 1), strict=True):
             push = sign * pair_force[:, n] * apart.normal[..., n]
             pushes += zip(bodies, points[..., n].T, push.T, strict=True)
@@ -336,7 +338,7 @@ def test_residuals_have_the_type_of_the_state(x64):
     """Float32 stays float32 where float64 is switched on, or a scan could not carry them."""
     creature = random_creature(np.random.default_rng(0), STRUCTURES[0])
     tree = build_tree(creature)
-    world = World(tree, 9.81, footing=make_footing(creature, tree, Ground()))
+    world = World(tree, 9.81, contact_model=make_contact_model(creature, tree, Ground()))
     state = resting_state(tree, (2,), jnp.float32)
     _, effort = jax.eval_shape(lambda s: step(world, s, jnp.zeros_like(s.q), 1 / 240), state)
     assert {leaf.dtype for leaf in jax.tree.leaves(effort)} == {np.dtype(np.float32)}

@@ -14,7 +14,7 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.physics import pairs as written_out
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.many_pairs import ManyPairContacts
 from evo_cpg.physics.pairs import make_pairs, separations
@@ -187,7 +187,7 @@ def test_long_snakes_have_the_motion_of_float64(count):
     """Single precision finds the step that double precision finds, and says that it solved it."""
     creature = snake(count)
     tree = build_tree(creature)
-    world = World(tree, 9.81, footing=make_footing(creature, tree, Ground()))
+    world = World(tree, 9.81, contact_model=make_contact_model(creature, tree, Ground()))
     rng = np.random.default_rng(0)
     start = 0.5 * rng.uniform(-1, 1, (tree.dof_count, 8)), rng.normal(size=(tree.dof_count, 8))
     with jax.enable_x64(True):

@@ -16,9 +16,9 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.added_mass import added_inertia
 from evo_cpg.physics.buoyancy import displacement, make_cells
+from evo_cpg.physics.contact_model import make_contact_model
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.fluid import Drag, drag
-from evo_cpg.physics.footing import make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
@@ -197,7 +197,7 @@ def test_the_lowest_corner_always_counts(mesh):
     state = released(world, np.tile([[0.0], [0.0], [1.0]], count), orientation=(1.0, 0, 0, 0))
     state = dataclasses.replace(state, orientation=jnp.asarray(tumbled(count)))
     kin = quick_jit(lambda s: kinematics(world.tree, s))(state)
-    found = np.asarray(quick_jit(lambda k: clearance(world.footing, k))(kin)).min(0)
+    found = np.asarray(quick_jit(lambda k: clearance(world.contact_model, k))(kin)).min(0)
     rotation = np.asarray(kin.rotation[:, :, 0])
     lowest = np.einsum("jn,vj->vn", rotation[2], mesh.points).min(0)
     np.testing.assert_allclose(found, 1 + lowest, atol=1e-12)
@@ -252,7 +252,7 @@ def test_on_a_block_and_the_floor():
     """Where there are obstacles corners count twice, and an ellipsoid: a box rests on a block."""
     block = Block((0.0, 0.0, 0.1), (1.0, 1.0, 0.1), 0.0)
     world = alone(box_mesh(SIZE), obstacles=(block,))
-    assert len(world.footing.bodies) == 9
+    assert len(world.contact_model.bodies) == 9
     state = released(world, [[0.0], [0.0], [0.25]])
     states, _ = record(world, state, 120)
     np.testing.assert_allclose(np.asarray(states.position)[-1, :, 0], [0, 0, 0.25], atol=1e-4)
@@ -275,7 +275,10 @@ def test_a_step_fused_is_the_step():
     creature = pair(wedge(), Box(SIZE))
     world = in_water(creature, surface=0.05, added_mass=True)
     world = dataclasses.replace(
-        world, footing=make_footing(creature, world.tree, alone(Box(SIZE)).footing.ground)
+        world,
+        contact_model=make_contact_model(
+            creature, world.tree, alone(Box(SIZE)).contact_model.ground
+        ),
     )
     state = random_state(world.tree, np.random.default_rng(5), (6,), speed=0.3)
     rate = jnp.zeros_like(state.q)

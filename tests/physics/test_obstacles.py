@@ -210,5 +210,5 @@ def test_obstacles_at_a_far_end_count_before_those_beside_the_middle():
         for obstacles in ((inside,), (*others, inside)):
             world = alone(Box((1.2, 0.2, 0.2)), floor=Plane(height=-5.0), obstacles=obstacles)
             kin = kinematics(world.tree, resting_state(world.tree, (1,), position=(0.0, 0.0, 0.3)))
-            gap = np.asarray(clearance(world.footing, kin)).min()
+            gap = np.asarray(clearance(world.contact_model, kin)).min()
             assert gap == pytest.approx(-0.15, abs=0.02), obstacles

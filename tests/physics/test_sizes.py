@@ -186,7 +186,7 @@ def test_the_height_over_a_block_has_a_slope_in_float32(shape):
     @quick_jit
     def gap(height):
         state = resting_state(world.tree, (), jnp.float32, (0.0, 0.0, height))
-        return clearance(world.footing, kinematics(world.tree, state)).min()
+        return clearance(world.contact_model, kinematics(world.tree, state)).min()
 
     for height in (0.0, 0.5):
         _, rise = jax.jvp(gap, (jnp.float32(height),), (jnp.float32(1.0),))

@@ -9,7 +9,7 @@ from benchmarks.slopes import Standing, limit_of_statics, stander, stands, steep
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.world import World
 
 
@@ -34,7 +34,11 @@ def table(friction: float) -> World:
         bodies.append(Body(name, Sphere(0.05), wood, joint))
     creature = Creature("table", tuple(bodies))
     tree = build_tree(creature)
-    return World(tree, 9.81, footing=make_footing(creature, tree, Ground(0.0, friction, friction)))
+    return World(
+        tree,
+        9.81,
+        contact_model=make_contact_model(creature, tree, Ground(0.0, friction, friction)),
+    )
 
 
 @pytest.mark.parametrize(

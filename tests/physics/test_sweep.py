@@ -154,12 +154,12 @@ def test_slow_parts_are_looked_at_where_they_are():
         world = alone(shape, obstacles=obstacles, floor=floor)
         velocity = np.array([[0.0] * 5 + [v] for v in (-0.039 / H, -0.06 / H)]).T
         start = released(world, np.tile([[0.2], [0.0], [0.25]], 2), velocity)
-        footing = world.footing
+        contact_model = world.contact_model
 
         @quick_jit
-        def points(state, world=world, footing=footing):
+        def points(state, world=world, contact_model=contact_model):
             kin = kinematics(world.tree, state)
-            return contact_points(footing, kin, H), contact_points(footing, kin)
+            return contact_points(contact_model, kin, H), contact_points(contact_model, kin)
 
         swept, still = points(start)
         assert not np.asarray(still.ahead).any()
@@ -178,7 +178,9 @@ def test_a_swept_contact_has_its_slope():
         place = jnp.zeros((3, 1)).at[2].set(height)
         velocity = jnp.zeros((6, 1)).at[5].set(-speed)
         state = dataclasses.replace(state, position=place, velocity=velocity)
-        return find_contacts(world.footing, kinematics(world.tree, state), H).rest_velocity[-1, 0]
+        return find_contacts(world.contact_model, kinematics(world.tree, state), H).rest_velocity[
+            -1, 0
+        ]
 
     value, slopes = quick_jit(jax.value_and_grad(rest, (0, 1)))(0.3, 44.0)
     # It is up to 2 % more, which makes up for what the law gives way.

@@ -16,8 +16,8 @@ from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact import find_contacts
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, integrate, resting_state
 from evo_cpg.physics.step import Effort, step
@@ -53,8 +53,8 @@ def depths(world: World, states: State) -> np.ndarray:
     @quick_jit
     def gaps(state):
         kin = kinematics(world.tree, state)
-        bodies = np.array(world.footing.bodies)
-        return (kin.origin[:, bodies] + find_contacts(world.footing, kin, H).offset)[2]
+        bodies = np.array(world.contact_model.bodies)
+        return (kin.origin[:, bodies] + find_contacts(world.contact_model, kin, H).offset)[2]
 
     over_time = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)
     return -np.moveaxis(np.asarray(gaps(over_time)), -1, 0)
@@ -70,7 +70,7 @@ def pressed(world: World, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.nd
     """
     support = np.asarray(effort.contact_frame_force, float)
     across, along = support[:, 2], np.hypot(support[:, 0], support[:, 1])
-    limit = world.footing.static_friction[:, None] * across
+    limit = world.contact_model.static_friction[:, None] * across
     touches = (across > 0).any(1)
     solved, coulomb = (np.asarray(x, float) for x in effort.residual)
     assert (solved > 1.01e-3).mean() < 5e-4 and solved.max() < 0.1
@@ -197,7 +197,9 @@ def legged(legs, segments: int) -> World:
             bodies.append(Body(parent, Box((0.08, 0.08, 0.24)), flesh, joint))
     creature = Creature("legged", tuple(bodies))
     tree = build_tree(creature)
-    return World(tree, 9.81, footing=make_footing(creature, tree, Ground(1.0, 0.8, 0.8)))
+    return World(
+        tree, 9.81, contact_model=make_contact_model(creature, tree, Ground(1.0, 0.8, 0.8))
+    )
 
 
 def thrown(world: World, count: int, height: float) -> State:
@@ -299,15 +301,17 @@ def test_an_impact_of_many_limbs_adds_no_energy():
     velocity = np.asarray(state.velocity) - np.array([0, 0, 0, 0, 0, 10.0])[:, None]
     rates = 10 * rng.normal(size=state.qd.shape)
     state = dataclasses.replace(state, velocity=jnp.asarray(velocity), qd=jnp.asarray(rates))
-    gap = quick_jit(lambda s: clearance(world.footing, kinematics(world.tree, s)))(state)
+    gap = quick_jit(lambda s: clearance(world.contact_model, kinematics(world.tree, s)))(state)
     down = np.asarray(state.position) - np.array([0, 0, 1.0])[:, None] * np.asarray(gap).min(0)
     state = dataclasses.replace(state, position=jnp.asarray(down))
     _, before = mechanics(world, state)
 
     @quick_jit
     def hit(state, restitution):
-        like = jnp.full(len(world.footing.bodies), restitution)
-        own = dataclasses.replace(world, footing=world.footing._replace(restitution=like))
+        like = jnp.full(len(world.contact_model.bodies), restitution)
+        own = dataclasses.replace(
+            world, contact_model=world.contact_model._replace(restitution=like)
+        )
         new, effort = step(own, state, jnp.zeros_like(state.qd), h)
         return new, effort.contact_frame_force[2].sum(0)
 

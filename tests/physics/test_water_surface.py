@@ -14,8 +14,8 @@ from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.buoyancy import displacement, make_cells
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.fluid import Drag, drag
-from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.terrain import Plane
@@ -144,7 +144,9 @@ def test_far_from_the_surface_there_is_none():
     above = dataclasses.replace(state, position=state.position.at[2].add(40.0))
 
     def advance(world, state):
-        world = dataclasses.replace(world, footing=make_footing(creature, world.tree, ground))
+        world = dataclasses.replace(
+            world, contact_model=make_contact_model(creature, world.tree, ground)
+        )
         target = jnp.zeros_like(state.qd)
         return quick_jit(lambda s: step(world, s, target, H)[0])(state)
 

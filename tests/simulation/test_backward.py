@@ -43,7 +43,7 @@ def end_position(push, decay: float, how: Backward, steps: int = STEPS):
 @pytest.mark.parametrize("budget", [2**20, 0], ids=["one level", "segments"])
 def test_a_faded_slope_is_that_of_a_system_that_forgets(kept, budget, monkeypatch):
     # What the position says is never forgotten, so the slope is a sum of the decay's powers.
-    monkeypatch.setattr(machine_constants, "KEPT_FOR_THE_WAY_BACK", budget)
+    monkeypatch.setattr(machine_constants, "LARGEST_RESIDUALS", budget)
     decay = 0.97
     value, slope = jax.value_and_grad(end_position)(2.0, decay, Backward(kept))
     assert float(value) == pytest.approx(float(end_position(2.0, decay, Backward())), rel=1e-12)
@@ -116,7 +116,7 @@ def plain():
     ids=["one level", "segments"],
 )
 def test_a_trial_has_the_slopes_that_it_has_with_everything_kept(budget, plain, monkeypatch):
-    monkeypatch.setattr(machine_constants, "KEPT_FOR_THE_WAY_BACK", budget)
+    monkeypatch.setattr(machine_constants, "LARGEST_RESIDUALS", budget)
     frugal = slopes(Backward(jnp.ones(2)))
     assert np.abs(plain).min() > 1e-5
     np.testing.assert_allclose(frugal, plain, rtol=1e-4)
@@ -153,7 +153,7 @@ def swim(how: Backward):
 @pytest.mark.parametrize("trial", [wave, pytest.param(swim, marks=pytest.mark.slow)])
 def test_segments_take_less_memory_in_long_trials(trial, monkeypatch):
     def gradient(budget: int, copies: int = 1):
-        monkeypatch.setattr(machine_constants, "KEPT_FOR_THE_WAY_BACK", budget)
+        monkeypatch.setattr(machine_constants, "LARGEST_RESIDUALS", budget)
         function, at = trial(Backward(copies=copies))
         return jax.jit(jax.grad(function)).trace(at)
 

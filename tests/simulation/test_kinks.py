@@ -86,8 +86,10 @@ def after_a_step(x, start, along, restitution):
         restitution: of the ball.
     """
     world = alone(Sphere(RADIUS), static=FRICTION, dynamic=FRICTION)
-    given_back = jnp.broadcast_to(restitution, world.footing.restitution.shape)
-    world = eqx.tree_at(lambda w: w.footing, world, world.footing._replace(restitution=given_back))
+    given_back = jnp.broadcast_to(restitution, world.contact_model.restitution.shape)
+    world = eqx.tree_at(
+        lambda w: w.contact_model, world, world.contact_model._replace(restitution=given_back)
+    )
     both = start[:, None] + along[:, None] * x[None]
     after = step(world, released(world, both[:3], both[3:]), jnp.zeros((0, len(x))), H)[0]
     return along @ jnp.concatenate([after.position, after.velocity])

@@ -81,7 +81,7 @@ def test_time_on_the_ground(lived):
     genes = experiment.random_genomes(3, 4).T
     frames = jax.jit(lambda genes: rollout(simulation, genes, observers=Recorder(4)))(genes)
     force = np.linalg.norm(np.asarray(frames["contact_force"]), axis=1)
-    owners = np.array(simulation.world.footing.bodies)
+    owners = np.array(simulation.world.contact_model.bodies)
     for i in range(4):
         touching = np.array(
             [(force[:, owners == body, i] > 0).any(1) for body in np.unique(owners) if body > 0]

@@ -11,8 +11,8 @@ from creatures import quick_jit
 from evo_cpg.creature.creature import lowest_height
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.engine import Engine
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import Plane
@@ -64,12 +64,14 @@ def test_nobody_starts_in_the_ground():
     """Who would is lifted until it touches; the others stay where they are."""
     creature = swimmer(EYES)
     tree = build_tree(creature)
-    world = World(tree, 9.81, footing=make_footing(creature, tree, Ground()))
+    world = World(tree, 9.81, contact_model=make_contact_model(creature, tree, Ground()))
     place = (0.0, 0.0, 0.01 - float(lowest_height(creature)))
     rest = resting_state(tree, (COUNT,), jnp.float32, place)
     noise = Noise(joint_angle=0.2, tilt=0.2)
     state = quick_jit(lambda k: disturb_start(noise, world, rest, k))(KEYS)
-    gap = quick_jit(lambda state: clearance(world.footing, kinematics(tree, state)).min(0))(state)
+    gap = quick_jit(lambda state: clearance(world.contact_model, kinematics(tree, state)).min(0))(
+        state
+    )
     gap = np.asarray(gap)
     lifted = np.asarray(state.position[2] > rest.position[2])
     assert 0.2 < lifted.mean() < 0.99
@@ -136,7 +138,7 @@ def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
     slope = Ground(floor=Plane((0.3, 0.0, 1.0)), static_friction=0.05, dynamic_friction=0.05)
     crawling = dataclasses.replace(
         experiment(20).simulation,
-        world=World(tree, 9.81, footing=make_footing(creature, tree, slope)),
+        world=World(tree, 9.81, contact_model=make_contact_model(creature, tree, slope)),
         situations=(Situation((0.0, 0.0, 0.05)),),
         engine=Engine(engine),
     )

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from creatures import quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import DepthSensor
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.water import Water
@@ -124,18 +124,18 @@ def test_the_skin_feels_the_ground_but_under_water_only_what_presses_harder():
     tree = build_tree(creature)
     creature = dataclasses.replace(creature, pressure_sensors=tree.names)
     sensors = place_sensors(creature, tree)
-    footing = make_footing(creature, tree, Ground())
+    contact_model = make_contact_model(creature, tree, Ground())
     start = resting_state(tree, (3,), position=(0.0, 0.0, -0.5))
     kin = quick_jit(lambda start: kinematics(tree, start))(start)
-    touched = np.array(footing.bodies) == 1
+    touched = np.array(contact_model.bodies) == 1
     area = tree.volume[1] ** (2 / 3)
     weight = 1000 * 9.81 * 0.5 * area
-    support = np.zeros((3, len(footing.bodies), 3))
+    support = np.zeros((3, len(contact_model.bodies), 3))
     support[2, np.flatnonzero(touched)[:2]] = np.array([0.0, 0.49 * weight, 0.51 * weight])
     support = jnp.asarray(support, jnp.float32)
 
     def felt(water):
-        world = World(tree, 9.81, water, footing=footing)
+        world = World(tree, 9.81, water, contact_model=contact_model)
         return np.asarray(
             quick_jit(lambda kin: pressure_readings(sensors, world, kin, support))(kin)
         )

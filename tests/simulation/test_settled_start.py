@@ -11,7 +11,7 @@ from creatures import AXES, coast, in_water
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
@@ -37,7 +37,7 @@ def alone(shape, density: float) -> Creature:
 def on_ground(creature: Creature, floor=None) -> World:
     tree = build_tree(creature)
     ground = Ground(static_friction=0.5, dynamic_friction=0.5, floor=floor or Plane())
-    return World(tree, 9.81, footing=make_footing(creature, tree, ground))
+    return World(tree, 9.81, contact_model=make_contact_model(creature, tree, ground))
 
 
 def turn(situation: Situation) -> np.ndarray:

@@ -14,7 +14,7 @@ from creatures import AXES, quick_jit
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
@@ -114,7 +114,7 @@ def trial():
 
     def simulation(steps):
         return Simulation(
-            world=World(tree, GRAVITY, footing=make_footing(WALKER, tree, ground)),
+            world=World(tree, GRAVITY, contact_model=make_contact_model(WALKER, tree, ground)),
             sensors=place_sensors(WALKER, tree),
             controller=SineController(),
             task=TransportAndSlip(),

@@ -13,7 +13,7 @@ from evo_cpg.control.controller import Command, Observation
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.recording import Recorder, as_recording
@@ -146,7 +146,7 @@ def test_time_in_the_air_is_that_of_a_free_fall():
     """A box let go 0.5 m above ground that returns nothing: sqrt(2 h / g) of one second."""
     tree, ground = build_tree(BOX), Ground(restitution=0.0)
     simulation = Simulation(
-        world=World(tree, 9.81, footing=make_footing(BOX, tree, ground)),
+        world=World(tree, 9.81, contact_model=make_contact_model(BOX, tree, ground)),
         sensors=place_sensors(BOX, tree),
         controller=SineController(),
         task=Walk(torso_length=0.2),

@@ -15,7 +15,7 @@ import synthetic
 from PIL import Image
 
 from evo_cpg.files import OutputError
-from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view import frame_processes, output

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import synthetic
 
-from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.view.camera import project
 from evo_cpg.view.clip import sample
-from evo_cpg.view.look import LOOKS
+from evo_cpg.view.look import STYLES
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.preview import _apart, preview
 from evo_cpg.view.scene import Panel, mark_spacing, scene_of
@@ -143,7 +143,7 @@ def test_a_spot_pales_as_the_foot_lifts(recording, stills):
 
 def test_the_sun_shadow_darkens_the_ground_once(stills):
     """Where the shadows of two bodies overlap it is no darker than elsewhere."""
-    look = LOOKS["land"]
+    look = STYLES["land"]
     bare, shaded = stills(without="add_sun_shadows"), stills()
     changed = (bare - shaded).sum(-1) > 60
     assert changed.mean() > 0.01
@@ -175,13 +175,13 @@ def test_a_picture_has_sky_sun_and_contrast(stills):
     assert (light > 250).mean() < 0.01 and (light < 12).mean() < 0.01
 
 
-@pytest.mark.parametrize("world", list(LOOKS))
+@pytest.mark.parametrize("world", list(STYLES))
 def test_captions_can_be_read(world, stills):
     """WCAG asks for a contrast of 4.5 of text with what lies behind it."""
     image = stills(world=world)[300:, :].reshape(-1, 3) / 255
     linear = np.where(image > 0.04045, ((image + 0.055) / 1.055) ** 2.4, image / 12.92)
     behind = np.median(linear @ [0.2126, 0.7152, 0.0722])
-    text = np.array([int(LOOKS[world].text[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    text = np.array([int(STYLES[world].text[i : i + 2], 16) for i in (1, 3, 5)]) / 255
     written = ((text + 0.055) / 1.055) ** 2.4 @ [0.2126, 0.7152, 0.0722]
     bright, dark = max(behind, written), min(behind, written)
     assert (bright + 0.05) / (dark + 0.05) > 4.5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import synthetic
 
-from evo_cpg.view.look import LOOKS
+from evo_cpg.view.look import STYLES
 from evo_cpg.view.signals import Strip, signals_of
 from films import film
 
@@ -47,7 +47,7 @@ def test_one_axis_of_every_joint_is_shown_that_moves(recording):
 
 
 def test_the_cursor_moves_with_time_and_pages_turn(recording):
-    strip = Strip(signals_of(recording, "CPG output"), LOOKS["water"], SIZE, 1.0)
+    strip = Strip(signals_of(recording, "CPG output"), STYLES["water"], SIZE, 1.0)
     assert strip.at(0.0).shape == (108, 640, 3) and strip.height == 108
     # 10 s in two pages of 5 s.
     places = [bright(strip.at(instant)).mean() for instant in (0.5, 2.5, 4.5)]
@@ -61,7 +61,7 @@ def test_the_cursor_moves_with_time_and_pages_turn(recording):
 
 @pytest.mark.parametrize(("height", "rows"), [(216, 5), (70, 2), (40, 1)])
 def test_as_many_joints_as_have_room_evenly_along_the_body(recording, height, rows):
-    strip = Strip(signals_of(recording, "CPG output"), LOOKS["water"], (640, height), 1.0)
+    strip = Strip(signals_of(recording, "CPG output"), STYLES["water"], (640, height), 1.0)
     numbers = [int(name[1:-2]) for name in strip._signals.names]
     assert len(numbers) == rows
     assert len(set(np.diff(numbers))) <= 1 and numbers[0] == 1
@@ -73,17 +73,17 @@ def test_feet_that_come_down_have_bars(walk):
     touched = np.column_stack([touched, np.arange(len(touched)) < 3])
     feet = (*synthetic.HIPS, "tail")
     shown = signals_of(walk, "posture", True, feet, touched)
-    strip = Strip(shown, LOOKS["land"], (640, 216), 1.0)
+    strip = Strip(shown, STYLES["land"], (640, 216), 1.0)
     # The tail rests at first only.
     assert strip._signals.feet == tuple(synthetic.HIPS)
     green = np.abs(strip.at(0.0).astype(int) - [47, 125, 79]).max(-1) < 40
     below = green[: 216 // 2]
     # All four feet rest for 60 % of the time.
     assert below[:, 160:620].max(0).mean() > 0.9
-    without = Strip(signals_of(walk, "posture", True), LOOKS["land"], (640, 216), 1.0).at(0.0)
+    without = Strip(signals_of(walk, "posture", True), STYLES["land"], (640, 216), 1.0).at(0.0)
     assert np.abs(without.astype(int) - [47, 125, 79]).max(-1)[:100].min() >= 10
     only = shown._replace(names=(), angle=shown.angle[:, :0], signal=shown.signal[:, :0])
-    assert Strip(only, LOOKS["land"], (640, 100), 1.0).at(1.0).std() > 10
+    assert Strip(only, STYLES["land"], (640, 100), 1.0).at(1.0).std() > 10
 
 
 def test_a_film_has_the_strip_at_its_foot(recording, tmp_path):

@@ -15,7 +15,7 @@ from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 
 # TypicalRange values of settings, which know of no configuration.
 _TYPICAL = {"max_rate": RATE, "rate_gain": RATE}

@@ -9,7 +9,7 @@ from typing_extensions import override
 from evo_cpg.config.schema.choice import by_type
 from evo_cpg.config.schema.section import Finite, Fraction, NotNegative, Positive, Section, Vector
 from evo_cpg.config.schema.typical import Direction
-from evo_cpg.physics.footing import Combination, Ground
+from evo_cpg.physics.contact_model import Combination, Ground
 from evo_cpg.physics.terrain import Axis, Block, Boulder, Obstacle, Part, Plane, Relief, Shore
 from evo_cpg.spatial.numerics import Number, xp
 

@@ -19,7 +19,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.task import Task
 from evo_cpg.simulation.walk import Distance, Heading, Walk
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Triple, xp
 
 

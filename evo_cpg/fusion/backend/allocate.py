@@ -111,7 +111,7 @@ class _Allocator:
         for node in [*carried, *counters, *across]:
             if node not in self.slots:
                 self.slots[node] = self.memory.reserve(self._row_bytes(node))
-        self._block(graph.top, graph.wanted)
+        self._block(graph.top, graph.result_nodes)
         for k, (buffer, nodes) in enumerate(graph.results):
             base = self._buffer(len(graph.arguments) + k)
             template = self.select.store_row(buffer.dtype)
@@ -200,9 +200,9 @@ class _Allocator:
         self.buffers[FRAME] = None
         self._let(self.select.store(node.dtype, node.uniform, FRAME), name, place - FRAME_ORIGIN)
 
-    def _expect(self, run: Sequence[Node], wanted: list[Node]) -> None:
+    def _expect(self, run: Sequence[Node], result_nodes: list[Node]) -> None:
         """Begin a run; `_used` is to be called after each operation and each use in the end."""
-        self.registers.expect(run, wanted)
+        self.registers.expect(run, result_nodes)
         for node, place in self.spilled.items():
             self.memory.release(self._row_bytes(node), place)
         self.spilled = {}
@@ -226,7 +226,7 @@ class _Allocator:
     # Values.
 
     def _ref(self, node: Node, uniform: bool = False) -> str:
-        """Return the name of a value, spread over a vector unless it is wanted once for all."""
+        """Return the name of a value, spread over a vector unless one lane is enough."""
         while node.op in ("opaque", "inside"):
             node = node.operands[0]
         if node.value is not None:
@@ -301,10 +301,12 @@ class _Allocator:
 
     # Code without branches.
 
-    def _block(self, block: Block, wanted: list[Node]) -> None:
-        """The operations of a block; what is wanted in the end, in the order of its use."""
+    def _block(self, block: Block, result_nodes: list[Node]) -> None:
+        """The operations of a block; its result nodes at the end, in the order of their use."""
         for run, loop in self.graph.runs.get(block, [([], None)]):
-            uses = wanted if loop is None else [loop.operands[k] for k in self.graph.kept[loop]]
+            uses = (
+                result_nodes if loop is None else [loop.operands[k] for k in self.graph.kept[loop]]
+            )
             self._expect(run, uses)
             for node in run:
                 self._operation(node)

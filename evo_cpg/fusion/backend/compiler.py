@@ -39,7 +39,7 @@ def object_code(request: Request) -> bytes:
         if process is None:
             return compiler_process.object_code(request)
         try:
-            return _asked(process, request)
+            return _reply_of(process, request)
         except BaseException:
             # The pipes hold half a request or half an answer.
             _stop()
@@ -49,7 +49,7 @@ def object_code(request: Request) -> bytes:
                 _stop()
 
 
-def _asked(process: subprocess.Popen, request: Request) -> bytes:
+def _reply_of(process: subprocess.Popen, request: Request) -> bytes:
     """Send a request and read the answer."""
     requests, answers = cast(BinaryIO, process.stdin), cast(BinaryIO, process.stdout)
     options = request._asdict()

@@ -123,10 +123,10 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
         request = json.loads(line)
         text = requests.read(request.pop("size")).decode()
         try:
-            code, told = object_code(Request(text, **request)), {}
+            code, reply = object_code(Request(text, **request)), {}
         except Exception as error:
-            code, told = b"", {"error": f"{error}"}
-        answers.write(json.dumps({**told, "size": len(code)}).encode() + b"\n" + code)
+            code, reply = b"", {"error": f"{error}"}
+        answers.write(json.dumps({**reply, "size": len(code)}).encode() + b"\n" + code)
         answers.flush()
 
 

@@ -24,7 +24,7 @@ from evo_cpg.fusion.unsupported import Unsupported
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
 
-# What is left out where a smaller set is wanted.
+# What is left out where a smaller set is requested.
 _LARGER = {"avx2": ("avx512",), "sse": ("avx", "fma", "f16c", "xop", "vaes", "vpclmul")}
 
 
@@ -68,11 +68,11 @@ def _self_test_name(target: Target, version: str) -> str:
 
 
 @functools.cache
-def host(wanted: str | None = None) -> Target:
+def host(requested: str | None = None) -> Target:
     """This machine, or as much of it as a set of instructions has.
 
     Args:
-        wanted: name of the set; None for the largest that the processor has.
+        requested: name of the set; None for the largest that the processor has.
 
     Raises:
         Unsupported: llvmlite is missing, or the processor lacks the set.
@@ -85,9 +85,9 @@ def host(wanted: str | None = None) -> Target:
     names = [name for name, each in sets.items() if has.issuperset(each.needs)]
     if not names:
         raise Unsupported(f"it knows no vectors of {platform.machine()}")
-    if wanted is not None and wanted not in names:
-        raise Unsupported(f"this processor has no {wanted}; it has {', '.join(names)}")
-    name = wanted or names[0]
+    if requested is not None and requested not in names:
+        raise Unsupported(f"this processor has no {requested}; it has {', '.join(names)}")
+    name = requested or names[0]
     kept = {each for each in has if not each.startswith(_LARGER.get(name, ()))}
     flags = [f"{'+' if each in kept else '-'}{each}" for each in sorted(has - {"neon", "fma"})]
     if "fma" in has and name not in ("neon",):

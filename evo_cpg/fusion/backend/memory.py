@@ -63,7 +63,7 @@ def live_across(graph: Graph, lists: dict[Node, list[Node]]) -> list[Node]:
             now += 1
 
     walk(graph.top)
-    use(graph.wanted, graph.top)
+    use(graph.result_nodes, graph.top)
     return list(found)
 
 

@@ -32,16 +32,16 @@ class Registers:
         self._steps: list[tuple[Node, ...]] = []
         self._now = 0
 
-    def expect(self, nodes: Sequence[Node], wanted: Iterable[Node]) -> None:
+    def expect(self, nodes: Sequence[Node], result_nodes: Iterable[Node]) -> None:
         """Begin with nothing.
 
         Args:
             nodes: what will be computed, in order; `pass_on` is to be called after each.
-            wanted: what will be used after that, in order, likewise.
+            result_nodes: what will be used after that, in order, likewise.
         """
         self._names, self._next_use, self._uses, self._now = {}, {}, {}, 0
         self._steps = [tuple(dict.fromkeys(map(resolve, node.operands))) for node in nodes]
-        self._steps += [(resolve(node),) for node in wanted]
+        self._steps += [(resolve(node),) for node in result_nodes]
         for i in range(len(self._steps) - 1, -1, -1):
             for node in self._steps[i]:
                 self._uses.setdefault(node, []).append(i)

@@ -155,7 +155,7 @@ class Graph:
     runs: Mapping[Block, Sequence[Run]] = dataclasses.field(default_factory=dict)
 
     @property
-    def wanted(self) -> list[Node]:
+    def result_nodes(self) -> list[Node]:
         """The nodes of all results, row by row."""
         return [node for _, nodes in self.results for node in nodes]
 

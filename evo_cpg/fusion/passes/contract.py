@@ -35,7 +35,7 @@ def contract_multiply_adds(graph: Graph) -> Graph:
         reached.update(nodes)
         reached.update([node.operands[0] for node in nodes if node.op == "opaque"])
 
-    reach(_part(graph, graph.wanted))
+    reach(_part(graph, graph.result_nodes))
     # A part within another one comes before it.
     for part in reversed(graph.parts):
         if not reached.isdisjoint(part.results):
@@ -122,11 +122,11 @@ def _goes_with(operand: Node, node: Node) -> bool:
     return operand.block is node.block and operand.uniform == node.uniform
 
 
-def _part(graph: Graph, wanted: Iterable[Node]) -> dict[Node, Sequence[Node]]:
-    """Return the wanted nodes and all behind them in their part, each with what it uses."""
+def _part(graph: Graph, result_nodes: Iterable[Node]) -> dict[Node, Sequence[Node]]:
+    """Return the result nodes and all behind them in their part, each with what it uses."""
     found: dict[Node, Sequence[Node]] = {}
     entered: set[int] = set()
-    waiting = list(wanted)
+    waiting = list(result_nodes)
     while waiting:
         node = waiting.pop()
         if node not in found:

@@ -24,7 +24,7 @@ def eliminate_dead_code(graph: Graph) -> Graph:
         kept[node].append(k)
         return [node, node.operands[k], node.detail.following[k]]
 
-    waiting = list(graph.wanted)
+    waiting = list(graph.result_nodes)
     while waiting:
         node = waiting.pop()
         if node in needed:

@@ -44,15 +44,15 @@ class _Order:
                 self._compute(root)
 
     def _compute(self, root: Node) -> None:
-        begun, stack = set(), [(root, False)]
+        started, stack = set(), [(root, False)]
         while stack:
             node, ready = stack.pop()
             if node in self._done:
                 continue
             if ready:
                 self._put(node)
-            elif node not in begun:
-                begun.add(node)
+            elif node not in started:
+                started.add(node)
                 stack.append((node, True))
                 stack.extend((operand, False) for operand in self._operands[node])
 

@@ -77,7 +77,7 @@ def audit(subject: Subject) -> Html:
 
 def paper(subject: Subject) -> Html | None:
     """List differences from the shipped configuration and its paper; None without one."""
-    found = subject.departures
+    found = subject.differences
     if found is None:
         return None
     parts: list[Any] = [tag("p", found.about)]

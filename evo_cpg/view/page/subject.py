@@ -34,7 +34,7 @@ class Note(NamedTuple):
     ours: bool
 
 
-class Departures(NamedTuple):
+class PaperDifferences(NamedTuple):
     """Differences of a configuration from the shipped one of the same name.
 
     Attributes:
@@ -71,7 +71,7 @@ class Subject(NamedTuple):
         stale: whether that audit was of another champion.
         half_step: fraction of its displacement that it kept at half the physics step when training
             ended; None if unknown.
-        departures: from the shipped configuration and the paper; None where there is none of the
+        differences: from the shipped configuration and the paper; None where there is none of the
             name.
         program: that made the page, with its version.
         made: when.
@@ -94,7 +94,7 @@ class Subject(NamedTuple):
     audit: Mapping[str, Any] | None
     stale: bool
     half_step: float | None
-    departures: Departures | None
+    differences: PaperDifferences | None
     program: str
     made: str
 

@@ -14,7 +14,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import ObstaclePart
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.terrain import Block, Boulder, Obstacle, Part, Plane
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # How two materials' values become one. The factors 0.6 x 0.9 and 0.3 x 0.9 of Fukui 2003 suggest
@@ -125,7 +125,7 @@ class Solids(NamedTuple):
         return found
 
 
-class Footing(NamedTuple):
+class ContactModel(NamedTuple):
     """The contact points of a creature, and what holds for each of them.
 
     Of a box only the four corners of the face that looks down most count: the other four are at
@@ -185,7 +185,7 @@ class ContactPoints(NamedTuple):
     ahead: Float[Array, "p *n"] | None = None
 
 
-def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
+def make_contact_model(creature: Creature, tree: Tree, ground: Ground) -> ContactModel:
     """Find the contact points of a creature."""
     found: dict[str, list] = {"box": [], "mesh": [], "ball": [], "ellipsoid": []}
     every = creature.bodies_of(tree.names)
@@ -211,7 +211,7 @@ def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
     def sizes(parts: list) -> Numbers:
         return xp.array([size for *_, size in parts], float)
 
-    return Footing(
+    return ContactModel(
         ground,
         tuple(bodies),
         sizes(boxes).reshape(-1, 3).T,

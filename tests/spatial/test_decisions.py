@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.spatial.choices import chosen, noting, repeating, searched
+from evo_cpg.spatial.decisions import chosen, recording_decisions, replaying_decisions, searched
 from evo_cpg.spatial.numerics import is_traced, xp
 
 
@@ -18,17 +18,17 @@ def build(x, y):
 
 
 def test_what_is_traced_follows_what_was_chosen():
-    with noting() as choices:
+    with recording_decisions() as choices:
         known = build(2.0, 3.0)
     assert known == (9.0, pytest.approx(np.sqrt(2.0)))
     assert not is_traced(known)
 
     def area(y):
-        with repeating(choices):
+        with replaying_decisions(choices):
             return build(2.0, y)[0]
 
     def root(x):
-        with repeating(choices):
+        with replaying_decisions(choices):
             return build(x, 3.0)[1]
 
     assert float(jax.grad(area)(3.0)) == 6.0
@@ -39,21 +39,21 @@ def test_what_is_traced_follows_what_was_chosen():
 
 def test_notes_are_equal_where_the_same_is_chosen():
     def noted(x, y):
-        with noting() as choices:
+        with recording_decisions() as choices:
             build(x, y)
         return choices
 
     assert noted(2.0, 3.0) == noted(1.0, 4.0)
     assert noted(2.0, 3.0) != noted(4.0, 3.0)
-    with noting() as fewer:
+    with recording_decisions() as fewer:
         pass
     assert noted(2.0, 3.0) != fewer
 
 
 def test_choices_within_choices_are_not_noted():
-    with noting() as choices:
+    with recording_decisions() as choices:
         assert chosen(lambda: chosen(lambda: 3) + 1) == 4
-    with repeating(choices):
+    with replaying_decisions(choices):
         assert chosen(lambda: 0) == 4
 
 

@@ -4,10 +4,10 @@ A builder decides by numbers, and traced numbers decide nothing. So the building
 known numbers it notes every decision in turn. With traced numbers it repeats them. The result of
 the second is a smooth function of the numbers.
 
-It is what the first would build as long as each decision holds. `repeating` can collect the
-conditions for that, as functions of the same numbers: see `chosen` and `searched`.
+It is what the first would build as long as each decision holds. `replaying_decisions` can collect
+the conditions for that, as functions of the same numbers: see `chosen` and `searched`.
 
-Outside `noting` and `repeating` a decision is simply made.
+Outside `recording_decisions` and `replaying_decisions` a decision is simply made.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ class Undecidable(Exception):
     """A decision of which traced numbers cannot tell whether it holds."""
 
 
-class Choices:
+class StaticDecisions:
     """All that was chosen while a model was built, in order.
 
     Two are equal where the same was chosen, wherever searches may have ended.
@@ -42,7 +42,7 @@ class Choices:
         self.searched: list[Any] = []
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Choices):
+        if not isinstance(other, StaticDecisions):
             return NotImplemented
         mine, layout = jax.tree.flatten(self.made)
         theirs, their_layout = jax.tree.flatten(other.made)
@@ -54,7 +54,7 @@ class Choices:
 class _Present(NamedTuple):
     """What is noted now, and what is taken from earlier notes."""
 
-    noted: Choices | None = None
+    noted: StaticDecisions | None = None
     made: Iterator[Any] = iter(())
     searched: Iterator[Any] = iter(())
     repeats: bool = False
@@ -75,15 +75,17 @@ def _in_present(present: _Present) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def noting() -> Iterator[Choices]:
+def recording_decisions() -> Iterator[StaticDecisions]:
     """Note what is chosen within; of known numbers."""
-    choices = Choices()
+    choices = StaticDecisions()
     with _in_present(_Present(noted=choices)):
         yield choices
 
 
 @contextlib.contextmanager
-def repeating(choices: Choices, conditions: list[Condition] | None = None) -> Iterator[None]:
+def replaying_decisions(
+    choices: StaticDecisions, conditions: list[Condition] | None = None
+) -> Iterator[None]:
     """Choose within what was chosen before; the numbers may be traced.
 
     Args:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 
-class PartlyTraced:
+class MixedArray:
     """An array that JAX takes as one where it is used, with its known elements as constants.
 
     Attributes:
@@ -61,7 +61,7 @@ class PartlyTraced:
 
 
 def _operator(name: str) -> Any:
-    def apply(self: PartlyTraced, *others: Any) -> Any:
+    def apply(self: MixedArray, *others: Any) -> Any:
         return getattr(self.__jax_array__(), name)(*(jnp.asarray(other) for other in others))
 
     return apply
@@ -69,6 +69,6 @@ def _operator(name: str) -> Any:
 
 for _name in ("add", "sub", "mul", "truediv", "pow"):
     for _side in ("", "r"):
-        setattr(PartlyTraced, f"__{_side}{_name}__", _operator(f"__{_side}{_name}__"))
+        setattr(MixedArray, f"__{_side}{_name}__", _operator(f"__{_side}{_name}__"))
 for _name in ("neg", "lt", "le", "gt", "ge"):
-    setattr(PartlyTraced, f"__{_name}__", _operator(f"__{_name}__"))
+    setattr(MixedArray, f"__{_name}__", _operator(f"__{_name}__"))
