@@ -73,19 +73,19 @@ class AddedMass(ForceLaw):
         return Part(steady, None, own), Part(impact, blocks(entering))
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
-        """Return the wrench of the velocity products; see `ForceLaw.averaged`."""
+        """Return the wrench of the velocity products (`ForceLaw.averaged`)."""
         del start
         return self.wrench(moving)
 
     def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *#n"]:
-        """Return M of the bodies' parts under water; see `ForceLaw.inertia`."""
+        """Return M of the bodies' parts under water (`ForceLaw.inertia`)."""
         added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
         if bodies.displaced is None:
             return added
         return added * bodies.under_water[None, None]
 
     def over_step(self, first: Bodies, middle: Bodies, last: Bodies) -> Float[Array, "6 b *n"]:
-        """Return the wrench over a step from the motion; see `ForceLaw.over_step`."""
+        """Return the wrench over a step from the motion (`ForceLaw.over_step`)."""
         added, velocity = self.inertia(middle), middle.velocity
         change = (last.relative - first.relative) / middle.h
         # `carried_water` includes the turn of the stream in body axes. The change of the relative

@@ -78,7 +78,7 @@ class Cells(eqx.Module):
         centre: centre of each cell in the body's working frame, m.
         half_axes: half axes of each cell, m.
         volume: volume of each cell, m^3.
-        triangles: corners of the polyhedron's triangles about the centre, m; None for others.
+        triangles: corners of the polyhedron's triangles about the centre, m, or None for others.
     """
 
     profile: Profile = eqx.field(static=True)

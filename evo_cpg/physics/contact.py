@@ -76,9 +76,9 @@ class Contacts(NamedTuple):
     Attributes:
         offset: vector from the body's origin to the lowest point, world axes, m.
         unconstrained_velocity: mean over the step, with the accelerations of `Kinematics` alone.
-        target_velocity: v*; far below any velocity if the point is out of reach.
-        rest_velocity: v* without restitution; positive if it lifts a point out of the ground.
-        bounce: v_bounce of points that hit the ground within the step; 0 of all others.
+        target_velocity: v*, far below any velocity if the point is out of reach.
+        rest_velocity: v* without restitution, positive if it lifts a point out of the ground.
+        bounce: v_bounce of points that hit the ground within the step, and 0 of all others.
         frame: rows are two tangents and the normal of the ground at every contact point.
     """
 
@@ -294,7 +294,7 @@ def change_of_velocity(
 
 
 def _frame(normal: Float[Array, "3 p *n"]) -> Float[Array, "3 3 p *n"]:
-    """Return rows of two tangents and the normal of the ground; world axes on level ground."""
+    """Return rows: two tangents and the normal of the ground (world axes on level ground)."""
     # The transpose of the smallest rotation that takes z to the normal. A ceiling gets the mirror
     # image, since its normal may point straight down.
     x, y, z = normal

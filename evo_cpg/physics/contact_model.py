@@ -68,7 +68,7 @@ class Ground(eqx.Module):
 
     @property
     def level(self) -> Number | None:
-        """Height of flat and level ground, m; None for any other ground."""
+        """Height of flat and level ground, m, or None for any other ground."""
         floor = self.floor
         if isinstance(floor, Plane) and not self.obstacles and chosen(lambda: floor.normal == _UP):
             return floor.height
@@ -81,11 +81,11 @@ class Parts(NamedTuple):
     Attributes:
         bodies: index in the tree of each part's body.
         centre: centre of each part in the body's working frame, m.
-        axes: axes as columns in the body's working frame; None if all are the frame's axes.
+        axes: axes as columns in the body's working frame, or None if all are the frame's axes.
         half_extents: half extents of a box or of a line along x, or semi-axes of an ellipsoid, m.
         radius: radius of the ball that sweeps the part, m.
-        corners: corners of meshes around ellipsoids, along the axes, m; zeros for a part without a
-            mesh, and None without any mesh.
+        corners: corners of meshes around ellipsoids, along the axes, m. A part without a mesh has
+            zeros. None without any mesh.
     """
 
     bodies: tuple[int, ...]
@@ -131,16 +131,16 @@ class ContactModel(NamedTuple):
     A box has only four contact points: the corners of the face that looks down most. The other four
     corners are at least a third of the box's height above them. The order of points on the floor is
     boxes, meshes (`evo_cpg.physics.contact_points`), balls (ends of capsules, and spheres),
-    ellipsoids. With obstacles, the corners of meshes follow again, then the points of solids.
+    ellipsoids. Obstacles add the corners of meshes again, then the points of `Solids`.
 
     Attributes:
         ground: ground under the creature.
         bodies: index in the tree of each contact point's body.
         boxes: half edges, m, one column for the four contact points of each box.
-        meshes: corners of each mesh, m; shorter lists repeat the last corner.
+        meshes: corners of each mesh, m. Shorter lists repeat the last corner.
         radii: radii of the balls, m.
         semi_axes: semi-axes of the ellipsoids, m.
-        solids: parts that may touch obstacles; None without obstacles.
+        solids: parts that may touch obstacles, or None without obstacles.
         centre: centre of each box and mesh (once), ball and ellipsoid, body's working frame, m.
         restitution: restitution of the body on this ground, for every contact point.
         static_friction: static friction of the body on this ground, for every contact point.
@@ -170,11 +170,11 @@ class ContactPoints(NamedTuple):
         material_offset: vector from the body's origin to the material point that turns with the
             body, m. This is the centre for a ball, whose lowest point stays below the centre.
         gap: distance of the point from the ground, m.
-        normal: normal away from the ground; normal of the body if its face meets an edge.
+        normal: normal away from the ground, or normal of the body if its face meets an edge.
         curvature_acceleration: acceleration along the normal from the point's motion along the
             surface, m/s^2.
-        ahead: time within the step to which these values belong, s; 0 except for fast points
-            (`evo_cpg.physics.sweep`); None if it is 0 for all points.
+        ahead: time within the step to which these values belong, s. It is 0 except for fast points
+            (`evo_cpg.physics.sweep`), and None if it is 0 for all points.
     """
 
     offset: Float[Array, "3 p *n"]

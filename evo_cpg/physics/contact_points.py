@@ -190,7 +190,7 @@ def _material(
 
 
 def clearance(contact_model: ContactModel, kin: Kinematics) -> Float[Array, "p *n"]:
-    """Return the distance of every contact point from the ground, m; negative inside it."""
+    """Return the distance of every contact point from the ground, m, negative inside it."""
     return contact_points(contact_model, kin).gap
 
 

@@ -8,7 +8,7 @@ plane passes through the point q and has the normal n towards the ellipsoid:
 The nearest point to a ball is the root of one equation (Eberly 2013). For a box, q is the point of
 the box with the least |A^-1 R^T (q - c)|, which is 1 on the surface of the ellipsoid. The box lies
 behind the tangent plane at q of the ellipsoid scaled up to q. This gap is exact at contact, and
-never more than the distance.
+never greater than the distance.
 """
 
 import jax.numpy as jnp

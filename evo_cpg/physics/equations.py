@@ -30,8 +30,8 @@ class Equations(NamedTuple):
         kin, inertia, bias, passive, derivative: arguments of `solve`, without motors, joint limits
             and ground.
         start_torque: motor torques at the present rates, N m.
-        contacts: contacts with the ground; None without ground.
-        pairs: contacts between bodies of the creature; None if no bodies can touch each other.
+        contacts: contacts with the ground, or None without ground.
+        pairs: contacts between bodies of the creature, or None if no bodies can touch each other.
     """
 
     state: State
@@ -74,7 +74,7 @@ class Warmstart(NamedTuple):
 
     Attributes:
         qdd: joint accelerations, rad/s^2.
-        velocity: velocities of the contact points, m/s; None without ground.
+        velocity: velocities of the contact points, m/s, or None without ground.
         radius: radii of the friction cones, N.
     """
 
@@ -90,10 +90,10 @@ class StepSolution(NamedTuple):
         root: acceleration of the root, as in `Accelerations`.
         qdd: joint accelerations, rad/s^2.
         torque: torques that the motors applied, N m.
-        contact: forces of the ground; None without ground.
-        pairs: forces between pairs of bodies, N; None if no bodies can touch each other.
-        residual: residual of `evo_cpg.physics.step_solver`; None for linear equations.
-        warmstart: start of the next step's search; None for linear equations.
+        contact: forces of the ground, or None without ground.
+        pairs: forces between pairs of bodies, N, or None if no bodies can touch each other.
+        residual: residual of `evo_cpg.physics.step_solver`, or None for linear equations.
+        warmstart: start of the next step's search, or None for linear equations.
     """
 
     root: Float[Array, "6 *n"]
@@ -135,11 +135,11 @@ def with_mean_products(
 ) -> Equations:
     """Return the equations with the mean of the velocity products before and after a step.
 
-    Coriolis, centrifugal and gyroscopic forces are quadratic in the velocities. With their initial
-    values a step is only of first order, and a swimmer drifts by 0.1 m in a second. The mean of
+    Coriolis, centrifugal and gyroscopic forces are quadratic in the velocities. Their initial
+    values make a step only of first order, and a swimmer drifts by 0.1 m in a second. The mean of
     before and after (trapezoidal rule) is of second order. The mean conserves momentum even if
-    motors change velocities at once, as between commands. With the products at the mean velocity a
-    tree could push off from nothing. The motion that predicts the final velocities may be inexact.
+    motors change velocities at once, as between commands. Products at the mean velocity would let a
+    tree push off from nothing. The motion that predicts the final velocities may be inexact.
 
     Args:
         world: the creature and its surroundings.

@@ -42,11 +42,11 @@ class FewPairContacts(NamedTuple):
         qd: joint rates at the start of the step, rad/s.
         h: step, s.
         gap: gap of each contact, m.
-        jacobian: J, m; zeros for joints that are not between the bodies.
+        jacobian: J, m, with zeros for joints that are not between the bodies.
         unconstrained_velocity: mean over the step with zero joint accelerations, m/s.
         target_velocity: v*, m/s.
         bias: velocity-product bias, m/s^2: the acceleration along the normal at constant joint
-            rates; `unconstrained_velocity` includes it.
+            rates. `unconstrained_velocity` includes it.
         where: the nearest points.
     """
 

@@ -47,7 +47,7 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
         _Plane(a, place, turn, b.half_extents, dot(a.axes[:, 2], away)),
     )
 
-    # From here on, the frame's first axis is the side's normal, towards the other rectangle.
+    # The frame's first axis is now the side's normal, towards the other rectangle.
     second = gaps[1] > gaps[0]
     gap, rise, along = _swapped(second, gaps)[0], *_swapped(second, here.place)
     up, across = _swapped(second, here.turn)

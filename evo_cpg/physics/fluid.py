@@ -91,8 +91,8 @@ class Patch(NamedTuple):
         tangential: rows for the two tangential velocities, ``(2, skin points, 6)``.
         tangential_area: area of each skin point, m^2.
         tangential_outer: blocks of the outer products, summed over tangents, ``(27, skin points)``.
-        normal_places: places of the form points; None for water without a surface.
-        tangential_places: places of the skin points; None for water without a surface.
+        normal_places: places of the form points, or None for water without a surface.
+        tangential_places: places of the skin points, or None for water without a surface.
     """
 
     bodies: tuple[int, ...]
@@ -124,18 +124,18 @@ class Drag(ForceLaw):
     law: DragLaw = eqx.field(static=True, default="normal")
 
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
-        """Return the drag wrench on every body; see `ForceLaw.wrench`."""
+        """Return the drag wrench on every body (`ForceLaw.wrench`)."""
         return self.parts(bodies)[0].wrench
 
     def parts(self, bodies: Bodies) -> tuple[Part]:
-        """Return the drag wrench with the D of the module docstring; see `ForceLaw.parts`."""
+        """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
         assert bodies.water is not None
         density = bodies.water.density
         wrench, derivative = drag(self, density, bodies.relative, bodies.pose)
         return (Part(wrench, bodies.h * derivative),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> None:
-        """Return None: D already includes the change over a step; see `ForceLaw.averaged`."""
+        """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
         del start, moving
 
     def scaled(self, factor: float) -> "Drag":
@@ -170,7 +170,7 @@ def make_patches(
     Args:
         tree: the creature.
         form: points for form drag on each body by name, in the body's geometric frame.
-        skin: points for skin friction; the isotropic law uses the form points for both.
+        skin: points for skin friction. The isotropic law uses the form points for both.
         law: drag law (`Drag`).
         surfacing: whether the water has a surface.
         layout: "merged" merges equal bodies and points.
@@ -209,7 +209,7 @@ def drag(
         law: coefficients and surface points.
         density: density of the water, kg/m^3.
         velocity: velocity of every body relative to the water: angular, then linear.
-        pose: pose of every body (`Bodies`); None for water without a surface.
+        pose: pose of every body (`Bodies`), or None for water without a surface.
 
     Returns:
         The wrench (moment, force) and the blocks (angular-angular, angular-linear,

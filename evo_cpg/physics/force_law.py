@@ -44,15 +44,15 @@ class Bodies:
         tree: the creature: ``tree.mass`` (kg), ``tree.com`` (from the origin to the centre of mass,
             m), ``tree.volume`` (m^3).
         gravity: gravitational acceleration, m/s^2.
-        water: the water; None on dry land.
+        water: the water, or None on dry land.
         cells: volumes of the bodies (`evo_cpg.physics.world.World`).
         h: length of the physics step, s.
         kin: positions and rotations in world axes, and velocities at the start of the step.
         velocity: velocity of every origin: angular (rad/s), then linear (m/s).
-        stream: velocity of the water at the centres of mass, m/s; 0 on dry land.
-        pose: upward unit vector, and the height of the origin above the surface, m; None without a
-            surface.
-        displaced: part of each body that is under water; None without a surface.
+        stream: velocity of the water at the centres of mass, m/s, or 0 on dry land.
+        pose: upward unit vector, and the height of the origin above the surface, m, or None without
+            a surface.
+        displaced: part of each body that is under water, or None without a surface.
     """
 
     tree: Tree
@@ -111,7 +111,7 @@ class Bodies:
         Args:
             name: name of the body.
             force: force at the body's centre of mass, in body axes, N.
-            moment: moment about the body's centre of mass, N m; None for zero.
+            moment: moment about the body's centre of mass, N m, or None for zero.
         """
         i = self.index(name)
         about_origin = cross(expand_dims_like(self.tree.com[:, i], force), force)
@@ -134,7 +134,7 @@ def bodies_in(
     h: float,
     kin: Kinematics,
 ) -> Bodies:
-    """Return the bodies of a creature for force laws; see `Bodies` for the arguments."""
+    """Return the bodies of a creature for force laws. `Bodies` has the arguments."""
     velocity, pose, displaced = body_velocity(kin), None, None
     if water is None:
         stream = jnp.zeros((3, 1) + (1,) * (velocity.ndim - 2), velocity.dtype)
@@ -169,8 +169,8 @@ class Part(NamedTuple):
 
     Attributes:
         wrench: wrench at the start of the step on bodies that do not accelerate.
-        resistance: ``h D``, as `blocks`; None for 0.
-        inertia: M about the origins, added to the bodies' own inertias; None for 0.
+        resistance: ``h D``, as `blocks`, or None for 0.
+        inertia: M about the origins, added to the bodies' own inertias, or None for 0.
     """
 
     wrench: Float[Array, "6 b *n"]
@@ -234,7 +234,7 @@ class ForceLaw(eqx.Module):
         return jax.vmap(along, out_axes=1)(jnp.asarray(np.eye(6), velocity.dtype))
 
     def parts(self, bodies: Bodies) -> tuple[Part, ...]:
-        """Return the parts of the law for the step; by default one, with ``D = -1/2 S_sym``."""
+        """Return the parts of the law for the step, by default one, with ``D = -1/2 S_sym``."""
 
         def equations(kin: Kinematics) -> tuple[Array, Array]:
             now = bodies_in(bodies.tree, bodies.gravity, bodies.water, bodies.cells, bodies.h, kin)
@@ -259,7 +259,7 @@ class ForceLaw(eqx.Module):
         return matvec(0.5 * (slope - transpose(slope)), moving.velocity)
 
     def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *n"] | None:
-        """Return the sum of M over all parts; None for 0."""
+        """Return the sum of M over all parts, or None for 0."""
         del bodies
         return None
 
@@ -275,7 +275,7 @@ class ForceLaw(eqx.Module):
         return self.wrench(middle)
 
     def operations(self) -> float:
-        """Return the approximate number of native-code operations of the law; 0 if unknown.
+        """Return the approximate number of native-code operations of the law, or 0 if unknown.
 
         `evo_cpg.simulation.operations` warns about programs that take long to compile.
         """

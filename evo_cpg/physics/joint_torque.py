@@ -6,8 +6,8 @@ Each law gives its torque at the present rates and its derivative. The implicit 
 - Passive: ``-k (q + h qd) - c qd``, T = h (c + h k).
 - Limit: a one-sided spring and damper, ``-K max(0, qd_end - v*)`` with ``K = c + h k``. The rate v*
   brings the joint just to its limit at the end of the step. Beyond the limit, v* is the return rate
-  of the spring. The limit never slows a returning joint. A step of one solve (without ground and
-  motor limits) uses a spring and damper if the present rate would take the joint past the limit.
+  of the spring. The limit never slows a returning joint. A step of one solve (no ground, no motor
+  limits) uses a spring and damper if the joint would pass its limit at the present rate.
 - Motor: ``g (rate* - qd) + k_m (angle* - q - h qd)``, T = h (g + h k_m), with a limit on the torque
   at the *end* of the step. A limit on the torque before the step makes the motor chatter and exceed
   its limit threefold. With k_m = 0 the motor is a velocity servo (Iwadate 2010: "angular-velocity
@@ -41,7 +41,7 @@ def limit_torque(
         tree: the creature.
         q: joint angles at the start of the step, rad.
         rate: joint rates at the end of the step, rad/s.
-        h: step, s; 0 for the law itself, without a step.
+        h: step, s, or 0 for the law itself, without a step.
     """
     stiffness, damping, lower, upper = (
         expand_dims_like(x, q)
@@ -87,7 +87,7 @@ def servo_torque(
         tree: the creature.
         state: joint angles and rates of the creature.
         target_rate: reference rates, rad/s.
-        target_angle: reference angles, rad; None for the neutral pose.
+        target_angle: reference angles, rad, or None for the neutral pose.
         h: step, s.
     """
     rates = state.qd
@@ -100,7 +100,7 @@ def servo_torque(
 
 
 def servo_slope(tree: Tree, like: Array, h: float) -> Float[Array, "d *n"]:
-    """Return the torque decrease per final rate, ``g + h k_m`` (N m s/rad); always positive."""
+    """Return the torque decrease per final rate, ``g + h k_m`` (N m s/rad), always positive."""
     slope = expand_dims_like(tree.servo_gain + h * tree.servo_stiffness, like)
     return jnp.maximum(slope, jnp.finfo(like.dtype).tiny)
 

@@ -152,7 +152,7 @@ def torque_on_each(
     Args:
         axes: S.
         wrench: wrenches about the origin of the joint's body.
-        which: indices of the wrenches; None for all in order.
+        which: indices of the wrenches, or None for all in order.
     """
     return dot(axes, wrench.moment if which is None else take(wrench.moment, which))
 
@@ -223,7 +223,7 @@ class Joints(NamedTuple):
         axes: S, (3, k, bodies, ...).
         torque: tau, in the coordinates x.
         derivative: T, in the coordinates x.
-        to_q: matrix from x to ``q``; None if x is ``q``.
+        to_q: matrix from x to ``q``, or None if x is ``q``.
     """
 
     axes: Array
@@ -291,14 +291,14 @@ class Joints(NamedTuple):
 
 
 def _inverse_columns(m: Float[Array, "3 3 *rest"]) -> Float[Array, "3 3 *rest"]:
-    """Return the inverse of a matrix; the inverse's rows are cross products of the columns."""
+    """Return the inverse of a matrix, with cross products of its columns as rows."""
     a, b, c = m[:, 0], m[:, 1], m[:, 2]
     rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
     return rows * (1.0 / dot(a, rows[0]))[None, None]
 
 
 def _key(values: Any, body: int) -> bytes | int:
-    """Return a key that equal values share; traced values have a key for each body."""
+    """Return a key that equal values share. Traced values have a key for each body."""
     return values.tobytes() if isinstance(values, np.ndarray) else body
 
 

@@ -11,8 +11,7 @@ the body's joint, so the shift from parent to child is a pure translation by ``o
 | S_i | ``axes``: world unit vectors of the joint axes |
 | w_i, v_i | ``angular``, ``linear`` velocity at the origin |
 | A0_i | ``bias_angular``, ``bias_linear``: spatial acceleration at constant velocities of the root
-and the joints. The acceleration of a material point is A0 plus ``w x v``; A0 is ``-w x v`` at the
-root |
+and the joints. A material point has the acceleration A0 plus ``w x v``. The root's is ``-w x v`` |
 """
 
 from typing import NamedTuple
@@ -29,7 +28,7 @@ from evo_cpg.spatial.linear import expand_dims_like, matvec
 
 
 class Kinematics(NamedTuple):
-    """Positions and velocities of all bodies; the module docstring has the symbols."""
+    """Positions and velocities of all bodies. The module docstring has the symbols."""
 
     rotation: Float[Array, "3 3 b *n"]
     origin: Float[Array, "3 b *n"]

@@ -76,7 +76,7 @@ def _in_present(present: _Present) -> Iterator[None]:
 
 @contextlib.contextmanager
 def recording_decisions() -> Iterator[StaticDecisions]:
-    """Record the decisions made within the context; the numbers must be known."""
+    """Record the decisions made within the context. The numbers must be known."""
     choices = StaticDecisions()
     with _in_present(_Present(noted=choices)):
         yield choices
@@ -86,11 +86,11 @@ def recording_decisions() -> Iterator[StaticDecisions]:
 def replaying_decisions(
     choices: StaticDecisions, conditions: list[Condition] | None = None
 ) -> Iterator[None]:
-    """Replay recorded decisions within the context; the numbers may be traced.
+    """Replay recorded decisions within the context. The numbers may be traced.
 
     Args:
         choices: recorded decisions.
-        conditions: list to which the condition of every decision is appended; None for none.
+        conditions: list to which the condition of every decision is appended, or None for none.
     """
     made, searched = iter(choices.made), iter(choices.searched)
     with _in_present(_Present(None, made, searched, True, conditions)):
@@ -121,7 +121,7 @@ def searched(search: Callable[[], _T], holds: Callable[[_T], Condition]) -> _T:
     derivative (implicit function theorem). The steps are zero if the search was exact.
 
     Args:
-        search: function that returns a pytree of numbers; never called with traced numbers.
+        search: function that returns a pytree of numbers, never called with traced numbers.
         holds: function that returns whether the Newton steps end at the result of a search with the
             present numbers.
 
@@ -134,7 +134,7 @@ def searched(search: Callable[[], _T], holds: Callable[[_T], Condition]) -> _T:
 
 
 def _noted_or_repeated(notes: str, make: Callable[[], _T]) -> _T:
-    """Return the result of a function, or its recorded result; inner choices are not recorded.
+    """Return the result of a function, or its recorded result. Inner choices are not recorded.
 
     Args:
         notes: name of the record's list, "made" or "searched".
@@ -168,7 +168,7 @@ def _collect(condition: Callable[[], Condition]) -> None:
 
 
 def _equal(made: Any, again: Any) -> Condition:
-    """Return whether two choices are equal; the second may be traced."""
+    """Return whether two choices are equal. The second may be traced."""
     mine, layout = jax.tree.flatten(made)
     theirs, their_layout = jax.tree.flatten(again)
     if layout != their_layout:

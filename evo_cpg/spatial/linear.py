@@ -59,11 +59,11 @@ def where_each(mask: Array, new: Any, old: Any) -> Any:
 
 
 def array_of(values: Any, dtype: Any = float) -> np.ndarray | Array:
-    """Return numbers as an array; known numbers give a NumPy array, constant in programs.
+    """Return numbers as an array. Known numbers give a NumPy array, constant in programs.
 
     Args:
-        values: numbers, nested or not; the array is traced if any number is traced.
-        dtype: dtype of a NumPy array; a traced array keeps the dtype of its traced numbers.
+        values: numbers, nested or not. The array is traced if any number is traced.
+        dtype: dtype of a NumPy array. A traced array has the dtype of its numbers.
     """
     if not is_traced(values):
         return np.asarray(values, dtype)
@@ -74,7 +74,7 @@ def array_of(values: Any, dtype: Any = float) -> np.ndarray | Array:
 
 
 def cosine_sine(angle: Any) -> tuple[Any, Any]:
-    """Return cosine and sine of an angle (rad); Python floats if the angle is known."""
+    """Return cosine and sine of an angle (rad), as Python floats if the angle is known."""
     if is_traced(angle):
         return jnp.cos(angle), jnp.sin(angle)
     return float(np.cos(angle)), float(np.sin(angle))
@@ -146,13 +146,13 @@ def skew(v: Float[Array, "3 *#rest"]) -> Float[Array, "3 3 *#rest"]:
 
 
 def toward_one(size: Any) -> Any:
-    """Return a power of two whose square brings positive numbers nearer to 1; mostly 1.
+    """Return a power of two whose square brings positive numbers nearer to 1, mostly 1.
 
     After multiplication by the square, a product of three numbers stays within float32. Rounding
     does not change: a product with a power of two is exact.
 
     Args:
-        size: numbers from 1e-28 to 1e28; a NumPy or JAX array.
+        size: NumPy or JAX array of numbers from 1e-28 to 1e28.
     """
     return xp.where(size < _SMALL, _LARGE, xp.where(size > _LARGE, _SMALL, 1.0))
 
@@ -174,7 +174,7 @@ def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest
 
 
 def _inverse(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest"]:
-    """Return the inverse; products of three diagonal elements must stay within float32."""
+    """Return the inverse. Products of three diagonal elements must stay within float32."""
     size = m.shape[0]
     if size == 2:
         determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]

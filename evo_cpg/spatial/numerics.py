@@ -64,7 +64,7 @@ class _Namespace:
         return call
 
     def array(self, values: Any, dtype: Any = None) -> Any:
-        """Return an array; a nested sequence with few traced numbers gives a short program."""
+        """Return an array. A nested sequence with few traced numbers gives a short program."""
         leaves, structure = jax.tree.flatten(values)
         traced = [x for x in leaves if is_traced(x)]
         if not traced:
@@ -100,6 +100,6 @@ def is_number(leaf: Any) -> bool:
 
 
 def as_vector(values: Numbers) -> Triple:
-    """Return three numbers as a tuple; known numbers become floats."""
+    """Return three numbers as a tuple. Known numbers become floats."""
     x, y, z = values if is_traced(values) else values.tolist()
     return x, y, z
