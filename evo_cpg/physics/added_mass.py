@@ -1,18 +1,18 @@
 """Added mass: the water that a body sets in motion around itself.
 
-In ideal fluid a body of inertia I carries water of the inertia M (both 6x6), and moves by
-Kirchhoff's equations (Lamb 1932, section 124), which have the form of the body's own: with the
-velocity ``V_r = V - (0, s)`` relative to a stream s, all in body axes,
+A body of inertia I in ideal fluid carries water of inertia M (both 6x6). It moves by Kirchhoff's
+equations (Lamb 1932, section 124), which have the form of the body's own equations. The velocity
+relative to a stream s is ``V_r = V - (0, s)``, all in body axes:
 
-    wrench = -M dV_r/dt - V_r x* (M V_r),     dV_r/dt = A + (0, w x s),
+    wrench = -M dV_r/dt - V_r x* (M V_r),     dV_r/dt = A + (0, w x s).
 
-where A is the spatial acceleration, so that M joins I in the articulated inertia. M is that of an
-ellipsoid in the proportions of the shape's bounding box and with its volume, that of a mesh along
-its principal axes in the proportions of its second moments; bodies do not shelter each other.
+A is the spatial acceleration, so M joins I in the articulated inertia. M is computed for an
+ellipsoid with the volume of the shape and the proportions of its bounding box. A mesh uses its
+principal axes and the proportions of its second moments. Bodies do not shelter each other.
 
-A body that crosses the surface carries M in proportion to its share under water. On the way in
-the body sets more water in motion, which takes the momentum ``dM V_r`` in a step (von Karman 1929);
-what it leaves behind on the way out moves on by itself. So the surface only ever takes energy.
+A body that crosses the surface carries M in proportion to its fraction under water. A body that
+enters sets more water in motion, which takes the momentum ``dM V_r`` in a step (von Karman 1929).
+A body that leaves gets no momentum back. So the surface never adds energy.
 """
 
 import functools
@@ -31,16 +31,16 @@ from evo_cpg.spatial.decisions import Condition, chosen
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# Points of the quadrature of Lamb's integrals: 1e-9 for axes of 1 to 100.
+# Points of the quadrature of Lamb's integrals: the error is 1e-9 for axes of 1 to 100.
 _NODES = 200
 
-# Relative difference of squared axes below which a body counts as round and carries no water when
-# it turns; the closed form is 0 / 0 there.
+# Relative difference of squared axes below which a body counts as round. A round body carries no
+# water when it turns, and the closed form is 0 / 0.
 _ROUND = 1e-6
 
 
 class AddedMass(ForceLaw):
-    """The water that the bodies carry along, in proportion to their share under water.
+    """Water that the bodies carry along, in proportion to their fraction under water.
 
     Attributes:
         carried: M of each body in deep water, in its working frame.
@@ -52,13 +52,13 @@ class AddedMass(ForceLaw):
     carried: Float[Numbers, "6 6 b"]
 
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
-        """See `ForceLaw.wrench`: that on bodies that neither accelerate nor get under water."""
+        """Return the wrench on bodies that neither accelerate nor enter the water."""
         return carried_water(self.inertia(bodies), bodies.velocity, bodies.stream)
 
     def parts(self, bodies: Bodies) -> tuple[Part, ...]:
-        """See `ForceLaw.parts`: the carried water, and the impact of what a step sets in motion.
+        """Return the parts of the carried water and of the impact of water set in motion.
 
-        The impact has no bounce: the water gets the velocity after it.
+        The impact has no bounce: the water gets the velocity after the impact.
         """
         own, pose, displaced = self.inertia(bodies), bodies.pose, bodies.displaced
         steady = carried_water(own, bodies.velocity, bodies.stream)
@@ -73,23 +73,23 @@ class AddedMass(ForceLaw):
         return Part(steady, None, own), Part(impact, blocks(entering))
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
-        """See `ForceLaw.averaged`: velocity products, as those of the bodies."""
+        """Return the wrench of the velocity products (`ForceLaw.averaged`)."""
         del start
         return self.wrench(moving)
 
     def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *#n"]:
-        """See `ForceLaw.inertia`."""
+        """Return M of the bodies' parts under water (`ForceLaw.inertia`)."""
         added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
         if bodies.displaced is None:
             return added
         return added * bodies.under_water[None, None]
 
     def over_step(self, first: Bodies, middle: Bodies, last: Bodies) -> Float[Array, "6 b *n"]:
-        """See `ForceLaw.over_step`."""
+        """Return the wrench over a step from the motion (`ForceLaw.over_step`)."""
         added, velocity = self.inertia(middle), middle.velocity
         change = (last.relative - first.relative) / middle.h
-        # The stream turns in body axes, which `carried_water` has as the acceleration of bodies
-        # that do not accelerate: it is in the change of the velocity relative to it.
+        # `carried_water` includes the turn of the stream in body axes. The change of the relative
+        # velocity includes it, too, so one of the two is cancelled here.
         turning = cross(velocity[:3], jnp.broadcast_to(middle.stream, velocity[3:].shape))
         steady = carried_water(added, velocity, middle.stream) + matvec(added[:, 3:], turning)
         wrench = steady - matvec(added, change)
@@ -99,19 +99,19 @@ class AddedMass(ForceLaw):
         return wrench - matvec(entering, middle.relative) / middle.h
 
     def _entering(self, bodies: Bodies, gained: Float[Array, "b *n"]) -> Float[Array, "6 6 b *n"]:
-        """Return the inertia of the water that volumes set in motion as they get under water."""
+        """Return the inertia of the water that entering volumes set in motion."""
         added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
         volume = expand_dims_like(bodies.tree.volume, gained)
         return added * (jnp.maximum(gained, 0.0) / volume)[None, None]
 
 
 def added_inertia(creature: Creature, tree: Tree, density: Number) -> Float[Numbers, "6 6 b"]:
-    """Inertia M of the water around each body, in its working frame.
+    """Return the inertia M of the water around each body, in the body's working frame.
 
     Args:
         creature: the animal.
-        tree: the same.
-        density: of the water, kg/m^3.
+        tree: tree of the creature.
+        density: density of the water, kg/m^3.
     """
     shapes = {body.name: body.shape for body in creature.bodies}
     inertias = []
@@ -126,7 +126,7 @@ def added_inertia(creature: Creature, tree: Tree, density: Number) -> Float[Numb
 
 
 def ellipsoid(shape: Shape) -> Float[Numbers, " 6"]:
-    """Added inertia over density about the centre (Lamb 1932, sections 114 and 115).
+    """Return the added inertia over density about the centre (Lamb 1932, sections 114 and 115).
 
     With ``alpha_i = abc int_0^inf dl / ((a_i^2 + l) sqrt((a^2 + l) (b^2 + l) (c^2 + l)))``,
 
@@ -134,12 +134,12 @@ def ellipsoid(shape: Shape) -> Float[Numbers, " 6"]:
         I_x = V/5 (b^2 - c^2)^2 (gamma - beta) / (2 (b^2 - c^2) + (b^2 + c^2) (beta - gamma)).
 
     Returns:
-        About the axes of its `Shape.stretch` (m^5), then along them (m^3).
+        Three values about the axes of `Shape.stretch` (m^5), then three along the axes (m^3).
     """
     half, _ = shape.stretch
     axes = half * (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    # l = a^2 (x / (1 - x))^2 takes 0 to 1 to 0 to infinity and leaves a smooth integrand.
+    # l = a^2 (x / (1 - x))^2 maps (0, 1) to (0, infinity) and leaves a smooth integrand.
     x = (nodes + 1) / 2
     scale = axes.min() * axes.max()
     shifted = xp.square(axes)[:, None] + (scale * (x / (1 - x)) ** 2)[None]
@@ -165,11 +165,11 @@ def carried_water(
     velocity: Float[Array, "6 b *n"],
     stream: Float[Array, "3 b *#n"],
 ) -> Float[Array, "6 b *n"]:
-    """Wrench of the carried water on each body that does not accelerate, in body axes.
+    """Return the wrench of the carried water on bodies that do not accelerate, in body axes.
 
     Args:
         inertia: M of each body.
-        velocity: of each body, angular, then linear.
+        velocity: velocity of each body, angular, then linear.
         stream: velocity of the water.
     """
     w, s = velocity[:3], jnp.broadcast_to(stream, velocity[3:].shape)

@@ -1,25 +1,24 @@
 """The articulated-body algorithm with implicit forces, in O(bodies).
 
-Every force on a body enters as the wrench ``f_i`` at the present velocity and what it loses per
-change of velocity, ``D_i``; every joint torque as its value ``tau`` at the present rates and its
-derivative ``-dtau/dqdd``, the diagonal ``T``. Solving for the velocities at the end of a step of
-length h,
+A force on a body enters as the wrench ``f_i`` at the present velocity and its decrease per change
+of velocity, ``D_i``. A joint torque enters as its value ``tau`` at the present rates and its
+derivative ``-dtau/dqdd``, the diagonal ``T``. The velocities at the end of a step of length h obey
 
-    (M + h sum J_i^T D_i J_i + T) qdd = tau + sum J_i^T f_i - bias,
+    (M + h sum J_i^T D_i J_i + T) qdd = tau + sum J_i^T f_i - bias.
 
-is the algorithm of Featherstone 2008, table 7.1, with ``I_i + h D_i`` in place of ``I_i`` and
-``S^T I^A S + T`` in place of ``S^T I^A S``. Its first pass, outwards, is
-`evo_cpg.physics.kinematics.kinematics`; `solve` has the other two. The algebra of one joint is in
-`evo_cpg.physics.joints`, with its symbols.
+The solver is the algorithm of Featherstone 2008, table 7.1, with ``I_i + h D_i`` in place of
+``I_i`` and ``S^T I^A S + T`` in place of ``S^T I^A S``. The first pass, outwards, is
+`evo_cpg.physics.kinematics.kinematics`. `solve` does the other two passes. The algebra of one joint
+and its symbols are in `evo_cpg.physics.joints`.
 
-Differs from the table in where the velocity-product accelerations c_i are: summed up from the root
-they are A0_i of `Kinematics`, p_i holds what they need, and the passes solve only for what comes on
-top of them. All is in world axes, so X_i moves by an offset.
+Differs from the table in the place of the velocity-product accelerations c_i. Their sums from the
+root are A0_i of `Kinematics`, and p_i includes the wrench for them. The passes solve only for the
+accelerations in addition to A0_i. All is in world axes, so X_i is a shift by an offset.
 
 | symbol | name |
 |---|---|
 | I_i + h D_i, p_i | ``inertia``, ``bias``: wrench that is needed for the accelerations A0_i |
-| I^A_i, p^A_i | ``I_A``, ``p_A``: of all that hangs on the body |
+| I^A_i, p^A_i | ``I_A``, ``p_A``: articulated inertia and bias of the body's subtree |
 | a_i | ``a``: spatial acceleration of the body |
 
 Each line holds for one body and for a group of like limbs side by side (`PerBody`).
@@ -45,7 +44,7 @@ from evo_cpg.physics.spatial_algebra import (
 
 
 class Accelerations(NamedTuple):
-    """What comes on top of the velocity-product accelerations of `Kinematics`.
+    """Accelerations in addition to the velocity-product accelerations of `Kinematics`.
 
     Attributes:
         root: acceleration of the root's velocity, angular, then linear.
@@ -68,10 +67,10 @@ def solve(
 
     Args:
         tree: the creature.
-        kin: its present kinematics.
+        kin: present kinematics of the creature.
         inertia: ``I + h D`` of every body.
         bias: ``V x* I V - f + I A0`` of every body.
-        torque: on every joint axis at the present rates, N m.
+        torque: torque on every joint axis at the present rates, N m.
         torque_derivative: ``-dtau/dqdd`` (with armature), kg m^2.
     """
     batch_ndim = torque.ndim - 1

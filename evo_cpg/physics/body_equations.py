@@ -1,17 +1,17 @@
-"""Inertia and bias wrench of every body: its own, and what the force laws add.
+"""Inertia and bias wrench of every body, with the contributions of the force laws.
 
-Contacts join later (`evo_cpg.physics.step_problem`).
+Contacts are added later (`evo_cpg.physics.step_problem`).
 
-A single body turns by ``I w' = -w x I w``. If a step holds the torque of its start, that motion
-grows: a capsule that spins at 40 rad/s about its axis and wobbles is 3 times as fast after a second
+A single body turns by ``I w' = -w x I w``. If a step holds the torque of its start, the rotation
+grows. A wobbling capsule that spins at 40 rad/s about its axis is 3 times as fast after one second
 of steps of 1/240 s. Kahan's method (1993; Hirota and Kimura 2000),
 
     I (w_1 - w) / h = -1/2 (w x I w_1 + w_1 x I w),
 
-conserves energy and momentum but for a bounded wobble, for any step. Steps whose first solution it
-makes (`evo_cpg.physics.equations.with_mean_products`) do so, too. Joints, drag and contact change
-w_1. The torque (`gyroscopic_change`) is that of the body alone. It differs from that of the start
-by O(h).
+conserves energy and momentum up to a bounded wobble, for any step. So do steps that use the method
+for their first solution (`evo_cpg.physics.equations.with_mean_products`). Joints, drag and contact
+change w_1. The torque (`gyroscopic_change`) is computed for the body alone. It differs from the
+torque at the start by O(h).
 """
 
 import jax.numpy as jnp
@@ -42,9 +42,9 @@ _TURNS_EASILY = 0.01
 def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wrench]:
     """Return the inertia ``I + h D`` and the bias wrench of every body, in world axes.
 
-    Force laws depend on velocities as the pose at the start of the step has them, so D is not in
-    the bias wrench, which is for velocity-product accelerations: these are of the pose as it
-    changes. The inertia of a force law is, as the body's own.
+    The bias wrench is the wrench for the velocity-product accelerations, which come from the change
+    of pose. It includes the inertia of the body and of the force laws, but not D: force laws use
+    the velocities in the pose at the start of the step.
     """
     tree, bodies = world.tree, world.bodies(kin, h)
     rotation, velocity = kin.rotation, bodies.velocity
@@ -63,7 +63,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     needed = _gyration(world, velocity) - wrench
     moment, force = needed[:3], needed[3:]
     if not world.submerged:
-        # In water drag holds spins back.
+        # Drag slows spins in water.
         moment = moment + gyroscopic_change(tree, velocity[:3], h)
     angular, mixed, linear = (matmul_t(matmul(rotation, block), rotation) for block in matrix)
     bias = Wrench(matvec(rotation, moment), matvec(rotation, force))
@@ -71,13 +71,13 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
 
 
 def bias_of_mean(world: World, kin: Kinematics, moving: BodyMotion, h: float) -> Wrench:
-    """Return what the mean of two motions' velocity products adds to the bias wrench, world axes.
+    """Return the change of the bias wrench with mean velocity products, world axes.
 
     Args:
         world: the creature and its surroundings.
         kin: kinematics at the start of the step.
-        moving: how its bodies move at the end, in the same pose.
-        h: s.
+        moving: motion of the bodies at the end of the step, in the pose of the start.
+        h: step, s.
     """
     rotation, tree, start = kin.rotation, world.tree, world.bodies(kin, h)
     velocity, other = start.velocity, in_body_axes(rotation, moving.angular, moving.linear)
@@ -103,12 +103,12 @@ def bias_of_mean(world: World, kin: Kinematics, moving: BodyMotion, h: float) ->
 
 
 def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6 b *n"]:
-    """``V x* I V``."""
+    """Return ``V x* I V``."""
     inertia = expand_dims_like(world.tree.inertia, velocity, velocity.ndim + 1)
     momentum, w, v = matvec(inertia, velocity), velocity[:3], velocity[3:]
     across = momentum[3:]
     small = _turn_easily(world.tree)
-    # In deep water drag holds bodies back that fall.
+    # Drag slows falling bodies in deep water.
     if not world.submerged and (is_traced(small) or small.any()):
         # The part m v of the momentum adds nothing but rounding to the moment v x m v.
         without = xp.where(small[None, None], 0.0, world.tree.inertia[3:, 3:])
@@ -119,7 +119,7 @@ def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6
 
 
 def _turn_easily(tree: Tree) -> Bool[Numbers, " b"]:
-    """Bodies that rounding of ``v x m v`` would turn, by about ``1e-7 v^2 / r^2`` rad/s^2.
+    """Return which bodies rounding of ``v x m v`` turns, by about ``1e-7 v^2 / r^2`` rad/s^2.
 
     Larger bodies keep the rounding of earlier versions.
     """
@@ -130,12 +130,12 @@ def _turn_easily(tree: Tree) -> Bool[Numbers, " b"]:
 def gyroscopic_change(
     tree: Tree, angular: Float[Array, "3 b *n"], h: float
 ) -> Float[Array, "3 b *n"]:
-    """Mean of ``w x I w`` over a step less that at its start, body axes, N m.
+    """Return the mean of ``w x I w`` over a step minus its initial value, body axes, N m.
 
     Args:
-        tree: whose bodies turn.
+        tree: the creature.
         angular: w in body axes, rad/s.
-        h: s.
+        h: step, s.
     """
     own = central_inertia(tree)
     # Cramer's rule multiplies three moments of inertia.
@@ -149,7 +149,7 @@ def gyroscopic_change(
 
 
 def central_inertia(tree: Tree) -> Float[Numbers, "3 3 b"]:
-    """About the centres of mass, in the working frames, kg m^2."""
+    """Return the inertias about the centres of mass, in the working frames, kg m^2."""
     x, y, z = tree.com
     none = xp.zeros_like(x)
     across = xp.array([[none, -z, y], [z, none, -x], [-y, x, none]])
@@ -158,7 +158,7 @@ def central_inertia(tree: Tree) -> Float[Numbers, "3 3 b"]:
 
 
 def _solve(m: Float[Array, "3 3 b *n"], v: Float[Array, "3 b *n"]) -> Float[Array, "3 b *n"]:
-    """By Cramer's rule."""
+    """Solve ``m x = v`` by Cramer's rule."""
     a, b, c = m[:, 0], m[:, 1], m[:, 2]
     across = cross(b, c)
     parts = [dot(v, across), dot(a, cross(v, c)), dot(a, cross(b, v))]

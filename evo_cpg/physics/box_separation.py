@@ -1,13 +1,12 @@
-"""How far two boxes with sharp edges are apart, and where.
+"""Separation of two boxes with sharp edges: gap, normal and nearest points.
 
-The gap is the largest of those along the directions in which boxes can be separated (Gottschalk et
-al. 1996): the faces' normals of either, and the cross products of their edges. It is exact where
-they overlap, and where a face or an edge is nearest; between two corners it is less than the
-distance.
+The gap is the largest gap along the separating directions (Gottschalk et al. 1996). These are the
+face normals of both boxes and the cross products of their edges. The gap is exact if the boxes
+overlap, or if a face or an edge is nearest. Between two corners the gap is less than the distance.
 
-Where a face is nearest the bodies touch at the other's lowest corner, and at the far ends of the
-two edges from there that lie on the face. Where a box overhangs, each is moved to a place near it
-that both have.
+If a face is nearest, the boxes touch at the lowest corner of the other box. They also touch at the
+far ends of the two edges from this corner that lie on the face. If a box overhangs, each point is
+moved to a near place that both boxes share.
 """
 
 from typing import NamedTuple
@@ -18,24 +17,24 @@ from jaxtyping import Array
 from evo_cpg.physics.separation import PARALLEL, RoundedBoxes, Separation, same, smaller, unless
 from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t, t_matmul, where_each
 
-# By so much (m), and by so much of the smaller box, edges must be farther apart than faces, so that
-# rounding does not decide.
+# Least excess of the gap of edges over the gap of faces (m, and as a fraction of the smaller box),
+# so that rounding does not decide.
 _CLEARLY, _CLEAR_FRACTION = 1e-5, 1e-3
 
-# Projections onto either face in turn that bring an overhanging corner to where both are.
+# Alternating projections onto both faces that bring an overhanging corner into their overlap.
 _PROJECTIONS = 2
 
-# Squared length (m^2) added where something is divided by it.
+# Squared length (m^2) added to divisors.
 _FLOOR = 1e-12
 
 
 def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> list[Separation]:
-    """Of boxes without radius.
+    """Return the separations of boxes without radius.
 
     Args:
-        a: some boxes.
-        b: others.
-        corners: of a face that lies on another's, 3 or 4.
+        a: first boxes.
+        b: second boxes.
+        corners: number of contact points of a face on a face, 3 or 4.
     """
     gap, normal, of_b = _best_face(a, b)
     clearly = jnp.minimum(_CLEARLY, _CLEAR_FRACTION * smaller(a, b))
@@ -52,7 +51,7 @@ def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> l
 
 
 def _best_face(a: RoundedBoxes, b: RoundedBoxes) -> tuple[Array, Array, Array]:
-    """The largest gap along a face's normal; that normal, from a to b; whether the face is b's."""
+    """Return the largest gap along a face normal, the normal from a to b, and whether b owns it."""
     away, ours, theirs = b.centre - a.centre, a.axes, b.axes
     size, e, f = jnp.abs(t_matmul(ours, theirs)), a.half_extents, b.half_extents
     along, across = matvec_t(ours, away), matvec_t(theirs, away)
@@ -63,9 +62,9 @@ def _best_face(a: RoundedBoxes, b: RoundedBoxes) -> tuple[Array, Array, Array]:
 
 
 def _best_edges(a: RoundedBoxes, b: RoundedBoxes, least: Array) -> tuple[Array, Separation]:
-    """Where a pair of edges is farther apart than so much, and the farthest such pair.
+    """Return whether a pair of edges is farther apart than ``least``, and the farthest pair.
 
-    Edges i of a and j of b, of which a_i x b_j is normal to both.
+    The pair is edge i of a and edge j of b, and a_i x b_j is normal to both.
     """
     away = b.centre - a.centre
     turn, along = t_matmul(a.axes, b.axes), matvec_t(a.axes, away)
@@ -94,15 +93,15 @@ def _best_edges(a: RoundedBoxes, b: RoundedBoxes, least: Array) -> tuple[Array, 
 
 
 class _Face(NamedTuple):
-    """A face of one box, and the other box, of which a corner is nearest.
+    """A face of one box, and the other box, whose corner is nearest.
 
     Attributes:
-        normal: out of the face.
-        of_b: whether it is one of the second box's.
-        under: the box whose face it is.
-        over: the other one.
-        lowest: its corner that is, m.
-        corner: that, or the place beside it that lies over the face, which may be higher.
+        normal: outward normal of the face.
+        of_b: whether the face belongs to the second box.
+        under: the box with the face.
+        over: the other box.
+        lowest: the lowest corner of the other box, m.
+        corner: the lowest corner, or a place near it over the face, which may be higher, m.
     """
 
     normal: Array
@@ -121,10 +120,10 @@ def _on_face(a: RoundedBoxes, b: RoundedBoxes, normal: Array, of_b: Array) -> _F
 
 
 def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: Array) -> Array:
-    """The place on a box's lowest face, near a corner of it, that is over the other's face.
+    """Return the place on a box's lowest face, near its corner, that is over the other's face.
 
-    Two boxes that overlap and are not parallel have such a corner; of parallel ones rounding picks
-    it.
+    Overlapping boxes that are not parallel have such a corner. Rounding picks the corner of
+    parallel boxes.
     """
     upright = jnp.abs(matvec_t(under.axes, normal)) > 0.5
     rise = jnp.abs(matvec_t(over.axes, normal))
@@ -146,13 +145,13 @@ def _at_corner(face: _Face, gap: Array) -> Separation:
 
 
 def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) -> Separation:
-    """At the far end of edges from the corner, or the place near it that lies over the face.
+    """Return the contact at the far end of edges from the corner, moved over the face.
 
     Args:
-        face: and what is over it.
-        gap: of the corner, m.
-        least: distance from the corner of a point that counts, m.
-        which: of the edges, of which the steepest does not count; both lead across the face.
+        face: the face and the box over it.
+        gap: gap of the corner, m.
+        least: least distance of a contact point from the corner, m.
+        which: indices of the edges, counted without the steepest edge.
     """
     axes = face.over.axes
     rise = matvec_t(axes, face.normal)
@@ -163,7 +162,7 @@ def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) 
     left = face.over.half_extents - side * own
     point = face.corner
     for one in which:
-        # The axis that is so many after the steepest.
+        # The axis ``one + 1`` places after the steepest axis.
         after = [jnp.where(steep == (k - 1 - one) % 3, left[k], 0.0) for k in range(3)]
         point = point + matvec(inward, jnp.stack(after))
     point = _over_both(face.normal, face.under, face.over, point)
@@ -174,7 +173,7 @@ def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) 
 
 
 def _on_plane(face: _Face, point: Array, gap: Array) -> Separation:
-    """At a point over a face, and the one on its plane."""
+    """Return the separation of a point over a face and its projection on the face's plane."""
     below, of_b = point - gap[None] * face.normal, face.of_b[None]
     return Separation(
         gap,
@@ -186,7 +185,7 @@ def _on_plane(face: _Face, point: Array, gap: Array) -> Separation:
 
 
 def _largest(gaps: Array, normals: Array) -> tuple[Array, Array]:
-    """The largest of some gaps, and its normal."""
+    """Return the largest gap and its normal."""
     best, normal = gaps[0], normals[:, 0]
     for k in range(1, len(gaps)):
         more = gaps[k] > best
@@ -195,12 +194,12 @@ def _largest(gaps: Array, normals: Array) -> tuple[Array, Array]:
 
 
 def _pointing(axes: Array, along: Array) -> Array:
-    """Axes as columns, turned to where something lies along them."""
+    """Return axes as columns, each with the sign of the coordinate ``along``."""
     return jnp.where(along < 0, -1.0, 1.0)[None] * axes
 
 
 def _corner(box: RoundedBoxes, direction: Array) -> Array:
-    """The corner that lies farthest along a direction."""
+    """Return the corner that lies farthest along a direction."""
     own = matvec_t(box.axes, direction)
     return box.centre + matvec(box.axes, jnp.where(own < 0, -1.0, 1.0) * box.half_extents)
 
@@ -208,15 +207,15 @@ def _corner(box: RoundedBoxes, direction: Array) -> Array:
 def _nearest_on_edges(
     first: Array, second: Array, d: Array, e: Array, most: Array, farthest: Array
 ) -> tuple[Array, Array]:
-    """Nearest points of two edges, no farther from their corners than they are long.
+    """Return the nearest points of two edges, at most an edge's length from its corner.
 
     Args:
-        first: a corner on one.
-        second: on the other.
-        d: direction of one.
-        e: of the other.
-        most: half of its length, m.
-        farthest: likewise.
+        first: a corner on the first edge, m.
+        second: a corner on the second edge, m.
+        d: direction of the first edge.
+        e: direction of the second edge.
+        most: half the length of the first edge, m.
+        farthest: half the length of the second edge, m.
     """
     away = first - second
     both, own, other = dot(d, e), dot(d, away), dot(e, away)

@@ -1,29 +1,29 @@
 """Buoyancy across the surface of the water, in closed form.
 
-Water that a cell of a body pushes aside has the potential energy ``rho g V E(d, u)``, with d the
-depth of the cell's centre and u the upward direction in its own axes. All follows from E:
+Water displaced by a cell of a body has the potential energy ``rho g V E(d, u)``. Here d is the
+depth of the cell's centre, and u is the upward direction in the cell's axes. E gives all the rest:
 
-    share under water   f = dE/dd,           force   rho g V f upwards,
-    first moment        m = -dE/du,          moment  rho g V (m x u) about the centre.
+    fraction under water   f = dE/dd,        force   rho g V f upwards,
+    first moment           m = -dE/du,       moment  rho g V (m x u) about the centre.
 
 So buoyancy is the gradient of a potential, and bodies that cross the surface neither gain nor lose
-energy by it. E depends on how height is distributed over the cell (`Cell.profile`):
+energy. E depends on the distribution of height over the cell (`Cell.profile`):
 
-- In a ball and in a disc that is a polynomial between -H and H, ``H^2 = sum a_i^2 u_i^2``, in every
-  position. For an ellipsoid this is exact.
-- In a box, height is the sum of three independent uniform variables of half-widths
-  ``w_i = b_i |u_i|``, which gives a sum over its corners,
+- *Ball and disc.* The distribution is a polynomial between -H and H, ``H^2 = sum a_i^2 u_i^2``, in
+  every position. It is exact for an ellipsoid.
+- *Box.* Height is the sum of three independent uniform variables of half-widths
+  ``w_i = b_i |u_i|``. This gives a sum over the corners,
 
       f = sum_s s_1 s_2 s_3 max(0, d + s.w)^3 / (48 w_1 w_2 w_3),      s_i = +1 or -1.
 
-  That takes some 240 operations; a lattice of points would have to be seven wide before the
-  righting moment is 1 % right.
-- In a polyhedron E is an integral over its triangles (Gauss): with t the depths of a triangle's
-  corners, A its area and n its outward normal,
+  The sum takes some 240 operations. A lattice of points needs a width of seven for a righting
+  moment within 1 %.
+- *Polyhedron.* E is an integral over the triangles (Gauss). A triangle has the area A, the outward
+  normal n and corners at the depths t,
 
       V E = -2 sum_triangles A (n.u) [t_1, t_2, t_3] max(0, t)^4 / 24,
 
-  in which the bracket is a divided difference.
+  and the bracket is a divided difference.
 
 | symbol | name |
 |---|---|
@@ -51,15 +51,14 @@ from evo_cpg.physics.per_body import take
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matmul_t
 from evo_cpg.spatial.numerics import Numbers, xp
 
-# An edge of a box that lies level has w_i = 0, by which one cannot divide: every w_i is at least
-# this share of H. The surface is blurred by as much, and a level box rights itself more strongly by
-# 2.5 times the square, 0.6 %; rounding in float32 (it grows with the fourth power of 1 / share)
-# is smaller.
+# Least w_i as a fraction of H: a level edge of a box has w_i = 0, and w_i is a divisor. The surface
+# is blurred by this fraction. A level box rights itself more strongly by 2.5 times its square,
+# 0.6 %. Rounding in float32 grows with the fourth power of 1 / fraction and is smaller.
 _LEAST_REACH = 0.05
 
-# Density of height, ``(1 - s^2)(c_0 + c_1 s^2 + c_2 s^4)`` for s = -d / H from -1 to 1. A disc's is
-# 2/pi sqrt(1 - s^2), the derivative of which does not exist at the rim: this has its integral, its
-# variance and its value in the middle, and f is 0.004 off at most.
+# Density of height, ``(1 - s^2)(c_0 + c_1 s^2 + c_2 s^4)`` for s = -d / H from -1 to 1. The exact
+# density of a disc, 2/pi sqrt(1 - s^2), has no derivative at the rim. The polynomial has the same
+# integral, variance and value in the middle. The error of f is at most 0.004.
 _DENSITIES = {
     "ball": (0.75, 0.0, 0.0),
     "disc": (0.6366197723675814, 0.1107606868538609, 1.0643277197192085),
@@ -71,15 +70,15 @@ _LEAST_SIDES = 1e-12
 
 
 class Cells(eqx.Module):
-    """The parts of the creature's bodies that have the same profile, and the same triangles.
+    """Parts of the creature's bodies with the same profile and the same triangles.
 
     Attributes:
-        profile: see `evo_cpg.creature.shapes.Cell`.
-        bodies: index in the tree of the body that each belongs to.
-        centre: in that body's working frame, m.
-        half_axes: m.
-        volume: m^3.
-        triangles: of polyhedra, which are all the same: their corners about the centre, m.
+        profile: distribution of height (`evo_cpg.creature.shapes.Cell`).
+        bodies: index in the tree of each cell's body.
+        centre: centre of each cell in the body's working frame, m.
+        half_axes: half axes of each cell, m.
+        volume: volume of each cell, m^3.
+        triangles: corners of the polyhedron's triangles about the centre, m, or None for others.
     """
 
     profile: Profile = eqx.field(static=True)
@@ -94,8 +93,8 @@ class Displacement(NamedTuple):
     """The part of each body that is under water.
 
     Attributes:
-        volume: m^3.
-        moment: first moment of that volume about the body's origin, in body axes, m^4.
+        volume: volume under water, m^3.
+        moment: first moment of the volume about the body's origin, in body axes, m^4.
     """
 
     volume: Float[Array, "b *n"]
@@ -103,7 +102,7 @@ class Displacement(NamedTuple):
 
 
 def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
-    """The volume of all bodies in parts, profile by profile."""
+    """Return the cells of all bodies, grouped by profile and triangles."""
     shapes = {body.name: body.shape for body in creature.bodies}
     parts = [(i, cell) for i, name in enumerate(tree.names) for cell in shapes[name].cells()]
     kinds: dict[tuple[Profile, bytes], list[tuple[int, Cell]]] = {
@@ -132,10 +131,10 @@ def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
 
 
 def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Displacement:
-    """What each body pushes aside.
+    """Return the water that each body displaces.
 
     Args:
-        cells: of the creature.
+        cells: cells of the creature.
         pose: upward unit vector in the axes of every body, and the height of its origin above the
             surface, m.
     """
@@ -164,10 +163,10 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
 def buoyancy(
     displaced: Displacement, up: Float[Array, "3 b *n"], specific_weight: Float[Array, ""] | float
 ) -> Float[Array, "6 b *n"]:
-    """Wrench on each body, in body axes.
+    """Return the buoyancy wrench on each body, in body axes.
 
     Args:
-        displaced: see `displacement`.
+        displaced: result of `displacement`.
         up: upward unit vector in the axes of each body.
         specific_weight: rho g of the water, N/m^3.
     """
@@ -179,10 +178,10 @@ def buoyancy(
 def _round(
     density: tuple[float, float, float], half_axes: Array, up: Array, depth: Array
 ) -> tuple[Array, Array]:
-    """Share f and first moment m of cells in which height has a density of one shape.
+    """Return the fraction f and first moment m of cells with a given density of height.
 
-    ``E = H e(s)`` at ``s = d / H``, so that ``m = -(e - s f) dH/du``; ``e - s f`` is the integral
-    of the density times its variable from s to 1.
+    ``E = H e(s)`` at ``s = d / H``, so ``m = -(e - s f) dH/du``. The factor ``e - s f`` is the
+    integral of the density times its variable from s to 1.
     """
     c0, c1, c2 = density
     stretched = half_axes * half_axes * up
@@ -202,7 +201,7 @@ def _round(
 
 
 def _box(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
-    """Share f and first moment m of boxes, from the sum over their corners."""
+    """Return the fraction f and first moment m of boxes, from the sum over their corners."""
     stretched = half_axes * half_axes * up
     squares = stretched * up
     least = _LEAST_REACH**2
@@ -219,14 +218,14 @@ def _box(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
         cube = math.prod(corner) * below * below * below
         fraction, energy, slope = fraction + cube, energy + cube * below, slope + signs * cube[None]
     fraction, energy = scale * fraction, 0.25 * scale * energy
-    # dE/dw_i over w_i; every w_j depends on every u_i.
+    # dE/dw_i over w_i. Every w_j depends on every u_i.
     slope = (scale[None] * slope - energy[None] / reach) / reach
     moment = -stretched * ((1 - least) * slope + least * slope.sum(0, keepdims=True))
     return fraction, moment
 
 
 def _polyhedron(cells: Cells, up: Array, depth: Array) -> tuple[Array, Array]:
-    """Share f and first moment m of polyhedra that are all the same."""
+    """Return the fraction f and first moment m of equal polyhedra."""
     triangles = cells.triangles
     assert triangles is not None
     corners = jnp.asarray(triangles.swapaxes(0, 1), up.dtype)
@@ -248,11 +247,11 @@ def _polyhedron(cells: Cells, up: Array, depth: Array) -> tuple[Array, Array]:
 def _wet_difference(
     first: Array, second: Array, third: Array
 ) -> tuple[Array, tuple[Array, Array, Array]]:
-    """Divided difference of ``max(0, t)^4 / 24`` at three depths, and its slopes in them.
+    """Return the divided difference of ``max(0, t)^4 / 24`` at three depths and its gradient.
 
-    With a lone corner t_0 on one side of the surface 24 times it is
-    ``t_0^4 / ((t_0 - t_1)(t_0 - t_2))``, or that less than where all is wet; t_0 is at least its
-    own depth away from the others.
+    A lone wet corner t_0 gives 24 times the value ``t_0^4 / ((t_0 - t_1)(t_0 - t_2))``. A lone dry
+    corner subtracts this term from the value of a wet triangle. The other corners are at least
+    ``|t_0|`` away from t_0.
     """
     wet = [depth > 0 for depth in (first, second, third)]
     lone = [(wet[i] != wet[i - 1]) & (wet[i] != wet[i - 2]) for i in range(3)]

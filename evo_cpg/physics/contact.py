@@ -1,28 +1,28 @@
-"""Contact with the ground: it holds, lets slide and throws back.
+"""Contact with the ground: normal force, friction and restitution.
 
-Each point of a body that may touch the ground obeys, with its velocity v *after* the forces have
-acted (the mean over the step, so that h v is the point's way),
+Each contact point of a body obeys these laws. The velocity v is the velocity *after* the forces
+have acted (the mean over the step, so ``h v`` is the point's displacement):
 
     f_n = max(0, c (v* - v_n)),      v* = max(v_gap, v_bounce),
-    f_t = -c v_t                     while |f_t| <= mu_s f_n         (it sticks)
-    f_t = -mu(|v_t|) f_n v_t/|v_t|   else                            (it slides)
+    f_t = -c v_t                     while |f_t| <= mu_s f_n         (sticking)
+    f_t = -mu(|v_t|) f_n v_t/|v_t|   else                            (sliding)
 
-with c so stiff that v_n = v* but for a per cent. ``v_gap = -gap / h`` lets a point that is still
-above the ground come just down to it, so nothing falls through and nothing hovers; below the ground
-it is a slow way out. ``v_bounce`` is the restitution times the speed of approach, where the point
-would hit within the step. Friction falls from static to dynamic with the sliding speed (Stribeck),
-``mu = mu_d + (mu_s - mu_d) / (1 + (v / v_s)^2)``.
+The stiffness c is so large that v_n = v* within about one per cent. ``v_gap = -gap / h`` lets a
+point above the ground just reach it, so nothing falls through and nothing hovers. ``v_gap`` of a
+point below the ground is a slow exit. ``v_bounce`` is the restitution times the speed of approach,
+for a point that would hit within the step. Friction falls from static to dynamic with the sliding
+speed (Stribeck), ``mu = mu_d + (mu_s - mu_d) / (1 + (v / v_s)^2)``.
 
-Differs from a spring and damper under each point, of which a step of 1/240 s cannot return more
-than 0.68 of the speed: here the step is told the velocity at its end.
+Differs from a spring and damper under each point: their step of 1/240 s cannot return more than
+0.68 of the speed. These laws use the velocity at the end of the step.
 
-Restitution point by point (Newton's hypothesis) can add energy to a tree. Where the forces of a
-step with impacts would do work, ``v_bounce`` of all points of that animal is taken less, and at
-last not at all (`StepProblem.must_reduce_restitution`, `bounded`).
+Restitution point by point (Newton's hypothesis) can add energy to a tree. If contact forces would
+do positive work, ``v_bounce`` of all points of the individual is reduced, finally to zero
+(`StepProblem.must_reduce_restitution`, `bounded`).
 
-The laws have kinks. `evo_cpg.physics.step_solver` finds the motion that obeys them and linearises
-them on the way (`ContactLinearization`). An edge or a face touches the floor with its corners.
-`evo_cpg.physics.pairs` has the contacts between bodies of one creature.
+The laws have kinks. `evo_cpg.physics.step_solver` finds the motion that obeys the laws, and
+linearizes them repeatedly (`ContactLinearization`). An edge or a face touches the floor with its
+corners. `evo_cpg.physics.pairs` has the contacts between bodies of one creature.
 
 Vectors of the laws are in the contact frame: two tangents, then the normal.
 """
@@ -53,7 +53,7 @@ from evo_cpg.spatial.linear import (
 )
 from evo_cpg.spatial.numerics import Numbers
 
-# Baumgarte stabilisation: share of a penetration that is undone in a step, and the fastest way out
+# Baumgarte stabilisation: fraction of a penetration that is undone in a step, and the fastest exit
 # (m/s).
 BAUMGARTE_FRACTION, BAUMGARTE_SPEED = 0.2, 0.5
 
@@ -61,7 +61,7 @@ BAUMGARTE_FRACTION, BAUMGARTE_SPEED = 0.2, 0.5
 # everything does.
 _RESTITUTION_THRESHOLD = 0.1
 
-# v* of a point that is not to be held, m/s; infinity would spoil gradients.
+# v* of a point without contact, m/s. Infinity would spoil gradients.
 _OUT_OF_REACH = -1e4
 
 # Squared speed (m^2/s^2) and force (N^2) added under roots so that they have gradients at rest.
@@ -69,16 +69,16 @@ _FLOOR = 1e-20
 
 
 class Contacts(NamedTuple):
-    """Where points touch, or would, and what holds throughout one step.
+    """Contact points and quantities that are constant throughout one step.
 
-    Velocities are those of the lowest points, in the contact frame, in m/s.
+    Velocities are velocities of the lowest points, in the contact frame, in m/s.
 
     Attributes:
-        offset: from the body's origin to the lowest point, world axes, m.
+        offset: vector from the body's origin to the lowest point, world axes, m.
         unconstrained_velocity: mean over the step, with the accelerations of `Kinematics` alone.
-        target_velocity: v*; far below any velocity where the point is out of reach.
-        rest_velocity: v* without restitution; positive where it lifts a point out of the ground.
-        bounce: v_bounce of points that hit the ground within the step; 0 of all others.
+        target_velocity: v*, far below any velocity if the point is out of reach.
+        rest_velocity: v* without restitution, positive if it lifts a point out of the ground.
+        bounce: v_bounce of points that hit the ground within the step, and 0 of all others.
         frame: rows are two tangents and the normal of the ground at every contact point.
     """
 
@@ -91,13 +91,13 @@ class Contacts(NamedTuple):
 
 
 class ContactLinearization(NamedTuple):
-    """The laws linearized at a velocity: ``f = force - K (v - velocity)``.
+    """Contact laws linearized at a velocity: ``f = force - K (v - velocity)``.
 
     Attributes:
-        velocity: at which they are, m/s.
-        force: there, N.
-        tangential: xx, xy and yy of K, N s/m.
-        normal: zz of K, N s/m.
+        velocity: velocity of the linearization, m/s.
+        force: force at this velocity, N.
+        tangential: elements xx, xy and yy of K, N s/m.
+        normal: element zz of K, N s/m.
     """
 
     velocity: Float[Array, "3 p *n"]
@@ -107,12 +107,12 @@ class ContactLinearization(NamedTuple):
 
 
 def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Contacts:
-    """The lowest point of every part, and the normal velocity that it should come to.
+    """Return the contact points of every part and their target normal velocities.
 
     Args:
-        contact_model: what may touch.
+        contact_model: contact points of the creature.
         kin: kinematics of the creature at the start of the step.
-        h: s.
+        h: step, s.
     """
     bodies = np.array(contact_model.bodies)
     ground = contact_model.ground
@@ -126,18 +126,18 @@ def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Con
     approach, unconstrained = -dot(normal, velocity), matvec(frame, velocity + 0.5 * h * drift)
     place, left = gap, h
     if ahead is not None:
-        # The gap is that of later on; until then the point comes nearer.
+        # The gap is the gap after ``ahead`` seconds. The point approaches during this time.
         gap, left = gap + ahead * approach, h - ahead
     push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
     fraction = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
     bounce = expand_dims_like(contact_model.restitution, approach) * fraction * approach
-    # Times a reciprocal: to divide takes a processor many times as long.
+    # Multiply by a reciprocal: a division takes a processor many times as long.
     rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
-    # The law gives way by a share of the speed, and a point that moves farther in a step than the
+    # The law yields by a fraction of the speed. A point that moves farther in a step than the
     # margin would sink in by millimetres.
     hit = jnp.clip((h / ground.margin) * approach - 1.0, 0.0, 1.0)
     rest = rest + hit * (1.0 / STIFFNESS) * jnp.maximum(rest + approach, 0.0)
-    # What comes from far within the step is near, too.
+    # A distant point that arrives within the step is near, too.
     near = place < jnp.maximum(ground.margin, left * approach)
     bounce = jnp.where(near & (gap <= h * approach), bounce, 0.0)
     rest = jnp.where(near, rest, _OUT_OF_REACH)
@@ -153,14 +153,14 @@ def bounded(contacts: Contacts, fraction: Float[Array, "*n"]) -> Contacts:
 
 
 def lifting_power(contacts: Contacts, force: Float[Array, "3 p *n"]) -> Float[Array, "*n"]:
-    """Of contact forces (N, contact frame) that lift points out of the ground, W."""
+    """Return the power of contact forces (N, contact frame) that lift points out, W."""
     return jnp.maximum(contacts.rest_velocity * force[2], 0.0).sum(0)
 
 
 def resting_stiffness(contact_model: ContactModel, h: float) -> Float[Numbers, " p"]:
-    """Normal force on a point that rests per depth, N/m: there ``v* = v_n + f_n / c`` lifts it.
+    """Return the normal force on a resting point per depth, N/m, from ``v* = v_n + f_n / c``.
 
-    It holds up to the depth from which the way out is no faster, ``5/2 h`` m/s.
+    The value holds up to the depth ``5/2 h`` m (h in s), below which the exit speed is constant.
     """
     return contact_model.stiffness * BAUMGARTE_FRACTION / h**2
 
@@ -168,7 +168,7 @@ def resting_stiffness(contact_model: ContactModel, h: float) -> Float[Numbers, "
 def cone_radius(
     contact_model: ContactModel, contacts: Contacts, velocity: Float[Array, "3 p *n"], h: float
 ) -> Float[Array, "p *n"]:
-    """Radius of the friction cone of every point, ``mu(|v_t|) f_n``, N."""
+    """Return the radius of the friction cone of every point, ``mu(|v_t|) f_n``, N."""
     stiffness = expand_dims_like(contact_model.stiffness / h, velocity[2])
     normal_force = stiffness * jnp.maximum(contacts.target_velocity - velocity[2], 0.0)
     dynamic, more = (
@@ -189,14 +189,14 @@ def linearize_contacts(
     velocity: Float[Array, "3 p *n"],
     h: float,
 ) -> ContactLinearization:
-    """The laws linearized at some velocity.
+    """Return the contact laws linearized at a velocity.
 
     Args:
-        contact_model: what may touch.
-        contacts: of this step.
-        radius: of the friction cones, N.
-        velocity: m/s.
-        h: s.
+        contact_model: contact points of the creature.
+        contacts: contacts of the step.
+        radius: radii of the friction cones, N.
+        velocity: velocity of every point, contact frame, m/s.
+        h: step, s.
     """
     stiffness = expand_dims_like(contact_model.stiffness / h, radius)
     square, short = _square(velocity), contacts.target_velocity - velocity[2]
@@ -205,7 +205,7 @@ def linearize_contacts(
     secant = jnp.where(sticks, stiffness, radius * inverse)
     normal_force = stiffness * jnp.maximum(short, 0.0)
     force = jnp.stack([-secant * velocity[0], -secant * velocity[1], normal_force])
-    # Sliding friction keeps its size and turns with the velocity.
+    # Sliding friction keeps its magnitude and turns with the velocity.
     along = jnp.where(sticks, 0.0, secant * inverse * inverse)
     x, y, _ = velocity
     tangential = jnp.stack([secant - along * x * x, -along * x * y, secant - along * y * y])
@@ -219,7 +219,7 @@ def friction_change(
     velocity: Float[Array, "3 p *n"],
     h: float,
 ) -> Float[Array, "p *n"]:
-    """By how much tangential forces (N) at some velocity differ under two friction cones."""
+    """Return the change of tangential forces (N) at a velocity between two friction cones."""
     sticking = expand_dims_like(contact_model.stiffness / h, radius) * jnp.sqrt(_square(velocity))
     return jnp.minimum(sticking, other) - jnp.minimum(sticking, radius)
 
@@ -227,7 +227,7 @@ def friction_change(
 def linearized_force(
     linear: ContactLinearization, velocity: Float[Array, "3 p *n"]
 ) -> Float[Array, "3 p *n"]:
-    """What linearized laws give at some velocity, N."""
+    """Return the linearized contact forces at a velocity, contact frame, N."""
     x, y, z = velocity - linear.velocity
     xx, xy, yy = linear.tangential
     return linear.force - jnp.stack([xx * x + xy * y, xy * x + yy * y, linear.normal * z])
@@ -240,14 +240,14 @@ def contact_inertia(
     like: Inertia,
     h: float,
 ) -> Inertia:
-    """``h sum J^T K J`` of all points of every body: inertias that linearized contacts add to them.
+    """Return ``h sum J^T K J`` of every body: the inertias that linearized contacts add.
 
     Args:
-        contact_model: what may touch.
-        contacts: of this step.
-        linear: their laws, linearized.
-        like: inertias of the bodies, for their shapes and type.
-        h: s.
+        contact_model: contact points of the creature.
+        contacts: contacts of the step.
+        linear: linearized contact laws.
+        like: inertias of the bodies, for shapes and type.
+        h: step, s.
     """
     turn = transpose(contacts.frame)
     xx, xy, yy = linear.tangential
@@ -270,13 +270,13 @@ def contact_inertia(
 def contact_wrench(
     contact_model: ContactModel, contacts: Contacts, force: Float[Array, "3 p *n"], like: Wrench
 ) -> Wrench:
-    """The wrenches of contact forces (N, contact frame) on all bodies.
+    """Return the wrenches of contact forces (N, contact frame) on all bodies, world axes.
 
     Args:
-        contact_model: what may touch.
-        contacts: of this step.
-        force: on every point.
-        like: wrenches of the bodies, likewise.
+        contact_model: contact points of the creature.
+        contacts: contacts of the step.
+        force: force on every point.
+        like: wrenches of the bodies, for shapes and type.
     """
     force = matvec_t(contacts.frame, force)
     bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), force.ndim - 2)
@@ -286,7 +286,7 @@ def contact_wrench(
 def change_of_velocity(
     contact_model: ContactModel, contacts: Contacts, accelerations: Motion, h: float
 ) -> Float[Array, "3 p *n"]:
-    """What accelerations of the bodies change at every contact point, contact frame, m/s."""
+    """Return the velocity changes of contact points by accelerations, contact frame, m/s."""
     bodies = np.array(contact_model.bodies)
     angular = take(accelerations.angular, bodies)
     change = take(accelerations.linear, bodies) + cross(angular, contacts.offset)
@@ -294,9 +294,9 @@ def change_of_velocity(
 
 
 def _frame(normal: Float[Array, "3 p *n"]) -> Float[Array, "3 3 p *n"]:
-    """Rows: two tangents and the normal of the ground; the world's axes where it is level."""
-    # The rotation that takes z to the normal the short way, transposed; of a ceiling, whose normal
-    # may point straight down, the mirror image.
+    """Return rows: two tangents and the normal of the ground (world axes on level ground)."""
+    # The transpose of the smallest rotation that takes z to the normal. A ceiling gets the mirror
+    # image, since its normal may point straight down.
     x, y, z = normal
     k, sign = 1.0 / (1.0 + jnp.abs(z)), jnp.where(z < 0, 1.0, -1.0)
     return jnp.stack(
@@ -309,5 +309,5 @@ def _frame(normal: Float[Array, "3 p *n"]) -> Float[Array, "3 3 p *n"]:
 
 
 def _square(vector: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:
-    """Of the length of the tangential part."""
+    """Return the squared length of the tangential part."""
     return vector[0] * vector[0] + vector[1] * vector[1] + _FLOOR

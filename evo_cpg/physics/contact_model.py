@@ -1,7 +1,7 @@
-"""The ground, and the contact points of a creature: those that may touch it.
+"""Ground, and the contact points of a creature on the ground.
 
-Where they are is found in `evo_cpg.physics.contact_points`, what holds there in
-`evo_cpg.physics.contact`.
+`evo_cpg.physics.contact_points` finds the places of the points. `evo_cpg.physics.contact` has the
+contact laws.
 """
 
 from typing import Literal, NamedTuple
@@ -17,44 +17,43 @@ from evo_cpg.physics.terrain import Block, Boulder, Obstacle, Part, Plane
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# How two materials' values become one. The factors 0.6 x 0.9 and 0.3 x 0.9 of Fukui 2003 suggest
-# products for restitution; PhysX averages unless told otherwise, Havok is believed to take the
+# Rules that combine the values of two materials. The factors 0.6 x 0.9 and 0.3 x 0.9 of Fukui 2003
+# suggest products for restitution. PhysX averages by default. Havok is believed to use the
 # geometric mean of frictions and the larger restitution.
 Combination = Literal["multiply", "average", "geometric", "min", "max"]
 
-# c h of a point: so many times the geometric mean of its body's mass and the creature's. A rigid
-# body loses (1 + e) / 61 of the speed of its rebound. Depth hardly depends on it: of the points of
-# tumbling quadrupeds 0.70, 0.75 and 0.77 % are more than 1 mm deep with 50, 60 and 100.
+# c h of a point, relative to the geometric mean of its body's mass and the creature's mass. A rigid
+# body loses (1 + e) / 61 of the speed of its rebound. Depth hardly depends on this value: 0.70,
+# 0.75 and 0.77 % of the points of tumbling quadrupeds are more than 1 mm deep with 50, 60 and 100.
 STIFFNESS = 60.0
 
-# Corners of the lowest face of a box, and those of a mesh that count.
+# Contact points of a box (corners of its lowest face) and of a mesh.
 CORNERS = 4
 
-# Obstacles of each kind that count for a part of a creature: those nearest to it.
+# Nearest obstacles of each kind that a part of a creature may touch.
 NEAREST = 2
 
-# Points that a box, a line, a ball and an ellipsoid may touch obstacles with at the same time, and
-# those that each has with one block; with one boulder it has one.
+# Contact points of a box, a line, a ball and an ellipsoid with all obstacles at the same time, and
+# with one block. One boulder gives one point.
 _POINTS, _ON_BLOCK = (4, 2, 2, 2), (4, 2, 1, 1)
 
 _UP = (0.0, 0.0, 1.0)
 
 
 class Ground(eqx.Module):
-    """What the creature stands on: its material and its shape.
+    """Material and shape of the ground.
 
     Attributes:
-        restitution: of its material.
-        static_friction: of its material.
-        dynamic_friction: of its material.
-        restitution_rule: how the body's and the ground's restitution combine.
-        friction_rule: how their frictions combine.
-        floor: its shape.
-        obstacles: what stands on it.
-        margin: points nearer than this are watched for an impact within the next step, m; it does
-            not hold bodies off the ground. Points that are fast are watched from farther away.
-        stribeck_speed: sliding speed at which friction has gone half of the way from static to
-            dynamic, m/s.
+        restitution: restitution of the ground's material.
+        static_friction: static friction of the ground's material.
+        dynamic_friction: dynamic friction of the ground's material.
+        restitution_rule: rule that combines the restitution of body and ground.
+        friction_rule: rule that combines the friction of body and ground.
+        floor: shape of the ground.
+        obstacles: obstacles on the ground.
+        margin: distance from which points are checked for an impact within the next step, m. The
+            margin does not hold bodies off the ground. Fast points are checked from farther away.
+        stribeck_speed: sliding speed at which friction is halfway between static and dynamic, m/s.
     """
 
     restitution: Number = 0.5
@@ -69,7 +68,7 @@ class Ground(eqx.Module):
 
     @property
     def level(self) -> Number | None:
-        """Height of ground that is flat and level, m; None for any other."""
+        """Height of flat and level ground, m, or None for any other ground."""
         floor = self.floor
         if isinstance(floor, Plane) and not self.obstacles and chosen(lambda: floor.normal == _UP):
             return floor.height
@@ -77,16 +76,16 @@ class Ground(eqx.Module):
 
 
 class Parts(NamedTuple):
-    """Parts of a creature of one kind.
+    """Parts of one kind of a creature.
 
     Attributes:
-        bodies: index in the tree of the body that each belongs to.
-        centre: in the body's working frame, m.
-        axes: there, as columns; None where all are the frame's.
-        half_extents: of a box, of a line along x, or semi-axes of an ellipsoid, m.
-        radius: of the ball that sweeps them, m.
-        corners: of meshes around ellipsoids, along the axes, m; zeros where there is no mesh, and
-            None where there are no meshes at all.
+        bodies: index in the tree of each part's body.
+        centre: centre of each part in the body's working frame, m.
+        axes: axes as columns in the body's working frame, or None if all are the frame's axes.
+        half_extents: half extents of a box or of a line along x, or semi-axes of an ellipsoid, m.
+        radius: radius of the ball that sweeps the part, m.
+        corners: corners of meshes around ellipsoids, along the axes, m. A part without a mesh has
+            zeros. None without any mesh.
     """
 
     bodies: tuple[int, ...]
@@ -98,16 +97,17 @@ class Parts(NamedTuple):
 
 
 class Solids(NamedTuple):
-    """A creature as obstacles meet it: with edges and sides.
+    """Solid parts of a creature for contact with obstacles.
 
-    A mesh is an ellipsoid that lies within it; its corners are contact points of their own.
+    A mesh is represented by an ellipsoid within it. The corners of the mesh are separate contact
+    points.
 
     Attributes:
-        boxes: with sharp edges.
-        lines: of capsules.
+        boxes: boxes with sharp edges.
+        lines: centre lines of capsules.
         balls: spheres.
-        ellipsoids: of bodies, and within meshes.
-        points: how many points each of a kind may touch obstacles with at the same time.
+        ellipsoids: ellipsoids of bodies and within meshes.
+        points: for each kind, the number of points that one part may touch with at the same time.
     """
 
     boxes: Parts
@@ -118,7 +118,7 @@ class Solids(NamedTuple):
 
     @property
     def bodies(self) -> tuple[int, ...]:
-        """Of every contact point: of a kind the first points of all parts, then the next."""
+        """Body of every contact point, by kind: first points of all parts, then second points."""
         found = ()
         for parts, count in zip(self[:4], self.points, strict=True):
             found += count * parts.bodies
@@ -126,26 +126,25 @@ class Solids(NamedTuple):
 
 
 class ContactModel(NamedTuple):
-    """The contact points of a creature, and what holds for each of them.
+    """Contact points of a creature and their constants.
 
-    Of a box only the four corners of the face that looks down most count: the other four are at
-    least a third of the box's height above them. They come first, then four corners of each mesh
-    (`evo_cpg.physics.contact_points`), then the balls (the ends of capsules, and spheres), then
-    the ellipsoids. Where there are obstacles the corners of meshes come again, and then the points
-    that other parts may touch obstacles with (`Solids`).
+    A box has only four contact points: the corners of the face that looks down most. The other four
+    corners are at least a third of the box's height above them. The order of points on the floor is
+    boxes, meshes (`evo_cpg.physics.contact_points`), balls (ends of capsules, and spheres),
+    ellipsoids. Obstacles add the corners of meshes again, then the points of `Solids`.
 
     Attributes:
-        ground: that they may touch.
-        bodies: index in the tree of the body that each contact point belongs to.
+        ground: ground under the creature.
+        bodies: index in the tree of each contact point's body.
         boxes: half edges, m, one column for the four contact points of each box.
-        meshes: corners of each mesh, m; meshes with fewer have the last one several times.
-        radii: of the balls, m.
-        semi_axes: of the ellipsoids, m.
-        solids: what may touch obstacles; None where there are none.
-        centre: of each box and mesh (once), ball and ellipsoid in the body's working frame, m.
-        restitution: of the body on this ground, for every contact point.
-        static_friction: likewise.
-        dynamic_friction: likewise.
+        meshes: corners of each mesh, m. Shorter lists repeat the last corner.
+        radii: radii of the balls, m.
+        semi_axes: semi-axes of the ellipsoids, m.
+        solids: parts that may touch obstacles, or None without obstacles.
+        centre: centre of each box and mesh (once), ball and ellipsoid, body's working frame, m.
+        restitution: restitution of the body on this ground, for every contact point.
+        static_friction: static friction of the body on this ground, for every contact point.
+        dynamic_friction: dynamic friction of the body on this ground, for every contact point.
         stiffness: c h, kg.
     """
 
@@ -164,17 +163,18 @@ class ContactModel(NamedTuple):
 
 
 class ContactPoints(NamedTuple):
-    """Where the contact points are now: what is nearest to the ground, or deepest in it.
+    """Present contact points: the points nearest to the ground, or deepest in it.
 
     Attributes:
-        offset: from the body's origin to the point, world axes, m.
-        material_offset: from the body's origin to what turns with the body there. The lowest point
-            of a ball stays below its centre; all others are points of the body.
-        gap: the point's distance from the ground, m.
-        normal: of the ground, or of the body where its face meets an edge; away from the ground.
-        curvature_acceleration: along the normal, because the point moves along the surface, m/s^2.
-        ahead: time (s) within the step at which all of this is so: 0 but for what moves fast
-            (`evo_cpg.physics.sweep`); None where it is 0 of all points.
+        offset: vector from the body's origin to the point, world axes, m.
+        material_offset: vector from the body's origin to the material point that turns with the
+            body, m. This is the centre for a ball, whose lowest point stays below the centre.
+        gap: distance of the point from the ground, m.
+        normal: normal away from the ground, or normal of the body if its face meets an edge.
+        curvature_acceleration: acceleration along the normal from the point's motion along the
+            surface, m/s^2.
+        ahead: time within the step to which these values belong, s. It is 0 except for fast points
+            (`evo_cpg.physics.sweep`), and None if it is 0 for all points.
     """
 
     offset: Float[Array, "3 p *n"]
@@ -186,7 +186,7 @@ class ContactPoints(NamedTuple):
 
 
 def make_contact_model(creature: Creature, tree: Tree, ground: Ground) -> ContactModel:
-    """Find the contact points of a creature."""
+    """Return the contact points of a creature on a ground."""
     found: dict[str, list] = {"box": [], "mesh": [], "ball": [], "ellipsoid": []}
     every = creature.bodies_of(tree.names)
     for i, body in enumerate(every):
@@ -228,7 +228,7 @@ def make_contact_model(creature: Creature, tree: Tree, ground: Ground) -> Contac
 
 
 def combine(rule: Combination, first: Number, second: Number) -> Number:
-    """One value for a pair of materials."""
+    """Return the combined value of a pair of materials."""
     return {
         "multiply": first * second,
         "average": (first + second) / 2,
@@ -274,7 +274,7 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
 
 
 def _equally_many(corners: list[np.ndarray]) -> np.ndarray:
-    """Corners ``(k, 3)`` of several meshes as one array ``(3, most, meshes)``."""
+    """Return the corners ``(k, 3)`` of several meshes as one array ``(3, most, meshes)``."""
     if not corners:
         return np.zeros((3, 0, 0))
     most = max(map(len, corners))

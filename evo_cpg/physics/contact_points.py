@@ -1,8 +1,8 @@
-"""The points of a creature that are nearest to the ground, or deepest in it.
+"""Points of a creature that are nearest to the ground, or deepest in it.
 
-Of every body a few points count: the corners of a box or a mesh that lie lowest, the ends of a
-capsule, the lowest point of a ball or an ellipsoid; and where there are obstacles, those of
-`evo_cpg.physics.obstacles`. What holds there is in `evo_cpg.physics.contact`.
+Every body has a few contact points: the lowest corners of a box or a mesh, the ends of a capsule,
+or the lowest point of a ball or an ellipsoid. Obstacles add the points of
+`evo_cpg.physics.obstacles`. The contact laws are in `evo_cpg.physics.contact`.
 """
 
 import jax
@@ -21,8 +21,8 @@ from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_
 from evo_cpg.spatial.mixed_array import MixedArray
 from evo_cpg.spatial.numerics import Numbers, xp
 
-# Slope up which corners of a mesh count as lying beside the lowest one: of a body that falls flat
-# at 5 rad/s they are found 5 steps ahead.
+# Slope up to which corners of a mesh count as level with the lowest one. The corners of a body that
+# falls flat at 5 rad/s are found 5 steps ahead.
 _TILT = 0.1
 
 # Squared length (m^2) added under a root so that it has a gradient at zero.
@@ -30,18 +30,18 @@ _FLOOR = 1e-20
 
 
 def contact_points(contact_model: ContactModel, kin: Kinematics, h: float = 0.0) -> ContactPoints:
-    """See `ContactPoints`.
+    """Return the present contact points of a creature.
 
     Args:
-        contact_model: what may touch.
+        contact_model: contact points of the creature.
         kin: kinematics of the creature.
-        h: corners are those that will be lowest after so many seconds; what moves fast is looked at
-            where it meets the ground within them.
+        h: time ahead, s. Corners are chosen as the lowest ones after this time. Fast points are
+            taken at the moment within this time when they meet the ground.
     """
     ground = contact_model.ground
     found = _lowest(contact_model, kin, h)
     if contact_model.solids is not None:
-        # A mesh meets them with its corners and with an ellipsoid within it.
+        # A mesh meets obstacles with its corners and with an ellipsoid within it.
         found += _corners_on_obstacles(contact_model, kin, h)
         found += obstacle_points(contact_model.solids, ground, kin, h)
     offset, material, gap, normal, curvature, times = zip(*found, strict=True)
@@ -60,9 +60,9 @@ def contact_points(contact_model: ContactModel, kin: Kinematics, h: float = 0.0)
 
 
 def _lowest(contact_model: ContactModel, kin: Kinematics, h: float) -> list[ContactPoints]:
-    """The points that are lowest as the floor lies below their body's centre."""
+    """Return the lowest points of all bodies, relative to the floor below the bodies' centres."""
     boxes, meshes, balls, ellipsoids = _counts(contact_model)
-    # A box and a mesh have several contact points, all others one.
+    # A box and a mesh have several contact points, all other parts one.
     angular = boxes + meshes
     once = CORNERS * angular + balls + ellipsoids
     bodies = np.array(contact_model.bodies[:once])
@@ -77,16 +77,16 @@ def _lowest(contact_model: ContactModel, kin: Kinematics, h: float) -> list[Cont
     sloping = h > 0 and not isinstance(floor[0], Plane)
     size = expand_dims_like(_sizes(contact_model), above)
     if sloping and angular + ellipsoids:
-        # A cliff ahead is met by the front of a body.
+        # The front of a body meets a cliff ahead.
         least, velocity = fast_from(contact_model.ground.margin, size), linear + cross(spin, centre)
         time = time_of_crossing(floor, origin + centre, velocity, 0.0, least, h, size)
         _, up = _surface(floor, origin + centre + time[None] * velocity)
-    # As a body sees it h later; d(e . up)/dt = e . (up x w).
+    # The upward direction h later, relative to the body: d(e . up)/dt = e . (up x w).
     later = up + h * cross(up, spin)
     found = []
 
     def on_floor(own: slice, offset: Array, radius: Array | float = 0.0) -> tuple:
-        """Gap and normal of points of some bodies, and the time within the step, s."""
+        """Return the gap and normal of points of some bodies, and the time within the step, s."""
         each = offset.shape[1] // origin[:, own].shape[1]
         start, v, w = (jnp.repeat(x[:, own], each, 1) for x in (origin, linear, spin))
         point = start + offset
@@ -130,7 +130,7 @@ def _lowest(contact_model: ContactModel, kin: Kinematics, h: float) -> list[Cont
 def _corners_on_obstacles(
     contact_model: ContactModel, kin: Kinematics, h: float
 ) -> list[ContactPoints]:
-    """The corners of meshes that are lowest as the nearest obstacle lies below their centre."""
+    """Return the corners of meshes that are lowest relative to the nearest obstacle."""
     boxes, meshes, *_ = _counts(contact_model)
     ground, solids = contact_model.ground, contact_model.solids
     if not meshes or solids is None:
@@ -156,13 +156,13 @@ def _corners_on_obstacles(
 
 
 def _counts(contact_model: ContactModel) -> tuple[int, ...]:
-    """How many boxes, meshes, balls and ellipsoids there are."""
+    """Return the numbers of boxes, meshes, balls and ellipsoids."""
     kinds = contact_model.boxes, contact_model.meshes, contact_model.radii, contact_model.semi_axes
     return tuple(kind.shape[-1] for kind in kinds)
 
 
 def _sizes(contact_model: ContactModel) -> Numbers:
-    """From the middle of boxes, meshes, balls and ellipsoids to their ends, m."""
+    """Return the largest radii of boxes, meshes, balls and ellipsoids about their centres, m."""
     boxes, meshes = (xp.sqrt((x * x).sum(0)) for x in (contact_model.boxes, contact_model.meshes))
     ends = (
         meshes.max(0, initial=0.0),
@@ -175,7 +175,7 @@ def _sizes(contact_model: ContactModel) -> Numbers:
 def _offsets_of_meshes(
     contact_model: ContactModel, turned: Array, centre: Array, later: Array
 ) -> Array:
-    """From the origins of their bodies to the corners of meshes that are lowest."""
+    """Return the vectors from the bodies' origins to the lowest corners of meshes, m."""
     lowest = _lowest_of_meshes(contact_model.meshes, matvec_t(turned, later))
     return jnp.repeat(centre, CORNERS, 1) + matvec(jnp.repeat(turned, CORNERS, 2), lowest)
 
@@ -183,19 +183,19 @@ def _offsets_of_meshes(
 def _material(
     offset: Array, gap: Array, normal: Array, time: Array | None, material: Array | None = None
 ) -> ContactPoints:
-    """Corners and balls: what is lowest there moves with the body, or with its centre."""
+    """Return contact points of corners (moving with the body) or balls (with their centre)."""
     none = jnp.zeros_like(gap)
     material = offset if material is None else material
     return ContactPoints(offset, material, gap, normal, none, time)
 
 
 def clearance(contact_model: ContactModel, kin: Kinematics) -> Float[Array, "p *n"]:
-    """Distance of every contact point from the ground, m; negative inside of it."""
+    """Return the distance of every contact point from the ground, m, negative inside it."""
     return contact_points(contact_model, kin).gap
 
 
 def _surface(parts: tuple[Part, ...], point: Float[Array, "3 p *n"]) -> tuple[Array, Array]:
-    """Distance of points from the nearest part and its normal there."""
+    """Return the distance of points from the nearest part, and the part's normal."""
     gap, normal = nearest(parts, point)
     return gap, jnp.broadcast_to(normal, point.shape)
 
@@ -206,7 +206,7 @@ def _lowest_corners(
     rotation: Float[Array, "3 3 b *n"],
     centre: Array,
 ) -> Float[Array, "3 c *n"]:
-    """Corners, box by box, of the face on the end of the half edge that reaches down most."""
+    """Return the corners, box by box, of the face at the half edge that reaches down most."""
     edges = rotation * expand_dims_like(half_edges[None], rotation)
     rise = [dot(edges[:, i], up) for i in range(3)]
     x, y, z = (jnp.abs(height) for height in rise)
@@ -233,11 +233,11 @@ def _lowest_corners(
 
 
 def _lowest_of_meshes(meshes: np.ndarray, up: Float[Array, "3 m *n"]) -> Float[Array, "3 c *n"]:
-    """Four corners of each mesh, mesh by mesh: the lowest one, and those that it may stand on.
+    """Return four corners of each mesh, mesh by mesh: the lowest one and its support corners.
 
-    Height above the lowest corner counts against a corner, divided by a slope. The second is
-    farthest from the first, third and fourth are farthest from their line on either side. Where
-    none lies low enough, the first is taken again.
+    Height above the lowest corner, divided by a slope, lowers a corner's score. The second corner
+    is farthest from the first. The third and fourth are farthest from their line on either side. If
+    no other corner lies low enough, the first corner is repeated.
     """
     corners = expand_dims_like(meshes, up, up.ndim + 1)
     rise = (corners * up[:, None]).sum(0)

@@ -1,14 +1,14 @@
-"""Where ellipsoids are nearest to balls and boxes, or deepest in them.
+"""Nearest points of ellipsoids to balls and boxes, or deepest points in them.
 
-A plane parts an ellipsoid with the centre c, axes R and semi-axes A from what lies beyond it: with
-the normal n, towards the ellipsoid, through the point q,
+A plane separates an ellipsoid with the centre c, axes R and semi-axes A from another solid. The
+plane passes through the point q and has the normal n towards the ellipsoid:
 
     gap = n . (c - q) - |A R^T n|.
 
-To a ball the nearest point is the root of one equation (Eberly 2013). Of a box q is the point that
-is least as the ellipsoid measures lengths, where |A^-1 R^T (q - c)| is 1 on its surface: there the
-box lies behind the tangent plane of a grown ellipsoid. That gap is exact where they touch, and
-never more than the distance.
+The nearest point to a ball is the root of one equation (Eberly 2013). For a box, q is the point of
+the box with the least |A^-1 R^T (q - c)|, which is 1 on the surface of the ellipsoid. The box lies
+behind the tangent plane at q of the ellipsoid scaled up to q. This gap is exact at contact, and
+never greater than the distance.
 """
 
 import jax.numpy as jnp
@@ -17,17 +17,17 @@ from jaxtyping import Array, Float
 from evo_cpg.physics.separation import RoundedBoxes
 from evo_cpg.spatial.linear import dot, matmul, matvec, matvec_t, t_matmul
 
-# Newton steps for the nearest point to a ball's centre: of 6000 from the surface to 30 semi-axes
-# away the worst gap was wrong by 2e-7 m, for an ellipsoid of 0.15, 0.06 and 0.02 m.
+# Newton steps for the nearest point to a ball's centre. The worst error of 6000 gaps was 2e-7 m,
+# from the surface to 30 semi-axes away, for an ellipsoid of 0.15, 0.06 and 0.02 m.
 _ROOT_STEPS = 5
 
-# Rounds for the point of a box: after one 1 of 2000 random pairs was wrong, after two none.
+# Rounds for the point of a box. Of 2000 random pairs, one was wrong after one round, none after 2.
 _ROUNDS = 2
 
-# Squared length (m^2), and what else is divided by, that is added where it might be zero.
+# Squared length (m^2), or another quantity, added to divisors that may be zero.
 _FLOOR = 1e-20
 
-# Squared length, measured in semi-axes, of what is at the centre.
+# Squared distance, in semi-axes, below which a point counts as the centre.
 _AT_CENTRE = 1e-4
 
 
@@ -38,22 +38,22 @@ def nearest_to_ball(
     ball: Float[Array, "3 p *n"],
     radius: Float[Array, "p *#n"],
 ) -> tuple[Array, Array]:
-    """Gap to balls, m, and the unit vector from a ball to the ellipsoid.
+    """Return the gap to balls, m, and the unit vector from a ball to the ellipsoid.
 
     Args:
-        centre: of the ellipsoids, m.
-        axes: theirs, as columns.
-        semi_axes: m.
-        ball: centres of the balls, m. Those inside an ellipsoid leave it along the gradient of its
-            equation, to first order.
-        radius: m.
+        centre: centres of the ellipsoids, m.
+        axes: axes of the ellipsoids, as columns.
+        semi_axes: semi-axes of the ellipsoids, m.
+        ball: centres of the balls, m. A centre inside an ellipsoid leaves along the gradient of the
+            ellipsoid's equation, to first order.
+        radius: radii of the balls, m.
     """
     own = matvec_t(axes, ball - centre)
     square = semi_axes * semi_axes
     scaled = semi_axes * own
     t = 0.0 * own[0]
     for _ in range(_ROOT_STEPS):
-        # Of |p(t)| = 1 with p = A y / (t + A^2), by the secular equation 1 / |p| = 1.
+        # Solve |p(t)| = 1 with p = A y / (t + A^2), by the secular equation 1 / |p| = 1.
         p = scaled / (t[None] + square)
         length = dot(p, p) + _FLOOR
         slope = (p * p / (t[None] + square)).sum(0) + _FLOOR
@@ -74,12 +74,12 @@ def nearest_to_box(
     semi_axes: Float[Array, "3 p *#n"],
     box: RoundedBoxes,
 ) -> tuple[Array, Array]:
-    """Gap to boxes without radius, m, and the unit vector from a box to the ellipsoid.
+    """Return the gap to boxes without radius, m, and the unit vector from a box to the ellipsoid.
 
     Args:
-        centre: of the ellipsoids, m.
-        axes: theirs, as columns.
-        semi_axes: m.
+        centre: centres of the ellipsoids, m.
+        axes: axes of the ellipsoids, as columns.
+        semi_axes: semi-axes of the ellipsoids, m.
         box: the boxes.
     """
     turned = t_matmul(axes, box.axes) / semi_axes[:, None]
@@ -89,7 +89,7 @@ def nearest_to_box(
     point = _least(metric, here, box.half_extents)
     displacement = here - point
     pull = matvec(metric, displacement)
-    # With the centre inside, the nearest face leads out.
+    # A centre inside the box leaves through the nearest face.
     face = jnp.where(inside >= inside.max(0)[None], jnp.where(here < 0, -1.0, 1.0), 0.0)
     buried = dot(displacement, pull) < _AT_CENTRE
     point = jnp.where(buried[None], face * box.half_extents, point)
@@ -101,9 +101,10 @@ def nearest_to_box(
 
 
 def _least(metric: Array, here: Array, extent: Array) -> Array:
-    """The point of a box with the least ``(x - here) . metric (x - here)``.
+    """Return the point of a box with the least ``(x - here) . metric (x - here)``.
 
-    Coordinate descent tells which coordinates are held at a face, elimination finds the others.
+    Coordinate descent finds the coordinates that are held at a face. Elimination solves for the
+    others.
     """
     x = jnp.clip(here, -extent, extent)
     diagonal = jnp.stack([metric[i, i] for i in range(3)])
@@ -119,7 +120,7 @@ def _least(metric: Array, here: Array, extent: Array) -> Array:
         x = descend(x)
         held = (jnp.abs(x) >= extent) & (matvec(metric, x - here) * x < 0)
         for _ in range(3):
-            # What would leave the box is held at the face, and the others are solved for anew.
+            # A coordinate that would leave the box is held at the face. Solve for the others again.
             ahead = x - _solve_free(metric, matvec(metric, x - here), held)
             x = jnp.clip(jnp.where(held, x, ahead), -extent, extent)
             held = held | (jnp.abs(ahead) > extent)
@@ -127,7 +128,7 @@ def _least(metric: Array, here: Array, extent: Array) -> Array:
 
 
 def _solve_free(metric: Array, slope: Array, held: Array) -> Array:
-    """The step to the least value with some coordinates held, by elimination."""
+    """Return the step to the minimum with some coordinates held, by elimination."""
     free = jnp.where(held, 0.0, 1.0)
     slope = free * slope
 

@@ -1,4 +1,4 @@
-"""The equations of one step: inertias, bias forces, torques, and where bodies touch."""
+"""Equations of one step: inertias, bias forces, torques and contacts."""
 
 from typing import NamedTuple
 
@@ -23,15 +23,15 @@ from evo_cpg.spatial.linear import expand_dims_like
 
 
 class Equations(NamedTuple):
-    """What stays the same throughout the search of a step.
+    """Constants of the search within a step.
 
     Attributes:
-        state: at the start of the step.
-        kin, inertia, bias, passive, derivative: as `solve` takes them, without motors, limits of
-            joints and ground.
+        state: state at the start of the step.
+        kin, inertia, bias, passive, derivative: arguments of `solve`, without motors, joint limits
+            and ground.
         start_torque: motor torques at the present rates, N m.
-        contacts: None without ground.
-        pairs: bodies that may touch each other; None where none can.
+        contacts: contacts with the ground, or None without ground.
+        pairs: contacts between bodies of the creature, or None if no bodies can touch each other.
     """
 
     state: State
@@ -49,8 +49,8 @@ class ContactForces(NamedTuple):
     """Forces of the ground.
 
     Attributes:
-        local: on every contact point, in its contact frame (two tangents, then the normal), N.
-        world: the same in world axes.
+        local: force on every contact point, in its contact frame (two tangents, then normal), N.
+        world: force on every contact point, in world axes, N.
     """
 
     local: Float[Array, "3 p *n"]
@@ -58,11 +58,11 @@ class ContactForces(NamedTuple):
 
 
 class Residual(NamedTuple):
-    """What forces miss their laws by, as a share of those that there are (`StepProblem`).
+    """Errors of the forces in their laws, as fractions of the present forces (`StepProblem`).
 
     Attributes:
-        solved: with the friction cones under which the motion was found.
-        coulomb: with those that its own normal forces give, at most.
+        solved: error with the friction cones of the solve.
+        coulomb: largest error with the friction cones of the solution's own normal forces.
     """
 
     solved: Float[Array, "*n"]
@@ -70,12 +70,12 @@ class Residual(NamedTuple):
 
 
 class Warmstart(NamedTuple):
-    """What a step came to, with which the next begins its search.
+    """Result of a step from which the next step starts its search.
 
     Attributes:
         qdd: joint accelerations, rad/s^2.
-        velocity: of the contact points, m/s; None without ground.
-        radius: of their friction cones, N.
+        velocity: velocities of the contact points, m/s, or None without ground.
+        radius: radii of the friction cones, N.
     """
 
     qdd: Float[Array, "d *n"]
@@ -88,12 +88,12 @@ class StepSolution(NamedTuple):
 
     Attributes:
         root: acceleration of the root, as in `Accelerations`.
-        qdd: joint accelerations.
-        torque: that the motors applied, N m.
-        contact: what the ground did; None without ground.
-        pairs: with which pairs of bodies push each other, N; None where none can touch.
-        residual: see `evo_cpg.physics.step_solver`; None where the equations are linear.
-        warmstart: for the next step; None where the equations are linear.
+        qdd: joint accelerations, rad/s^2.
+        torque: torques that the motors applied, N m.
+        contact: forces of the ground, or None without ground.
+        pairs: forces between pairs of bodies, N, or None if no bodies can touch each other.
+        residual: residual of `evo_cpg.physics.step_solver`, or None for linear equations.
+        warmstart: start of the next step's search, or None for linear equations.
     """
 
     root: Float[Array, "6 *n"]
@@ -108,7 +108,7 @@ class StepSolution(NamedTuple):
 def prepare(
     world: World, h: float, state: State, target_rate: Array, target_angle: Array | None
 ) -> Equations:
-    """The equations of motion of a step."""
+    """Return the equations of motion of a step."""
     tree = world.tree
     with jax.named_scope("kinematics"):
         kin = kinematics(tree, state)
@@ -133,21 +133,20 @@ def with_mean_products(
     root: Float[Array, "6 *n"],
     qdd: Float[Array, "d *n"],
 ) -> Equations:
-    """The equations with the mean of the velocity products before and after a step.
+    """Return the equations with the mean of the velocity products before and after a step.
 
-    What turning bodies need (Coriolis, centrifugal and gyroscopic forces) is quadratic in the
-    velocities. Held at its value at the start of the step it makes the motion one of first order,
-    and a swimmer is led astray by 0.1 m in a second. The mean of before and after (the trapezoidal
-    rule) is of second order, and keeps momentum even where motors change velocities at once, as
-    between commands: with the products at the mean velocity a tree could push itself off from
-    nothing. The motion that gives the velocities after the step need not be exact.
+    Coriolis, centrifugal and gyroscopic forces are quadratic in the velocities. Their initial
+    values make a step only of first order, and a swimmer drifts by 0.1 m in a second. The mean of
+    before and after (trapezoidal rule) is of second order. The mean conserves momentum even if
+    motors change velocities at once, as between commands. Products at the mean velocity would let a
+    tree push off from nothing. The motion that predicts the final velocities may be inexact.
 
     Args:
         world: the creature and its surroundings.
-        h: s.
-        equations: of the step.
+        h: step, s.
+        equations: equations of the step.
         root: acceleration of the root's velocity.
-        qdd: joint accelerations.
+        qdd: joint accelerations, rad/s^2.
     """
     state, kin = equations.state, equations.kin
     velocity, rates = state.velocity + h * root, state.qd + h * qdd
@@ -157,7 +156,7 @@ def with_mean_products(
 
 
 def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations:
-    """The motion of a step without contact whose motors have no limits: no search is needed."""
+    """Return the motion of a step without contact and motor limits, which needs no search."""
     tree, start_torque = world.tree, equations.start_torque
     stop, stop_slope = expected_limit_torque(tree, equations.state, h)
     torque = equations.passive + start_torque + stop

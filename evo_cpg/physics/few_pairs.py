@@ -1,7 +1,7 @@
-"""Contacts of pairs of bodies that are written out one by one.
+"""Contacts of a few pairs of bodies, written out one by one.
 
-A pair couples branches of the tree. In generalized coordinates it is a few elements of the matrix
-(`evo_cpg.physics.step_problem`). `evo_cpg.physics.pairs` has the law.
+A pair couples branches of the tree. In generalized coordinates a pair is a few elements of the
+matrix (`evo_cpg.physics.step_problem`). `evo_cpg.physics.pairs` has the contact law.
 """
 
 from typing import NamedTuple
@@ -30,23 +30,23 @@ from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, t_matmu
 
 
 class FewPairContacts(NamedTuple):
-    """Where pairs are nearest, and what holds throughout one step.
+    """Contacts of pairs and their constants throughout one step.
 
-    Two bodies of one tree part only as the joints between them turn: along the normal of a point at
-    ``J qd``, and a force f of the pair is felt by these joints as the torques ``J^T f``.
+    Two bodies of one tree separate only by turns of the joints between them. The separation speed
+    along the normal is ``J qd``. A force f of the pair gives these joints the torques ``J^T f``.
 
     Attributes:
         tree: the creature.
-        pairs: those of it.
+        pairs: pairs of bodies of the creature.
         kin: kinematics at the start of the step.
-        qd: joint rates there, rad/s.
-        h: s.
-        gap: m.
-        jacobian: J; zeros of joints that are not between the bodies, m.
-        unconstrained_velocity: mean over the step, if all joint accelerations were zero, m/s.
-        target_velocity: v*.
-        bias: velocity-product bias, the acceleration along the normal at constant joint rates; it
-            is part of `unconstrained_velocity`, m/s^2.
+        qd: joint rates at the start of the step, rad/s.
+        h: step, s.
+        gap: gap of each contact, m.
+        jacobian: J, m, with zeros for joints that are not between the bodies.
+        unconstrained_velocity: mean over the step with zero joint accelerations, m/s.
+        target_velocity: v*, m/s.
+        bias: velocity-product bias, m/s^2: the acceleration along the normal at constant joint
+            rates. `unconstrained_velocity` includes it.
         where: the nearest points.
     """
 
@@ -94,16 +94,16 @@ class FewPairContacts(NamedTuple):
     def bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
         """Return the velocity-product bias at the joint rates after the step, m/s^2."""
         rates = self.qd + self.h * qdd
-        # As if the root lay still.
+        # The motion of the root does not change the separation, so hold the root at rest.
         motion = motion_of_bodies(self.tree, self.kin, root.at_rest(rates), rates)
         return _bias(self.pairs, self.kin.origin, motion, self.where)
 
     def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
-        """Return how accelerations change the velocities at which points part in a step, m/s."""
+        """Return the changes of separation velocities by joint accelerations in a step, m/s."""
         return self.h * (self.jacobian * turn[None]).sum(1)
 
     def velocity(self, qdd: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
-        """Return the velocities at which points part at the end of the step, m/s."""
+        """Return the separation velocities at the end of the step, m/s."""
         return self.unconstrained_velocity + self.change(qdd)
 
     def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
@@ -111,7 +111,7 @@ class FewPairContacts(NamedTuple):
         return (self.jacobian * rates[None]).sum(1)
 
     def at(self, qdd: Float[Array, "d *n"]) -> "FewPairForces":
-        """Return the forces at joint accelerations, and how they change."""
+        """Return the forces at joint accelerations, and their derivatives."""
         velocity = self.velocity(qdd)
         stiffness = expand_dims_like(self.pairs.stiffness / self.h, velocity)
         short = self.target_velocity - velocity
@@ -120,24 +120,24 @@ class FewPairContacts(NamedTuple):
         return FewPairForces(self, velocity, force, jnp.where(touches, stiffness, 0.0))
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
-        """Return where any pair pushes at joint accelerations."""
+        """Return whether any pair of each individual pushes at joint accelerations."""
         return (self.target_velocity > self.velocity(qdd)).any(0)
 
     def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "p *n"]) -> Bool[Array, "*n"]:
-        """Return where another bias would move a touching pair by more than `LARGEST_DRIFT`."""
+        """Return whether another bias would move a touching pair by more than `LARGEST_DRIFT`."""
         velocity, other = self.velocity(qdd), self.with_bias(bias).velocity(qdd)
         touches = (self.target_velocity > velocity) | (self.target_velocity > other)
         return (touches & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT)).any(0)
 
 
 class FewPairForces(NamedTuple):
-    """The laws linearized at a velocity: ``f = force - slope (v - velocity)``.
+    """Contact laws linearized at a velocity: ``f = force - slope (v - velocity)``.
 
     Attributes:
-        contacts: of the step.
-        velocity: m/s.
-        force: there, N.
-        slope: N s/m.
+        contacts: contacts of the step.
+        velocity: separation velocity of the linearization, m/s.
+        force: force at this velocity, N.
+        slope: decrease of the force per velocity, N s/m.
     """
 
     contacts: FewPairContacts
@@ -152,15 +152,15 @@ class FewPairForces(NamedTuple):
 
     @property
     def torque(self) -> Float[Array, "d *n"]:
-        """What the forces are to the joints, N m."""
+        """Joint torques of the forces, N m."""
         return self._pushing(self.force)
 
     def power(self, change: Float[Array, "p *n"]) -> Float[Array, "*n"]:
-        """Of the forces when points part faster as `FewPairContacts.change` says, W."""
+        """Return the power of the forces at velocity changes of `FewPairContacts.change`, W."""
         return dot(change, self.force)
 
     def newton(self) -> tuple[Float[Array, "d *n"], Float[Array, "d d *n"]]:
-        """Torques of the linearized forces without joint accelerations, and ``h J^T K J``."""
+        """Return the torques of the linearized forces at zero acceleration, and ``h J^T K J``."""
         J, slope = self.contacts.jacobian, self.slope
         force = self.force + slope * (self.velocity - self.contacts.unconstrained_velocity)
         return self._pushing(force), t_matmul(self.contacts.h * slope[:, None] * J, J)
@@ -173,9 +173,9 @@ def _bias(pairs: Pairs, origin: Array, motion: Kinematics | BodyMotion, where: S
     """Return the acceleration along the normals at constant joint rates.
 
     Args:
-        pairs: of a creature.
-        origin: of its bodies, m.
-        motion: of them.
+        pairs: pairs of bodies of a creature.
+        origin: origins of the bodies, m.
+        motion: motion of the bodies.
         where: the nearest points.
     """
     _, normal, *points, carried = where
@@ -193,7 +193,7 @@ def _bias(pairs: Pairs, origin: Array, motion: Kinematics | BodyMotion, where: S
 def _jacobian(
     tree: Tree, pairs: Pairs, kin: Kinematics, where: Separation
 ) -> Float[Array, "p d *n"]:
-    """J of `FewPairContacts`."""
+    """Return J of `FewPairContacts`."""
     _, normal, *points, _ = where
     origins = take(kin.origin, np.array(tree.dof_bodies, int))
     speeds = []
@@ -208,7 +208,7 @@ def _jacobian(
 
 
 def _between(tree: Tree, first: int, second: int) -> tuple[list[bool], list[bool]]:
-    """Of every degree of freedom, whether it moves only the first of two bodies, or the second."""
+    """Return the degrees of freedom that move only the first body, and only the second."""
     one, two = (set(chain_to_root(tree, body)) for body in (first, second))
     return [body in one - two for body in tree.dof_bodies], [
         body in two - one for body in tree.dof_bodies

@@ -1,8 +1,8 @@
-"""How far two boxes are apart, and where, if their z axes are parallel and they overlap along them.
+"""Separation of two boxes with parallel z axes that overlap along z.
 
-Joints between them turn about one common axis, so all happens in the plane across it: two
-rectangles, whose gap is the largest along the normals of their four sides. They touch along the
-other's lowest edge, as far as that lies over the side: at both its ends.
+All joints between the boxes turn about one common axis, so the problem is plane. The gap of the two
+rectangles is the largest gap along the normals of their four sides. The contact points are both
+ends of the other rectangle's lowest edge, as far as the edge lies over the side.
 """
 
 from typing import NamedTuple
@@ -15,14 +15,14 @@ from evo_cpg.spatial.linear import dot, matvec, matvec_t, of_each, t_matmul, tra
 
 
 class _Plane(NamedTuple):
-    """A rectangle, and another one as it lies in the first one's frame.
+    """A rectangle, and another one in the frame of the first.
 
     Attributes:
-        box: the first.
-        place: of the other's centre, m.
-        turn: the other's x and y axes as columns.
-        other: half extents of that, m.
-        aside: of the other's centre along z, m.
+        box: the first box.
+        place: centre of the other rectangle, m.
+        turn: x and y axes of the other rectangle, as columns.
+        other: half extents of the other box, m.
+        aside: centre of the other box along z, m.
     """
 
     box: RoundedBoxes
@@ -33,7 +33,7 @@ class _Plane(NamedTuple):
 
 
 def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
-    """Of boxes without radius: the lowest corner, and the other end of its edge."""
+    """Return the separations of boxes without radius at both ends of the lowest edge."""
     away, turn = b.centre - a.centre, t_matmul(a.axes[:, :2], b.axes[:, :2])
     place, size = matvec_t(a.axes[:, :2], away), jnp.abs(turn)
     back, e, f = matvec_t(turn, place), a.half_extents, b.half_extents
@@ -47,7 +47,7 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
         _Plane(a, place, turn, b.half_extents, dot(a.axes[:, 2], away)),
     )
 
-    # The side's normal is the frame's first axis from here on, and leads to the other rectangle.
+    # The frame's first axis is now the side's normal, towards the other rectangle.
     second = gaps[1] > gaps[0]
     gap, rise, along = _swapped(second, gaps)[0], *_swapped(second, here.place)
     up, across = _swapped(second, here.turn)
@@ -61,7 +61,7 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     climb = -2.0 * jnp.where(flat, up[0] * corner[0], up[1] * corner[1])
 
     def fraction(end: Array) -> Array:
-        """How far along the edge it lies over the side, towards one of its ends."""
+        """Return the fraction of the edge up to which it lies over the side, towards one end."""
         place = jnp.clip(lowest + end * edge, -reach, reach)
         return jnp.clip((place - lowest) / edge, 0.0, 1.0)
 
@@ -70,7 +70,7 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
         jnp.where(second[None], *axes) for axes in ((y_axis, x_axis), (x_axis, y_axis))
     )
     normal = sign[None] * normal
-    # In the middle of what they have side by side along z.
+    # The points lie in the middle of the overlap along z.
     half, its_half = here.box.half_extents[2], here.other[2]
     middle = 0.5 * (
         jnp.maximum(-half, here.aside - its_half) + jnp.minimum(half, here.aside + its_half)
@@ -94,5 +94,5 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
 
 
 def _swapped(second: Array, values: Array) -> Array:
-    """Two values, or the second one first."""
+    """Return two values, swapped where ``second`` holds."""
     return jnp.where(of_each(second, values), values[::-1], values)

@@ -1,28 +1,28 @@
 """Drag: form drag and skin friction at points on the surface of the bodies.
 
 Iwadate 2010, eqs. 7 and 8. Each surface point has an outward normal n, two tangents and an area A.
-With its velocity relative to the water split into v_n n and v_t,
+Its velocity relative to the water has the parts v_n n and v_t:
 
-    f = -1/2 rho C_d A |v_n| v_n n - 1/2 rho C_f A |v_t| v_t,
+    f = -1/2 rho C_d A |v_n| v_n n - 1/2 rho C_f A |v_t| v_t.
 
-the paper's "inertial" and "frictional" resistance. Windward *and* lee faces count, so the frontal
-drag coefficient of a box is 2 C_d and that of a sphere is C_d.
+These are the paper's "inertial" and "frictional" resistance. Windward *and* lee faces count. So the
+frontal drag coefficient of a box is 2 C_d, and the coefficient of a sphere is C_d.
 
-Differs from eq. 8 as printed, where the direction of v and the part each resistance takes are not
-said: ``law="isotropic"`` keeps the literal reading, -1/2 rho (C_d + C_f) A |v| v, under which
-undulation gives no forward thrust.
+Differs from eq. 8 as printed, which defines neither the direction of v nor the part of each
+resistance. ``law="isotropic"`` keeps the literal reading, -1/2 rho (C_d + C_f) A |v| v, which gives
+undulation no forward thrust.
 
-Over a step the force is taken as ``-c |v_0| v_1``, with the velocities at its start and its end:
-under drag alone that is the exact solution of ``v' = -c |v| v``, whatever the step, and elsewhere
-of second order (Kahan 1993), where the derivative ``2 c |v|`` makes it one of first order.
+The force over a step is ``-c |v_0| v_1``, with the velocities at the start and the end. Under drag
+alone this is the exact solution of ``v' = -c |v| v`` for any step. Elsewhere it is of second order
+(Kahan 1993). The derivative ``2 c |v|`` would make it first order.
 
-With W the constant matrix of point Jacobians, point velocities are ``W V``, the wrench is
-``W^T F``, and what it loses per change of V, ``D = sum_p c_p |v_p| w_p w_p^T``, is a product of the
-constant outer products with the coefficients: small matrix products that the whole population
-shares.
+W is the constant matrix of point Jacobians. Point velocities are ``W V`` and the wrench is
+``W^T F``. Its decrease per change of V, ``D = sum_p c_p |v_p| w_p w_p^T``, is a product of the
+constant outer products with the coefficients. These small matrix products serve the whole
+population.
 
-Where the water has a surface, each point's force and derivative are scaled by the share of its
-patch that is under water.
+If the water has a surface, each point's force and derivative are scaled by the fraction of its
+patch under water.
 """
 
 import dataclasses
@@ -45,28 +45,28 @@ from evo_cpg.spatial.numerics import Number, Numbers, xp
 # Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 _SPEED_FLOOR = 1e-12
 
-# Operations of native code for a point of form drag, of skin friction, and of either at a surface.
+# Operations of native code per point of form drag, of skin friction, and of either at a surface.
 _FORM_POINT, _SKIN_POINT, _SURFACE_POINT = 27.0, 36.0, 38.0
 
-# Numbers that are equal when rounded to so many decimals are the same (m, m^2), and whether they
-# still are (m, m^2).
+# Decimals to which equal numbers are rounded, and tolerance for numbers to stay equal (m, m^2).
 _DECIMALS, _SAME = 9, 1e-9
 
-# Largest share of a normal along an axis from which tangents are made; the least share is 0.58.
+# Largest component of a normal along the axis from which tangents are made. A normal's least
+# component is at most 0.58.
 _ACROSS = 0.9
 
-# Height over which a level patch gets wet, as a share of its size: water does not jump.
+# Height over which a level patch gets wet, as a fraction of its size, so that forces do not jump.
 _LEAST_SLOPE = 0.1
 
 DragLaw = Literal["normal", "isotropic"]
 
 
 class Places(NamedTuple):
-    """Where the points of a patch are, for their depth.
+    """Places of the points of a patch, for their depth.
 
     Attributes:
-        points: in the body's working frame, m.
-        normals: unit vectors.
+        points: positions in the body's working frame, m.
+        normals: outward unit normals.
         extents: half the edge of a square of a point's area, m.
     """
 
@@ -78,21 +78,21 @@ class Places(NamedTuple):
 class Patch(NamedTuple):
     """Surface points of bodies that have the same surface in their working frames.
 
-    Form drag and skin friction have points of their own. Points of form drag with the same
-    normal velocity, up to its sign, feel the same wrench and are merged: of a box only half are
-    left, because those on opposite faces always move alike. At the water's surface they do not
-    get wet alike, and all are kept.
+    Form drag and skin friction have separate points. Points of form drag with equal normal
+    velocities, up to the sign, feel equal wrenches and are merged. A box keeps only half of its
+    points, because points on opposite faces move alike. At the water's surface opposite points do
+    not get wet alike, so all are kept.
 
     Attributes:
         bodies: indices in the tree, in increasing order.
-        normal: ``(form points, 6)``, rows giving the normal velocity.
-        normal_area: m^2.
-        normal_outer: ``(27, form points)``, blocks of the outer products of the rows.
-        tangential: ``(2, skin points, 6)``, rows giving the two tangential velocities.
-        tangential_area: m^2.
-        tangential_outer: ``(27, skin points)``, summed over both tangents.
-        normal_places: None where water is everywhere.
-        tangential_places: likewise.
+        normal: rows for the normal velocity, ``(form points, 6)``.
+        normal_area: area of each form point, m^2.
+        normal_outer: blocks of the outer products of the rows, ``(27, form points)``.
+        tangential: rows for the two tangential velocities, ``(2, skin points, 6)``.
+        tangential_area: area of each skin point, m^2.
+        tangential_outer: blocks of the outer products, summed over tangents, ``(27, skin points)``.
+        normal_places: places of the form points, or None for water without a surface.
+        tangential_places: places of the skin points, or None for water without a surface.
     """
 
     bodies: tuple[int, ...]
@@ -113,7 +113,7 @@ class Drag(ForceLaw):
         form_drag: C_d.
         skin_drag: C_f.
         patches: the surface points that meet the water.
-        law: which velocity the drag opposes.
+        law: drag against the normal and tangential velocities, or against the whole velocity.
     """
 
     of_water: ClassVar[bool] = True
@@ -124,28 +124,28 @@ class Drag(ForceLaw):
     law: DragLaw = eqx.field(static=True, default="normal")
 
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
-        """See `ForceLaw.wrench`."""
+        """Return the drag wrench on every body (`ForceLaw.wrench`)."""
         return self.parts(bodies)[0].wrench
 
     def parts(self, bodies: Bodies) -> tuple[Part]:
-        """See `ForceLaw.parts`; D is that of the module's docstring."""
+        """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
         assert bodies.water is not None
         density = bodies.water.density
         wrench, derivative = drag(self, density, bodies.relative, bodies.pose)
         return (Part(wrench, bodies.h * derivative),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> None:
-        """See `ForceLaw.averaged`: none, since D says it all."""
+        """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
         del start, moving
 
     def scaled(self, factor: float) -> "Drag":
-        """Return more or less drag of both kinds."""
+        """Return drag with both coefficients multiplied by a factor."""
         return dataclasses.replace(
             self, form_drag=self.form_drag * factor, skin_drag=self.skin_drag * factor
         )
 
     def operations(self) -> float:
-        """See `ForceLaw.operations`; fitted as `evo_cpg.simulation.operations` says."""
+        """Return the operations, fitted as in `evo_cpg.simulation.operations`."""
         total = 0.0
         for patch in self.patches:
             form, skin = len(patch.normal_area), len(patch.tangential_area)
@@ -165,15 +165,15 @@ def make_patches(
     surfacing: bool = False,
     layout: PointLayout = "merged",
 ) -> tuple[Patch, ...]:
-    """Group bodies with the same surface and prepare their constant matrices.
+    """Group bodies with equal surfaces and prepare their constant matrices.
 
     Args:
         tree: the creature.
-        form: points for form drag on each body by name, in its geometric frame.
-        skin: points for skin friction; the isotropic law takes the form points for both.
-        law: see `Drag`.
-        surfacing: the water has a surface.
-        layout: whether bodies and points that are alike are merged.
+        form: points for form drag on each body by name, in the body's geometric frame.
+        skin: points for skin friction. The isotropic law uses the form points for both.
+        law: drag law (`Drag`).
+        surfacing: whether the water has a surface.
+        layout: "merged" merges equal bodies and points.
     """
     if law == "isotropic":
         skin = form
@@ -207,9 +207,9 @@ def drag(
 
     Args:
         law: coefficients and surface points.
-        density: of the water, kg/m^3.
-        velocity: of every body relative to the water: angular, then linear.
-        pose: see `Bodies`; None where water is everywhere.
+        density: density of the water, kg/m^3.
+        velocity: velocity of every body relative to the water: angular, then linear.
+        pose: pose of every body (`Bodies`), or None for water without a surface.
 
     Returns:
         The wrench (moment, force) and the blocks (angular-angular, angular-linear,
@@ -239,7 +239,10 @@ def _patch_drag(
     velocity: Float[Array, "6 k *n"],
     pose: Float[Array, "4 k *n"] | None = None,
 ) -> tuple[Float[Array, "6 k *n"], Float[Array, "3 3 3 k *n"]]:
-    """Constant factors go into the constant matrices, so a point costs few operations."""
+    """Return the wrench and D of one patch.
+
+    Constant factors are multiplied into the constant matrices, so a point takes few operations.
+    """
     flat = velocity.reshape(6, -1)
 
     def product(constant: np.ndarray | Array | MixedArray, x: Array) -> Array:
@@ -275,10 +278,10 @@ def _patch_drag(
 
 
 def _wet_fraction(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[Array, "p kn"]:
-    """Share of the patch around each point that is under water: a cubic in the point's depth.
+    """Return the fraction under water of the patch around each point, a cubic in its depth.
 
     Raises:
-        ValueError: the patches were made for water without a surface.
+        ValueError: if the patches were made for water without a surface.
     """
     if places is None:
         raise ValueError("patches know no depth; make them with make_patches(..., surfacing=True)")
@@ -314,7 +317,7 @@ def _patch(
 
 
 def _alike(surfaces: list[tuple[Surface, Surface]]) -> list[tuple[int, ...]]:
-    """Bodies, grouped by their surfaces."""
+    """Return the bodies grouped by their surfaces."""
     groups: dict[bytes, list[int]] = {}
     for i, own in enumerate(surfaces):
         key = b"|".join(
@@ -327,7 +330,7 @@ def _alike(surfaces: list[tuple[Surface, Surface]]) -> list[tuple[int, ...]]:
 def _still_alike(
     surfaces: list[tuple[Surface, Surface]], groups: list[tuple[int, ...]]
 ) -> Condition:
-    """Whether bodies of one group have the same surfaces."""
+    """Return whether all bodies of each group still have equal surfaces."""
     return all_hold(
         (xp.abs(one - same) <= _SAME).all()
         for first, *others in groups
@@ -338,13 +341,13 @@ def _still_alike(
 
 
 def _places(surface: Surface) -> Places:
-    # Points without area are dry: any extent will do.
+    # Points without area have no force, so any extent serves.
     areas = xp.where(surface.areas > 0, surface.areas, 1.0)
     return Places(surface.points, surface.normals, xp.sqrt(areas) / 2)
 
 
 def _velocity_rows(surface: Surface) -> list[Numbers]:
-    """Rows ``(points, 6)`` giving the normal and two tangential velocities from a body's twist."""
+    """Return rows ``(points, 6)`` for the normal and two tangential velocities of a twist."""
     points, normals, _ = surface
     helper = np.eye(3)[
         chosen(lambda: np.abs(normals).argmin(-1), lambda axes: _are_across(normals, axes))
@@ -359,12 +362,12 @@ def _velocity_rows(surface: Surface) -> list[Numbers]:
 
 
 def _are_across(normals: Numbers, axes: np.ndarray) -> Condition:
-    """Whether none of some axes is nearly along its normal: then any tangents serve."""
+    """Return whether no axis is nearly along its normal, so that the axes give tangents."""
     return (xp.abs(normals[np.arange(len(axes)), axes]) < _ACROSS).all()
 
 
 def _merge_alike(rows: Numbers, areas: Numbers) -> tuple[Numbers, Numbers]:
-    """Rows that are equal up to their sign, once each, with their areas summed."""
+    """Return one row for all rows that are equal up to their sign, with summed areas."""
     signs, kept, members = chosen(
         lambda: _equal_up_to_sign(rows), lambda merged: _may_merge(rows, *merged)
     )
@@ -372,14 +375,14 @@ def _merge_alike(rows: Numbers, areas: Numbers) -> tuple[Numbers, Numbers]:
 
 
 def _equal_up_to_sign(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which rows are: a sign for each, the first of its kind, and which are of each kind."""
+    """Return a sign for each row, the first row of each kind, and the members of each kind."""
     rounded = np.round(rows, _DECIMALS) + 0.0
     leading = np.take_along_axis(rounded, (rounded != 0).argmax(1)[:, None], 1)
     signs = np.where(leading < 0, -1.0, 1.0)
     _, first, inverse = np.unique(
         rounded * signs + 0.0, axis=0, return_index=True, return_inverse=True
     )
-    # In the order of the points: that of the rows themselves would change with a body's size.
+    # Keep the order of the points: the order of the rows would change with a body's size.
     order = np.argsort(first)
     return signs, first[order], (inverse.ravel() == order[:, None]).astype(float)
 
@@ -387,13 +390,13 @@ def _equal_up_to_sign(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
 def _may_merge(
     rows: Numbers, signs: np.ndarray, kept: np.ndarray, members: np.ndarray
 ) -> Condition:
-    """Whether the rows that are merged are equal up to their sign."""
+    """Return whether the merged rows are equal up to their sign."""
     signed = rows * signs
     return (xp.abs(signed - signed[kept[members.argmax(0)]]) <= _SAME).all()
 
 
 def _outer_products(rows: Numbers) -> Numbers:
-    """Blocks (angular-angular, angular-linear, linear-linear) of ``w w^T``, ``(27, points)``."""
+    """Return the (angular, mixed, linear) blocks of ``w w^T`` of each row, ``(27, points)``."""
     outer = xp.einsum("pi,pj->ijp", rows, rows)
     return xp.stack([outer[:3, :3], outer[:3, 3:], outer[3:, 3:]]).reshape(27, -1)
 

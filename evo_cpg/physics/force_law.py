@@ -1,17 +1,17 @@
-"""Force laws: what acts on the bodies of a creature besides weight, joints and contact.
+"""Force laws: forces on the bodies of a creature besides weight, joints and contact.
 
-A law gives the wrench on every body. The implicit step (`evo_cpg.physics.body_equations`) also
-needs to know how the wrench changes with the velocity V of its body. With the slope
-``S = d wrench / d V`` and its symmetric and skew parts, the step takes the wrench as
+A law computes the wrench on every body. The implicit step (`evo_cpg.physics.body_equations`) also
+needs the derivative ``S = d wrench / d V`` by the velocity V of the body. The step uses the
+symmetric and skew parts of S and takes the wrench as
 
-    wrench(V_0) + 1/2 S_sym (V_1 - V_0) + 1/2 S_skew (V_p - V_0),
+    wrench(V_0) + 1/2 S_sym (V_1 - V_0) + 1/2 S_skew (V_p - V_0).
 
-the mean of the wrenches at its start and its end up to the second order. The symmetric part is
-solved for together with the velocity V_1 at the end, so stiff drag stays stable. The matrices of
-the solver are symmetric, so the skew part, which does no work, takes a predicted velocity V_p.
+This is the mean of the wrenches at the start and the end, to second order. The symmetric part is
+solved for together with the final velocity V_1, so stiff drag stays stable. The matrices of the
+solver are symmetric, so the skew part, which does no work, uses a predicted velocity V_p.
 
-A law of your own writes `ForceLaw.wrench` and nothing else. Laws that know more replace the other
-methods: drag has a better D than its slope, and added mass brings an inertia.
+A new law only has to define `ForceLaw.wrench`. A law with more knowledge overrides other methods:
+drag has a better D than its derivative, and added mass has an inertia.
 """
 
 import abc
@@ -35,24 +35,24 @@ from evo_cpg.spatial.numerics import Number
 
 @dataclasses.dataclass(frozen=True)
 class Bodies:
-    """How the bodies lie and move in the water, as force laws see them.
+    """Poses and motion of the bodies in the water, for force laws.
 
-    Everything has the axes of the body itself unless it says otherwise. The origin of a body is its
-    joint, and the centre of mass for the root.
+    All vectors are in the axes of their body unless stated otherwise. The origin of a body is its
+    joint. The origin of the root is its centre of mass.
 
     Attributes:
         tree: the creature: ``tree.mass`` (kg), ``tree.com`` (from the origin to the centre of mass,
             m), ``tree.volume`` (m^3).
-        gravity: m/s^2.
-        water: None on dry land.
-        cells: the bodies' volumes; see `evo_cpg.physics.world.World`.
+        gravity: gravitational acceleration, m/s^2.
+        water: the water, or None on dry land.
+        cells: volumes of the bodies (`evo_cpg.physics.world.World`).
         h: length of the physics step, s.
-        kin: positions and rotations in world axes. Its velocities are those of the start.
-        velocity: of every origin: angular (rad/s), then linear (m/s).
-        stream: velocity of the water at the centres of mass, m/s; 0 on dry land.
-        pose: upward unit vector, and the height of the origin above the surface, m; None where
-            there is no surface.
-        displaced: the part of each body that is under water; None where there is no surface.
+        kin: positions and rotations in world axes, and velocities at the start of the step.
+        velocity: velocity of every origin: angular (rad/s), then linear (m/s).
+        stream: velocity of the water at the centres of mass, m/s, or 0 on dry land.
+        pose: upward unit vector, and the height of the origin above the surface, m, or None without
+            a surface.
+        displaced: part of each body that is under water, or None without a surface.
     """
 
     tree: Tree
@@ -94,7 +94,7 @@ class Bodies:
         """Return the index of a body.
 
         Raises:
-            ValueError: there is no body of that name.
+            ValueError: if there is no body with this name.
         """
         if name not in self.tree.names:
             raise ValueError(f"there is no body {name!r}; there are {', '.join(self.tree.names)}")
@@ -106,12 +106,12 @@ class Bodies:
         force: Float[Array, "3 *n"],
         moment: Float[Array, "3 *n"] | None = None,
     ) -> Float[Array, "6 b *n"]:
-        """Return the wrench of a force on one body, and none on the others.
+        """Return the wrench of a force on one body, and zero on the others.
 
         Args:
-            name: of the body.
-            force: at its centre of mass, in its own axes, N.
-            moment: about its centre of mass, N m; None for none.
+            name: name of the body.
+            force: force at the body's centre of mass, in body axes, N.
+            moment: moment about the body's centre of mass, N m, or None for zero.
         """
         i = self.index(name)
         about_origin = cross(expand_dims_like(self.tree.com[:, i], force), force)
@@ -134,7 +134,7 @@ def bodies_in(
     h: float,
     kin: Kinematics,
 ) -> Bodies:
-    """Return the bodies of a creature as force laws see them; see `Bodies` for the arguments."""
+    """Return the bodies of a creature for force laws. `Bodies` has the arguments."""
     velocity, pose, displaced = body_velocity(kin), None, None
     if water is None:
         stream = jnp.zeros((3, 1) + (1,) * (velocity.ndim - 2), velocity.dtype)
@@ -155,7 +155,7 @@ def body_velocity(kin: Kinematics) -> Float[Array, "6 b *n"]:
 def in_body_axes(
     rotation: Float[Array, "3 3 b *n"], angular: Float[Array, "3 b *n"], linear: Array
 ) -> Float[Array, "6 b *n"]:
-    """Return a motion of every body in the body's own axes."""
+    """Return the motion of every body in body axes."""
     return jnp.concatenate([matvec_t(rotation, angular), matvec_t(rotation, linear)])
 
 
@@ -165,12 +165,12 @@ def blocks(m: Float[Array, "6 6 *rest"]) -> Float[Array, "3 3 3 *rest"]:
 
 
 class Part(NamedTuple):
-    """A part of a law as the implicit step takes it: ``wrench - D (V_1 - V_0) - M A``.
+    """Part of a law in the form of the implicit step: ``wrench - D (V_1 - V_0) - M A``.
 
     Attributes:
-        wrench: at the start of the step, on bodies that do not accelerate.
-        resistance: ``h D``, as `blocks`; None for 0.
-        inertia: M, which joins the bodies' own about their origins; None for 0.
+        wrench: wrench at the start of the step on bodies that do not accelerate.
+        resistance: ``h D``, as `blocks`, or None for 0.
+        inertia: M about the origins, added to the bodies' own inertias, or None for 0.
     """
 
     wrench: Float[Array, "6 b *n"]
@@ -181,14 +181,14 @@ class Part(NamedTuple):
 class ForceLaw(eqx.Module):
     """A force on the bodies that depends on their poses and velocities.
 
-    Subclass it to write a law of your own. It is built with the keyword arguments in the config's
-    ``options`` and, where its constructor takes them, ``creature`` and ``tree``. Its methods must
-    be pure JAX functions of arrays whose trailing axes are individuals.
+    Subclass `ForceLaw` to write a new law. The constructor gets the keyword arguments in the
+    config's ``options`` and, if it accepts them, ``creature`` and ``tree``. The methods must be
+    pure JAX functions of arrays whose trailing axes are individuals.
 
     Attributes:
-        of_water: whether the water exerts it. Energy books then enter it under the water, and it
-            does not act on a creature that rests in still water.
-        needs_acceleration: whether the wrench depends on how the bodies accelerate.
+        of_water: whether the water exerts the force. Energy budgets then count it as work of the
+            water, and the force is zero for a creature that rests in still water.
+        needs_acceleration: whether the wrench depends on the acceleration of the bodies.
 
     Example:
         A spring that pulls a body to the origin of the world::
@@ -212,18 +212,18 @@ class ForceLaw(eqx.Module):
         """Return the wrench on every body, in body axes.
 
         Args:
-            bodies: as they lie and move.
+            bodies: poses and motion of the bodies.
 
         Returns:
-            The moment about each body's origin (N m), then the force (N). `Bodies.wrench_on` makes
-            one of a force at a centre of mass.
+            The moment about each body's origin (N m), then the force (N). `Bodies.wrench_on`
+            returns the wrench of a force at a centre of mass.
         """
 
     def derivative(self, bodies: Bodies) -> Float[Array, "6 6 b *n"]:
         """Return the derivative of each body's wrench (rows) by its velocity (columns).
 
-        The default lets JAX differentiate `wrench` in forward mode. A law that couples bodies gets
-        the sum over equal changes of all bodies.
+        By default JAX differentiates `wrench` in forward mode. For a law that couples bodies, this
+        is the derivative by equal changes of all bodies.
         """
         velocity = bodies.velocity
 
@@ -234,22 +234,22 @@ class ForceLaw(eqx.Module):
         return jax.vmap(along, out_axes=1)(jnp.asarray(np.eye(6), velocity.dtype))
 
     def parts(self, bodies: Bodies) -> tuple[Part, ...]:
-        """Return the law as the step takes it: by default one part, with ``D = -1/2 S_sym``."""
+        """Return the parts of the law for the step, by default one, with ``D = -1/2 S_sym``."""
 
         def equations(kin: Kinematics) -> tuple[Array, Array]:
             now = bodies_in(bodies.tree, bodies.gravity, bodies.water, bodies.cells, bodies.h, kin)
             slope = self.derivative(now)
             return self.wrench(now), (-0.25 * bodies.h) * blocks(slope + transpose(slope))
 
-        # A program of its own, so that a message names the law that native code cannot take.
+        # A separate program, so that a message names a law that native code does not support.
         name = f"{type(self).__name__}.wrench"
         found = fuse(equations, bodies.kin, batch_ndim=bodies.velocity.ndim - 2, name=name)
         return (Part(*found),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"] | None:
-        """Return the part of the wrench of which a step takes the mean of its start and its end.
+        """Return the part of the wrench that a step averages over its start and its end.
 
-        The default is that of the skew part of the slope.
+        The default is the wrench of the skew part of the derivative.
 
         Args:
             start: the bodies at the start of the step.
@@ -259,24 +259,24 @@ class ForceLaw(eqx.Module):
         return matvec(0.5 * (slope - transpose(slope)), moving.velocity)
 
     def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *n"] | None:
-        """Return the M of all parts together; None for 0."""
+        """Return the sum of M over all parts, or None for 0."""
         del bodies
         return None
 
     def over_step(self, first: Bodies, middle: Bodies, last: Bodies) -> Float[Array, "6 b *n"]:
-        """Return the wrench over a step from the motion alone, for books of energy and momentum.
+        """Return the wrench over a step from the motion alone, for energy and momentum budgets.
 
         Args:
-            first: half a step before the start.
-            middle: the pose of the start with the mean velocities of the step.
-            last: half a step before the end.
+            first: the bodies half a step before the start.
+            middle: the bodies in the initial pose with the mean velocities of the step.
+            last: the bodies half a step before the end.
         """
         del first, last
         return self.wrench(middle)
 
     def operations(self) -> float:
-        """Return about how many operations of native code the law takes; 0 where it is not known.
+        """Return the approximate number of native-code operations of the law, or 0 if unknown.
 
-        `evo_cpg.simulation.operations` warns of programs that take long to compile.
+        `evo_cpg.simulation.operations` warns about programs that take long to compile.
         """
         return 0.0

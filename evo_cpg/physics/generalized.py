@@ -1,9 +1,9 @@
-"""A tree's equations in generalized coordinates: its accelerations, forces and mass matrix.
+"""Equations of a tree in generalized coordinates: accelerations, forces and mass matrix.
 
-The accelerations of a tree are one vector y: that of its root's velocity (angular, then linear;
-rad/s^2 and m/s^2) and those of all joints in its order, ``(6 + d, *n)``. Forces that go
-with it are the root's wrench (moment, N m, then force, N) and the torques of the joints (N m).
-With the Jacobian J_i of a body,
+The accelerations of a tree are one vector y, ``(6 + d, *n)``. First comes the acceleration of the
+root (angular, rad/s^2, then linear, m/s^2), then all joint accelerations in the order of the tree.
+The matching forces are the root's wrench (moment, N m, then force, N) and the joint torques (N m).
+J_i is the Jacobian of a body:
 
 | what | function |
 |---|---|
@@ -11,9 +11,9 @@ With the Jacobian J_i of a body,
 | ``sum J_i^T f_i`` | `generalized_force` |
 | ``sum J_i^T I_i J_i`` | `mass_matrix` |
 
-The last is the composite-rigid-body algorithm (Featherstone 2008, table 6.2). All is in world axes
-and refers to the bodies' origins, as in `evo_cpg.physics.articulated`. Any inertias and wrenches
-will do, those of contacts, too.
+`mass_matrix` is the composite-rigid-body algorithm (Featherstone 2008, table 6.2). All is in world
+axes and refers to the bodies' origins, as in `evo_cpg.physics.articulated`. The inertias and
+wrenches may include contacts.
 """
 
 import jax
@@ -36,7 +36,7 @@ from evo_cpg.physics.spatial_algebra import (
 
 
 def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
-    """Accelerations ``(3, b, *n)`` of all bodies, on top of those in `Kinematics`."""
+    """Return the accelerations ``(3, b, *n)`` of all bodies, in addition to `Kinematics`."""
     batch_ndim, qdd = y.ndim - 1, root.joint_part(y)
     a = PerBody([root.acceleration(y)], batch_ndim)
     for i in tree.groups:
@@ -47,7 +47,7 @@ def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> 
 
 
 def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Array, "v *n"]:
-    """What wrenches ``(3, b, *n)`` on all bodies are to the root and the joints."""
+    """Return the generalized force of wrenches ``(3, b, *n)`` on all bodies."""
     batch_ndim = wrench.force.ndim - 2
     f, torques = PerBody.of(wrench, batch_ndim), []
     for i in reversed(tree.groups):
@@ -59,7 +59,7 @@ def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Arra
 
 
 def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "v v *n"]:
-    """The matrix of inertias ``(3, 3, b, *n)`` of all bodies."""
+    """Return the mass matrix of the inertias ``(3, 3, b, *n)`` of all bodies."""
     I_c = PerBody.of(inertia, inertia.linear.ndim - 3)
     for i in reversed(tree.groups):
         I_c = I_c.plus(i.parents, inertia_at_parent(I_c[i.bodies], kin.offset[:, i.bodies]))
@@ -76,10 +76,10 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
 def _joint_elements(
     tree: Tree, kin: Kinematics, composite: Inertia
 ) -> tuple[np.ndarray, Float[Array, "m *n"]]:
-    """The elements of the mass matrix below its diagonal that have to do with joints.
+    """Return the joint elements of the mass matrix on and below its diagonal.
 
-    ``f = I^c S`` of every degree of freedom is taken from body to body up to the root, and at each
-    of them meets the axes there.
+    ``f = I^c S`` of every degree of freedom is moved from body to body up to the root. At each body
+    its product with the axes of the body's joint gives elements.
 
     Returns:
         Rows and columns, ``(m, 2)``, and the elements.

@@ -1,17 +1,17 @@
 """Torques on the joint axes: motors, passive spring and damper, soft limits.
 
-Each law is stated as its torque at the present rates and its derivative: the implicit step then
-uses ``tau_end = tau - T qdd`` with the diagonal T below.
+Each law gives its torque at the present rates and its derivative. The implicit step uses
+``tau_end = tau - T qdd`` with the diagonal T below.
 
 - Passive: ``-k (q + h qd) - c qd``, T = h (c + h k).
-- Limit: a one-sided spring and damper, ``-K max(0, qd_end - v*)`` with ``K = c + h k``: v* brings
-  the joint just to its limit at the end of the step, or, from beyond, back as the spring asks for.
-  It never holds a joint back that returns. Where one solve has to do (without ground and limits of
-  motors), a spring and damper about the limit if the joint would be beyond it at its present rate.
-- Motor: ``g (rate* - qd) + k_m (angle* - q - h qd)``, T = h (g + h k_m), up to a limit that holds
-  for the torque at the *end* of the step. Deciding it on the torque before the step makes the motor
-  chatter and exceed its limit threefold. With k_m = 0 it is a velocity servo (Iwadate 2010:
-  "angular-velocity control"), with rate* = 0 a dashpot (Fukui 2003, 2.6).
+- Limit: a one-sided spring and damper, ``-K max(0, qd_end - v*)`` with ``K = c + h k``. The rate v*
+  brings the joint just to its limit at the end of the step. Beyond the limit, v* is the return rate
+  of the spring. The limit never slows a returning joint. A step of one solve (no ground, no motor
+  limits) uses a spring and damper if the joint would pass its limit at the present rate.
+- Motor: ``g (rate* - qd) + k_m (angle* - q - h qd)``, T = h (g + h k_m), with a limit on the torque
+  at the *end* of the step. A limit on the torque before the step makes the motor chatter and exceed
+  its limit threefold. With k_m = 0 the motor is a velocity servo (Iwadate 2010: "angular-velocity
+  control"). With rate* = 0 the motor is a dashpot (Fukui 2003, 2.6).
 """
 
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ from evo_cpg.spatial.linear import expand_dims_like
 def passive_torque(
     tree: Tree, state: State, h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *#n"]]:
-    """Torque (N m) and T (kg m^2) of springs and dampers over a step of h (s)."""
+    """Return the torque (N m) and T (kg m^2) of springs and dampers over a step of h (s)."""
     stiffness, damping = (expand_dims_like(x, state.q) for x in (tree.stiffness, tree.damping))
     torque = -stiffness * (state.q + h * state.qd) - damping * state.qd
     return torque, h * (damping + h * stiffness)
@@ -35,13 +35,13 @@ def passive_torque(
 def limit_torque(
     tree: Tree, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
-    """Torque of the soft limits (N m), and how much of it is lost per rate (N m s/rad).
+    """Return the torque of the soft limits (N m), and its decrease per rate (N m s/rad).
 
     Args:
         tree: the creature.
         q: joint angles at the start of the step, rad.
-        rate: joint rates at its end, rad/s.
-        h: s; 0 for the law itself, without a step.
+        rate: joint rates at the end of the step, rad/s.
+        h: step, s, or 0 for the law itself, without a step.
     """
     stiffness, damping, lower, upper = (
         expand_dims_like(x, q)
@@ -50,7 +50,7 @@ def limit_torque(
     slope = damping + h * stiffness
 
     def miss(beyond: Array, outwards: Array) -> Array:
-        """By how much a rate towards a limit is above v*, times K."""
+        """Return the excess of a rate towards a limit over v*, times K."""
         back = slope * outwards + stiffness * beyond
         ahead = slope * (outwards + (1.0 / h) * beyond) if h else jnp.zeros_like(back)
         return jnp.maximum(jnp.where(beyond > 0, back, ahead), 0.0)
@@ -62,7 +62,7 @@ def limit_torque(
 def expected_limit_torque(
     tree: Tree, state: State, h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
-    """The same at the present rates, for a step of one solve."""
+    """Return the torque of the limits and its decrease per rate, for a step of one solve."""
     q, rate = state.q, state.qd
     ahead = q + h * rate
     over = ahead - jnp.clip(ahead, expand_dims_like(tree.lower, q), expand_dims_like(tree.upper, q))
@@ -81,13 +81,13 @@ def servo_torque(
     target_angle: Float[Array, "d *n"] | None,
     h: float,
 ) -> Float[Array, "d *n"]:
-    """Torque (N m) that the motors ask for at the present rates, without limit.
+    """Return the commanded motor torque (N m) at the present rates, without limit.
 
     Args:
         tree: the creature.
-        state: its joint angles and rates.
-        target_rate: rad/s.
-        target_angle: rad; None for the neutral pose.
+        state: joint angles and rates of the creature.
+        target_rate: reference rates, rad/s.
+        target_angle: reference angles, rad, or None for the neutral pose.
         h: step, s.
     """
     rates = state.qd
@@ -100,23 +100,23 @@ def servo_torque(
 
 
 def servo_slope(tree: Tree, like: Array, h: float) -> Float[Array, "d *n"]:
-    """Torque per end-of-step rate, ``g + h k_m`` (N m s/rad); never quite zero."""
+    """Return the torque decrease per final rate, ``g + h k_m`` (N m s/rad), always positive."""
     slope = expand_dims_like(tree.servo_gain + h * tree.servo_stiffness, like)
     return jnp.maximum(slope, jnp.finfo(like.dtype).tiny)
 
 
 def has_springs(tree: Tree) -> bool:
-    """Whether any motor pulls towards an angle."""
+    """Return whether any motor pulls towards an angle."""
     stiffness = tree.servo_stiffness
     return not isinstance(stiffness, np.ndarray) or bool(stiffness.any())
 
 
 def overloaded(tree: Tree, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:
-    """Axes whose servo asks for more than its limit."""
+    """Return which axes have a commanded torque above its limit."""
     return jnp.abs(torque) > expand_dims_like(tree.torque_limit, torque)
 
 
 def clamp_torque(tree: Tree, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-    """The servo torque cut off at its limit, N m."""
+    """Return the servo torque clamped to its limit, N m."""
     limit = expand_dims_like(tree.torque_limit, torque)
     return jnp.clip(torque, -limit, limit)

@@ -1,19 +1,19 @@
-"""The joints of a tree: frames across them, their motion subspace, and their elimination.
+"""Joints of a tree: frames across them, their motion subspace, and their elimination.
 
 A joint has one to three degrees of freedom. Each one turns about an axis through the origin of the
-body that hangs on it, in the frame that those before it have left. So a degree of freedom is known
-by its world axis, and S, the motion per rate, has no linear part.
+joint's body, in the frame after the preceding turns. So its world axis defines a degree of freedom,
+and S, the motion per rate, has no linear part.
 
 Every recursion over a tree (`kinematics`, `articulated`, `generalized`, `statics`, contacts between
-limbs) uses joints through the functions here. Torques are in `evo_cpg.physics.joint_torque`.
+limbs) uses joints through these functions. Torques are in `evo_cpg.physics.joint_torque`.
 
 | symbol | name |
 |---|---|
 | S_i | ``axes``: world axes of the degrees of freedom |
 | I^A_i, p^A_i | articulated-body inertia and bias wrench of the body on the joint |
 | U, G, u | ``I^A S``, ``S^T I^A S + T`` and ``tau - S^T p^A`` |
-| I^a_i, p^a_i | what of I^A and p^A the parent feels through the joint |
-| ``K = G^-1 U^T`` | by how much the joint yields to its parent's acceleration |
+| I^a_i, p^a_i | parts of I^A and p^A that the parent feels through the joint |
+| ``K = G^-1 U^T`` | yielding of the joint to its parent's acceleration |
 """
 
 from typing import Any, NamedTuple
@@ -46,7 +46,7 @@ from evo_cpg.spatial.linear import (
 )
 from evo_cpg.spatial.rotation import axis_rotation
 
-# With this many axes a joint can turn any way.
+# Number of axes of a joint that can turn in any direction.
 _BALL_AXES = 3
 
 
@@ -59,14 +59,14 @@ def moved(q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float) -> Floa
 
 
 def displaced(q: Float[Array, " d"], x: Float[Array, " d"]) -> Float[Array, " d"]:
-    """Return the joint angles at the joints' static coordinates from others."""
+    """Return joint angles displaced by the joints' static coordinates x."""
     return q + x
 
 
 def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3 c *n"]]:
-    """Return the rotation of every body to its parent and, behind it, the axes in the parent's.
+    """Return the rotation of every body to its parent, then the joint axes in the parent's frame.
 
-    Joints with the same axes are computed together.
+    Joints with equal axes are computed together.
     """
     sine, cosine = jnp.sin(q), jnp.cos(q)
     alike: dict[tuple[bytes | int, bytes | int], list[int]] = {}
@@ -91,7 +91,7 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
         shape = (3, len(bodies), *q.shape[1:])
         packed = jnp.stack([jnp.broadcast_to(c, shape) for c in columns + directions], 1)
         frames.update(zip(bodies, jnp.unstack(packed, axis=2), strict=True))
-    # The root has no joint, and its frame is not used.
+    # The root has no joint, so its frame is not used.
     values: list[Any] = [None, *(frames[body] for body in range(1, tree.body_count))]
     return PerBody(values, q.ndim - 1)
 
@@ -99,7 +99,7 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
 def world_frames(
     parent_rotation: Float[Array, "3 3 b *n"], local: Float[Array, "3 c b *n"]
 ) -> tuple[Float[Array, "3 3 b *n"], Float[Array, "3 k b *n"]]:
-    """Return the rotations and the world axes of bodies, of `local_frames`."""
+    """Return the rotations and the world axes of bodies from `local_frames`."""
     frame = matmul(parent_rotation, local)
     return frame[:, :3], frame[:, 3:]
 
@@ -110,13 +110,13 @@ def world_frames(
 def carried(
     parent: Any, offset: Float[Array, "3 b *n"], axes: Float[Array, "3 k b *n"], rates: Array
 ) -> BodyMotion:
-    """Return how bodies move: carried by their parents, and turned by their joints.
+    """Return the motion of bodies that their parents carry and their joints turn.
 
     Args:
-        parent: the parent of each, with the attributes of `BodyMotion`.
-        offset: from the parents' origins, m.
+        parent: parent of each body, with the attributes of `BodyMotion`.
+        offset: vectors from the parents' origins, m.
         axes: S.
-        rates: of the degrees of freedom, ``(k, b, *n)``, rad/s.
+        rates: rates of the degrees of freedom, ``(k, b, *n)``, rad/s.
     """
     spin, spin_rate = _across(axes * rates[None])
     linear = parent.linear + cross(parent.angular, offset)
@@ -151,8 +151,8 @@ def torque_on_each(
 
     Args:
         axes: S.
-        wrench: about the origin of the body on the joint.
-        which: indices of the wrenches; None for all in their order.
+        wrench: wrenches about the origin of the joint's body.
+        which: indices of the wrenches, or None for all in order.
     """
     return dot(axes, wrench.moment if which is None else take(wrench.moment, which))
 
@@ -175,8 +175,8 @@ def speed_along(
 
     Args:
         axes: S.
-        offset: of the points from the origins of the bodies on the joints, m.
-        normal: unit vectors.
+        offset: vectors from the origins of the joints' bodies to the points, m.
+        normal: unit normals.
     """
     lever = cross(offset, jnp.broadcast_to(normal[:, :, None], offset.shape))
     return dot(axes[:, None], lever)
@@ -189,7 +189,7 @@ def about(
 
     Args:
         axes: S.
-        origins: of the bodies on the joints from that point, m.
+        origins: vectors from the common point to the origins of the joints' bodies, m.
     """
     return axes, cross(axes, origins)
 
@@ -204,7 +204,7 @@ class Condensed(NamedTuple):
         inertia: I^a.
         bias: p^a.
         yielding: K.
-        free: ``G^-1 u``: joint accelerations, the parents' being zero.
+        free: ``G^-1 u``: joint accelerations if the parents do not accelerate.
     """
 
     inertia: Inertia
@@ -214,16 +214,16 @@ class Condensed(NamedTuple):
 
 
 class Joints(NamedTuple):
-    """The joints of a group, in coordinates x of their own.
+    """Joints of a group, in their own coordinates x.
 
-    With one or two axes x is ``q``. With three it is the rotation across the joint in world axes,
-    where S is 1.
+    With one or two axes x is ``q``. With three axes x is the rotation across the joint in world
+    axes, and S is 1.
 
     Attributes:
         axes: S, (3, k, bodies, ...).
-        torque: tau, in these coordinates.
-        derivative: T, in these coordinates.
-        to_q: from x to ``q``; None where they are the same.
+        torque: tau, in the coordinates x.
+        derivative: T, in the coordinates x.
+        to_q: matrix from x to ``q``, or None if x is ``q``.
     """
 
     axes: Array
@@ -253,8 +253,8 @@ class Joints(NamedTuple):
     def condensed(self, inertia: Inertia, bias: Wrench) -> Condensed:
         """Eliminate the joints: ``I^a = I^A - U K`` and ``p^a = p^A + K^T u``.
 
-        Where S is 1, U has the blocks (A, B^T) of I^A themselves, and G is A + T. With
-        ``P = T G^-1 = 1 - A G^-1`` both have a form without cancellation when the joint is free.
+        If S is 1, U consists of the blocks (A, B^T) of I^A, and G is A + T. Then
+        ``P = T G^-1 = 1 - A G^-1`` gives I^a a form without cancellation for a free joint.
 
         Args:
             inertia: I^A of the bodies.
@@ -281,8 +281,8 @@ class Joints(NamedTuple):
         """Return the accelerations of the bodies, and of the joints in q, ``(k, bodies, ...)``.
 
         Args:
-            condensed: the result of the elimination.
-            motion: accelerations of the bodies as if they had no joints.
+            condensed: result of the elimination.
+            motion: accelerations of the bodies with locked joints.
         """
         K = condensed.yielding
         x = condensed.free - matvec(K.angular, motion.angular) - matvec(K.linear, motion.linear)
@@ -291,28 +291,28 @@ class Joints(NamedTuple):
 
 
 def _inverse_columns(m: Float[Array, "3 3 *rest"]) -> Float[Array, "3 3 *rest"]:
-    """Return the inverse of a matrix: its rows are cross products of the columns."""
+    """Return the inverse of a matrix, with cross products of its columns as rows."""
     a, b, c = m[:, 0], m[:, 1], m[:, 2]
     rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
     return rows * (1.0 / dot(a, rows[0]))[None, None]
 
 
 def _key(values: Any, body: int) -> bytes | int:
-    """Return a key that equal values share; traced values are equal to no others."""
+    """Return a key that equal values share. Traced values have a key for each body."""
     return values.tobytes() if isinstance(values, np.ndarray) else body
 
 
 def _turn(
     columns: list[Array], axis: np.ndarray | Array, sine: Array, cosine: Array
 ) -> tuple[list[Array], Array]:
-    """Turn a frame, given by its columns, about one of its own axes; also return that axis."""
+    """Turn a frame, given by its columns, about one of its own axes, and return the axis, too."""
     if not isinstance(axis, np.ndarray) or np.count_nonzero(axis) > 1:
         frame = jnp.stack(jnp.broadcast_arrays(*columns), 1)
         turned = matmul(frame, axis_rotation(axis, sine, cosine))
         return [turned[:, j] for j in range(3)], matvec(frame, expand_dims_like(axis, frame[0]))
     along = int(np.abs(axis).argmax())
     i, j = (along + 1) % 3, (along + 2) % 3
-    # A Python float takes the arrays' precision; a NumPy one would make float32 float64.
+    # A Python float keeps the arrays' precision. A NumPy float would turn float32 into float64.
     direction = float(axis[along])
     sine, cosine = sine[None] * direction, cosine[None]
     turned = list(columns)
@@ -325,7 +325,7 @@ def _across(rates: Float[Array, "3 axes bodies *n"]) -> tuple[Array, Array]:
     """Return the angular velocity across each joint, and its rate of change seen from the parent.
 
     Args:
-        rates: of the degrees of freedom, each along its axis.
+        rates: rate of each degree of freedom along its axis, rad/s.
     """
     spin = rates[:, 0]
     spin_rate = jnp.zeros_like(spin)

@@ -1,7 +1,7 @@
-"""Where every body is and how it moves, from the root to the tips.
+"""Poses and velocities of all bodies, from the root to the tips.
 
-All quantities have world axes and refer to each body's working frame, whose origin lies at its
-joint; going from parent to child is then a pure translation by ``offset``. Arrays are
+All quantities have world axes and refer to each body's working frame. The frame's origin lies at
+the body's joint, so the shift from parent to child is a pure translation by ``offset``. Arrays are
 ``(components, bodies, ...)``.
 
 | symbol | name |
@@ -11,7 +11,7 @@ joint; going from parent to child is then a pure translation by ``offset``. Arra
 | S_i | ``axes``: world unit vectors of the joint axes |
 | w_i, v_i | ``angular``, ``linear`` velocity at the origin |
 | A0_i | ``bias_angular``, ``bias_linear``: spatial acceleration at constant velocities of the root
-and the joints; a material point's is ``w x v`` more, so the root's is ``-w x v`` |
+and the joints. A material point has the acceleration A0 plus ``w x v``. The root's is ``-w x v`` |
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ from evo_cpg.spatial.linear import expand_dims_like, matvec
 
 
 class Kinematics(NamedTuple):
-    """Positions and velocities of all bodies; the module's docstring has the symbols."""
+    """Positions and velocities of all bodies. The module docstring has the symbols."""
 
     rotation: Float[Array, "3 3 b *n"]
     origin: Float[Array, "3 b *n"]
@@ -41,7 +41,7 @@ class Kinematics(NamedTuple):
 
 
 class _Body(NamedTuple):
-    """Where one or several bodies are and how they move; see `Kinematics`."""
+    """Poses and motion of one or several bodies; see `Kinematics`."""
 
     rotation: Array
     origin: Array
@@ -80,13 +80,13 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
 def motion_of_bodies(
     tree: Tree, kin: Kinematics, velocity: Float[Array, "6 *n"], qd: Float[Array, "d *n"]
 ) -> BodyMotion:
-    """Return how the bodies would move with other velocities of the root and the joints.
+    """Return the motion of the bodies with other velocities of the root and the joints.
 
     Args:
         tree: the creature.
-        kin: where its bodies are.
-        velocity: of the root, as in `State`.
-        qd: rad/s.
+        kin: kinematics with the poses of the bodies.
+        velocity: velocity of the root, as in `State`.
+        qd: joint rates, rad/s.
     """
     batch_ndim = qd.ndim - 1
     bodies = PerBody([root.motion(velocity)], batch_ndim)

@@ -1,13 +1,13 @@
-"""Decisions made while a model is built: which points are left out, which bodies are alike.
+"""Decisions made while a model is built: for example, the points to omit or the bodies to merge.
 
-A builder decides by numbers, and traced numbers decide nothing. So the building is done twice. With
-known numbers it notes every decision in turn. With traced numbers it repeats them. The result of
-the second is a smooth function of the numbers.
+A builder decides by the values of numbers, and traced numbers have no values. So a model is built
+twice. The first build, with known numbers, records every decision. The second build, with traced
+numbers, replays the decisions. Its result is a smooth function of the numbers.
 
-It is what the first would build as long as each decision holds. `replaying_decisions` can collect
-the conditions for that, as functions of the same numbers: see `chosen` and `searched`.
+Both builds agree as long as every decision holds. `replaying_decisions` can collect the conditions
+for this, as functions of the traced numbers (`chosen`, `searched`).
 
-Outside `recording_decisions` and `replaying_decisions` a decision is simply made.
+Outside `recording_decisions` and `replaying_decisions` a decision is made without a record.
 """
 
 import contextlib
@@ -28,13 +28,13 @@ Condition = Any
 
 
 class Undecidable(Exception):
-    """A decision of which traced numbers cannot tell whether it holds."""
+    """Raised if traced numbers cannot decide whether a decision holds."""
 
 
 class StaticDecisions:
-    """All that was chosen while a model was built, in order.
+    """Decisions made while a model was built, in order.
 
-    Two are equal where the same was chosen, wherever searches may have ended.
+    Two records are equal if their choices are equal. The results of searches may differ.
     """
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class StaticDecisions:
 
 
 class _Present(NamedTuple):
-    """What is noted now, and what is taken from earlier notes."""
+    """Present record of decisions, and earlier decisions to replay."""
 
     noted: StaticDecisions | None = None
     made: Iterator[Any] = iter(())
@@ -76,7 +76,7 @@ def _in_present(present: _Present) -> Iterator[None]:
 
 @contextlib.contextmanager
 def recording_decisions() -> Iterator[StaticDecisions]:
-    """Note what is chosen within; of known numbers."""
+    """Record the decisions made within the context. The numbers must be known."""
     choices = StaticDecisions()
     with _in_present(_Present(noted=choices)):
         yield choices
@@ -86,11 +86,11 @@ def recording_decisions() -> Iterator[StaticDecisions]:
 def replaying_decisions(
     choices: StaticDecisions, conditions: list[Condition] | None = None
 ) -> Iterator[None]:
-    """Choose within what was chosen before; the numbers may be traced.
+    """Replay recorded decisions within the context. The numbers may be traced.
 
     Args:
-        choices: that were noted.
-        conditions: a list to which is added for every choice whether it holds.
+        choices: recorded decisions.
+        conditions: list to which the condition of every decision is appended, or None for none.
     """
     made, searched = iter(choices.made), iter(choices.searched)
     with _in_present(_Present(None, made, searched, True, conditions)):
@@ -98,16 +98,16 @@ def replaying_decisions(
 
 
 def chosen(choose: Callable[[], _T], holds: Callable[[_T], Condition] | None = None) -> _T:
-    """Return what a function of known numbers chooses, or chose when it was noted.
+    """Return the choice of a function of known numbers, or its recorded choice.
 
     Args:
-        choose: gives a pytree.
-        holds: whether a choice builds the right thing for the present numbers, which may be traced;
-            None where that is so if ``choose`` gives the same again.
+        choose: function that returns a pytree.
+        holds: function that returns whether a choice is right for the present numbers, which may be
+            traced. None requires that ``choose`` returns an equal choice again.
 
     Raises:
-        Undecidable: conditions are collected, and the numbers are traced in a way that no condition
-            can be computed.
+        Undecidable: if conditions are collected and no condition can be computed from the traced
+            numbers.
     """
     made = _noted_or_repeated("made", choose)
     _collect(lambda: holds(made) if holds else _equal(made, choose()))
@@ -115,17 +115,18 @@ def chosen(choose: Callable[[], _T], holds: Callable[[_T], Condition] | None = N
 
 
 def searched(search: Callable[[], _T], holds: Callable[[_T], Condition]) -> _T:
-    """Return where a search by known numbers ends, or ended when it was noted.
+    """Return the result of a search with known numbers, or its recorded result.
 
-    That does not follow the numbers. Whoever calls this takes steps of Newton's from there, which
-    do (the implicit function theorem), and are none where the search was exact.
+    The result has no derivative by the numbers. The caller adds Newton steps, which have the right
+    derivative (implicit function theorem). The steps are zero if the search was exact.
 
     Args:
-        search: gives a pytree of numbers; it is not called where numbers may be traced.
-        holds: whether these steps end where a search of the present numbers would.
+        search: function that returns a pytree of numbers, never called with traced numbers.
+        holds: function that returns whether the Newton steps end at the result of a search with the
+            present numbers.
 
     Raises:
-        Undecidable: see `chosen`.
+        Undecidable: as in `chosen`.
     """
     found = _noted_or_repeated("searched", search)
     _collect(lambda: holds(found))
@@ -133,11 +134,11 @@ def searched(search: Callable[[], _T], holds: Callable[[_T], Condition]) -> _T:
 
 
 def _noted_or_repeated(notes: str, make: Callable[[], _T]) -> _T:
-    """What a function gives, or gave when it was noted; what it chooses in turn is not noted.
+    """Return the result of a function, or its recorded result. Inner choices are not recorded.
 
     Args:
-        notes: where among the choices.
-        make: is called with known numbers only.
+        notes: name of the record's list, "made" or "searched".
+        make: function of known numbers.
     """
     present = _present.get()
     if present.repeats:
@@ -150,12 +151,12 @@ def _noted_or_repeated(notes: str, make: Callable[[], _T]) -> _T:
 
 
 def all_hold(conditions: Iterable[Condition]) -> Condition:
-    """Whether all of some conditions hold."""
+    """Return whether all conditions hold."""
     return functools.reduce(operator.and_, conditions, True)
 
 
 def _collect(condition: Callable[[], Condition]) -> None:
-    """Add a condition to those that are collected, if any are."""
+    """Append a condition to the collected conditions, if they are collected."""
     conditions = _present.get().conditions
     if conditions is None:
         return
@@ -167,7 +168,7 @@ def _collect(condition: Callable[[], Condition]) -> None:
 
 
 def _equal(made: Any, again: Any) -> Condition:
-    """Whether two choices are the same; the second may be traced."""
+    """Return whether two choices are equal. The second may be traced."""
     mine, layout = jax.tree.flatten(made)
     theirs, their_layout = jax.tree.flatten(again)
     if layout != their_layout:

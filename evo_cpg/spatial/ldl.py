@@ -1,8 +1,8 @@
 """Symmetric positive definite equations, eliminated from the last unknown to the first.
 
-``H = L^T D L`` with L lower triangular and ones on its diagonal (Featherstone 2008, 6.5). Where H
-is the mass matrix of a tree whose bodies come after their parents, elements that are zero stay so;
-in fused code they, and all that is computed from them, cost nothing.
+``H = L^T D L`` with L lower triangular and ones on its diagonal (Featherstone 2008, 6.5). In the
+mass matrix of a tree whose bodies come after their parents, zero elements stay zero. Fused code
+spends nothing on zeros and on results of zeros.
 """
 
 from typing import NamedTuple
@@ -14,10 +14,10 @@ from evo_cpg.spatial.linear import inlined
 
 
 class Factors(NamedTuple):
-    """L and D of some matrices.
+    """Factors L and D of matrices.
 
     Attributes:
-        rows: of L, from the first, each up to its diagonal ``(k, *n)``.
+        rows: rows of L, from the first, each without its diagonal ``(k, *n)``.
         inverse_pivots: the diagonal of D^-1, ``(v, *n)``.
     """
 
@@ -27,7 +27,7 @@ class Factors(NamedTuple):
 
 @inlined
 def factorize(H: Float[Array, "v v *n"]) -> Factors:
-    """L and D; the lower triangle of H counts."""
+    """Return L and D of H, from the lower triangle of H."""
     rows, inverse_pivots, left = [], [], H
     for k in reversed(range(len(H))):
         row, inverse = left[k, :k], 1.0 / left[k, k]
@@ -40,7 +40,7 @@ def factorize(H: Float[Array, "v v *n"]) -> Factors:
 
 @inlined
 def solve_factorized(factors: Factors, b: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
-    """``H^-1 b``."""
+    """Return ``H^-1 b``."""
     z, left = [], b
     for k in reversed(range(len(b))):
         z.append(left[k])

@@ -1,9 +1,9 @@
-"""Small linear algebra with the components first and everything else behind them.
+"""Small linear algebra with the components first and all other axes behind them.
 
-A vector is ``(3, ...)`` and a matrix ``(3, 3, ...)``; the trailing axes (bodies, then
-individuals) broadcast. XLA:CPU vectorises the innermost axis, so these products are written
-as broadcast-and-sum over the leading axes: measured on a 3x3 product with 96 individuals this
-takes 0.17 us a kernel, whereas ``jnp.einsum`` would move the population away from the last axis.
+A vector is ``(3, ...)`` and a matrix ``(3, 3, ...)``. The trailing axes (bodies, then individuals)
+broadcast. XLA:CPU vectorises the innermost axis, so the products are broadcast and summed over the
+leading axes. A 3x3 product with 96 individuals takes 0.17 us a kernel. ``jnp.einsum`` would move
+the population away from the last axis.
 """
 
 import functools
@@ -25,7 +25,7 @@ do derivatives; outside of programs the function is compiled as one. A step of t
 traced in four fifths of the time.
 """
 
-# Between these powers of two products of three numbers stay within float32.
+# Powers of two between which products of three numbers stay within float32.
 _SMALL, _LARGE = 2.0**-32, 2.0**32
 
 # Indices that turn a 3-vector into its cyclic successors, for cross products and cofactors.
@@ -39,9 +39,9 @@ def expand_dims_like(
     """Append unit axes to a constant so that it broadcasts against an array.
 
     Args:
-        constant: its axes line up with the first axes of the result.
-        like: gives the dtype and, unless ``rank`` is given, the rank.
-        rank: wanted number of axes.
+        constant: array whose axes become the first axes of the result.
+        like: array with the dtype and, by default, the rank of the result.
+        rank: number of axes of the result.
     """
     constant = jnp.asarray(constant, like.dtype)
     missing = (like.ndim if rank is None else rank) - constant.ndim
@@ -49,21 +49,21 @@ def expand_dims_like(
 
 
 def of_each(value: Array, like: Array) -> Array:
-    """A value of each individual, with unit axes in front as an array of them needs it."""
+    """Return a value of each individual with unit axes in front, for broadcasts with ``like``."""
     return jnp.expand_dims(value, tuple(range(like.ndim - value.ndim)))
 
 
 def where_each(mask: Array, new: Any, old: Any) -> Any:
-    """``jnp.where`` for every individual, of pytrees with the individuals on their last axes."""
+    """Return ``jnp.where`` by individual for pytrees with the individuals on their last axes."""
     return jax.tree.map(lambda x, y: jnp.where(of_each(mask, x), x, y), new, old)
 
 
 def array_of(values: Any, dtype: Any = float) -> np.ndarray | Array:
-    """Numbers as an array: where they are known of NumPy, a constant of compiled programs.
+    """Return numbers as an array. Known numbers give a NumPy array, constant in programs.
 
     Args:
-        values: numbers, nested or not; some may be traced, and the array then is.
-        dtype: of a NumPy array; a traced one has that of its numbers.
+        values: numbers, nested or not. The array is traced if any number is traced.
+        dtype: dtype of a NumPy array. A traced array has the dtype of its numbers.
     """
     if not is_traced(values):
         return np.asarray(values, dtype)
@@ -74,7 +74,7 @@ def array_of(values: Any, dtype: Any = float) -> np.ndarray | Array:
 
 
 def cosine_sine(angle: Any) -> tuple[Any, Any]:
-    """Cosine and sine: Python floats of a known angle (rad), traced of a traced one."""
+    """Return cosine and sine of an angle (rad), as Python floats if the angle is known."""
     if is_traced(angle):
         return jnp.cos(angle), jnp.sin(angle)
     return float(np.cos(angle)), float(np.sin(angle))
@@ -82,13 +82,13 @@ def cosine_sine(angle: Any) -> tuple[Any, Any]:
 
 @inlined
 def dot(a: Float[Array, "n *#rest"], b: Float[Array, "n *#rest"]) -> Float[Array, "*#rest"]:
-    """Scalar product over the leading axis."""
+    """Return the scalar product over the leading axis."""
     return (a * b).sum(0)
 
 
 @inlined
 def matvec(m: Float[Array, "i j *#rest"], v: Float[Array, "j *#rest"]) -> Float[Array, "i *#rest"]:
-    """Matrix times vector, ``m v``."""
+    """Return matrix times vector, ``m v``."""
     return (m * v[None]).sum(1)
 
 
@@ -96,7 +96,7 @@ def matvec(m: Float[Array, "i j *#rest"], v: Float[Array, "j *#rest"]) -> Float[
 def matvec_t(
     m: Float[Array, "i j *#rest"], v: Float[Array, "i *#rest"]
 ) -> Float[Array, "j *#rest"]:
-    """Transposed matrix times vector, ``m^T v``."""
+    """Return transposed matrix times vector, ``m^T v``."""
     return (m * v[:, None]).sum(0)
 
 
@@ -104,7 +104,7 @@ def matvec_t(
 def matmul(
     a: Float[Array, "i j *#rest"], b: Float[Array, "j k *#rest"]
 ) -> Float[Array, "i k *#rest"]:
-    """Matrix product ``a b``."""
+    """Return the matrix product ``a b``."""
     return (a[:, :, None] * b[None]).sum(1)
 
 
@@ -112,7 +112,7 @@ def matmul(
 def matmul_t(
     a: Float[Array, "i j *#rest"], b: Float[Array, "k j *#rest"]
 ) -> Float[Array, "i k *#rest"]:
-    """Matrix product ``a b^T``."""
+    """Return the matrix product ``a b^T``."""
     return (a[:, None] * b[None]).sum(2)
 
 
@@ -120,18 +120,18 @@ def matmul_t(
 def t_matmul(
     a: Float[Array, "j i *#rest"], b: Float[Array, "j k *#rest"]
 ) -> Float[Array, "i k *#rest"]:
-    """Matrix product ``a^T b``."""
+    """Return the matrix product ``a^T b``."""
     return (a[:, :, None] * b[:, None]).sum(0)
 
 
 def transpose(m: Float[Array, "i j *#rest"]) -> Float[Array, "j i *#rest"]:
-    """Matrix transpose, ``m^T``."""
+    """Return the matrix transpose, ``m^T``."""
     return jnp.swapaxes(m, 0, 1)
 
 
 @inlined
 def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Array, "3 *#rest"]:
-    """Vector product ``a x b``."""
+    """Return the vector product ``a x b``."""
     a0, a1, a2 = jnp.unstack(a)
     b0, b1, b2 = jnp.unstack(b)
     return jnp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
@@ -139,42 +139,42 @@ def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Arr
 
 @inlined
 def skew(v: Float[Array, "3 *#rest"]) -> Float[Array, "3 3 *#rest"]:
-    """Cross-product matrix: ``skew(v) @ w == cross(v, w)``."""
+    """Return the cross-product matrix: ``skew(v) @ w == cross(v, w)``."""
     x, y, z = jnp.unstack(v)
     zero = jnp.zeros_like(x)
     return jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, *v.shape)
 
 
 def toward_one(size: Any) -> Any:
-    """Power of two whose square brings positive numbers nearer to 1, and 1 for most numbers.
+    """Return a power of two whose square brings positive numbers nearer to 1, mostly 1.
 
-    A product of three numbers that are multiplied by its square stays within float32. Rounding does
-    not change: a product with a power of two is exact.
+    After multiplication by the square, a product of three numbers stays within float32. Rounding
+    does not change: a product with a power of two is exact.
 
     Args:
-        size: from 1e-28 to 1e28; an array of NumPy's or JAX's.
+        size: NumPy or JAX array of numbers from 1e-28 to 1e28.
     """
     return xp.where(size < _SMALL, _LARGE, xp.where(size > _LARGE, _SMALL, 1.0))
 
 
 @inlined
 def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest"]:
-    """Inverse of a symmetric positive definite matrix of size 1, 2 or 3, in closed form.
+    """Return the inverse of a symmetric positive definite matrix of size 1 to 3, in closed form.
 
     Raises:
-        ValueError: for any other size.
+        ValueError: if the matrix has any other size.
     """
     size = m.shape[0]
     if size == 1:
         return 1.0 / m
-    # Moments of inertia of a millimetre are 1e-15 kg m^2, the cube of which float32 cannot hold.
+    # A body of a millimetre has moments of inertia of 1e-15 kg m^2. Their cube underflows float32.
     scale = toward_one(jnp.stack([m[i, i] for i in range(size)]))
     scale = scale[:, None] * scale[None]
     return scale * _inverse(scale * m)
 
 
 def _inverse(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest"]:
-    """See `inverse_symmetric`; the products of three diagonal elements stay within the numbers."""
+    """Return the inverse. Products of three diagonal elements must stay within float32."""
     size = m.shape[0]
     if size == 2:
         determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]

@@ -1,7 +1,7 @@
-"""Arrays of which some elements are traced and all others are known.
+"""Arrays with some traced and otherwise known elements.
 
-By a parameter of a simulation few elements of its arrays change. The others stay constants of the
-compiled program, so that what is zero costs nothing there: the matrices of a surface are mostly 0.
+A parameter of a simulation changes few elements of its arrays. The other elements stay constants of
+the compiled program, so zeros cost nothing. The matrices of a surface are mostly zeros.
 """
 
 from collections.abc import Iterator
@@ -13,15 +13,15 @@ import numpy as np
 
 
 class MixedArray:
-    """An array that JAX takes as one where it is used, with its known elements as constants.
+    """Array that JAX accepts as an array, with its known elements as constants.
 
     Attributes:
-        known: the array, with anything in the places of the traced elements.
-        traced: the other elements.
-        index: for each element its number in ``known`` followed by ``traced``.
+        known: the array, with arbitrary values in the places of the traced elements.
+        traced: the traced elements.
+        index: index of each element in ``known`` followed by ``traced``.
     """
 
-    # NumPy leaves arithmetic with it to the methods below.
+    # NumPy then leaves arithmetic to the methods below.
     __array_ufunc__ = None
 
     def __init__(self, known: np.ndarray, places: np.ndarray, traced: jax.Array):
@@ -31,7 +31,7 @@ class MixedArray:
         self.index = self.index.reshape(known.shape)
 
     def __jax_array__(self) -> jax.Array:
-        """The whole array."""
+        """Return the whole array."""
         known = jnp.asarray(self.known.reshape(-1), self.traced.dtype)
         return jnp.concatenate([known, self.traced])[self.index]
 
@@ -51,12 +51,12 @@ class MixedArray:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the array."""
+        """Shape of the array."""
         return self.known.shape
 
     @property
     def dtype(self) -> Any:
-        """Of the traced elements, which all take."""
+        """Dtype of the traced elements, which all elements take."""
         return self.traced.dtype
 
 

@@ -1,9 +1,10 @@
-"""NumPy's functions for building models, which are JAX's where a number is traced.
+"""NumPy functions for building models, replaced by JAX functions for traced numbers.
 
-A model is built from the numbers of a configuration. Of known numbers NumPy makes constants, in
-float64 and without compiling anything; of traced ones the same lines make a JAX program, by which
-the building can be differentiated, mapped and compiled. So builders call ``xp.sqrt`` and the like,
-never write into arrays, and take what is no number from `evo_cpg.spatial.decisions`.
+A model is built from the numbers of a configuration. NumPy turns known numbers into constants, in
+float64 and without compilation. With traced numbers the same lines make a JAX program. So the
+building can be differentiated, mapped and compiled. Builders call ``xp.sqrt`` and similar
+functions, and never write into arrays. Choices other than numbers go through
+`evo_cpg.spatial.decisions`.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -14,28 +15,28 @@ import numpy as np
 
 from evo_cpg.spatial.mixed_array import MixedArray
 
-# A float, or a traced scalar where a model is built of traced numbers.
+# A float, or a traced scalar while a model is built from traced numbers.
 Number = Any
 
 # Coordinates.
 Triple = tuple[Number, Number, Number]
 
-# Names of arrays that are looked up by computed places: there is no derivative by them.
+# Names of arrays that are read at computed indices. They have no derivative.
 TABLES = ("heights", "meshes", "triangles")
 
 
 def is_traced(*values: Any) -> bool:
-    """Whether any number in some values, nested or not, is one of JAX's."""
+    """Return whether any number in the values, nested or not, is a JAX array."""
     return any(isinstance(x, (jax.Array, MixedArray)) for x in jax.tree.leaves(values))
 
 
 def _whole(value: Any) -> Any:
-    """JAX's functions of jit refuse arrays that are but like its own."""
+    """Return a mixed array as a JAX array, because jitted JAX functions refuse mixed arrays."""
     return jnp.asarray(value) if isinstance(value, MixedArray) else value
 
 
 class _Namespace:
-    """A module of NumPy's, with JAX's functions of the same names for traced arguments."""
+    """NumPy module with JAX functions of equal names for traced arguments."""
 
     def __init__(self, known: Any, traced: Any):
         self._known, self._traced = known, traced
@@ -57,13 +58,13 @@ class _Namespace:
                 args, options = jax.tree.map(_whole, (args, options))
                 return getattr(self._traced, name)(*args, **options)
             result = known(*args, **options)
-            # A scalar of Python's leaves the precision to what it meets.
+            # A Python scalar takes the precision of the array it is combined with.
             return float(result) if isinstance(result, np.floating) else result
 
         return call
 
     def array(self, values: Any, dtype: Any = None) -> Any:
-        """NumPy's; a nested sequence with few traced numbers is no long program."""
+        """Return an array. A nested sequence with few traced numbers gives a short program."""
         leaves, structure = jax.tree.flatten(values)
         traced = [x for x in leaves if is_traced(x)]
         if not traced:
@@ -74,31 +75,31 @@ class _Namespace:
         every = jnp.stack(traced)
         if known:
             every = jnp.concatenate([every, np.array(known, every.dtype)])
-        # Numbered as they stand there: the traced ones first.
+        # Number the leaves as in ``every``: traced numbers first.
         order = np.argsort([not is_traced(x) for x in leaves], kind="stable")
         numbers = np.empty(len(leaves), int)
         numbers[order] = np.arange(len(leaves))
         return every[np.array(jax.tree.unflatten(structure, numbers.tolist()))]
 
 
-# Static types are NumPy's: what is traced has the same methods.
+# Static types are NumPy types: traced arrays have the same methods.
 if TYPE_CHECKING:
     import numpy as xp
 
     Numbers = np.ndarray
 else:
     xp = _Namespace(np, jnp)
-    # An array of such numbers.
+    # An array of known or traced numbers.
     Numbers = np.ndarray | jax.Array
 
 
 def is_number(leaf: Any) -> bool:
-    """Whether a leaf of a model is a known real number, or an array of them."""
+    """Return whether a leaf of a model is a known real number or an array of real numbers."""
     real = isinstance(leaf, np.ndarray) and np.issubdtype(leaf.dtype, np.floating)
     return real or isinstance(leaf, float)
 
 
 def as_vector(values: Numbers) -> Triple:
-    """Three numbers as a tuple, of floats where they are known."""
+    """Return three numbers as a tuple. Known numbers become floats."""
     x, y, z = values if is_traced(values) else values.tolist()
     return x, y, z

@@ -10,13 +10,13 @@ from jaxtyping import Array, Float
 from evo_cpg.spatial.linear import array_of, expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# Below this squared angle (rad^2) sin(x)/x is taken from its series: the next term of the
-# series is then under float32's resolution, and the gradient at rest is finite.
+# Squared angle (rad^2) below which the series of sin(x)/x is used. The next term of the series is
+# then below float32's resolution, and the gradient at rest is finite.
 _SMALL_ANGLE_SQUARED = 1e-6
 
 
 def quaternion_to_matrix(q: Float[Array, "4 *rest"]) -> Float[Array, "3 3 *rest"]:
-    """Rotation matrix of a unit quaternion ``(w, x, y, z)``."""
+    """Return the rotation matrix of a unit quaternion ``(w, x, y, z)``."""
     w, x, y, z = q
     return jnp.stack(
         [
@@ -36,7 +36,7 @@ def quaternion_to_matrix(q: Float[Array, "4 *rest"]) -> Float[Array, "3 3 *rest"
 def quaternion_product(
     a: Float[Array, "4 *rest"], b: Float[Array, "4 *rest"]
 ) -> Float[Array, "4 *rest"]:
-    """Hamilton product ``a b``: the rotation ``b`` followed by ``a``."""
+    """Return the Hamilton product ``a b``: the rotation ``b`` followed by ``a``."""
     return jnp.stack(
         [
             a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
@@ -52,7 +52,7 @@ def integrate_quaternion(
 ) -> Float[Array, "4 *rest"]:
     """Turn ``q`` for the time ``h`` (s) at the constant world angular velocity ``omega`` (rad/s).
 
-    Exact for a constant ``omega``; the result is normalised, so rounding does not accumulate.
+    The result is exact for a constant ``omega``. It is normalised, so rounding does not accumulate.
     """
     half = 0.5 * h * omega
     squared = (half * half).sum(0)
@@ -67,12 +67,12 @@ def integrate_quaternion(
 def axis_rotation(
     axis: np.ndarray | Array, sine: Float[Array, " *rest"], cosine: Float[Array, " *rest"]
 ) -> Float[Array, "3 3 *rest"]:
-    """Rotation about a unit axis ``(3,)``, the same for all: Rodrigues' formula.
+    """Return rotations about one common unit axis ``(3,)`` by Rodrigues' formula.
 
     Args:
         axis: unit vector.
-        sine: of the angle.
-        cosine: of the angle.
+        sine: sine of the angles.
+        cosine: cosine of the angles.
     """
     x, y, z = axis
     cross_matrix = array_of(((0 * z, -z, y), (z, 0 * z, -x), (-y, x, 0 * z)))
@@ -86,7 +86,7 @@ def axis_rotation(
 
 
 def euler_to_matrix(roll: Number, pitch: Number, yaw: Number) -> Float[Numbers, "3 3"]:
-    """Rotation matrix ``(3, 3)`` of roll, pitch and yaw (rad): ``Rz(yaw) Ry(pitch) Rx(roll)``."""
+    """Return the rotation matrix ``(3, 3)`` of angles (rad): ``Rz(yaw) Ry(pitch) Rx(roll)``."""
     angles = xp.array([roll, pitch, yaw])
     (sr, sp, sy), (cr, cp, cy) = xp.sin(angles), xp.cos(angles)
     return xp.array(
@@ -99,10 +99,10 @@ def euler_to_matrix(roll: Number, pitch: Number, yaw: Number) -> Float[Numbers, 
 
 
 def matrix_to_euler(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Roll, pitch and yaw (rad) of a rotation matrix ``(3, 3)``, as `euler_to_matrix` takes them.
+    """Return roll, pitch and yaw (rad) of a rotation matrix ``(3, 3)``, for `euler_to_matrix`.
 
-    Where the pitch is 90 degrees only their sum or difference counts; roll is taken from what the
-    other two leave, so that the three give the same matrix even there.
+    At a pitch of 90 degrees only the sum or difference of roll and yaw is defined. Roll is computed
+    from the rotation left after pitch and yaw, so the three angles always give the matrix.
     """
     r = rotation
     yaw = np.arctan2(r[1, 0], r[0, 0])
