@@ -131,7 +131,7 @@ def _finish(h: float, state: State, solution: StepSolution) -> tuple[State, Effo
 
 
 def _can_overload(tree: Tree) -> bool:
-    """Return whether any motor may have a limit, which a traced limit counts as."""
+    """Return whether any motor may have a torque limit; traced limits count as limits."""
     gains = tree.servo_gain, tree.servo_stiffness
     if not isinstance(tree.torque_limit, np.ndarray):
         return True
