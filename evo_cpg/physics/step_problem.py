@@ -135,7 +135,7 @@ class StepProblem(NamedTuple):
         return self._replace(equations=equations._replace(pairs=pairs))
 
     def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
-        """Return contact point velocities at the step's end, contact frame, m/s; None if none."""
+        """Return the contact points' final velocities (contact frame), m/s; None without ground."""
         contacts = self.equations.contacts
         if contacts is None:
             return None
