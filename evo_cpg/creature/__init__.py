@@ -1,1 +1,1 @@
-"""What a body is: shapes, materials, joints, sensors, the surface that meets the water."""
+"""Creatures: shapes, materials, joints, sensors, and surfaces in contact with water."""

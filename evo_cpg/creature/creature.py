@@ -1,8 +1,7 @@
-"""A creature as a person describes it: named rigid bodies, joints, materials and sensors.
+"""A creature in the user's terms: named rigid bodies, joints, materials and sensors.
 
-This is plain data in the user's terms; `evo_cpg.creature.tree` turns it into the arrays that
-the physics works on. Frames: every body has a frame at its geometric centre; z is up and the
-animal faces along +x in the neutral pose.
+The classes are plain data. `evo_cpg.creature.tree` turns them into the arrays of the physics. Every
+body has a frame at its geometric centre. In the neutral pose z is up and the animal faces along +x.
 """
 
 import dataclasses
@@ -29,13 +28,13 @@ class CreatureError(ValueError):
 
 @dataclasses.dataclass(frozen=True)
 class Material:
-    """What a body is made of (Iwadate 2010, Table 1).
+    """Material of a body (Iwadate 2010, Table 1).
 
     Attributes:
-        density: kg/m^3.
+        density: density, kg/m^3.
         restitution: coefficient of restitution, 0 to 1.
-        static_friction: coefficient that holds a resting contact.
-        dynamic_friction: coefficient that brakes a sliding contact.
+        static_friction: coefficient of static friction, for resting contacts.
+        dynamic_friction: coefficient of dynamic friction, for sliding contacts.
     """
 
     density: Number
@@ -48,13 +47,14 @@ class Material:
 class Actuator:
     """Motor on each axis of a joint: ``gain (rate* - rate) + stiffness (angle* - angle)``.
 
-    Without stiffness it is the velocity servo of Iwadate 2010, with stiffness and a wanted rate of
-    zero the dashpot of Fukui 2003: a damped spring whose rest angle the controller sets.
+    A motor without stiffness is the velocity servo of Iwadate 2010. A motor with stiffness and a
+    commanded rate of zero is the dashpot of Fukui 2003: a damped spring whose rest angle the
+    controller sets.
 
     Attributes:
         gain: torque per velocity error, N m s/rad.
-        torque_limit: largest torque on one axis, N m; infinite where there is no limit. Under a
-            larger load the joint gives way.
+        torque_limit: largest torque on one axis, N m; infinite for no limit. The joint gives way
+            under a larger load.
         stiffness: torque per angle error, N m/rad.
     """
 
@@ -64,18 +64,18 @@ class Actuator:
 
 
 class DegreeOfFreedom(NamedTuple):
-    """One degree of freedom of a joint: a turn about an axis through the joint's place.
+    """One degree of freedom of a joint: a rotation about an axis through the joint's position.
 
     Attributes:
         axis: unit vector in the child's neutral frame.
-        lower: limit, rad.
-        upper: limit, rad.
-        stiffness: passive spring, N m/rad.
+        lower: lower limit, rad.
+        upper: upper limit, rad.
+        stiffness: stiffness of the passive spring, N m/rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
-        servo_gain: of the motor, N m s/rad; 0 without one.
-        servo_stiffness: of the motor, N m/rad; 0 without one.
-        torque_limit: of the motor, N m; 0 without one.
+        servo_gain: torque of the motor per rate error, N m s/rad, 0 without a motor.
+        servo_stiffness: torque of the motor per angle error, N m/rad, 0 without a motor.
+        torque_limit: largest torque of the motor, N m, 0 without a motor.
     """
 
     axis: Triple
@@ -93,21 +93,21 @@ class DegreeOfFreedom(NamedTuple):
 class Joint:
     """A joint of 1 to 3 rotational axes between a body and its parent.
 
-    The axes turn one after the other, each in the frame left by those before it (x, then y,
-    then z in the usual case), so the middle one of three must keep clear of 90 degrees.
+    The axes turn in order, usually x, y and z. Each axis is fixed in the frame that the axes before
+    it have turned. The second of three axes must therefore keep clear of 90 degrees.
 
     Attributes:
         parent: name of the parent body.
-        parent_anchor: the joint's place in the parent's frame, m.
-        child_anchor: the joint's place in the child's frame, m.
+        parent_anchor: position of the joint in the parent's frame, m.
+        child_anchor: position of the joint in the child's frame, m.
         axes: unit vectors in the child's neutral frame, in order.
         lower: lower limit of each axis, rad.
         upper: upper limit of each axis, rad.
-        orientation: child frame to parent frame in the neutral pose, ``(3, 3)``.
-        stiffness: passive spring towards the neutral pose, N m/rad.
+        orientation: rotation from child frame to parent frame in the neutral pose, ``(3, 3)``.
+        stiffness: stiffness of the passive spring towards the neutral pose, N m/rad.
         damping: passive damping, N m s/rad.
-        armature: rotor inertia added on each axis, kg m^2.
-        actuator: the motor on each axis, or None for a passive joint.
+        armature: rotor inertia of each axis, kg m^2.
+        actuator: motor on each axis, or None for a passive joint.
     """
 
     parent: str
@@ -128,7 +128,7 @@ class Joint:
 
     @property
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
-        """Its degrees of freedom, in the order in which they turn."""
+        """Degrees of freedom, in the order in which they turn."""
         motor = self.actuator
         driven = (motor.gain, motor.stiffness, motor.torque_limit) if motor else (0.0, 0.0, 0.0)
         same = self.stiffness, self.damping, self.armature, *driven
@@ -138,14 +138,14 @@ class Joint:
 
 @dataclasses.dataclass(frozen=True)
 class Body:
-    """A rigid body; the one without a joint is the root of the tree.
+    """A rigid body. The body without a joint is the root of the tree.
 
     Attributes:
-        name: unique in the creature.
-        shape: centred on the body's frame.
+        name: name of the body, unique in the creature.
+        shape: shape, centred on the body's frame.
         material: density and contact properties.
-        joint: how it hangs on its parent; None for the root.
-        color: of the body in pictures, as ``#rrggbb``; None picks one.
+        joint: joint to the parent, or None for the root.
+        color: color of the body in pictures, as ``#rrggbb``, or None for a default color.
     """
 
     name: str
@@ -165,10 +165,10 @@ class LightSensor:
     """A directional eye (Iwadate 2010, eq. 1).
 
     Attributes:
-        body: name of the body that carries it.
-        position: in the body's frame, m.
-        axis: unit vector it looks along, in the body's frame.
-        field_of_view: full opening angle, rad; the response reaches 0 at half of it.
+        body: name of the body with the sensor.
+        position: position in the body's frame, m.
+        axis: unit vector of the viewing direction, in the body's frame.
+        field_of_view: full opening angle, rad. The response reaches 0 at half of this angle.
     """
 
     body: str
@@ -179,12 +179,12 @@ class LightSensor:
 
 @dataclasses.dataclass(frozen=True)
 class DepthSensor:
-    """A gauge of the water's hydrostatic pressure, in depth of water.
+    """A gauge of the water's hydrostatic pressure, as depth of water.
 
     Attributes:
-        body: name of the body that carries it.
-        position: in the body's frame, m.
-        full_scale: depth at which it reads 1, and below which it does not change, m.
+        body: name of the body with the sensor.
+        position: position in the body's frame, m.
+        full_scale: depth at and below which the sensor reads 1, m.
     """
 
     body: str
@@ -197,11 +197,11 @@ class Creature:
     """A tree of rigid bodies with sensors.
 
     Attributes:
-        name: what the user calls it.
-        bodies: in any order; exactly one has no joint.
-        light_sensors: its eyes.
-        pressure_sensors: names of the bodies that feel solid contact.
-        depth_sensors: its depth gauges.
+        name: name of the creature.
+        bodies: bodies in any order, exactly one without a joint.
+        light_sensors: eyes.
+        pressure_sensors: names of the bodies that sense solid contact.
+        depth_sensors: depth gauges.
     """
 
     name: str
@@ -219,11 +219,11 @@ class Creature:
         )
 
     def body_index(self, name: str) -> int:
-        """Position of a body in ``bodies``."""
+        """Return the index of a body in ``bodies``."""
         return [body.name for body in self.bodies].index(name)
 
     def bodies_of(self, names: Sequence[str]) -> list[Body]:
-        """Return the bodies with some names, such as a tree's, in their order."""
+        """Return the bodies with some names, in the order of the names."""
         return [self.bodies[self.body_index(name)] for name in names]
 
     @property
@@ -233,7 +233,7 @@ class Creature:
 
 
 def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:
-    """Where the bodies are with every joint at zero and the root at the origin.
+    """Return the pose of all bodies with every joint at zero and the root at the origin.
 
     Returns:
         Centres ``(bodies, 3)`` in m and rotation matrices ``(bodies, 3, 3)``, in the order of
@@ -253,13 +253,14 @@ def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:
 
 
 def lowest_height(creature: Creature, pose: tuple[Numbers, Numbers] | None = None) -> Number:
-    """Height of the creature's lowest point, m.
+    """Return the height of the creature's lowest point, m.
 
-    In the neutral pose it is that above the root's centre, and never positive.
+    The height in the neutral pose is relative to the root's centre, and never positive.
 
     Args:
-        creature: the animal.
-        pose: its bodies' centres and rotations, as `neutral_pose` has them; None for that pose.
+        creature: the creature.
+        pose: centres and rotations of its bodies, as `neutral_pose` returns them, or None for the
+            neutral pose.
     """
     return lowest_along(creature, xp.array([0.0, 0.0, 1.0]), pose)
 
@@ -267,12 +268,12 @@ def lowest_height(creature: Creature, pose: tuple[Numbers, Numbers] | None = Non
 def lowest_along(
     creature: Creature, up: Numbers, pose: tuple[Numbers, Numbers] | None = None
 ) -> Number:
-    """The same along any direction.
+    """Return the height of the lowest point along any direction, m.
 
     Args:
-        creature: the animal.
-        up: unit vector ``(3,)`` in the root's axes.
-        pose: as above.
+        creature: the creature.
+        up: unit vector ``(3,)`` in the axes of the pose.
+        pose: centres and rotations of its bodies, or None for the neutral pose.
     """
     centres, rotations = neutral_pose(creature) if pose is None else pose
     heights = [
@@ -283,17 +284,17 @@ def lowest_along(
 
 
 def length_of(creature: Creature) -> Number:
-    """The largest extent of an animal in its neutral pose, m."""
+    """Return the largest extent of a creature in its neutral pose, m."""
     axes = xp.eye(3)
     extents = [-lowest_along(creature, -axis) - lowest_along(creature, axis) for axis in axes]
     return xp.max(xp.array(extents))
 
 
 def topological_order(creature: Creature) -> list[int]:
-    """Indices of the bodies such that parents come before children, level by level.
+    """Return the indices of the bodies level by level, with parents before children.
 
-    Bodies of one level are ordered by their number of joint axes, then as described, so that
-    bodies which the physics can treat together lie side by side.
+    Bodies of one level are ordered by their number of joint axes, then by their index. Bodies that
+    the physics can treat together are therefore adjacent.
 
     Raises:
         CreatureError: no body, no root or several, a name used twice, a joint to a body that

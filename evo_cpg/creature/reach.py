@@ -1,9 +1,9 @@
-"""Which bodies of a creature can come near each other, whatever its joints do within their limits.
+"""Bounds on the reach of bodies: pairs that never meet within the limits of their joints.
 
-Interval arithmetic: the box around a body is carried from joint to joint, by rotations of which
-only a range of the angle is known, to the frame of the body from which both chains of joints
-start. What is found apart there never meets; what is not may or may not. Ranges are cut into
-pieces, because a box around all that a limb reaches is far larger than the limb.
+Interval arithmetic moves the box around a body from joint to joint, with rotations by a range of
+angles. It ends in the frame of the body from which both chains of joints start. Boxes that are
+apart in that frame never meet. Boxes that overlap may or may not meet. Ranges are cut into pieces,
+because a box around the whole reach of a limb is far larger than the limb.
 """
 
 import functools
@@ -15,10 +15,10 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.decisions import Condition
 from evo_cpg.spatial.numerics import Numbers, xp
 
-# Joints give way: limits count as wider by this, rad.
+# Widening of joint limits (rad), because joints give way.
 _GIVE = 0.15
 
-# Pieces into which the ranges of a chain of joints are cut, all together.
+# Number of pieces into which all ranges of a chain of joints are cut.
 PIECES = 400
 
 Interval = tuple[Numbers, Numbers]
@@ -27,14 +27,14 @@ Interval = tuple[Numbers, Numbers]
 def keeps_apart(
     tree: Tree, box: tuple[Numbers, Numbers], pieces: int = PIECES
 ) -> Callable[[int, int], Condition]:
-    """Return a function of two bodies: whether boxes around them tell that they never touch.
+    """Return a function of two bodies: whether boxes around them show that they never touch.
 
     Args:
         tree: the creature.
         box: centres and half edges ``(3, b)`` of boxes around all bodies, in their working
             frames, m.
-        pieces: into which the ranges of a chain of joints are cut, all together. With fewer it is
-            quicker, and more often false.
+        pieces: number of pieces into which all ranges of a chain of joints are cut. The function is
+            faster with fewer pieces, but returns False more often.
     """
 
     @functools.cache
@@ -53,7 +53,7 @@ def keeps_apart(
 
 
 def chain_to_root(tree: Tree, body: int) -> list[int]:
-    """A body, its parent, and so on to the root."""
+    """Return a body, its parent, and so on to the root."""
     chain = [body]
     while tree.parents[chain[-1]] >= 0:
         chain.append(tree.parents[chain[-1]])
@@ -61,7 +61,7 @@ def chain_to_root(tree: Tree, body: int) -> list[int]:
 
 
 def _swept(tree: Tree, chain: list[int], box: Interval, most: int) -> Interval:
-    """Ranges ``(3, pieces)`` of the coordinates of a box's points, beyond all joints of a chain."""
+    """Return ranges ``(3, pieces)`` of a box's coordinates, in the frame before a joint chain."""
     axes = [tree.dof_bodies.count(body) for body in chain]
     pieces = max(1, int(most ** (1 / max(1, sum(axes)))))
     low, high = (x[:, None] for x in box)
@@ -78,7 +78,7 @@ def _swept(tree: Tree, chain: list[int], box: Interval, most: int) -> Interval:
 
 
 def _turns(axis: Numbers, edges: Numbers) -> Interval:
-    """Ranges ``(3, 3, k)`` of rotations about an axis between k + 1 angles: Rodrigues' formula."""
+    """Return ranges ``(3, 3, k)`` of rotations between k + 1 angles, by Rodrigues' formula."""
     x, y, z = axis
     along = xp.outer(axis, axis)[..., None]
     cross = xp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[..., None]
@@ -91,18 +91,18 @@ def _turns(axis: Numbers, edges: Numbers) -> Interval:
 
 
 def _range(wave: Callable[[Numbers], Numbers], crest: float, edges: Numbers) -> Interval:
-    """Ranges of a cosine or sine, whose crest lies at some angle, between angles."""
+    """Return ranges of a cosine or sine between angles, with its crest at a given angle."""
     least, most = edges[:-1], edges[1:]
     ends = xp.sort(xp.array([wave(least), wave(most)]), 0)
 
     def holds(angle: float) -> Numbers:
-        """Whether an angle, or one that is whole turns from it, lies between."""
+        """Return whether an angle, up to whole turns, is in a range."""
         return xp.floor((most - angle) / (2 * np.pi)) > xp.floor((least - angle) / (2 * np.pi))
 
     return xp.where(holds(crest + np.pi), -1.0, ends[0]), xp.where(holds(crest), 1.0, ends[1])
 
 
 def _times(matrix: Interval, vector: Interval) -> Interval:
-    """Matrices ``(3, 3, k)`` times vectors ``(3, n)``, all of them ranges: ``(3, k n)``."""
+    """Multiply matrices ``(3, 3, k)`` by vectors ``(3, n)``, all of them ranges: ``(3, k n)``."""
     products = xp.stack([m[..., None] * v[None, :, None] for m in matrix for v in vector])
     return tuple(end(0).sum(1).reshape(3, -1) for end in (products.min, products.max))  # pyright: ignore

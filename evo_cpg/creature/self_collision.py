@@ -1,7 +1,7 @@
-"""Which bodies of one creature are kept from passing through each other.
+"""Self-collision: pairs of bodies of one creature that must not pass through each other.
 
-All but neighbours at a joint, bodies that already overlap in the neutral pose, and those that can
-never meet (`evo_cpg.creature.reach`). Bodies count as their `RoundedBox`.
+The rule includes all pairs except neighbours at a joint, bodies that overlap in the neutral pose,
+and bodies that can never meet (`evo_cpg.creature.reach`). Bodies count as their `RoundedBox`.
 """
 
 import dataclasses
@@ -19,23 +19,24 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.decisions import Condition, all_hold
 from evo_cpg.spatial.numerics import Numbers, is_traced, xp
 
-# Projections by which the nearest points of two boxes are found, and what they must come nearer
-# each other than to overlap, m.
+# Alternating projections that find the nearest points of two boxes, and the gap (m) below which
+# boxes count as overlapping.
 _PROJECTIONS, _TOUCH = 200, 1e-4
 
-# Pieces that may be enough to show that bodies never meet, even bodies larger by some factor.
+# Numbers of pieces to try first, and the factor on the size of bodies with them. If bodies of that
+# size never meet, fewer pieces are enough for similar bodies.
 _FEWER_PIECES, _SLACK = (1, 8, 27, 125), 1.25
 
-# Names of two bodies each.
+# Pairs of body names.
 PairNames = tuple[tuple[str, str], ...]
 
 
 class PlanPairs(NamedTuple):
-    """Pairs of bodies that are looked at in all creatures of one plan.
+    """Pairs of bodies that matter in all creatures of one plan.
 
     Attributes:
-        kept: those that are kept from passing through each other.
-        watched: those that must not overlap (`evo_cpg.simulation.rules`).
+        kept: pairs that must not pass through each other.
+        watched: pairs that must not overlap (`evo_cpg.simulation.rules`).
     """
 
     kept: PairNames = ()
@@ -44,13 +45,14 @@ class PlanPairs(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class SelfCollision:
-    """What a user changes about the rule, by names of bodies.
+    """User settings that change the rule, by names of bodies.
 
     Attributes:
         exclude: pairs of bodies that may pass through each other.
-        include: pairs that may not, although they are neighbours or overlap in the neutral pose.
-        only: of all pairs these alone are looked at, for they are those of several creatures of one
-            plan. The rule still lets pass what overlaps in the neutral pose (`passing_at_rest`).
+        include: pairs of bodies that must not, even neighbours or bodies that overlap in the
+            neutral pose.
+        only: pairs of several creatures of one plan, which alone are considered. Pairs that overlap
+            in the neutral pose may still pass (`passing_at_rest`).
     """
 
     exclude: PairNames = ()
@@ -61,12 +63,12 @@ class SelfCollision:
 def colliding_pairs(
     creature: Creature, tree: Tree, settings: SelfCollision
 ) -> list[tuple[int, int]]:
-    """Pairs of a tree's bodies that are to be kept apart.
+    """Return the pairs of a tree's bodies that must not pass through each other.
 
     Args:
-        creature: of known numbers.
-        tree: its bodies in order.
-        settings: what differs from the rule; all names exist.
+        creature: creature with known numbers.
+        tree: tree of the creature.
+        settings: changes of the rule. All names must exist.
     """
     if settings.only is not None:
         return sorted(_indices(tree.names, settings.only))
@@ -77,13 +79,13 @@ def colliding_pairs(
 def passing_at_rest(
     creature: Creature, tree: Tree, settings: SelfCollision, pairs: Sequence[tuple[int, int]]
 ) -> Bool[Numbers, " p"]:
-    """Whether the rule lets pairs pass because they touch or overlap in the neutral pose.
+    """Return whether pairs may pass because they touch or overlap in the neutral pose.
 
     Args:
-        creature: the numbers may be traced.
-        tree: its bodies in order.
-        settings: what differs from the rule; all names exist.
-        pairs: of the tree's bodies.
+        creature: creature, whose numbers may be traced.
+        tree: tree of the creature.
+        settings: changes of the rule. All names must exist.
+        pairs: pairs of the tree's bodies.
     """
     included = _indices(tree.names, settings.include)
     ruled = np.array([tuple(sorted(pair)) not in included for pair in pairs], bool)
@@ -91,12 +93,13 @@ def passing_at_rest(
 
 
 class LeftOut(NamedTuple):
-    """Why pairs of a plan are not looked at: they never meet.
+    """Reasons why pairs of a plan are left out.
 
     Attributes:
-        apart: pairs of bodies, and into how many pieces joint ranges are cut to show it.
-        others: pairs that are left out for another reason: they overlap in the neutral pose, or
-            turn beside each other.
+        apart: pairs of bodies that never meet, and the number of pieces of joint ranges that shows
+            it.
+        others: pairs that are left out because they overlap in the neutral pose, or turn beside
+            each other.
     """
 
     apart: tuple[tuple[int, int, int], ...]
@@ -104,12 +107,12 @@ class LeftOut(NamedTuple):
 
 
 def left_out(creature: Creature, tree: Tree, settings: SelfCollision) -> LeftOut:
-    """Return why all pairs but those of ``wanted.only`` need not be looked at.
+    """Return the reasons why all pairs except those of ``settings.only`` are left out.
 
     Args:
-        creature: of known numbers.
-        tree: its bodies in order.
-        settings: with pairs that alone are looked at.
+        creature: creature with known numbers.
+        tree: tree of the creature.
+        settings: changes of the rule, with ``only``.
     """
     assert settings.only is not None
     every = [
@@ -127,7 +130,7 @@ def left_out(creature: Creature, tree: Tree, settings: SelfCollision) -> LeftOut
 
 
 def still_apart(creature: Creature, tree: Tree, left: LeftOut) -> Condition:
-    """Whether the pairs never meet that never met; the numbers may be traced."""
+    """Return whether the pairs of ``left.apart`` still never meet. Numbers may be traced."""
     box = _boxes(creature, tree)
     are_apart = {pieces: keeps_apart(tree, box, pieces) for *_, pieces in left.apart}
     return all_hold(are_apart[pieces](first, second) for first, second, pieces in left.apart)
@@ -136,9 +139,9 @@ def still_apart(creature: Creature, tree: Tree, left: LeftOut) -> Condition:
 def pairs_that_touch_at_rest(
     creature: Creature, tree: Tree, settings: SelfCollision
 ) -> list[tuple[int, int]]:
-    """Pairs that the rule lets pass because they touch or overlap in the neutral pose.
+    """Return the pairs that may pass because they touch or overlap in the neutral pose.
 
-    Neighbours at a joint are not among them. See `colliding_pairs` for the arguments.
+    Neighbours at a joint are not among them. The arguments are those of `colliding_pairs`.
     """
     return sorted(_candidates(creature, tree, settings)[1])
 
@@ -146,7 +149,7 @@ def pairs_that_touch_at_rest(
 def _candidates(
     creature: Creature, tree: Tree, settings: SelfCollision
 ) -> tuple[list[tuple[int, int]], set[tuple[int, int]]]:
-    """Pairs that can meet, and those of them that pass because they overlap from the start."""
+    """Return the pairs that can meet, and those of them that overlap in the neutral pose."""
     are_apart = keeps_apart(tree, _boxes(creature, tree))
     candidates = [pair for pair in _ruled(tree, settings) if not are_apart(*pair)]
     passing = passing_at_rest(creature, tree, settings, candidates)
@@ -154,7 +157,7 @@ def _candidates(
 
 
 def _ruled(tree: Tree, settings: SelfCollision) -> list[tuple[int, int]]:
-    """Pairs that the rule keeps apart where they can meet and do not overlap from the start."""
+    """Return the pairs that must not pass if they can meet and do not overlap initially."""
     every = set(itertools.combinations(range(len(tree.names)), 2))
     excluded, included = (_indices(tree.names, x) for x in (settings.exclude, settings.include))
     joined = {(parent, body) for body, parent in enumerate(tree.parents) if parent >= 0}
@@ -162,14 +165,14 @@ def _ruled(tree: Tree, settings: SelfCollision) -> list[tuple[int, int]]:
 
 
 def _boxes(creature: Creature, tree: Tree) -> tuple[Numbers, Numbers]:
-    """Centres and half edges ``(3, b)`` of boxes around all bodies, in their working frames, m."""
+    """Return centres and half edges ``(3, b)`` of boxes around bodies, in working frames, m."""
     boxes = [body.shape.rounded_box for body in creature.bodies_of(tree.names)]
     centre = tree.com + xp.array([box.centre for box in boxes]).T
     return centre, xp.array([box.half_extents + box.radius for box in boxes]).T
 
 
 def _indices(names: tuple[str, ...], given: tuple[tuple[str, str], ...]) -> set[tuple[int, int]]:
-    """Pairs of indices, the lower one first."""
+    """Return pairs of indices, the lower index first."""
     found = [sorted(map(names.index, pair)) for pair in given]
     return {(first, second) for first, second in found}
 
@@ -177,7 +180,7 @@ def _indices(names: tuple[str, ...], given: tuple[tuple[str, str], ...]) -> set[
 def _gaps_at_rest(
     creature: Creature, tree: Tree, pairs: Sequence[tuple[int, int]]
 ) -> Float[Numbers, " p"]:
-    """Distances in the neutral pose, m, by projections onto either body of a pair in turn."""
+    """Return the gaps of pairs in the neutral pose, m, by alternating projections."""
     centres, rotations = neutral_pose(creature)
     bodies = np.array([creature.body_index(name) for name in tree.names])
     boxes = [creature.bodies[i].shape.rounded_box for i in bodies]

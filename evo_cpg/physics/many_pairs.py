@@ -1,16 +1,15 @@
-"""Contacts of an animal with many pairs of bodies that may touch, in loops over the pairs.
+"""Contacts between many pairs of bodies of one creature, in loops over the pairs.
 
-The law is that of `evo_cpg.physics.pairs`. There every pair is written out, which a body with forty
-parts and hundreds of pairs cannot have. Here the code is the same for any number of pairs, and
-three tests leave out what cannot act:
+`evo_cpg.physics.pairs` has the contact law. The code of `evo_cpg.physics.few_pairs` grows with the
+number of pairs. This code has the same size for any number, and skips pairs that cannot act:
 
-1. A pair whose bounding balls are too far apart is not looked at.
-2. A point whose gap is too large is left out of the step. Both distances are what the bodies can
-   come nearer in two steps at their present joint rates, plus a tenth of their thickness.
+1. A pair whose bounding balls are too far apart is skipped.
+2. A point whose gap is too large is left out of the step. Both thresholds are the distance that the
+   bodies can approach in two steps at their present joint rates, plus a tenth of their thickness.
 3. A point that does not push adds nothing to the torques and the matrix.
 
-All places refer to the root's origin. With the twist of a body at constant rates (angular velocity
-w, velocity v_0 of its point at the origin), a normal n and points p_1 and p_2, points part at
+All positions refer to the root's origin. A body's twist at constant rates has the angular velocity
+w and the velocity v_0 of its point at the origin. Points p_1 and p_2 with the normal n separate at
 
     v_n = n . v_02 + w_2 . (p_2 x n) - n . v_01 - w_1 . (p_1 x n),
 
@@ -44,23 +43,23 @@ from evo_cpg.physics.pairs import (
 from evo_cpg.physics.spatial_algebra import BodyMotion
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
 
-# Steps at present joint rates within which a point is watched.
+# Number of steps at present joint rates that a point is watched ahead.
 _STEPS_AHEAD = 2.0
 
-# Of the thickness of a body: so much nearer may it come by what happens within a step.
+# Further approach within a step, because rates change in it, as a fraction of the thickness.
 _MARGIN = 0.1
 
 
 class _Points(NamedTuple):
-    """The points of pairs that are treated alike, ``(points, *n)`` each; 0 where left out.
+    """The points of pairs of one kind, ``(points, *n)`` each; 0 where left out.
 
     Attributes:
         watched: 1 where a point counts in this step.
-        gap: m.
+        gap: distance between the bodies, m; negative where they overlap.
         normal: x, y and z, from the first body to the second.
         first: the first body's point, x, y and z from the root's origin, m.
-        second: likewise.
-        carried: shares of the normal that turn with the first and the second body.
+        second: the second body's point, x, y and z from the root's origin, m.
+        carried: fractions of the normal that turn with the first and the second body.
     """
 
     watched: Array
@@ -72,12 +71,12 @@ class _Points(NamedTuple):
 
 
 class _Paths(NamedTuple):
-    """The joint axes between the bodies of every pair of a run, as tables.
+    """Tables of the joint axes between the bodies of every pair of a run, ``(pairs, k)`` each.
 
     Attributes:
-        dofs: in ascending order, the number of all axes where there are no more, ``(pairs, k)``.
-        signs: 1 where an axis moves the second body, -1 the first, 0 where there is none.
-        rows: where the row of each axis begins in a packed lower triangle.
+        dofs: indices of the axes in ascending order, padded with the number of all axes.
+        signs: 1 for an axis that moves the second body, -1 for the first, 0 for padding.
+        rows: start of each axis's row in a packed lower triangle.
     """
 
     dofs: np.ndarray
@@ -86,15 +85,15 @@ class _Paths(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """Pairs that are treated alike.
+    """Pairs of one kind.
 
     Attributes:
-        kind: how, and how many points each pair has.
-        first: body of each pair.
-        second: likewise.
+        kind: the kind, and the number of pairs.
+        first: first body of each pair.
+        second: second body of each pair.
         stiffness: c h of each point, kg.
-        paths: the joints between them.
-        points: of this step.
+        paths: joint axes between the bodies.
+        points: nearest points in this step.
     """
 
     kind: Alike
@@ -106,7 +105,7 @@ class _Run(NamedTuple):
 
     @property
     def count(self) -> int:
-        """How many points there are."""
+        """Number of points."""
         return self.kind.count * KINDS[self.kind.kind][1]
 
 
@@ -115,11 +114,11 @@ class ManyPairContacts:
 
     Args:
         tree: the creature.
-        pairs: those of it.
+        pairs: its pairs of bodies.
         kin: kinematics at the start of the step.
-        qd: joint rates there, rad/s.
-        h: s.
-        found: points of an earlier step of this; None to find them.
+        qd: joint rates at the start of the step, rad/s.
+        h: step, s.
+        found: runs with points that were found before in this step; None to find them.
         rates_change: joint accelerations that lead to the rates of the velocity-product bias; None
             for the rates at the start.
     """
@@ -150,11 +149,11 @@ class ManyPairContacts:
         return qdd
 
     def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-        """Return what `ManyPairForces.power` takes, for a change of joint accelerations."""
+        """Return the argument of `ManyPairForces.power` for a change of joint accelerations."""
         return turn
 
     def at(self, qdd: Float[Array, "d *n"]) -> "ManyPairForces":
-        """Return the forces at joint accelerations, and how they change."""
+        """Return the forces at joint accelerations, and their derivatives."""
         return ManyPairForces(self, qdd)
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
@@ -189,7 +188,7 @@ class ManyPairContacts:
         return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
 
     def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
-        """Return ``J rates`` of all points, m/s; 0 of those that are left out."""
+        """Return ``J rates`` of all points, m/s; 0 for points that are left out."""
         twists = self.twists_of(rates)
 
         def look(run: _Run, q: Array) -> Array:
@@ -200,7 +199,7 @@ class ManyPairContacts:
     # Quantities of bodies, as tables.
 
     def twists(self, qdd: Float[Array, "d *n"]) -> tuple[Array, Array]:
-        """Return the twists of all bodies at the end of the step, as if the root lay still."""
+        """Return the twists of all bodies at the end of the step, with the root at rest."""
         return self.twists_of(self.qd + self.h * qdd)
 
     def twists_of(self, rates: Float[Array, "d *n"]) -> tuple[Array, Array]:
@@ -209,18 +208,18 @@ class ManyPairContacts:
         return motion.angular, motion.linear - cross(motion.angular, self.places)
 
     def accelerations(self, qdd: Float[Array, "d *n"]) -> tuple[Array, ...]:
-        """Return twists, and accelerations at constant joint rates: ``d_0 + A p`` at a place p."""
+        """Return twists, and d_0 and A of the accelerations ``d_0 + A p`` at constant rates."""
         motion = self.motion(self.qd + self.h * qdd)
         a, A = acceleration_field(motion)
         linear = motion.linear - cross(motion.angular, self.places)
         return motion.angular, linear, a - matvec(A, self.places), A
 
     def motion(self, rates: Float[Array, "d *n"]) -> BodyMotion:
-        """Return how all bodies move at joint rates, as if the root lay still."""
+        """Return the motion of all bodies at joint rates, with the root at rest."""
         return motion_of_bodies(self.tree, self.kin, root.at_rest(rates), rates)
 
     def axes(self) -> tuple[Array, Array]:
-        """Return joint axes a and ``a x o``, with one more that is zero: ``(3, d + 1, *n)``."""
+        """Return joint axes a and ``a x o``, padded with a zero axis: ``(3, d + 1, *n)``."""
         origins = self.places[:, np.array(self.tree.dof_bodies, int)]
         a, moments = joints.about(self.kin.axes, origins)
         none = jnp.zeros_like(a[:, :1])
@@ -229,7 +228,7 @@ class ManyPairContacts:
     # Quantities of points.
 
     def turning_apart(self, run: _Run, point: "_Point", q: Array, twists: Any) -> Array:
-        """Return the velocity at which a point parts at constant twists, m/s."""
+        """Return the separation velocity of a point at constant twists, m/s."""
         spin, linear = twists
         i, j = _bodies(run, q)
         n, first, second = point.normal, point.first, point.second
@@ -239,7 +238,7 @@ class ManyPairContacts:
     def velocity(
         self, run: _Run, point: "_Point", q: Array, twists: Any, accelerations: Any
     ) -> Array:
-        """Return the velocity at which a point parts, mean over the step, m/s."""
+        """Return the mean separation velocity of a point over the step, m/s."""
         spin, linear, base, A = accelerations
         bodies, n = _bodies(run, q), point.normal
 
@@ -253,7 +252,7 @@ class ManyPairContacts:
         return self.turning_apart(run, point, q, twists) + 0.5 * self.h * bias
 
     def jacobian(self, run: _Run, point: "_Point", q: Array, axes: Any) -> tuple[Array, Array]:
-        """Return the entries of J that are not zero, ``(k, *n)``, and their axes, ``(k,)``."""
+        """Return the nonzero entries of J, ``(k, *n)``, and their axes, ``(k,)``."""
         pair = q % run.kind.count
         dofs, signs = (jnp.asarray(x)[pair] for x in (run.paths.dofs, run.paths.signs))
         a, moments = (jnp.take(x, dofs, axis=1, mode="clip") for x in axes)
@@ -266,7 +265,7 @@ class ManyPairContacts:
     # Loops.
 
     def over_points(self, look: Callable, start: Any) -> Any:
-        """Carry something from point to point, past those that nobody watches."""
+        """Fold a function over the points that any individual watches."""
         for run in self.runs:
 
             def round_(carry: Any, q: Array, run: _Run = run) -> tuple[Any, None]:
@@ -279,7 +278,7 @@ class ManyPairContacts:
         return start
 
     def of_points(self, look: Callable) -> Float[Array, "p *n"]:
-        """Return a number of every point, 0 of those that nobody watches."""
+        """Return a function's value for every point; 0 where it is not watched."""
         found = []
         for run in self.runs:
 
@@ -294,10 +293,10 @@ class ManyPairContacts:
 
 
 class ManyPairForces:
-    """The forces of all pairs at joint accelerations, and how they change with these.
+    """The forces of all pairs at joint accelerations, and their derivatives.
 
     Args:
-        contacts: of the step.
+        contacts: the contacts of the step.
         qdd: joint accelerations, rad/s^2.
     """
 
@@ -306,7 +305,7 @@ class ManyPairForces:
 
     @functools.cached_property
     def force(self) -> Float[Array, "p *n"]:
-        """Of all points, N."""
+        """Force of every point, N."""
         return self._contacts.of_points(lambda run, q: self._push(run, q)[1])
 
     @property
@@ -316,15 +315,15 @@ class ManyPairForces:
 
     @property
     def torque(self) -> Float[Array, "d *n"]:
-        """What the forces are to the joints, N m."""
+        """Joint torques of the forces, ``J^T f``, N m."""
         return self._sums[0]
 
     def power(self, change: Float[Array, "d *n"]) -> Float[Array, "*n"]:
-        """Of the forces when points part faster as `ManyPairContacts.change` says, W."""
+        """Return the forces' power for a change from `ManyPairContacts.change`, W."""
         return self._contacts.h * dot(change, self.torque)
 
     def newton(self) -> tuple[Float[Array, "d *n"], Float[Array, "d d *n"]]:
-        """Torques of the linearized forces without joint accelerations, and ``h J^T K J``."""
+        """Return the linearized torques at zero joint acceleration, and ``h J^T K J``."""
         contacts, qdd = self._contacts, self._qdd
         h, batch, count = contacts.h, qdd.shape[1:], contacts.tree.dof_count
         none = jnp.zeros((1, *batch), qdd.dtype)
@@ -354,7 +353,7 @@ class ManyPairForces:
 
     @functools.cached_property
     def _sums(self) -> tuple[Float[Array, "d *n"], Float[Array, "*n"]]:
-        """Torques of the joints, N m, and the sum of all forces, N."""
+        """Joint torques, N m, and the sum of all forces, N."""
         contacts, qdd = self._contacts, self._qdd
         axes, count = contacts.axes(), contacts.tree.dof_count
         none = jnp.zeros_like(qdd[:1]).sum(0)
@@ -385,8 +384,8 @@ class ManyPairForces:
         return expand_dims_like(_at(jnp.asarray(run.stiffness), q), like) / self._contacts.h
 
     def _where_pushing(self, add: Callable, start: Any) -> Any:
-        """Carry sums from point to point, past those that do not push."""
-        # Made before the loop, so that its rounds only read them.
+        """Fold sums over the points that push."""
+        # Computed before the loop, so that its iterations only read the tables.
         _ = self._tables
 
         def look(run: _Run, sums: Any, q: Array) -> Any:
@@ -439,7 +438,7 @@ def _plus(sums: Array, places: Array, values: Array) -> Array:
 def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
     """Find the points of all pairs."""
     tree, pairs, h = contacts.tree, contacts.pairs, contacts.h
-    # Places from the root's origin.
+    # Positions are relative to the root's origin.
     kin = contacts.kin._replace(origin=contacts.places)
     centre, half, radius = placed_boxes(pairs, kin)
     own = contacts.motion(contacts.qd)
@@ -473,11 +472,11 @@ def _nearest(run: Alike, first: np.ndarray, second: np.ndarray, placed: tuple) -
     """Find the points of the pairs of a run.
 
     Args:
-        run: how they are treated.
-        first: body of each pair.
-        second: likewise.
-        placed: of all bodies the centres, half extents and radii of their boxes, their rotations,
-            the radii of balls around them, and how far they may come in this step, m.
+        run: the kind of the pairs.
+        first: first body of each pair.
+        second: second body of each pair.
+        placed: centres, half extents and radii of all bodies' boxes (m), rotations, radii of
+            bounding balls (m), and the distances that bodies can approach in this step (m).
     """
     centre, half, radius, rotation, size, slack = placed
     find, each = KINDS[run.kind]
@@ -523,7 +522,7 @@ def _nearest(run: Alike, first: np.ndarray, second: np.ndarray, placed: tuple) -
 
 
 def _components(vectors: list[Array]) -> Any:
-    """Of ``(3, 1, *n)`` each: the first components of all, the second, and so on."""
+    """Return the first components of all vectors ``(3, 1, *n)``, the second, and so on."""
     return tuple(jnp.concatenate([x[k] for x in vectors]) for k in range(len(vectors[0])))
 
 

@@ -4,9 +4,9 @@ One iteration linearises the force laws at the iterate, solves for the accelerat
 the line to that solution for the least potential. The problem is strictly convex
 (`evo_cpg.physics.step_problem`), so the iteration converges to its only solution.
 
-On the line ``y + a d``, with the length a in [0, 1], everything is linear but the force laws: F of
-the contact points, whose velocities change by a dv, tau of motors and limits, and those of pairs.
-The derivative of the potential along the line is
+On the line ``y + a d``, with the length a in [0, 1], only the force laws are nonlinear. They are F
+of the contact points, tau of motors and limits, and the forces of pairs. The velocities of contact
+points change by a dv. The derivative of the potential along the line, pairs left out, is
 
     phi'(a) = h d . (M (y + a d) - M y_free - tau) - sum dv . F(v + a dv).
 
@@ -27,7 +27,7 @@ from evo_cpg.spatial.linear import dot, matvec
 # cones still change. In float64, in which derivatives are checked, the third serves for both.
 _TOLERANCE, _ROUGH, _EXACT = 1e-3, 0.05, 1e-10
 
-# Derivative at which a line search ends, as a fraction of that at the start; evaluations at most.
+# Derivative at which a line search ends, as a fraction of the initial one. Most evaluations.
 _FLAT, _EVALUATIONS = 0.3, 30
 
 
@@ -36,11 +36,11 @@ class _Bracket(NamedTuple):
 
     Attributes:
         low: a length at which the potential falls.
-        low_slope: derivative there; halved if the upper end has stayed.
+        low_slope: derivative at the lower end; halved if that end has stayed.
         high: a length at which the potential rises.
-        high_slope: derivative there; halved if the lower end has stayed.
+        high_slope: derivative at the upper end; halved if that end has stayed.
         length: the latest length.
-        slope: derivative there.
+        slope: derivative at the latest length.
         moved: end that moved last: 1 the upper, -1 the lower, 0 none.
         evaluations: number of evaluations.
     """
@@ -66,8 +66,8 @@ def full_step(
     """Return the accelerations under the force laws linearised at an iterate.
 
     Args:
-        problem: of the step.
-        radius: of the friction cones, N.
+        problem: problem of the step.
+        radius: radii of the friction cones, N.
         y: the iterate.
     """
     return problem.motion(problem.linearized(radius, joint_part(y), problem.velocity(y)))
@@ -79,13 +79,13 @@ def damped_step(
     """Return the next iterate, and the velocities of the contact points in it.
 
     Args:
-        problem: of the step.
-        radius: of the friction cones, N.
+        problem: problem of the step.
+        radius: radii of the friction cones, N.
         y: the iterate.
     """
     velocity = problem.velocity(y)
     linear = problem.linearized(radius, joint_part(y), velocity)
-    # Below this slope rounding would decide the length of the step.
+    # Rounding would determine the length of the step below this derivative.
     tolerance, _ = tolerances(y)
     least = problem.h * tolerance**2 * problem.square_of_forces(y, linear)
     return line_search(problem, radius, y, velocity, problem.motion(linear), least)
@@ -102,12 +102,12 @@ def line_search(
     """Return the accelerations with the least potential on a line, and the points' velocities.
 
     Args:
-        problem: whose potential it is.
-        radius: of the friction cones, N.
+        problem: problem with the potential.
+        radius: radii of the friction cones, N.
         start: accelerations at the start of the line.
-        velocity: of the contact points there, m/s.
+        velocity: velocities of the contact points at the start of the line, m/s.
         end: accelerations at its end, under the laws linearised at the start.
-        least: steepness (W) below which nothing is searched: the end is returned.
+        least: decrease per length (W) below which there is no search and the end is returned.
     """
     direction, h = end - start, problem.h
     turning, pairs = joint_part(direction), problem.equations.pairs
@@ -117,7 +117,7 @@ def line_search(
     curvature = dot(direction, matvec(problem.mass, direction))
 
     def at(length: Array) -> tuple[Array, Array | None]:
-        """Return the accelerations and the points' velocities at a length."""
+        """Return the accelerations, and the velocities of the contact points, at a length."""
         y = start + length[None] * direction
         if velocity is None or change is None:
             return y, None
@@ -147,7 +147,7 @@ def line_search(
         end_to_move = jnp.where(rises, 1, -1).astype(jnp.int32)
         again = moved == end_to_move
         low, high = jnp.where(rises, low, length), jnp.where(rises, length, high)
-        # Illinois: the derivative at an end that stays twice counts half.
+        # Illinois rule: halve the derivative at an end that stays twice.
         low_slope = jnp.where(rises, jnp.where(again, 0.5 * low_slope, low_slope), here)
         high_slope = jnp.where(rises, here, jnp.where(again, 0.5 * high_slope, high_slope))
         length = low - low_slope * (high - low) / (high_slope - low_slope)

@@ -1,8 +1,8 @@
-"""Where a creature touches blocks and boulders: with edges and sides as well as corners and ends.
+"""Contact points of a creature with blocks and boulders: on edges, sides, corners and ends.
 
-Blocks are boxes and boulders are balls, so nearest points are found as those of two bodies of a
-creature are (`evo_cpg.physics.separation`). Of the obstacles of each kind the two that are nearest
-to a part count, and of the points that it has with them the deepest few.
+Blocks are boxes and boulders are balls. Their nearest points are therefore computed like those of
+two bodies of a creature (`evo_cpg.physics.separation`). Each part has contact with the two nearest
+obstacles of each kind, at the few deepest points.
 """
 
 from typing import NamedTuple
@@ -38,24 +38,24 @@ from evo_cpg.spatial.linear import (
 )
 from evo_cpg.spatial.numerics import Number
 
-# By so much (m) each further point with one obstacle counts as less deep, so that a part that lies
-# on two has points with both.
+# Depth (m) taken off each further point on one obstacle, so that a part that lies on two obstacles
+# has points on both.
 _BEHIND = 1e-3
 
-# Squared length (m^2) added under a root so that it has a gradient at zero.
+# Squared length (m^2) added under a root, so that the root has a gradient at zero.
 _FLOOR = 1e-20
 
 
 def obstacle_points(
     solids: Solids, ground: Ground, kin: Kinematics, h: float
 ) -> list[ContactPoints]:
-    """The points at which parts of a creature may touch obstacles, in the order of `Solids.bodies`.
+    """Return the points at which parts may touch obstacles, in the order of `Solids.bodies`.
 
     Args:
         solids: the parts.
-        ground: with one obstacle at least.
+        ground: ground with one obstacle at least.
         kin: kinematics of the creature.
-        h: in so many seconds nothing passes through an obstacle.
+        h: time in which no part passes through an obstacle, s.
     """
     found = []
     for parts, most, ellipsoids, *touches in (
@@ -80,13 +80,13 @@ def obstacle_points(
 
 
 def meeting_time(solids: Solids, ground: Ground, kin: Kinematics, h: float) -> Float[Array, "p *n"]:
-    """When within a step each ellipsoid, or the mesh around it, meets the first obstacle, s.
+    """Return when each ellipsoid, or the mesh around it, meets its nearest obstacle in a step, s.
 
     Args:
-        solids: with one ellipsoid at least.
-        ground: with one obstacle at least.
+        solids: parts with one ellipsoid at least.
+        ground: ground with one obstacle at least.
         kin: kinematics of the creature.
-        h: s.
+        h: step, s.
     """
     placed = _place(solids.ellipsoids, kin)
     outline = Outline(True, _corners(solids.ellipsoids, placed.origin))
@@ -100,7 +100,7 @@ def meeting_time(solids: Solids, ground: Ground, kin: Kinematics, h: float) -> F
 
 
 def _by_kind(obstacles: tuple[Obstacle, ...]) -> tuple[tuple[Obstacle, ...], ...]:
-    """Blocks and boulders."""
+    """Return the blocks, and the boulders."""
     return tuple(tuple(x for x in obstacles if isinstance(x, kind)) for kind in (Block, Boulder))
 
 
@@ -122,13 +122,13 @@ def _place(parts: Parts, kin: Kinematics) -> Moving:
 
 
 class _Near(NamedTuple):
-    """Obstacles, one for each part, and the parts where they meet them.
+    """One obstacle for each part, and the parts at the time of contact.
 
     Attributes:
-        way: about how far the parts have to move until they touch, m.
-        obstacle: as rounded boxes.
-        time: within the step at which the parts are looked at, s.
-        parts: as they are then.
+        distance: approximate distance that each part moves until contact, m.
+        obstacle: obstacles as rounded boxes.
+        time: time within the step at which the contact plane is taken, s.
+        parts: parts at that time.
     """
 
     distance: Float[Array, "p *n"]
@@ -144,14 +144,14 @@ def _nearest(
     margin: Number,
     h: float,
 ) -> list[_Near]:
-    """Of each part the obstacles, all of one kind, that are nearest to it or overlap with it.
+    """Return the obstacles of one kind that are nearest to each part or overlap with it.
 
     Args:
-        obstacles: all of one kind.
-        parts: of the creature.
-        outline: what they are.
-        margin: of the ground, m.
-        h: s.
+        obstacles: obstacles of one kind.
+        parts: parts of the creature.
+        outline: shapes of the parts.
+        margin: margin of the ground, m.
+        h: step, s.
     """
     if not obstacles:
         return []
@@ -159,7 +159,7 @@ def _nearest(
     distances = [_apart(parts.at, box) for box in boxes]
     times = [jnp.zeros_like(distance) for distance in distances]
     if h > 0:
-        # One of each for all parts: what does not depend on individuals is no operation.
+        # One box for all parts and individuals: constants cost no operation.
         point = jnp.zeros((3, *(1 for _ in parts.origin.shape[1:])), parts.origin.dtype)
         single = [_as_box(obstacle, point) for obstacle in obstacles]
         stacked = jax.tree.map(lambda *each: jnp.stack(each), *single)
@@ -180,7 +180,7 @@ def _nearest(
 
 
 def _apart(parts: RoundedBoxes, box: RoundedBoxes) -> Float[Array, "p *n"]:
-    """About how far parts are from an obstacle, m: by projections onto either in turn."""
+    """Return approximate distances of parts from an obstacle, m, by alternating projections."""
 
     def nearest(to: RoundedBoxes, point: Array) -> Array:
         within = jnp.clip(matvec_t(to.axes, point - to.centre), -to.half_extents, to.half_extents)
@@ -190,13 +190,13 @@ def _apart(parts: RoundedBoxes, box: RoundedBoxes) -> Float[Array, "p *n"]:
     own = nearest(parts, first)
     separation = nearest(box, own) - own
     sunk = first - parts.centre
-    # Of those that it overlaps with the ones that reach nearer to its middle.
+    # The second term ranks overlapping obstacles: nearer to the part's centre comes first.
     gap = jnp.sqrt(dot(separation, separation) + _FLOOR) - parts.radius - box.radius
     return gap + _BEHIND * jnp.sqrt(dot(sunk, sunk) + _FLOOR)
 
 
 def _as_box(obstacle: Obstacle, like: Float[Array, "3 p *n"]) -> RoundedBoxes:
-    """A block without radius, or a boulder without extent."""
+    """Return a block without radius, or a boulder without extent."""
     none = jnp.zeros_like(like[0])
 
     def spread(values: object) -> Array:
@@ -215,7 +215,7 @@ def _as_box(obstacle: Obstacle, like: Float[Array, "3 p *n"]) -> RoundedBoxes:
 
 
 def _first(candidates: list[tuple[Array, ContactPoints]], count: int) -> list[ContactPoints]:
-    """Of every part the points with the smallest keys."""
+    """Return the points with the smallest keys, for each part."""
     best: list[tuple[Array, ContactPoints]] = candidates[:0]
     for new in candidates:
         for k, old in enumerate(best) if len(candidates) > count else ():
@@ -258,24 +258,24 @@ def _ellipsoid_on_boulder(parts: Moving, boulder: RoundedBoxes) -> list[ContactP
 
 
 def _turned_round(found: Separation) -> Separation:
-    """From the second body to the first."""
+    """Exchange the first and the second body of a separation."""
     gap, normal, first, second, carried = found
     return Separation(gap, -normal, second, first, carried[::-1])
 
 
 def _point(parts: Moving, found: Separation, carried: float | None = None) -> ContactPoints:
-    """A point of separations from obstacles to parts.
+    """Return the contact points of separations from obstacles to parts.
 
     Args:
-        parts: of the creature.
-        found: what is nearest.
-        carried: share of the normal that turns with the part, instead of the separation's.
+        parts: parts of the creature.
+        found: separations.
+        carried: fraction of the normal that turns with the part; None for the separation's.
     """
     offset = found.second - parts.origin
     fraction = found.carried[1] if carried is None else carried * jnp.ones_like(found.gap)
     velocity = parts.linear + cross(parts.angular, offset)
     turning = fraction[None] * parts.angular
-    # A normal that turns meets another part of what slides past it.
+    # A turning normal points at a different place of a sliding surface.
     curvature = -2.0 * dot(cross(found.normal, turning), velocity)
     material = offset + parts.at.radius[None] * found.normal
     return ContactPoints(offset, material, found.gap, found.normal, curvature)
@@ -294,19 +294,19 @@ def tangent_point(
     normal: Float[Array, "3 p *n"],
     angular: Float[Array, "3 p *n"],
 ) -> tuple[Float[Array, "3 p *n"], Float[Array, "p *n"]]:
-    """Return where a plane touches an ellipsoid from its centre, and the curvature acceleration.
+    """Return the tangent point of a plane from an ellipsoid's centre, and its curvature term.
 
     Args:
-        axes: of the ellipsoid, as columns.
-        semi_axes: m.
-        normal: of the plane, towards the ellipsoid.
-        angular: rad/s.
+        axes: axes of the ellipsoid, as columns.
+        semi_axes: semi-axes, m.
+        normal: normal of the plane, towards the ellipsoid.
+        angular: angular velocity of the ellipsoid, rad/s.
     """
     stretched = semi_axes * matvec_t(axes, normal)
     length = jnp.sqrt(dot(stretched, stretched) + _FLOOR)
     touching = -matvec(axes, semi_axes * stretched / length[None])
-    # The centre's height over the plane is s = |A R^T n|, and s'' that of a point of the body and
-    # k . B k - s'^2, over s, with k = n x w and B = R A^2 R^T.
+    # The centre's height over the plane is s = |A R^T n|. Its second derivative s'' is that of a
+    # body point plus (k . B k - s'^2) / s, with k = n x w and B = R A^2 R^T.
     slide = cross(normal, angular)
     across = semi_axes * matvec_t(axes, slide)
     rate = dot(slide, touching)

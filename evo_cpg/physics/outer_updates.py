@@ -20,12 +20,12 @@ _NONE = 1e-12
 
 
 class Cone(NamedTuple):
-    """Friction-cone radii ``L``, with the round before for Anderson's acceleration.
+    """Friction-cone radii ``L``, with the previous round for Anderson's acceleration.
 
     Attributes:
         radius: L in this round, N.
-        allowed: mu f_n that the round before found, N.
-        missed: `allowed` minus the radius of the round before, N.
+        allowed: mu f_n of the previous round, N.
+        missed: `allowed` minus the radius of the previous round, N.
         rounds: number of completed rounds.
     """
 
@@ -36,14 +36,14 @@ class Cone(NamedTuple):
 
     @classmethod
     def first(cls, radius: Float[Array, "p *n"]) -> "Cone":
-        """Return the cones of the first round; the other two fields are not used in it."""
+        """Return the cones of the first round, which does not use `allowed` and `missed`."""
         return cls(radius, radius, radius, jnp.zeros(radius.shape[1:], jnp.int32))
 
     def updated(self, allowed: Float[Array, "p *n"]) -> "Cone":
         """Return the cones of the next round: ``L = mu f_n``, by Anderson's acceleration.
 
         Args:
-            allowed: mu f_n with the normal forces that this round found, N.
+            allowed: mu f_n with the normal forces of this round, N.
         """
         missed = allowed - self.radius
         change = missed - self.missed
@@ -61,7 +61,7 @@ class PairBias(NamedTuple):
     """Velocity-product bias of touching limbs.
 
     Attributes:
-        value: see `evo_cpg.physics.pair_contacts.PairContacts`.
+        value: the bias, in the form of `evo_cpg.physics.pair_contacts.PairContacts`.
         updates: number of updates.
     """
 

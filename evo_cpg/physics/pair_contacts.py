@@ -1,19 +1,19 @@
-"""Contacts between bodies of one creature in a step: the common interface, and the choice of one.
+"""Contacts between bodies of one creature in a step: the common interface of two classes.
 
-Few pairs are written out (`evo_cpg.physics.few_pairs`), many are looped over
-(`evo_cpg.physics.many_pairs`). `evo_cpg.physics.pairs` has the contact model. Both kinds have the
-same members:
+Few pairs are unrolled (`evo_cpg.physics.few_pairs`), many are looped over
+(`evo_cpg.physics.many_pairs`). `evo_cpg.physics.pairs` has the contact model. Both classes have
+these members:
 
 | `PairContacts` | |
 |---|---|
-| ``bias`` | what determines the velocity-product acceleration of the points along their normals |
-| ``with_bias(bias)`` | the contacts with another one |
+| ``bias`` | determines the velocity-product acceleration of the points along their normals |
+| ``with_bias(bias)`` | the contacts with another bias |
 | ``bias_at(qdd)`` | the bias at the joint rates after the step |
 | ``at(qdd)`` | the `PairForces` at joint accelerations |
 | ``change(qdd)`` | the change of velocities that ``PairForces.power`` takes |
 | ``touches(qdd)`` | where any pair pushes |
 | ``drifts(qdd, bias)`` | where another bias would move a touching pair by over `LARGEST_DRIFT` |
-| ``parting(rates)`` | the speeds at which points part at joint rates, ``J rates``, m/s |
+| ``parting(rates)`` | the separation velocities of points at joint rates, ``J rates``, m/s |
 
 | `PairForces` | |
 |---|---|
@@ -42,14 +42,14 @@ PairForces = FewPairForces | ManyPairForces
 def find_pair_contacts(
     tree: Tree, pairs: Pairs, kin: Kinematics, qd: Float[Array, "d *n"], h: float
 ) -> PairContacts:
-    """Find the nearest points of all pairs, and the velocity at which each is to part.
+    """Find the nearest points of all pairs, and their separation velocities.
 
     Args:
         tree: the creature.
-        pairs: of the creature.
+        pairs: pairs of the creature's bodies.
         kin: kinematics at the start of the step.
-        qd: joint rates there, rad/s.
-        h: s.
+        qd: joint rates at the start of the step, rad/s.
+        h: step, s.
     """
     find = ManyPairContacts if pairs.looped else FewPairContacts.find
     return find(tree, pairs, kin, qd, h)

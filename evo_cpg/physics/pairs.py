@@ -1,11 +1,11 @@
-"""The pairs of bodies of one creature that must not pass through each other, and their gaps.
+"""Pairs of bodies of one creature that must not pass through each other, and their gaps.
 
-The law of a pair is that of a point on the ground (`evo_cpg.physics.contact`) without friction and
-restitution: with the velocity v_n at which the nearest points part after the forces have acted,
+A pair has the ground's contact law (`evo_cpg.physics.contact`) without friction and restitution.
+With the separation velocity v_n of the nearest points at the end of the step,
 
-    f_n = max(0, c (v* - v_n)),      v* = -gap / h, or a slow way out of an overlap.
+    f_n = max(0, c (v* - v_n)),      v* = -gap / h, or slowly out of an overlap.
 
-Few pairs are written out one by one (`evo_cpg.physics.few_pairs`). For many there is a loop
+Few pairs are unrolled (`evo_cpg.physics.few_pairs`), many are looped over
 (`evo_cpg.physics.many_pairs`).
 """
 
@@ -48,10 +48,10 @@ from evo_cpg.spatial.decisions import Condition, Undecidable, all_hold, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew
 from evo_cpg.spatial.numerics import Numbers, is_traced, xp
 
-# c h of a pair: so many times the geometric mean of the two masses.
+# c h of a pair, as a multiple of the geometric mean of the two masses.
 _STIFFNESS = 60.0
 
-# How pairs are treated, and how many points each of them has then.
+# Kinds of pairs: the function that finds their nearest points, and the number of points of a pair.
 KINDS = {
     "lines": (separation_of_lines, 2),
     "flat": (separation_of_flat, 2),
@@ -63,21 +63,21 @@ KINDS = {
 # Largest drift of a touching pair (m) in a step that needs no update of its velocity-product bias.
 LARGEST_DRIFT = 2e-4
 
-# Pairs beyond which they are gone through in loops (`evo_cpg.physics.many_pairs`), and not written
-# out one by one. The animals of the studies have 45 at most, and keep their bits.
+# Largest number of pairs that are unrolled. `evo_cpg.physics.many_pairs` loops over more pairs. The
+# animals of the studies have 45 at most, and keep their bits.
 _MOST_WRITTEN_OUT = 60
 
-# Sine of the angle between axes that are parallel.
+# Largest sine of the angle between axes that count as parallel.
 _PARALLEL = 1e-9
 
 
 class Alike(NamedTuple):
-    """Pairs that are treated in the same way.
+    """Pairs of one kind.
 
     Attributes:
-        kind: how (see `KINDS`).
-        turned: which axes of the first and the second body count as x, y and z.
-        count: how many pairs.
+        kind: a key of `KINDS`.
+        turned: axes of the first and the second body that count as x, y and z.
+        count: number of pairs.
     """
 
     kind: str
@@ -87,30 +87,30 @@ class Alike(NamedTuple):
     def boxes(
         self, centre: Array, axes: Array, half: Array, radius: Array, side: int
     ) -> RoundedBoxes:
-        """The first (0) or the second (1) bodies of some of the pairs.
+        """Return the boxes of the first or the second bodies of some of the pairs.
 
         Args:
-            centre: of their boxes, m.
-            axes: of them, as columns.
+            centre: centres of the boxes, m.
+            axes: axes of the boxes, as columns.
             half: half extents, m.
-            radius: m.
-            side: which bodies.
+            radius: radii, m.
+            side: 0 for the first bodies, 1 for the second.
         """
         order = np.array(self.turned[side])
         return RoundedBoxes(centre, take(axes, order), take(half, order, 0), radius)
 
 
 class Pairs(eqx.Module):
-    """The pairs of bodies that may touch, and the rounded boxes that they count as.
+    """Pairs of bodies that may touch, and the rounded boxes of all bodies.
 
     Attributes:
         first: index in the tree of one body of each pair.
-        second: of the other.
-        runs: of pairs in a row that are treated in the same way.
-        centre: of every body's box in its working frame, m.
-        half_extents: m.
-        radius: m.
-        stiffness: c h, kg.
+        second: index in the tree of the other body.
+        runs: consecutive pairs of one kind.
+        centre: centre of every body's box in the body's working frame, m.
+        half_extents: half extents of every body's box, m.
+        radius: radius of every body's box, m.
+        stiffness: c h of every point, kg.
     """
 
     first: tuple[int, ...] = eqx.field(static=True)
@@ -123,25 +123,25 @@ class Pairs(eqx.Module):
 
     @property
     def owners(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """The bodies of every point: of a run the first points of all pairs, then the next."""
+        """Bodies of every point: in a run, the first points of all pairs, then the next ones."""
         return _owners(self.first, self.second, self.runs)
 
     @property
     def looped(self) -> bool:
-        """Whether pairs are gone through in loops, for there are many."""
+        """Whether there are so many pairs that they are looped over."""
         return len(self.first) > _MOST_WRITTEN_OUT
 
 
 def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs | None:
-    """The pairs of a creature that may touch; None where there are none.
+    """Return the pairs of a creature that may touch; None if there are none.
 
-    Of the pairs of a whole plan (``wanted.only``) those that this creature lets pass have no
-    stiffness, and so no force.
+    With the pairs of a whole plan (``settings.only``), the pairs that may pass through each other
+    in this creature have zero stiffness and no force.
     """
     boxes = [body.shape.rounded_box for body in creature.bodies_of(tree.names)]
 
     def in_order(pair: tuple[int, int]) -> tuple[int, int]:
-        """Lines first."""
+        """Return a pair with a line as its first body, if it has one."""
         first, second = pair
         return (second, first) if _is_line(boxes[second]) else pair
 
@@ -155,7 +155,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
         return first, second, tuple(Alike(*case, len(list(same))) for case, same in groups)
 
     def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
-        """Whether each pair is treated as it has to be."""
+        """Return whether each pair still has the right kind."""
         if settings.only is None and is_traced(tree, boxes):
             raise Undecidable("which limbs can meet")
         kinds = [run for run in made[2] for _ in range(run.count)]
@@ -163,7 +163,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
         return all_hold(_still(tree, turned, boxes, *each) for each in treated)
 
     def why() -> tuple[LeftOut, list]:
-        """Return why the other pairs never meet."""
+        """Return the reasons why the other pairs are left out."""
         left = left_out(creature, tree, settings)
         cases = [(*_case(tree, turned, boxes, *in_order(pair)), pair) for pair in left.others]
         return left, [case for case in cases if _passes(case, turned, centres, boxes)]
@@ -207,7 +207,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
 def _owners(
     first: tuple[int, ...], second: tuple[int, ...], runs: tuple[Alike, ...]
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """See `Pairs.owners`."""
+    """Return the bodies of every point, in the order of `Pairs.owners`."""
 
     def repeated(bodies: tuple[int, ...]) -> tuple[int, ...]:
         found, start = (), 0
@@ -220,21 +220,21 @@ def _owners(
 
 
 def _is_line(box: RoundedBox) -> bool:
-    """Whether it extends along x alone, or not at all."""
+    """Return whether a box extends along x alone, or not at all."""
     return not box.half_extents[1:].any()
 
 
 def _case(
     tree: Tree, turned: np.ndarray, boxes: list[RoundedBox], first: int, second: int
 ) -> tuple[str, tuple[tuple[int, int, int], tuple[int, int, int]]]:
-    """How a pair is treated.
+    """Return the kind of a pair, and its `Alike.turned`.
 
     Args:
         tree: the creature, of known numbers.
         turned: rotations ``(b, 3, 3)`` of its bodies in the neutral pose.
-        boxes: of its bodies.
-        first: a body.
-        second: another.
+        boxes: rounded boxes of its bodies.
+        first: first body.
+        second: second body.
     """
     plain = (0, 1, 2)
     both = boxes[first], boxes[second]
@@ -262,12 +262,12 @@ def _case(
 def _still(
     tree: Tree, turned: Numbers, boxes: list[RoundedBox], run: Alike, first: int, second: int
 ) -> Condition:
-    """Whether a pair may be treated in some way; see `_case`."""
+    """Return whether a pair still fits the kind and the axes of a run; see `_case`."""
     both = boxes[first], boxes[second]
     if run.kind in ("flat", "boxes"):
         return _case(tree, turned, boxes, first, second) == run[:2]
     if run.kind == "rounded":
-        # The axis that comes first is the longest.
+        # The axis that counts as x must be the longest.
         halves = zip(both, run.turned, strict=True)
         return all_hold(
             (box.half_extents[order[0]] >= box.half_extents).all() for box, order in halves
@@ -282,13 +282,13 @@ def _passes(
     centres: list[Numbers],
     boxes: list[RoundedBox],
 ) -> Condition:
-    """Whether two boxes turn beside each other, apart along their common axis for ever.
+    """Return whether two boxes turn about a common axis, always apart along that axis.
 
     Args:
-        case: how they are treated, and the pair.
+        case: kind and axes of the pair, and the pair.
         turned: rotations ``(b, 3, 3)`` of the bodies in the neutral pose.
-        centres: of their boxes there, m.
-        boxes: of the bodies.
+        centres: centres of the boxes in the neutral pose, m.
+        boxes: rounded boxes of the bodies.
     """
     kind, (order, other_order), (first, second) = case
     if kind != "flat":
@@ -299,14 +299,14 @@ def _passes(
 
 
 def placed_boxes(pairs: Pairs, kin: Kinematics) -> tuple[Array, Array, Array]:
-    """Centres ``(3, b, *n)``, half extents and radii of the boxes of all bodies, m."""
+    """Return centres ``(3, b, *n)``, half extents and radii of all bodies' boxes, m."""
     centre = kin.origin + matvec(kin.rotation, expand_dims_like(pairs.centre, kin.origin))
     half = expand_dims_like(pairs.half_extents, kin.origin)
     return centre, half, expand_dims_like(pairs.radius, kin.origin[0])
 
 
 def rest_velocity(gap: Array, h: float) -> Array:
-    """v* of points that are so far apart, m/s."""
+    """Return v* of points with a gap (m), m/s."""
     push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
     return jnp.where(gap > 0, (-1.0 / h) * gap, push)
 
@@ -329,9 +329,9 @@ class PointMotion(NamedTuple):
     """Motion of a body's point of a pair at constant joint rates, ``(3, p, *n)``.
 
     Attributes:
-        angular: velocity of the body, rad/s.
-        velocity: of the point, m/s.
-        acceleration: of the point, m/s^2.
+        angular: angular velocity of the body, rad/s.
+        velocity: velocity of the point, m/s.
+        acceleration: acceleration of the point, m/s^2.
     """
 
     angular: Array
@@ -340,12 +340,12 @@ class PointMotion(NamedTuple):
 
 
 def parting_acceleration(normal: Array, carried: Array, points: Iterable[PointMotion]) -> Array:
-    """Return the acceleration at which points part along their normals, m/s^2.
+    """Return the separation acceleration of points along their normals, m/s^2.
 
     Args:
-        normal: from the first body to the second.
+        normal: unit vector from the first body to the second.
         carried: fractions of the normal that turn with each body.
-        points: of the first body and of the second.
+        points: motion of the first body's point, and of the second body's point.
     """
     turning, both = jnp.zeros_like(normal), []
     for fraction, point in zip(carried, points, strict=True):
@@ -353,13 +353,13 @@ def parting_acceleration(normal: Array, carried: Array, points: Iterable[PointMo
         both.append(point)
     first, second = both
     parting = second.velocity - first.velocity
-    # A normal that turns meets another part of what slides past it.
+    # A turning normal points at a different place of a sliding surface.
     along = dot(normal, second.acceleration - first.acceleration)
     return along - 2.0 * dot(cross(normal, turning), parting)
 
 
 def separations(pairs: Pairs, kin: Kinematics) -> Separation:
-    """Of all points of all pairs; places are from the world's origin."""
+    """Return the separations at all points of all pairs, in the world frame."""
     centre, half, radius = placed_boxes(pairs, kin)
     found, start = [], 0
     for run in pairs.runs:
@@ -389,12 +389,12 @@ def separations(pairs: Pairs, kin: Kinematics) -> Separation:
 def _one_by_one(
     run: Alike, chosen: list[np.ndarray], placed: tuple[Array, Array, Array, Array]
 ) -> list[Separation]:
-    """The points of the pairs of a run, in a loop over the pairs.
+    """Return the separations of the pairs of a run, in a loop over the pairs.
 
     Args:
-        run: how they are treated.
-        chosen: the first and the second body of each pair.
-        placed: centres, axes, half extents and radii of the boxes of all bodies.
+        run: kind of the pairs.
+        chosen: first and second body of each pair.
+        placed: centres, axes, half extents and radii of all bodies' boxes.
     """
 
     def of(body: Array, side: int) -> RoundedBoxes:
@@ -410,7 +410,7 @@ def _one_by_one(
     _, found = jax.lax.scan(look, None, jnp.asarray(np.stack(chosen, 1), jnp.int32))
 
     def together(x: Array) -> Array:
-        """Put all pairs where the one pair was, behind the components."""
+        """Move the axis of pairs behind the components, in place of the one pair."""
         axis = x.ndim - (placed[0].ndim - 2) - 1
         return jnp.moveaxis(x.squeeze(axis), 0, axis - 1)
 

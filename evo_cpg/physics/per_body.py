@@ -1,12 +1,12 @@
-"""A quantity of every body, for recursions that are written for one body and run for like limbs.
+"""One quantity of every body, for recursions over groups of similar limbs.
 
-The equations of a recursion are the same for a body and for a whole `evo_cpg.creature.tree.Group`
-of them side by side, on the axis in front of the individuals: all that tells them apart is where
-the parents' values come from and go to. That is kept here.
+A recursion has the same equations for one body and for a whole `evo_cpg.creature.tree.Group`, whose
+bodies are stacked on the axis in front of the individuals. Only the indices of the parents differ.
+This module handles them.
 
-The native back end makes the same code of either, body by body or group by group: it sees scalars.
-But JAX traces, and XLA compiles, one operation after the other: body by body a step of the
-quadruped takes 1.3 times as long to become native code, and 1.65 times as long on plain JAX.
+Recursions by body and by group become the same native code, because the native back end sees
+scalars. Groups make tracing and compilation faster. Body by body, a step of the quadruped takes
+1.3 times as long to become native code, and 1.65 times as long on plain JAX.
 """
 
 from collections.abc import Sequence
@@ -26,11 +26,11 @@ class PerBody(Generic[Value]):
     """One value for each body: a pytree of arrays, without an axis of bodies.
 
     ``x[bodies]`` are the values of some bodies, stacked on the axis in front of the individuals.
-    Nothing is changed in place: `plus` and `followed_by` give a new one.
+    The object is immutable: `plus` and `followed_by` return a new one.
 
     Args:
-        values: of the bodies in the order of the tree.
-        batch_ndim: number of axes of individuals, the last ones.
+        values: values of the bodies in the order of the tree.
+        batch_ndim: number of axes of individuals, which come last.
     """
 
     def __init__(self, values: Sequence[Value], batch_ndim: int):
@@ -39,7 +39,7 @@ class PerBody(Generic[Value]):
 
     @classmethod
     def of(cls, stacked: Value, batch_ndim: int) -> "PerBody[Value]":
-        """Of a pytree of arrays that have the bodies on the axis in front of the individuals."""
+        """Unstack a pytree of arrays with the bodies on the axis in front of the individuals."""
         return cls(_unstacked(stacked, batch_ndim), batch_ndim)
 
     def __getitem__(self, bodies: slice | Sequence[int]) -> Value:
@@ -47,24 +47,24 @@ class PerBody(Generic[Value]):
         return self._stacked([self._values[body] for body in chosen])
 
     def root(self) -> Value:
-        """Of the first body, without an axis of bodies."""
+        """Return the value of the first body, without an axis of bodies."""
         return self._values[0]
 
     def stacked(self) -> Value:
-        """Of all bodies."""
+        """Return the values of all bodies, stacked."""
         return self._stacked(self._values)
 
     def followed_by(self, stacked: Value) -> "PerBody[Value]":
-        """With the values of further bodies, behind those that are there."""
+        """Append the values of further bodies."""
         more = _unstacked(stacked, self._batch_ndim)
         return PerBody((*self._values, *more), self._batch_ndim)
 
     def plus(self, bodies: Sequence[int], stacked: Value) -> "PerBody[Value]":
-        """With something added to some bodies, as ``x.at[bodies].add(stacked)`` does to an array.
+        """Add values to some bodies, like ``x.at[bodies].add(stacked)`` for an array.
 
         Args:
-            bodies: to which each part belongs; one may occur more than once.
-            stacked: the parts.
+            bodies: body of each value; a body may occur more than once.
+            stacked: the values.
         """
         axis, structure = -self._batch_ndim - 1, jax.tree.structure(stacked)
         columns = [
@@ -80,11 +80,11 @@ class PerBody(Generic[Value]):
 
 
 def of_joints(x: Array, group: Group, batch_ndim: int) -> Array:
-    """The part of a group in what every degree of freedom has.
+    """Return a group's part of a quantity of all degrees of freedom.
 
     Args:
-        x: ``(..., d, *n)``.
-        group: whose joints.
+        x: the quantity, ``(..., d, *n)``.
+        group: the group of joints.
         batch_ndim: number of axes of individuals.
 
     Returns:
@@ -98,13 +98,13 @@ def of_joints(x: Array, group: Group, batch_ndim: int) -> Array:
 
 
 def in_dof_order(x: Array, batch_ndim: int) -> Array:
-    """The joints of ``(..., axes of a joint, bodies, *n)`` in a row, ``(..., d, *n)``."""
+    """Reshape ``(..., axes of a joint, bodies, *n)`` to ``(..., d, *n)``."""
     axis = x.ndim - batch_ndim - 2
     return jnp.swapaxes(x, axis, axis + 1).reshape(*x.shape[:axis], -1, *x.shape[axis + 2 :])
 
 
 def take(x: Array, indices: np.ndarray, axis: int = 1) -> Array:
-    """Pick bodies by constant indices: slices where they run on, which XLA fuses, no gather."""
+    """Pick bodies by constant indices, by slices, which XLA fuses, instead of a gather."""
     step = int(indices[1] - indices[0]) if len(indices) > 1 else 1
     if len(indices) and step > 0 and (np.diff(indices) == step).all():
         return jax.lax.slice_in_dim(x, int(indices[0]), int(indices[-1]) + 1, step, axis)
@@ -125,7 +125,7 @@ def _added(totals: list[Array], bodies: Sequence[int], parts: Array, axis: int) 
         return totals
     waiting = list(range(len(bodies)))
     while waiting:
-        # Every body once, so that what is alike in several is added in one operation.
+        # One value per body and round, so that each round is one operation.
         now = [
             j for k, j in enumerate(waiting) if bodies[j] not in {bodies[i] for i in waiting[:k]}
         ]

@@ -61,7 +61,7 @@ def rotation(orientation: Float[Array, "4 *n"]) -> Float[Array, "3 3 *n"]:
 
 
 def motion(velocity: Float[Array, "6 *n"]) -> BodyMotion:
-    """Return how the root's body moves."""
+    """Return the motion of the root's body."""
     w, v = angular(velocity), linear(velocity)
     return BodyMotion(w, v, jnp.zeros_like(w), cross(v, w))
 
@@ -100,12 +100,12 @@ def joint_part(vector: Float[Array, "v *n"]) -> Float[Array, "d *n"]:
 
 
 def size_of(dof_count: int) -> int:
-    """Return the size of a generalized vector with so many degrees of freedom of joints."""
+    """Return the size of a generalized vector, from the number of joint degrees of freedom."""
     return ROOT_DOFS + dof_count
 
 
 def joint_rows(dofs: np.ndarray) -> np.ndarray:
-    """Return the places of the joints' degrees of freedom in a generalized vector."""
+    """Return the indices of the joints' degrees of freedom in a generalized vector."""
     return ROOT_DOFS + dofs
 
 
@@ -118,8 +118,8 @@ def solved(inertia: Inertia, bias: Wrench) -> Motion:
     """Return the root's acceleration ``-I^-1 p``, by eliminating the linear part.
 
     Args:
-        inertia: I, of all that hangs on the root.
-        bias: p.
+        inertia: I, the articulated inertia of the whole tree at the root.
+        bias: p, the bias wrench.
     """
     linear_inverse = inverse_symmetric(inertia.linear)
     coupling = matmul(inertia.mixed, linear_inverse)
@@ -132,7 +132,7 @@ def solved(inertia: Inertia, bias: Wrench) -> Motion:
 def vector(
     part: Motion | Wrench, joints: Sequence[Float[Array, "k *n"]] = ()
 ) -> Float[Array, "v *n"]:
-    """Return the generalized vector of the root's acceleration or wrench, and joints behind it."""
+    """Return the generalized vector of the root's acceleration or wrench, then the joints'."""
     return jnp.concatenate([*part, *joints])
 
 
@@ -142,7 +142,7 @@ def components(part: Wrench) -> list[Float[Array, "*n"]]:
 
 
 def mass_block(inertia: Inertia) -> Float[Array, "6 6 *n"]:
-    """Return the root's block of the mass matrix, of a composite inertia."""
+    """Return the root's block of the mass matrix, from a composite inertia."""
     rows = [[inertia.angular, inertia.mixed], [transpose(inertia.mixed), inertia.linear]]
     return jnp.concatenate([jnp.concatenate(row, 1) for row in rows])
 

@@ -1,7 +1,7 @@
 """Spatial vectors and inertias by their blocks of three (Featherstone 2008, chapter 2).
 
-All have world axes and refer to the origin of a body. From parent to child one then only moves by
-an ``offset`` r, and the book's transforms are
+All quantities have world axes and refer to the origin of a body. The transforms from parent to
+child are therefore displacements by an ``offset`` r:
 
 | transform | function |
 |---|---|
@@ -9,7 +9,7 @@ an ``offset`` r, and the book's transforms are
 | ``f_p = X^T f_i`` | `wrench_at_parent` |
 | ``I_p = X^T I_i X`` | `inertia_at_parent` |
 
-The arrays are ``(components, ...)``; what stands behind broadcasts.
+Arrays are ``(components, ...)``, and all further axes broadcast.
 """
 
 from typing import NamedTuple
@@ -26,7 +26,7 @@ from evo_cpg.spatial.linear import (
 
 
 class Motion(NamedTuple):
-    """A velocity or acceleration: of turning (rad/s, rad/s^2), and of the origin (m/s, m/s^2)."""
+    """A velocity or acceleration: angular (rad/s, rad/s^2), and of the origin (m/s, m/s^2)."""
 
     angular: Float[Array, "3 *rest"]
     linear: Float[Array, "3 *rest"]
@@ -56,7 +56,7 @@ class Wrench(NamedTuple):
 
 
 def plus(one: Wrench, other: Wrench) -> Wrench:
-    """Both together."""
+    """Return the sum of two wrenches."""
     return Wrench(one.moment + other.moment, one.force + other.force)
 
 
@@ -73,22 +73,22 @@ def make_inertia(
     mixed: Float[Array, "3 3 *rest"],
     linear: Float[Array, "3 3 *rest"],
 ) -> Inertia:
-    """An inertia of blocks that are symmetric up to rounding, or of which the upper half counts."""
+    """Return the inertia of blocks, of which only the upper halves of the symmetric ones count."""
     return Inertia(symmetric(angular), mixed, symmetric(linear))
 
 
 def motion_at_child(motion: Motion, offset: Float[Array, "3 *#rest"]) -> Motion:
-    """The same motion, of a point that is ``offset`` away."""
+    """Return a motion at a point that is ``offset`` away."""
     return Motion(motion.angular, motion.linear + cross(motion.angular, offset))
 
 
 def wrench_at_parent(wrench: Wrench, offset: Float[Array, "3 *#rest"]) -> Wrench:
-    """The same wrench, about a point that is ``-offset`` away."""
+    """Return a wrench about a point that is ``-offset`` away."""
     return Wrench(wrench.moment + cross(offset, wrench.force), wrench.force)
 
 
 def inertia_at_parent(inertia: Inertia, offset: Float[Array, "3 *#rest"]) -> Inertia:
-    """The same inertia, about a point that is ``-offset`` away."""
+    """Return an inertia about a point that is ``-offset`` away."""
     shift = skew(offset)
     mixed = inertia.mixed + matmul(shift, inertia.linear)
     angular = inertia.angular + matmul_t(shift, inertia.mixed) - matmul(mixed, shift)

@@ -1,4 +1,4 @@
-"""What the integrator carries from step to step."""
+"""State of the integrator: pose and velocity of a tree."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -17,13 +17,14 @@ from evo_cpg.spatial.linear import array_of
 class State(eqx.Module):
     """Pose and velocity of a tree; trailing axes are individuals.
 
-    The first three fields are of the root (`evo_cpg.physics.root`), the others of the joints
+    The first three fields belong to the root (`evo_cpg.physics.root`), the others to the joints
     (`evo_cpg.physics.joints`).
 
     Attributes:
-        position: of the root's centre in the world, m.
+        position: position of the root's centre in the world, m.
         orientation: unit quaternion (w, x, y, z), root to world.
-        velocity: of the root in the world: angular (rad/s), then linear at its centre (m/s).
+        velocity: velocity of the root in the world: angular (rad/s), then linear at its centre
+            (m/s).
         q: joint angles, rad.
         qd: joint rates, rad/s.
     """
@@ -50,7 +51,7 @@ class State(eqx.Module):
         return jnp.concatenate([self.velocity, self.qd])
 
     def moved(self, h: float) -> "State":
-        """Return the pose after h seconds (negative: before) at these velocities, with them."""
+        """Return the state after h seconds (negative: before) at constant velocities."""
         return State(
             *root.moved(self.position, self.orientation, self.velocity, h),
             self.velocity,
@@ -59,7 +60,7 @@ class State(eqx.Module):
         )
 
     def displaced(self, x: Float[Array, " v"]) -> "State":
-        """Return the pose with static coordinates about this one (`evo_cpg.physics.statics`)."""
+        """Return the state at static coordinates from this pose (`evo_cpg.physics.statics`)."""
         return State(
             *root.displaced(self.position, self.orientation, x),
             self.velocity,
@@ -71,13 +72,13 @@ class State(eqx.Module):
 def integrate(
     state: State, acceleration: Float[Array, "6 *n"], qdd: Float[Array, "d *n"], h: float
 ) -> State:
-    """Take a semi-implicit Euler step: new velocities first, and they move the positions.
+    """Take a semi-implicit Euler step: the new velocities move the positions.
 
     Args:
-        state: at the start.
-        acceleration: of the root's velocity.
-        qdd: rad/s^2.
-        h: s.
+        state: state at the start of the step.
+        acceleration: acceleration of the root, rad/s^2 and m/s^2.
+        qdd: joint accelerations, rad/s^2.
+        h: step, s.
     """
     velocity, qd = state.velocity + h * acceleration, state.qd + h * qdd
     return dataclasses.replace(state, velocity=velocity, qd=qd).moved(h)
@@ -91,15 +92,15 @@ def resting_state(
     orientation: tuple[ArrayLike, ...] = (1.0, 0.0, 0.0, 0.0),
     angles: Sequence[ArrayLike] | Array | None = None,
 ) -> State:
-    """A pose at rest, the neutral one unless told otherwise.
+    """Return a pose at rest, by default the neutral pose.
 
     Args:
         tree: the creature.
         batch: trailing axes, such as ``(population,)``.
         dtype: floating-point type of every array.
-        position: of the root, m.
-        orientation: of the root, unit quaternion (w, x, y, z).
-        angles: of the joints, rad; None for the neutral pose.
+        position: position of the root, m.
+        orientation: orientation of the root, unit quaternion (w, x, y, z).
+        angles: joint angles, rad; None for the neutral pose.
     """
 
     def fill(values) -> Array:

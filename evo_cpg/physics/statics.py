@@ -1,23 +1,23 @@
-"""The forces on a creature that holds still, and how they change with its pose.
+"""Forces on a creature at rest, as functions of its pose.
 
 Small coordinates x = (d, r, a) describe a pose near another one: the displacement d of the root's
 centre (m), the rotation vector r of the root (rad), both in world axes, and the change a of the
-joint angles (rad). The generalised forces belong to them by virtual work,
+joint angles (rad). Virtual work gives the generalised forces
 
-    Q = (F, M, axis . M_outward + torque),
+    Q = (F, M, axis . M_outward + torque).
 
-the sums of forces F and of moments M about the root's centre, and for every joint axis that of the
-moments on all bodies beyond it: of weight, buoyancy, force laws but those of the water, springs,
-motors that hold their joints at the neutral angle, and the ground. They vanish at an equilibrium,
-and -dQ/dx is its stiffness.
+F and M are the sums of forces and of moments about the root's centre. M_outward is the sum of
+moments on all bodies beyond a joint. The forces are weight, buoyancy, the ground, and all force
+laws except those of the water. The torques are those of springs, soft limits and motors that hold
+their joints at the neutral angle. Q vanishes at an equilibrium, and -dQ/dx is its stiffness.
 
-The ground pushes as it does on what rests in a step of the simulation (`resting_stiffness`), so a
-pose found here is one in which that step finds no motion. Friction is that of Coulomb: a point
-that sticks is held by a spring of the same stiffness at the point where it touched down, up to the
-cone, beyond which it slides under a constant force.
+The ground has the stiffness of a resting contact in a step of the simulation
+(`resting_stiffness`). The simulation therefore finds no motion in an equilibrium found here.
+Friction is Coulomb's law. A spring of that stiffness holds a sticking point where it touched down.
+Beyond the friction cone the point slides under a constant force.
 
-Differs from the simulation, whose friction is a velocity law: a point that carries the tangential
-force f creeps there at ``f / c`` (see `evo_cpg.physics.contact`), here it stays.
+Differs from the simulation, whose friction is a velocity law. A point with the tangential force f
+creeps there at ``f / c`` (see `evo_cpg.physics.contact`). Here it stays.
 """
 
 import dataclasses
@@ -41,19 +41,19 @@ from evo_cpg.physics.weight import weight
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
 
-# A point that slides less far than this keeps the direction of its friction, m.
+# Least displacement (m) of a sliding point that changes the direction of its friction.
 _LEAST_DISPLACEMENT = 1e-12
 
 
 class FrictionState(NamedTuple):
-    """What friction remembers of every contact point.
+    """Friction state of every contact point.
 
     Attributes:
-        point: of the body, in its own axes, that is lowest at the base, m.
-        place: where that is then, in the world, m.
-        slip: by which it has left the point where it touched down, m; counts where it sticks.
-        held: 1 where it sticks, 0 where it slides.
-        drag: force of friction where it slides, N.
+        point: the body's contact point in the base pose, in body axes, m.
+        place: position of the contact point in the base pose, in the world, m.
+        slip: displacement from where the point touched down, m; counts for sticking points.
+        held: 1 for a sticking point, 0 for a sliding point.
+        drag: friction force of a sliding point, N.
     """
 
     point: Float[Array, "3 p"]
@@ -64,14 +64,14 @@ class FrictionState(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """What goes on at every contact point in a pose.
+    """State of every contact point in a pose.
 
     Attributes:
-        point: of the body that is lowest there, as `FrictionState.point`.
-        place: where that is, m.
-        normal_force: N.
-        slip: as `FrictionState.slip`, there.
-        displacement: tangential, from the base, m.
+        point: the body's contact point in this pose, in body axes, m.
+        place: position of the contact point in the world, m.
+        normal_force: normal force, N.
+        slip: displacement from where the point touched down, m.
+        displacement: tangential displacement from the base pose, m.
     """
 
     point: Float[Array, "3 p"]
@@ -84,17 +84,17 @@ class Touch(NamedTuple):
 def static_forces(
     world: World, h: float, base: State, friction: FrictionState, x: Float[Array, " k"]
 ) -> tuple[Float[Array, " k"], Touch]:
-    """Generalised forces on a creature that holds still.
+    """Return the generalised forces on a creature at rest.
 
     Args:
-        world: the creature and its surroundings; flowing water does not count.
-        h: step of the simulation, which sets how far it sinks into the ground, s.
-        base: the pose that x is counted from.
-        friction: what friction remembers at the base.
+        world: the creature and its surroundings; flow of the water is ignored.
+        h: step of the simulation, which determines how far the creature sinks into the ground, s.
+        base: pose from which x is measured.
+        friction: friction state at the base.
         x: coordinates of the pose, m and rad.
 
     Returns:
-        Forces (N) and torques (N m), and what the ground does.
+        Forces (N) and torques (N m), and the state of the contact points.
     """
     tree, state = world.tree, base.displaced(x)
     kin = kinematics(tree, state)
@@ -124,7 +124,7 @@ def static_forces(
 
 
 def _carried(tree: Tree) -> Float[np.ndarray, "b d"]:
-    """1 where a body hangs on a degree of freedom."""
+    """Return a table with 1 where a degree of freedom carries a body."""
     chains = np.eye(tree.body_count)
     for i in range(1, tree.body_count):
         chains[i] += chains[tree.parents[i]]
@@ -136,13 +136,13 @@ def next_friction(
 ) -> FrictionState:
     """Return the friction state after a displacement: Coulomb's law with static friction alone.
 
-    A point that friction cannot hold slides, and one that turns back sticks again.
+    A point slides if friction cannot hold it. A sliding point that turns back sticks again.
 
     Args:
-        contact_model: what may touch.
+        contact_model: the contact points.
         h: step of the simulation, s.
-        friction: before.
-        touch: what the ground does at its end.
+        friction: friction state before the displacement.
+        touch: state of the contact points after it.
     """
     stiffness = expand_dims_like(resting_stiffness(contact_model, h), friction.held)
     limit = expand_dims_like(contact_model.static_friction, friction.held) * touch.normal_force
@@ -151,7 +151,7 @@ def next_friction(
     sticks = friction.held > 0
     over = sticks & (size > limit)
     back = ~sticks & (dot(touch.displacement, friction.drag) >= 0)
-    # Against the displacement, if it is large enough to have a direction.
+    # Friction opposes the displacement, if the displacement is large enough to have a direction.
     length = jnp.sqrt(dot(touch.displacement, touch.displacement))
     onward = ~sticks & ~back & (length > _LEAST_DISPLACEMENT)
     along = jnp.where(
@@ -167,7 +167,7 @@ def next_friction(
 
 
 def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
-    """Of springs, soft limits and motors that hold the neutral angle, at rest, N m."""
+    """Return the torque of springs, soft limits and motors that hold the neutral angle, N m."""
     zero = jnp.zeros_like(q)
     state = resting_state(tree, (), q.dtype, angles=q)
     motor = clamp_torque(tree, servo_torque(tree, state, zero, None, 0.0))
@@ -175,7 +175,7 @@ def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
 
 
 def radius_of_gyration(tree: Tree) -> float:
-    """About the root's centre in the neutral pose, m."""
+    """Return the radius of gyration about the root's centre in the neutral pose, m."""
     origins, turns, squares = [np.zeros(3)], [np.eye(3)], []
     for i, parent in enumerate(tree.parents):
         if parent >= 0:
@@ -190,7 +190,7 @@ def radius_of_gyration(tree: Tree) -> float:
 def _ground(
     contact_model: ContactModel, h: float, kin: Kinematics, friction: FrictionState
 ) -> tuple[Float[Array, "3 p"], Touch]:
-    """Force on every contact point, N, and what the ground does."""
+    """Return the force on every contact point, N, and the state of the contact points."""
     bodies = np.array(contact_model.bodies)
     stiffness = expand_dims_like(resting_stiffness(contact_model, h), friction.held)
     offset, _, gap, normal, *_ = contact_points(contact_model, kin)

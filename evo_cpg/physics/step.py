@@ -1,9 +1,10 @@
 """One step of the world: forces, the implicit solve, integration.
 
-Semi-implicit Euler: the velocities at the end of the step move the positions. Velocity products and
-drag are taken of the velocities before and after the step, so that without stiff forces the motion
-is of second order: positions and velocities then leapfrog. Without motor limits and contact two
-solves with one matrix give them; with either, `evo_cpg.physics.step_solver` does.
+The integrator is semi-implicit Euler: the velocities at the end of the step move the positions.
+Velocity products and drag are means of their values before and after the step. Without stiff forces
+the motion is therefore of second order, because positions and velocities leapfrog. A step without
+motor limits and contact takes two solves with one matrix. `evo_cpg.physics.step_solver` solves the
+other steps.
 """
 
 import functools
@@ -32,18 +33,18 @@ from evo_cpg.physics.world import World
 
 
 class Effort(NamedTuple):
-    """What the motors and the ground did in one step.
+    """Motor and contact forces of one step.
 
     Attributes:
-        torque: applied on each axis at the end of the step, N m.
-        energy: spent by all motors, the sum of |torque x rate| over the step, J.
-        contact_frame_force: of the ground on every contact point, in its contact frame (two
+        torque: torque on each axis at the end of the step, N m.
+        energy: energy of all motors, the sum of |torque x rate| over the step, J.
+        contact_frame_force: force of the ground on every contact point, in its contact frame (two
             tangents, then the normal), N; None without ground.
-        contact_force: the same in world axes.
-        pair_force: with which pairs of bodies push each other, in the order of `World.pairs`, N;
-            None where none can touch.
-        residual: of the step's equations; None where one solve is exact.
-        warmstart: for the next step; likewise.
+        contact_force: force of the ground on every contact point, in world axes, N.
+        pair_force: force between the bodies at every point of `World.pairs`, N; None if no bodies
+            can touch.
+        residual: residual of the step's equations; None if they are solved exactly.
+        warmstart: warm start of the next step; None if no iteration is needed.
     """
 
     torque: Float[Array, "d *n"]
@@ -68,13 +69,13 @@ def step(
 
     Args:
         world: the creature and its surroundings.
-        state: at the start.
-        target_rate: for the motors to follow, rad/s, held over the step.
-        h: s.
-        target_angle: for the motors' springs to pull to, rad; None for the neutral pose.
-        warmstart: what the step before came to, with which fewer iterations are needed; None for a
-            first step. What is found is the same but for the solver's tolerance.
-        friction_scale: factor of the world's friction, static and dynamic; None for 1.
+        state: state at the start of the step.
+        target_rate: target rates of the motors, constant over the step, rad/s.
+        h: step, s.
+        target_angle: target angles of the motors' springs, rad; None for the neutral pose.
+        warmstart: result of the previous step, which saves iterations; None for a first step. The
+            solution changes only within the solver's tolerance.
+        friction_scale: factor of the world's static and dynamic friction; None for 1.
     """
     run = functools.partial(_step, world, h)
     given = state, target_rate, target_angle, warmstart, friction_scale
@@ -82,12 +83,12 @@ def step(
 
 
 def first_warmstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmstart | None:
-    """For the first step of a trial; None where one solve is exact."""
+    """Return the warm start of a trial's first step; None if steps need no iteration."""
     return coldstart(world, batch, dtype) if needs_iteration(world) else None
 
 
 def needs_iteration(world: World) -> bool:
-    """Whether steps of a world need a search, because its laws have kinks."""
+    """Return whether steps of a world need iteration, because the force laws have kinks."""
     contact = world.contact_model is not None or world.pairs is not None
     return contact or _can_overload(world.tree)
 
@@ -110,7 +111,7 @@ def _step(
     with jax.named_scope("solve"):
         first = solve_at_once(world, h, equations)
         equations = with_mean_products(world, h, equations, *first)
-        # The same matrices: only the forces are another's.
+        # The matrix is the same, only the forces differ.
         found = solve_at_once(world, h, equations)
     motor = (
         equations.start_torque - h * servo_slope(world.tree, equations.start_torque, h) * found.qdd
@@ -119,7 +120,7 @@ def _step(
 
 
 def _finish(h: float, state: State, solution: StepSolution) -> tuple[State, Effort]:
-    """Move, and note what the motors did."""
+    """Return the state after the step, and the forces."""
     with jax.named_scope("integrate"):
         new_state = integrate(state, solution.root, solution.qdd, h)
     energy = h * jnp.abs(solution.torque * 0.5 * (state.qd + new_state.qd)).sum(0)
@@ -130,7 +131,7 @@ def _finish(h: float, state: State, solution: StepSolution) -> tuple[State, Effo
 
 
 def _can_overload(tree: Tree) -> bool:
-    """Whether any motor has a limit; one that is traced has one, and so have traced motors."""
+    """Return whether any motor may have a torque limit; traced limits count as limits."""
     gains = tree.servo_gain, tree.servo_stiffness
     if not isinstance(tree.torque_limit, np.ndarray):
         return True

@@ -1,17 +1,19 @@
-"""What a step's motion minimises: its laws have kinks, motors with limits and contact.
+"""The convex minimisation problem of a step with contact or motor limits.
 
-At the end of the step it minimises, over the accelerations y of the tree,
+The accelerations y of the tree minimise
 
     1/2 (y - y_free)^T M (y - y_free)
-    + 1/h times one convex potential for every contact point, pair, motor and limit of a joint,
+    + 1/h times one convex potential for every contact point, pair, motor and limit of a joint.
 
-whose derivatives are their laws: a one-sided spring along the normal, friction as Huber's function
-(it sticks up to the radius of the friction cone, and slides under that), pushes of bodies on each
-other and limits of joints as one-sided springs, motors up to their torque. M is the implicit mass
-matrix, and M y_free the forces without these laws.
+M is the implicit mass matrix, and M y_free the forces without the laws of these potentials. The
+derivatives of the potentials are the laws at the end of the step:
 
-All is in generalized coordinates (`evo_cpg.physics.generalized`), of which there are few. With the
-Jacobian J of the points, whose velocities are ``v = v_0 + h J y``, laws linearized as
+- normal contact forces, forces between bodies and joint limits: one-sided springs,
+- friction: Huber's function, which sticks up to the radius of the friction cone and then slides,
+- motors: the servo's torque up to the torque limit.
+
+The problem has generalized coordinates (`evo_cpg.physics.generalized`), because there are few. The
+points have the Jacobian J and the velocities ``v = v_0 + h J y``. Laws linearized as
 ``f = F - K (v - v_k)`` give
 
     (M + h J^T K J) y = M y_free + J^T (F + K (v_k - v_0)),
@@ -56,22 +58,21 @@ from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import dot, expand_dims_like, matvec, where_each
 from evo_cpg.spatial.numerics import Number, xp
 
-# Fraction of the other forces (drag, springs, velocity products) that counts in the norm of all
-# forces. It matters if there is neither weight nor load nor torque.
+# Fraction of the other forces (drag, springs, velocity products) in the norm of all forces. It
+# matters only if there is neither weight nor load nor torque.
 _OTHER_FORCES = 1e-3
 
-# Torques are the same if they differ by less than this fraction of the motor's limit.
+# Torques count as equal if they differ by less than this fraction of the motor's limit.
 _SAME_TORQUE = 1e-3
 
-# Turn of a joint in a step (rad) beyond which the mass matrix at its start says little of its end.
+# Turn of a joint in a step (rad) beyond which the initial mass matrix is wrong at the end.
 _LARGEST_TURN = 0.3
 
-# Joint axes in a row beyond which equations are solved body by body. Measured in float32 on a chain
-# of boxes on the ground: with 10 joints a step misses the laws by less than 1e-3, with 20 by 1e-3
-# at times, with 40 by a fifth.
+# Joint axes in a chain beyond which equations are solved body by body. The residual in float32, of
+# a chain of boxes on the ground, is below 1e-3 with 10 joints, at times 1e-3 with 20, 0.2 with 40.
 _LONGEST_ELIMINATED = 16
 
-# Force (N) or torque (N m) that counts as none.
+# Force (N) or torque (N m) that counts as zero.
 _NONE = 1e-12
 
 
@@ -79,10 +80,10 @@ class Linearization(NamedTuple):
     """The laws of motors, limits of joints, contacts and pairs, linearized.
 
     Attributes:
-        torque: of motors and limits of joints without joint accelerations, N m.
-        slope: torque lost per end-of-step rate, N m s/rad.
-        contact: None without ground.
-        pairs: None where none can touch.
+        torque: torque of motors and limits of joints at zero joint acceleration, N m.
+        slope: decrease of that torque per end-of-step rate, N m s/rad.
+        contact: laws of the contact points; None without ground.
+        pairs: forces of the pairs; None if no pair can touch.
     """
 
     torque: Float[Array, "d *n"]
@@ -92,12 +93,12 @@ class Linearization(NamedTuple):
 
 
 class StepProblem(NamedTuple):
-    """What is minimised in a step.
+    """Minimisation problem of a step.
 
     Attributes:
         world: the creature and its surroundings.
-        h: s.
-        equations: of this step.
+        h: step, s.
+        equations: equations of motion of this step.
         mass: M, ``(v, v, *n)``, kg, kg m and kg m^2.
         force: M y_free, ``(v, *n)``: moment (N m) and force (N) at the root, torques (N m).
     """
@@ -110,7 +111,7 @@ class StepProblem(NamedTuple):
 
     @classmethod
     def of(cls, world: World, h: float, equations: Equations) -> "StepProblem":
-        """That of a step."""
+        """Return the problem of a step."""
         tree, kin, bias = world.tree, equations.kin, equations.bias
         mass = plus_joint_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
         force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
@@ -134,14 +135,14 @@ class StepProblem(NamedTuple):
         return self._replace(equations=equations._replace(pairs=pairs))
 
     def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
-        """Of the contact points at the end of the step, contact frame, m/s; None without ground."""
+        """Return the contact points' final velocities (contact frame), m/s; None without ground."""
         contacts = self.equations.contacts
         if contacts is None:
             return None
         return contacts.unconstrained_velocity + self.change_of_velocity(y)
 
     def change_of_velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"]:
-        """Of the contact points because of accelerations, m/s."""
+        """Return the change of the contact points' velocities due to accelerations, m/s."""
         contact_model, contacts = self.world.contact_model, self.equations.contacts
         assert contact_model is not None and contacts is not None
         accelerations = body_accelerations(self.world.tree, self.equations.kin, y)
@@ -153,12 +154,12 @@ class StepProblem(NamedTuple):
         qdd: Float[Array, "d *n"],
         velocity: Float[Array, "3 p *n"] | None,
     ) -> Linearization:
-        """Of the laws at some motion.
+        """Return the laws linearized at a motion.
 
         Args:
-            radius: of the friction cones, N.
+            radius: radii of the friction cones, N.
             qdd: joint accelerations, rad/s^2.
-            velocity: of the contact points, m/s; None without ground.
+            velocity: velocities of the contact points, m/s; None without ground.
         """
         tree, equations = self.world.tree, self.equations
         state, start_torque = equations.state, equations.start_torque
@@ -177,11 +178,11 @@ class StepProblem(NamedTuple):
         return Linearization(torque, slope, linear, pushes)
 
     def motion(self, linear: Linearization) -> Float[Array, "v *n"]:
-        """The accelerations under linearized laws.
+        """Return the accelerations under linearized laws.
 
-        Elimination in generalized coordinates loses digits with the number of joints in a row: of
-        40 on the ground float32 has none left. Long animals are solved body by body. Elimination
-        remains for steps in which pairs push, because these join branches of the tree.
+        Elimination in generalized coordinates loses digits with the number of joints in a chain.
+        With 40 joints on the ground float32 has none left. Long creatures are therefore solved body
+        by body, except in steps in which pairs push, because these join branches of the tree.
         """
         if not _is_long(self.world.tree):
             return self._by_elimination(linear)
@@ -211,7 +212,7 @@ class StepProblem(NamedTuple):
         return solve_symmetric(matrix, plus_torque(force, torque))
 
     def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
-        """The accelerations without pairs, by the articulated-body algorithm."""
+        """Return the accelerations without pairs, by the articulated-body algorithm."""
         equations, h = self.equations, self.h
         contact_model, contacts = self.world.contact_model, equations.contacts
         inertia, bias = equations.inertia, equations.bias
@@ -226,14 +227,14 @@ class StepProblem(NamedTuple):
         return jnp.concatenate(found)
 
     def residual(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "*n"]:
-        """What the forces at a motion miss the laws by, as a share of the forces that there are.
+        """Return the error of the force laws at a motion, relative to `square_of_forces`.
 
-        Both are norms of generalized forces, each by the root of the inertia that it alone would
-        move, the diagonal of M: accelerations, weighted with masses.
+        Both are norms of generalized forces. Each force is divided by the root of its inertia, the
+        diagonal of M. The norm is therefore one of accelerations, weighted with masses.
 
         Args:
-            y: a motion.
-            linear: the laws linearized there.
+            y: accelerations.
+            linear: laws linearized at y.
         """
         law = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
         if linear.contact is not None:
@@ -246,21 +247,21 @@ class StepProblem(NamedTuple):
     def square_of_forces(
         self, y: Float[Array, "v *n"], linear: Linearization
     ) -> Float[Array, "*n"]:
-        """Of the forces that there are, in the norm of `residual`, N^2/kg.
+        """Return the squared norm of the forces, in the norm of `residual`, N^2/kg.
 
-        The weight, or what ground and pairs carry if that is more, as if it lifted the whole
-        creature; torques; and a thousandth of the forces that no law is about.
+        The norm has three parts: the load (`load`) on the whole mass, the torques of motors and
+        limits of joints, and a thousandth of the other forces.
         """
         torque = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
         total = self.load(linear) ** 2 / self._total_mass() + self._square(torque)
         return total + _OTHER_FORCES**2 * self._square(self.force)
 
     def resistance(self, y: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
-        """What it takes of the laws to have the accelerations: M y less the other forces."""
+        """Return the force that the laws need to supply: M y minus the other forces."""
         return matvec(self.mass, y) - self.force
 
     def torque(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "d *n"]:
-        """Of motors and limits of joints under linearized laws, N m."""
+        """Return the torque of motors and limits of joints under linearized laws, N m."""
         return linear.torque - self.h * linear.slope * joint_part(y)
 
     def coulomb_error(
@@ -273,10 +274,10 @@ class StepProblem(NamedTuple):
         """Return the Coulomb error of the friction forces, relative to the total normal load.
 
         Args:
-            radius: of the cones with which the motion was found, N.
-            allowed: radii that its own normal forces give, N.
-            velocity: of the contact points in it.
-            linear: the laws linearized there.
+            radius: radii of the cones in the solved problem, N.
+            allowed: radii from the normal forces of its solution, N.
+            velocity: velocities of the contact points in the solution, m/s.
+            linear: laws linearized at the solution.
         """
         contact_model = self.world.contact_model
         if contact_model is None or velocity is None:
@@ -285,7 +286,7 @@ class StepProblem(NamedTuple):
         return jnp.sqrt((change * change).sum(0)) / self.load(linear)
 
     def load(self, linear: Linearization) -> Float[Array, "*n"]:
-        """What ground and pairs carry, or the weight if that is more, N."""
+        """Return the total force of ground and pairs, or the weight if that is more, N."""
         weight = self.world.gravity * self._total_mass()
         carried = jnp.zeros_like(linear.torque[:0]).sum(0)
         if linear.contact is not None:
@@ -295,7 +296,7 @@ class StepProblem(NamedTuple):
         return jnp.maximum(carried, xp.maximum(weight, _NONE))
 
     def cone_radius(self, velocity: Float[Array, "3 p *n"] | None) -> Float[Array, "p *n"]:
-        """Of the friction cones, under the normal forces of the laws at some velocity, N."""
+        """Return the radii of the friction cones from the normal forces at a velocity, N."""
         contact_model, contacts = self.world.contact_model, self.equations.contacts
         if contact_model is None or contacts is None or velocity is None:
             return self.force[:0]
@@ -306,9 +307,9 @@ class StepProblem(NamedTuple):
     ) -> Bool[Array, "*n"]:
         """Return where bouncing contacts do positive work on the creature, or a limb whirls.
 
-        The work is that of the mean of the velocities before and after the step. Lifting points
-        out of the ground does not count. A whirling limb turns by more than `_LARGEST_TURN` in the
-        step: the mass matrix at its start is wrong at its end.
+        The work uses the mean of the velocities before and after the step. Lifting points out of
+        the ground does not count. A whirling limb turns by more than `_LARGEST_TURN` in the step,
+        so that the initial mass matrix is wrong at the end.
         """
         contacts, state = self.equations.contacts, self.equations.state
         if contacts is None or linear.contact is None:
@@ -332,7 +333,7 @@ class StepProblem(NamedTuple):
     def changes_overload(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
         """Return where a motion moves motors to other torque limits than zero acceleration does.
 
-        `step_solver.free_motion` holds motors at their limits, so it gives them wrong torques.
+        `step_solver.free_motion` holds motors at their limits. Its torques are then wrong.
         """
         tree, without = self.world.tree, self.equations.start_torque
         commanded = self.commanded_torque(joint_part(y))
@@ -363,16 +364,16 @@ class StepProblem(NamedTuple):
         return jnp.zeros(qdd.shape[1:], bool) if pairs is None else pairs.drifts(qdd, bias)
 
     def _total_mass(self) -> Number:
-        """Of the creature, kg."""
+        """Return the mass of the creature, kg."""
         return xp.sum(self.world.tree.mass)
 
     def _square(self, force: Float[Array, "v *n"]) -> Float[Array, "*n"]:
-        """Of generalized forces, each by the inertia that it alone would move."""
+        """Return the sum of squared generalized forces, each divided by its inertia in M."""
         own = np.arange(len(force))
         return (force * force * (1.0 / self.mass[own, own])).sum(0)
 
     def _ground(self, force: Float[Array, "3 p *n"]) -> Float[Array, "v *n"]:
-        """What forces on the contact points are to the root and the joints."""
+        """Return the generalized force of forces on the contact points."""
         contact_model, equations = self.world.contact_model, self.equations
         assert contact_model is not None and equations.contacts is not None
         wrench = contact_wrench(contact_model, equations.contacts, force, equations.bias)
@@ -380,7 +381,7 @@ class StepProblem(NamedTuple):
 
 
 def _is_long(tree: Tree) -> bool:
-    """Whether so many joints are in a row that elimination loses too many digits."""
+    """Return whether a chain of joints is so long that elimination loses too many digits."""
     depth = np.zeros(tree.body_count, int)
     axes = np.bincount(np.array(tree.dof_bodies, int), minlength=tree.body_count)
     for body, parent in enumerate(tree.parents):

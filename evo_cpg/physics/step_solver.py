@@ -1,9 +1,9 @@
 """Solve one time step with contact: Newton's method with three outer updates.
 
-The step is a strictly convex minimisation over the accelerations y (`step_problem`). In it the
-friction-cone radii L, the restitution e and the velocity-product bias b of touching limbs are
-fixed. Whenever Newton's iteration has solved it, the first of these updates that is needed changes
-the problem, and the iteration goes on (`outer_updates`):
+The step is a strictly convex minimisation over the accelerations y (`step_problem`). The problem
+fixes the friction-cone radii L, the restitution e and the velocity-product bias b of touching
+limbs. Once Newton's iteration has solved the problem, the first update that is needed changes it,
+and the iteration continues (`outer_updates`):
 
             free motion: fixes the velocity products
                  |
@@ -23,9 +23,9 @@ The arrows on the left lead through a Newton iteration, too. float64 takes all r
 
 The error that remains in Coulomb's law is reported (`Residual.coulomb`).
 
-Derivatives use the implicit function theorem: at a solution, one more Newton step changes nothing,
-and its derivative is that of the solution. `_replay` takes that step in every round of cones, and
-under every further pair bias.
+Derivatives use the implicit function theorem. One more Newton step at a solution changes nothing,
+and its derivative is the derivative of the solution. `_replay` takes that step in every round of
+cones, and under every further pair bias.
 """
 
 import functools
@@ -62,7 +62,7 @@ _COULOMB = 1e-2
 
 
 class _Visited(NamedTuple):
-    """Solutions on the way, at which `_replay` takes its Newton steps.
+    """Intermediate solutions, at which `_replay` takes its Newton steps.
 
     Attributes:
         cones: accelerations under each round of cones with the first pair bias.
@@ -78,12 +78,12 @@ class _Search(NamedTuple):
 
     Attributes:
         y: the iterate, accelerations of root and joints.
-        cone: friction cones of the problem that is being solved.
-        restitution: fraction of it that is left, 0 to 1.
-        bias: of pairs.
+        cone: friction cones of the current problem.
+        restitution: remaining fraction of the restitution, 0 to 1.
+        bias: velocity-product bias of pairs.
         iterations: number of Newton iterations.
         done: whether y is the solution.
-        visited: solutions on the way.
+        visited: intermediate solutions.
         last_round_of_first_bias: number of the last round of cones under the first pair bias.
     """
 
@@ -98,7 +98,7 @@ class _Search(NamedTuple):
 
 
 class _Answer(NamedTuple):
-    """The solution y, with the problem that it solves; see `_Search`."""
+    """The solution y, and the parameters of its problem; see `_Search`."""
 
     y: Float[Array, "v *n"]
     radius: Float[Array, "p *n"]
@@ -107,7 +107,7 @@ class _Answer(NamedTuple):
 
 
 class _Notes(NamedTuple):
-    """What `_replay` needs; see `_Search`."""
+    """Input of `_replay`; see `_Search`."""
 
     visited: _Visited
     restitution: Float[Array, "*n"]
@@ -128,11 +128,11 @@ def solve_step(
 
     Args:
         world: the creature and its surroundings.
-        h: s.
-        state: at the start of the step.
-        target_rate: see `evo_cpg.physics.step.step`.
-        target_angle: see `evo_cpg.physics.step.step`.
-        warmstart: result of the step before; None for a first step.
+        h: step, s.
+        state: state at the start of the step.
+        target_rate: target rates of the motors, rad/s.
+        target_angle: target angles of the motors' springs, rad; None for the neutral pose.
+        warmstart: result of the previous step; None for a first step.
     """
     problem = _with_velocity_products(world, h, state, target_rate, target_angle)
     batch = state.q.shape[1:]
@@ -155,9 +155,9 @@ def solve_step(
 def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
     """Return the accelerations without contact.
 
-    Motors that exceed their torque limit at zero acceleration stay at that limit. So the result is
-    wrong if something is touched, or if a motor leaves its limit: a light limb reaches 1000 rad/s
-    under a torque that its motor stops giving at 50.
+    Motors that exceed their torque limit at zero acceleration stay at that limit. The result is
+    therefore wrong if there is contact, or if a motor leaves its limit. A light limb, for example,
+    reaches 1000 rad/s although its motor leaves the limit at 50.
     """
     still = jnp.zeros_like(joint_part(problem.force))
     linear = problem.linearized(problem.force[:0], still, None)
@@ -181,8 +181,8 @@ def _with_velocity_products(
 ) -> StepProblem:
     """Return the problem of a step.
 
-    Its velocity products are the mean of start and end of the free motion. Individuals whose free
-    motion is wrong (`free_motion`) keep those of the start.
+    Its velocity products are means over the start and the end of the free motion. Individuals whose
+    free motion is wrong (`free_motion`) keep the initial velocity products.
     """
     equations = prepare(world, h, state, target_rate, target_angle)
     problem = StepProblem.of(world, h, equations)
@@ -233,7 +233,7 @@ def _solve(
     end = while_each(lambda search: ~search.done, advance, begin)
     cones = [end.visited.cones[0]]
     for k, one in enumerate(end.visited.cones[1:], 1):
-        # The last round stands for those that were not needed.
+        # The last round replaces rounds that were not needed.
         cones.append(where_each(end.last_round_of_first_bias < k, cones[-1], one))
     visited = end.visited._replace(cones=tuple(cones))
     answer = _Answer(end.y, end.cone.radius, end.restitution, end.bias.value)
@@ -249,10 +249,10 @@ def _updated(
     """Return the search with a new iterate, after the first outer update that it needs.
 
     Args:
-        problem: with the restitution and the pair bias of the search.
-        search: before.
+        problem: problem with the restitution and the pair bias of the search.
+        search: search before the update.
         y: the new iterate.
-        velocity: of the contact points in it, m/s.
+        velocity: velocities of the contact points at y, m/s.
     """
     rounds, biases, qdd = _cone_rounds(problem), _pair_biases(problem), joint_part(y)
     cone, bias = search.cone, search.bias
@@ -296,7 +296,7 @@ def _updated(
 
 
 def _visit(search: _Search, y: Float[Array, "v *n"]) -> _Visited:
-    """Return the visited solutions with a new one under the cones and the bias of a search."""
+    """Return the visited solutions, with y under the cones and the bias of a search."""
     rounds, updates = search.cone.rounds, search.bias.updates
     return _Visited(
         tuple(
@@ -328,7 +328,7 @@ def _replay(problem: StepProblem, radius: Float[Array, "p *n"], notes: _Notes) -
 def _solution(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
 ) -> StepSolution:
-    """Return accelerations with the forces that the laws give at them."""
+    """Return accelerations, with the forces of the laws at them."""
     qdd, velocity = joint_part(y), problem.velocity(y)
     linear, allowed = problem.linearized(radius, qdd, velocity), problem.cone_radius(velocity)
     contacts, forces = problem.equations.contacts, None

@@ -1,18 +1,17 @@
-"""When a part that moves fast meets the ground within a step.
+"""Time at which a fast part meets the ground within a step.
 
-The law of contact knows the ground near a point by a plane, and nothing of points farther away than
-the margin. A part that moves farther in a step may end it on the other side of an obstacle. So the
-plane of such a part is that of the place where the part first meets the ground.
+The contact law approximates the ground near a point by a plane, and ignores ground beyond the
+margin. A part that moves farther in a step may end up on the other side of an obstacle. Its plane
+is therefore taken where the part first meets the ground.
 
-- Blocks and boulders are convex, and so are parts. A gap between both along any direction is a
-  lower bound: they cannot meet before the part has moved as far. That takes the part from place to
-  place up to the contact (conservative advancement, Mirtich 1996), however thin the obstacle is.
-  At any place on the way a plane keeps both apart, so few rounds are enough.
-- The surface of a floor with slopes is sampled along the way of a point. The first interval in
+- Blocks, boulders and parts are convex. A gap along any direction is a lower bound: a part and an
+  obstacle cannot meet before the part has moved that far. Conservative advancement (Mirtich 1996)
+  repeats this move until contact, however thin the obstacle is. A plane always separates both, so
+  few rounds are enough.
+- The surface of a floor with slopes is sampled along the path of a point. The first interval in
   which the point gets deeper into the floor is halved.
 
-Parts move at the velocities of the start of the step. Slow parts take no round and stay where they
-are.
+Parts move at their velocities at the start of the step. Slow parts take no round and stay in place.
 """
 
 from typing import Any, NamedTuple
@@ -27,31 +26,31 @@ from evo_cpg.physics.terrain import Part, nearest
 from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t
 from evo_cpg.spatial.numerics import is_traced
 
-# A part is fast if it moves farther in a step than this share of the margin, or of so many times
-# its own size. The rest of the margin is for parts that speed up within the step.
+# A part is fast if it moves farther in a step than this fraction of the margin, or of `_SIZES`
+# times its own size. The rest of the margin is for parts that speed up within the step.
 _FAST, _SIZES = 0.8, 4.0
 
-# Of the way that makes a part fast: what is nearer counts as met.
+# Gap that counts as contact, as a fraction of the displacement that makes a part fast.
 _CLOSE = 0.02
 
-# Rounds of conservative advancement at most.
+# Largest number of rounds of conservative advancement.
 _ROUNDS = 12
 
-# Places on the way of a point, and how often the interval of the first crossing is halved.
+# Samples on the path of a point, and halvings of the interval of the first crossing.
 _SAMPLES, _HALVINGS = 16, 6
 
-# Squared length (m^2) and speed (m^2/s^2) added under roots, and what is divided by at least.
+# Squared length (m^2) or speed (m^2/s^2) added under roots, and least divisor.
 _FLOOR = 1e-30
 
 
 class Moving(NamedTuple):
-    """Parts of a creature as they are now, and how they move.
+    """Pose and velocity of parts of a creature.
 
     Attributes:
-        at: the parts as rounded boxes; of an ellipsoid the semi-axes are the half extents.
-        origin: of their bodies, m.
+        at: the parts as rounded boxes; the half extents of an ellipsoid are its semi-axes.
+        origin: origins of their bodies, m.
         linear: velocity of the origin, m/s.
-        angular: rad/s.
+        angular: angular velocity, rad/s.
     """
 
     at: RoundedBoxes
@@ -61,11 +60,11 @@ class Moving(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """What parts are beside rounded boxes.
+    """Shapes of parts that are not rounded boxes.
 
     Attributes:
-        ellipsoids: whether they are ellipsoids.
-        corners: of meshes around the ellipsoids, along their axes, m; zeros where there is no mesh.
+        ellipsoids: whether the parts are ellipsoids.
+        corners: corners of meshes around the ellipsoids, along their axes, m; zeros without a mesh.
     """
 
     ellipsoids: bool
@@ -75,26 +74,26 @@ class Outline(NamedTuple):
 def fast_from(
     margin: Float[Array, ""] | float, size: Float[Array, "p *#n"]
 ) -> Float[Array, "p *#n"]:
-    """The way in a step from which a part is fast, m.
+    """Return the displacement in a step from which a part is fast, m.
 
     Args:
-        margin: of the ground, m.
-        size: from the middle of the part to its end, m.
+        margin: margin of the ground, m.
+        size: distance from the middle of the part to its end, m.
     """
     return _FAST * jnp.minimum(margin, _SIZES * size)
 
 
 def moved(parts: Moving, time: Float[Array, "p *n"]) -> Moving:
-    """The parts after some time (s) at the same velocities.
+    """Return the parts after a time (s) at constant velocities.
 
-    The turn is Cayley's, which keeps axes at right angles: up to 0.5 rad it is 2 % too small.
+    The rotation is Cayley's, which keeps axes at right angles. It is 2 % too small at 0.5 rad.
     """
     w, half = parts.angular, 0.5 * time
     once = 2.0 * half / (1.0 + half * half * dot(w, w))
     twice = half * once
 
     def turn(x: Array) -> Array:
-        """What turning adds to a vector: the products of vectors do not depend on the time."""
+        """Return the change of a vector by the rotation; its vector products are constants."""
         across = cross(w, x)
         return once[None] * across + twice[None] * cross(w, across)
 
@@ -113,23 +112,23 @@ def times_of_contact(
     margin: Float[Array, ""] | float,
     h: float,
 ) -> tuple[Float[Array, "k p *n"], Float[Array, "k p *n"]]:
-    """When within a step each part is to be looked at beside each obstacle, s, and how far that is.
+    """Return when each part's plane with each obstacle is taken in a step, s, and the distance.
 
-    The time of slow parts is 0. The second result is the way (m) until a fast part and an obstacle
-    touch.
+    The time of slow parts is 0. The second result is the distance (m) that a fast part moves until
+    it touches the obstacle.
 
     Args:
-        parts: of the creature.
-        outline: what they are.
-        obstacles: blocks without radius and boulders without extent, the k of them on the first
-            axes of the arrays.
-        margin: of the ground, m.
-        h: s.
+        parts: parts of the creature.
+        outline: shapes of the parts.
+        obstacles: k blocks without radius and boulders without extent, on the first axes of the
+            arrays.
+        margin: margin of the ground, m.
+        h: step, s.
     """
     parts, outline, obstacles = _held((parts, outline, obstacles))
     size = _reach(parts, outline)
     least = fast_from(margin, size + parts.at.radius)
-    # A ball that turns about its centre stays where it is.
+    # The offset of a ball at its body's origin is 0, so turning does not make it fast.
     offset = parts.at.centre - parts.origin
     speed = _length(parts.linear + cross(parts.angular, offset)) + size * _length(parts.angular)
     none = jnp.zeros((len(obstacles.radius), *speed.shape), speed.dtype)
@@ -173,16 +172,16 @@ def time_of_crossing(
     h: float,
     beyond: Float[Array, "p *#n"] | float = 0.0,
 ) -> Float[Array, "p *n"]:
-    """When within a step points that move straight on first get deeper into a floor, s; else 0.
+    """Return when points on straight paths first get deeper into a floor in a step, s; else 0.
 
     Args:
-        floor: the floor.
-        points: m.
-        velocity: m/s.
-        radius: of balls around the points, m.
-        least: the way in a step from which a point is fast, m.
-        h: s.
-        beyond: so much farther than in a step they are looked at, m.
+        floor: parts of the floor.
+        points: initial positions, m.
+        velocity: velocities, m/s.
+        radius: radii of balls around the points, m.
+        least: displacement in a step from which a point is fast, m.
+        h: step, s.
+        beyond: length of the path that is sampled beyond the step, m.
     """
     floor, points, velocity, radius, least = _held((floor, points, velocity, radius, least))
 
@@ -202,7 +201,7 @@ def time_of_crossing(
         found = high > 0
         time = jnp.where(found, 0.5 * (low + high), low + end / _SAMPLES)
         here = height(time)
-        # At the start it is noted how deep a point is.
+        # The first round stores the initial depth of each point.
         deepest = jnp.where(count == 0, jnp.minimum(height(none), 0.0) - _CLOSE * least, deepest)
         meets = (here < deepest) & (time < (1 + 0.5 / _SAMPLES) * end)
         high = jnp.where(meets & fast, time, high)
@@ -213,12 +212,12 @@ def time_of_crossing(
 
 
 def _held(values: Any) -> Any:
-    """The same without derivatives, which no loop has that ends when all is found."""
+    """Return values without derivatives, because loops of unknown length have none."""
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if is_traced(x) else x, values)
 
 
 def _reach(parts: Moving, outline: Outline) -> Float[Array, "p *n"]:
-    """From the centre to what turns with a part and is farthest off, m."""
+    """Return the distance from a part's centre to its farthest point, without its radius, m."""
     half = parts.at.half_extents
     if not outline.ellipsoids:
         return _length(half)
@@ -231,10 +230,10 @@ def _reach(parts: Moving, outline: Outline) -> Float[Array, "p *n"]:
 def _apart_along(
     parts: RoundedBoxes, outline: Outline, obstacle: RoundedBoxes
 ) -> tuple[Float[Array, "3 p *n"], Float[Array, "p *n"]]:
-    """A direction from an obstacle to parts, and the gap between both along it, m.
+    """Return a direction from an obstacle to parts, and the gap along that direction, m.
 
-    Of some directions the one with the largest gap: that between near points, the obstacle's axes,
-    and that of the near point of an ellipsoid.
+    The direction has the largest gap of three kinds: the direction between near points, the
+    obstacle's axes, and the normal at the near point of an ellipsoid.
     """
     to = obstacle.axes
     first = _within(obstacle, parts.centre)
@@ -265,7 +264,7 @@ def _apart_along(
 
 
 def _extent(parts: RoundedBoxes, outline: Outline, normal: Array) -> Array:
-    """How far parts reach against a direction from their centres, m."""
+    """Return the extent of parts from their centres against a direction, m."""
     own = matvec_t(parts.axes, normal)
     if not outline.ellipsoids:
         return dot(parts.half_extents, jnp.abs(own)) + parts.radius
@@ -276,7 +275,7 @@ def _extent(parts: RoundedBoxes, outline: Outline, normal: Array) -> Array:
 
 
 def _within(box: RoundedBoxes, point: Array) -> Array:
-    """The point of a box without its radius that is nearest to another."""
+    """Return the point of a box, without its radius, that is nearest to another point."""
     own = jnp.clip(matvec_t(box.axes, point - box.centre), -box.half_extents, box.half_extents)
     return box.centre + matvec(box.axes, own)
 

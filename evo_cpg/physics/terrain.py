@@ -1,12 +1,12 @@
 """The shape of the ground, as signed distances.
 
-Every part answers for points how far they are outside of it and which way leads out. So slopes,
-relief, shores and obstacles are met by one contact code (`evo_cpg.physics.contact`), which asks for
-the centres of bodies and for their lowest points.
+Every part returns the signed distance of points and its normal. One contact code
+(`evo_cpg.physics.contact`) therefore handles slopes, relief, shores and obstacles. It evaluates the
+distance at the centres and the lowest points of bodies.
 
-Distances to planes, spheres and blocks are exact. To a surface z = H(x, y) they are of first order,
-``(z - H) / sqrt(1 + |grad H|^2)``: exact on the surface, and wrong by its curvature times the
-square of the distance further off, where nothing touches.
+Distances to planes, spheres and blocks are exact. The distance to a surface z = H(x, y) is of first
+order, ``(z - H) / sqrt(1 + |grad H|^2)``. It is exact on the surface. Its error away from the
+surface, where nothing touches, is the curvature times the squared distance.
 """
 
 import abc
@@ -20,20 +20,20 @@ from jaxtyping import Array, Float
 from evo_cpg.spatial.linear import array_of, cosine_sine, dot, expand_dims_like
 from evo_cpg.spatial.numerics import Number, Triple, xp
 
-# Squared length (m^2) added under roots so that they have gradients on the spot.
+# Squared length (m^2) added under roots, so that the roots have gradients at zero.
 _FLOOR = 1e-18
 
 Axis = Literal["x", "y"]
 
 
 class Part(eqx.Module):
-    """Something solid that does not move."""
+    """A solid part of the ground, at rest."""
 
     @abc.abstractmethod
     def distance(
         self, point: Float[Array, "3 *rest"]
     ) -> tuple[Float[Array, "*rest"], Float[Array, "3 *#rest"]]:
-        """Signed distance of points in the world, m, positive outside, and the normal there."""
+        """Return the signed distance of points, m, positive outside, and the normal there."""
 
 
 class Plane(Part):
@@ -41,14 +41,14 @@ class Plane(Part):
 
     Attributes:
         normal: unit vector out of the ground.
-        height: of the plane above the world's origin along its normal, m.
+        height: height of the plane above the world's origin, along the normal, m.
     """
 
     normal: Triple = (0.0, 0.0, 1.0)
     height: Number = 0.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """As in `Part`."""
+        """Return the signed distance and the normal; see `Part.distance`."""
         normal = array_of(self.normal)
         normal = expand_dims_like(normal / xp.linalg.norm(normal), point)
         return dot(normal, point) - self.height, normal
@@ -58,11 +58,11 @@ class Shore(Part):
     """A level, a slope, and a level: land that runs into water.
 
     Attributes:
-        axis: along which the height changes.
-        start: where the slope begins, m.
-        stop: where it ends, m; further along the axis than ``start``.
-        start_height: of the ground before the slope, m.
-        stop_height: of the ground behind it, m.
+        axis: axis along which the height changes.
+        start: start of the slope on that axis, m.
+        stop: end of the slope on that axis, m; larger than ``start``.
+        start_height: height of the ground before the slope, m.
+        stop_height: height of the ground behind the slope, m.
     """
 
     axis: Axis = eqx.field(static=True, default="x")
@@ -72,7 +72,7 @@ class Shore(Part):
     stop_height: Number = -1.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """As in `Part`."""
+        """Return the signed distance and the normal; see `Part.distance`."""
         along = point["xy".index(self.axis)]
         slope = (self.stop_height - self.start_height) / (self.stop - self.start)
         inside = jnp.clip(along, self.start, self.stop)
@@ -84,12 +84,12 @@ class Shore(Part):
 
 
 class Relief(Part):
-    """Heights on a regular grid, bilinear in between; beyond its edges they go on level.
+    """Heights on a regular grid, bilinear in between, and constant beyond its edges.
 
     Attributes:
-        heights: above the world's origin, m; the first axis is x.
+        heights: heights above the world's origin, m; the first axis is x.
         corner: x and y of the first height, m.
-        spacing: of the grid, m.
+        spacing: spacing of the grid, m.
     """
 
     heights: Float[np.ndarray, "nx ny"]
@@ -97,12 +97,12 @@ class Relief(Part):
     spacing: float = eqx.field(static=True, default=0.1)
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """As in `Part`."""
+        """Return the signed distance and the normal; see `Part.distance`."""
         height, along_x, along_y = self._look_up(point[0], point[1])
         return _above(point, height, along_x, along_y)
 
     def _look_up(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
-        """Height and its two derivatives."""
+        """Return the height and its derivatives along x and y."""
         heights = jnp.asarray(self.heights, x.dtype)
         (i, u, on_x), (j, v, on_y) = (
             self._cell(value - first, count)
@@ -116,7 +116,7 @@ class Relief(Part):
         return near + v * (far - near), slope_x, slope_y
 
     def _cell(self, offset: Array, count: int) -> tuple[Array, Array, Array]:
-        """Number of the cell, place in it from 0 to 1, and whether it is on the grid at all."""
+        """Return the cell's index, the position in it (0 to 1), and whether it is on the grid."""
         steps = offset / self.spacing
         inside = jnp.clip(steps, 0.0, count - 1.0)
         cell = jnp.clip(jnp.floor(inside).astype(jnp.int32), 0, count - 2)
@@ -124,18 +124,18 @@ class Relief(Part):
 
 
 class Boulder(Part):
-    """A sphere that lies about, sunk in or not.
+    """A sphere, above the ground or partly buried.
 
     Attributes:
-        centre: m.
-        radius: m.
+        centre: centre of the sphere, m.
+        radius: radius of the sphere, m.
     """
 
     centre: Triple
     radius: Number
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """As in `Part`."""
+        """Return the signed distance and the normal; see `Part.distance`."""
         away = point - expand_dims_like(array_of(self.centre), point)
         length = jnp.sqrt(dot(away, away) + _FLOOR)
         return length - self.radius, away / length[None]
@@ -145,9 +145,9 @@ class Block(Part):
     """An upright box: a wall, a step, a pillar.
 
     Attributes:
-        centre: m.
-        half_extents: half edges along x, y and z before it is turned, m.
-        heading: by which it is turned about z, rad.
+        centre: centre of the box, m.
+        half_extents: half edges along x, y and z before the rotation, m.
+        heading: rotation about z, rad.
     """
 
     centre: Triple
@@ -155,7 +155,7 @@ class Block(Part):
     heading: Number = 0.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """As in `Part`."""
+        """Return the signed distance and the normal; see `Part.distance`."""
         away = point - expand_dims_like(array_of(self.centre), point)
         c, s = cosine_sine(self.heading)
         own = jnp.stack([c * away[0] + s * away[1], c * away[1] - s * away[0], away[2]])
@@ -163,7 +163,7 @@ class Block(Part):
         deepest = beyond.max(0)
         outside = jnp.maximum(beyond, 0.0)
         length = jnp.sqrt(dot(outside, outside) + _FLOOR)
-        # Inside, the nearest face leads out.
+        # A point inside leaves the block through the nearest face.
         face = jnp.where(beyond >= deepest[None], 1.0, 0.0)
         outward = jnp.where((deepest > 0)[None], outside / length[None], face)
         outward = (
@@ -181,7 +181,7 @@ Obstacle = Block | Boulder
 def nearest(
     parts: tuple[Part, ...], point: Float[Array, "3 *rest"]
 ) -> tuple[Float[Array, "*rest"], Float[Array, "3 *#rest"]]:
-    """Signed distance of points from the nearest of some parts, m, and its normal."""
+    """Return the signed distance of points from the nearest part, m, and its normal."""
     gap, normal = parts[0].distance(point)
     for part in parts[1:]:
         other, direction = part.distance(point)
@@ -192,7 +192,7 @@ def nearest(
 
 
 def _above(point: Array, height: Array, along_x: Array, along_y: Array) -> tuple[Array, Array]:
-    """Distance from a surface of given height and slopes, and its normal."""
+    """Return the distance from a surface of given height and derivatives, and its normal."""
     upward = 1.0 / jnp.sqrt(1.0 + along_x * along_x + along_y * along_y)
     normal = jnp.stack([-along_x * upward, -along_y * upward, upward])
     return (point[2] - height) * upward, normal

@@ -1,12 +1,12 @@
-"""Water as a medium: its density, its surface, and where it streams.
+"""Water as a medium: its density, its surface and its flow.
 
     v(x) = v_0 + G x + sum_k Gamma_k / (2 pi) (z x r_k) / (|r_k|^2 + c_k^2),
 
-with r_k the level vector from the axis of vortex k. Each term is a `Stream`; their velocities add.
+with r_k the horizontal vector from the axis of vortex k. Each term is a `Stream`.
 
-G with one element is a shear (with the height, or along the way), antisymmetric it is a rotation of
-all the water. A vortex stands upright; outside its core it is the potential vortex, inside it
-turns like a solid (Scully 1975).
+G with one nonzero element is a velocity gradient along one axis. An antisymmetric G is a rotation
+of all the water. A vortex has an upright axis. It is a potential vortex outside its core, and turns
+like a solid inside (Scully 1975).
 """
 
 import abc
@@ -37,14 +37,14 @@ class Current(Stream):
 
     Attributes:
         origin: velocity at the origin of the world, m/s.
-        gradient: of its components (rows) along x, y and z, 1/s.
+        gradient: gradient of the velocity's components (rows) along x, y and z, 1/s.
     """
 
     origin: Triple = (0.0, 0.0, 0.0)
     gradient: Gradient | None = None
 
     def velocity(self, places: Float[Array, "3 b *n"]) -> Float[Array, "3 #b *#n"]:
-        """See `Stream.velocity`."""
+        """Return the velocity; see `Stream.velocity`."""
         velocity = expand_dims_like(array_of(self.origin), places)
         if self.gradient is None:
             return velocity
@@ -57,8 +57,8 @@ class Vortex(Stream):
 
     Attributes:
         centre: x and y of the axis, m.
-        circulation: far from the axis, counterclockwise seen from above, m^2/s.
-        core: radius at which it streams fastest, m.
+        circulation: circulation far from the axis, counterclockwise seen from above, m^2/s.
+        core: radius at which the flow is fastest, m.
     """
 
     centre: tuple[Number, Number]
@@ -66,19 +66,19 @@ class Vortex(Stream):
     core: Number
 
     def velocity(self, places: Float[Array, "3 b *n"]) -> Float[Array, "3 #b *#n"]:
-        """See `Stream.velocity`."""
+        """Return the velocity; see `Stream.velocity`."""
         x, y = places[0] - self.centre[0], places[1] - self.centre[1]
         rate = self.circulation / (2 * np.pi) / (x * x + y * y + self.core**2)
         return jnp.stack([-rate * y, rate * x, jnp.zeros_like(x)])
 
 
 class Water(eqx.Module):
-    """Still or streaming water, around the whole creature or up to a surface.
+    """Still or flowing water, around the whole creature or up to a surface.
 
     Attributes:
-        density: kg/m^3.
-        surface: height of its surface, m; None where water is everywhere.
-        streams: whose velocities add up to that of the water.
+        density: density of the water, kg/m^3.
+        surface: height of the surface, m; None if water is everywhere.
+        streams: terms of the flow, whose velocities add up.
     """
 
     density: Number

@@ -1,8 +1,8 @@
-"""Weight and buoyancy: the forces on a creature that rests in still water.
+"""Weight and buoyancy: the forces on a creature at rest in still water.
 
 They are one law, and no `evo_cpg.physics.force_law.ForceLaw`. In deep water their difference
-``(rho V - m) g`` is one number (Iwadate 2010, eq. 7), which rounding would spoil as a sum of two
-forces. And they are gradients of a potential, which energy books count as stored.
+``(rho V - m) g`` is one number (Iwadate 2010, eq. 7), because a sum of two forces has larger
+rounding errors. Both are gradients of a potential, which energy balances count as stored energy.
 """
 
 import jax.numpy as jnp

@@ -23,17 +23,16 @@ _Law = TypeVar("_Law", bound=ForceLaw)
 
 
 class World(eqx.Module):
-    """A creature and its surroundings, ready to be stepped.
+    """A creature and its surroundings, as `evo_cpg.physics.step` simulates them.
 
     Attributes:
         tree: the creature.
-        gravity: m/s^2, pulling along -z.
+        gravity: acceleration of gravity along -z, m/s^2.
         water: the medium; None on dry land.
-        forces: what acts on the bodies besides weight, buoyancy, joints and contact, in the order
-            in which it is added up.
-        contact_model: the contact points; None where there is nothing to stand on.
-        cells: the bodies' volumes; none are needed where water is everywhere.
-        pairs: bodies that must not pass through each other; None where none can meet.
+        forces: force laws besides weight, buoyancy, joints and contact, in the order of their sum.
+        contact_model: the contact points; None without ground.
+        cells: the bodies' volumes; not needed if water is everywhere.
+        pairs: bodies that must not pass through each other; None if none can meet.
     """
 
     tree: Tree
@@ -52,10 +51,10 @@ class World(eqx.Module):
         return f"World(gravity {self.gravity} m/s^2, {water}, {ground})"
 
     def bodies(self, kin: Kinematics, h: float) -> Bodies:
-        """Return the bodies as force laws see them.
+        """Return the input of force laws.
 
         Args:
-            kin: their kinematics.
+            kin: kinematics of the bodies.
             h: length of the physics step, s.
         """
         return bodies_in(self.tree, self.gravity, self.water, self.cells, h, kin)
@@ -66,14 +65,14 @@ class World(eqx.Module):
 
     @property
     def water_level(self) -> Number:
-        """Height up to which there is water, m; infinite for no surface, -infinite for no water."""
+        """Height of the water's surface, m; infinite without a surface, -infinite without water."""
         if self.water is None:
             return -math.inf
         return math.inf if self.water.surface is None else self.water.surface
 
     @property
     def pair_names(self) -> list[tuple[str, str]]:
-        """Bodies that must not pass through each other."""
+        """Names of the bodies of each pair that must not pass through each other."""
         if self.pairs is None:
             return []
         names = self.tree.names
@@ -83,25 +82,24 @@ class World(eqx.Module):
 
     @property
     def watched(self) -> SelfCollision:
-        """Bodies of which an audit asks how deep they get into each other.
+        """Pairs of bodies whose overlap an audit measures.
 
-        Those that the rule keeps apart, whatever the user says, and those that are kept apart
-        besides.
+        They are the pairs that the rule keeps apart without the user's settings, and `pairs`.
         """
         return SelfCollision(include=tuple(self.pair_names))
 
     @property
     def submerged(self) -> bool:
-        """Whether the creature is in deep water, always and everywhere."""
+        """Whether water is everywhere, without surface and ground."""
         return self.water is not None and self.water.surface is None and self.contact_model is None
 
     @property
     def ground(self) -> Ground | None:
-        """None where there is nothing to stand on."""
+        """The ground; None without ground."""
         return None if self.contact_model is None else self.contact_model.ground
 
     def with_friction(self, factor: Float[Numbers, " *n"] | Array | float) -> "World":
-        """The same on ground with more or less friction, static and dynamic.
+        """Return the world with its static and dynamic friction scaled by a factor.
 
         Raises:
             ValueError: there is no ground.
@@ -118,7 +116,7 @@ class World(eqx.Module):
         return eqx.tree_at(lambda world: world.contact_model, self, rougher)
 
     def with_drag(self, factor: float) -> "World":
-        """Return the same in water with more or less drag of both kinds.
+        """Return the world with both kinds of drag scaled by a factor.
 
         Raises:
             ValueError: there is no water.
