@@ -85,7 +85,7 @@ def optimize(program: Program, passes: Sequence[Pass] | None = None, rules: Rule
 
     Args:
         program: program for one individual.
-        passes: functions from graph to graph; None for `PASSES`.
+        passes: functions from graph to graph, or None for `PASSES`.
         rules: rewrite rules by operation.
 
     Raises:
@@ -110,7 +110,7 @@ def to_llvm(
     Args:
         program: program for one individual.
         variant: the machine and the kind of code.
-        passes: functions from graph to graph; None for `PASSES`.
+        passes: functions from graph to graph, or None for `PASSES`.
         rules: rewrite rules by operation.
 
     Raises:

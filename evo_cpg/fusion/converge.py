@@ -50,7 +50,7 @@ def implicit(
         search: function that returns an answer, and notes on how the answer was found.
         replay: function from the notes to the same answer, by steps that JAX can differentiate.
             It runs only if a derivative is requested.
-        x: initial value of the search; the derivative by ``x`` is zero.
+        x: initial value of the search. The derivative by ``x`` is zero.
         like: notes of the same shape.
     """
     found, found_closed = jax.closure_convert(search, x)

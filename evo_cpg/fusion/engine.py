@@ -30,10 +30,10 @@ class Engine(NamedTuple):
     """The engine that computes programs.
 
     Attributes:
-        name: "auto" uses native code if possible, else JAX with a warning; "native" requires
-            native code; "jax" never uses native code.
-        instructions: instruction set of native code; "host" is the largest of this machine.
-        tested: whether native code must pass its self-test first; False only in the self-test.
+        name: "auto" uses native code if possible, else JAX with a warning. "native" requires
+            native code. "jax" never uses native code.
+        instructions: instruction set of native code ("host" is the largest of this machine).
+        tested: whether native code must pass its self-test first (False only in the self-test).
     """
 
     name: EngineName = "auto"
@@ -140,7 +140,7 @@ def smallest_fallback(name: str, error: Exception) -> Iterator[None]:
 
 @functools.cache
 def register(name: str, address: int) -> str:
-    """Register a handler with XLA; return its registered name."""
+    """Register a handler with XLA and return its registered name."""
     make = ctypes.pythonapi.PyCapsule_New
     make.restype = ctypes.py_object
     make.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
@@ -157,11 +157,11 @@ def _warn_once(message: str) -> None:
 
 @functools.cache
 def _wrong(found: machine.Target) -> str:
-    """Return the fault of native code on this machine; "" if it passed its self-test."""
+    """Return the fault of native code on this machine, or "" if it passed its self-test."""
     if machine.passed_self_test(found, jax.__version__):
         return ""
     command = [sys.executable, "-m", "evo_cpg.fusion.self_test", found.name]
-    # With filtering, the last line of an error would be JAX's remark on the shortened traceback.
+    # The last line of a filtered error is JAX's remark on the shortened traceback.
     own = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_TRACEBACK_FILTERING": "off"}
     try:
         test = subprocess.run(

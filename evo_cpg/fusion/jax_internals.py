@@ -29,7 +29,7 @@ _RANDOM = {
 
 
 def primitive(name: str) -> Primitive:
-    """Return a new primitive with several results; `implement` adds its rules."""
+    """Return a new primitive with several results. `implement` adds its rules."""
     new = Primitive(name)
     new.multiple_results = True
     return new
@@ -70,7 +70,7 @@ def no_tangent(x: jax.Array) -> Any:
 
 
 def is_random(name: str) -> bool:
-    """Return whether a primitive makes random numbers or keys; keys are traced as their words."""
+    """Return whether a primitive makes random numbers or keys. Keys are traced as their words."""
     return name in _RANDOM
 
 
@@ -183,7 +183,7 @@ def detected_cluster(timeout: float) -> tuple[str, int, int] | None:
         timeout: time limit for schedulers that need a query, s.
 
     Returns:
-        Host and port of the coordinator, number of processes, and number of this process; None
+        Host and port of the coordinator, number of processes, and number of this process. None
         without such a scheduler.
     """
     from jax._src import clusters

@@ -32,7 +32,7 @@ class Spent:
 
     Attributes:
         seconds: total time, s: tracing programs, writing their code, and compiling it.
-        compiler: time in LLVM, part of ``seconds``, s; 0 if all code came from the cache.
+        compiler: time in LLVM, part of ``seconds``, s (0 if all code came from the cache).
         programs: programs that became machine code, in order.
     """
 

@@ -51,7 +51,7 @@ def allocate(graph: Graph, variant: Variant) -> Code:
     """Return the program in which every value has a place.
 
     Args:
-        graph: a program; an unscheduled program keeps the order of its nodes.
+        graph: a program. An unscheduled program keeps the order of its nodes.
         variant: the kind of code.
     """
     if not graph.runs:
@@ -136,13 +136,13 @@ class _Allocator:
 
     @property
     def _in_group(self) -> bool:
-        """Whether all vectors of a group run the current code together."""
+        """Return whether all vectors of a group run the current code together."""
         return self.grouped and self.packed is None and not self.per_vector
 
     # Steps, pieces, stretches.
 
     def _let(self, template: Template, *operands: str | int) -> str:
-        """Add a step; return the name of its result."""
+        """Add a step and return the name of its result."""
         first = self.count + 1
         self.count += template.names
         self.lines += template.lines
@@ -241,7 +241,7 @@ class _Allocator:
         return name or self._fetch(node)
 
     def _fetch(self, node: Node) -> str:
-        """Load a value from memory; return its name."""
+        """Load a value from memory and return its name."""
         if node in self.spilled:
             self.buffers[FRAME] = None
             template = self.select.load(node.dtype, node.uniform, FRAME)
@@ -340,7 +340,7 @@ class _Allocator:
         self._wrote(node)
 
     def _store_operands(self, node: Node) -> int:
-        """Write the operands of a node to consecutive places in memory; return the first place."""
+        """Write the operands of a node to consecutive places in memory. Return the first place."""
         size = self._row_bytes(node)
         start = self.memory.reserve(size * len(node.operands))
         for i, operand in enumerate(node.operands):
@@ -403,7 +403,7 @@ class _Allocator:
     # Loops.
 
     def _loop(self, node: Node, loop: Loop) -> None:
-        """Allocate a loop; its carried values are in their slots."""
+        """Allocate a loop. Its carried values are in their slots."""
         kept, lists = self.graph.kept[node], self.lists[node]
         for k in kept:
             self._store(self._ref(node.operands[k]), loop.carried[k], self.slots[loop.carried[k]])
@@ -439,7 +439,7 @@ class _Allocator:
         self.per_vector = before
 
     def _pack(self, node: Node, loop: Loop) -> None:
-        """Allocate a loop with packed individuals; its functions work on one vector."""
+        """Allocate a loop with packed individuals. Its functions work on one vector."""
         packed = self.packed = _Packed()
         outside, self.items = self.items, []
         self._end(self._let(self.select.mask(), self._active(loop)), "i32")
@@ -466,7 +466,7 @@ class _Allocator:
             yield Slot(start + i * size, table.dtype.itemsize, table.uniform)
 
     def _active(self, loop: Loop) -> str:
-        """Allocate the test of a loop; return the name of the condition."""
+        """Allocate the test of a loop and return the name of the condition."""
         condition = loop.condition
         assert condition is not None
         self._begin()
@@ -474,7 +474,7 @@ class _Allocator:
         return self._ref(condition)
 
     def _round(self, node: Node, loop: Loop) -> list[Item]:
-        """Allocate a round of a loop; return its code."""
+        """Allocate a round of a loop and return its code."""
         self._begin()
         kept, lists = self.graph.kept[node], self.lists[node]
         # A carried value that moves to another slot is read before any slot is written.
@@ -515,7 +515,7 @@ class _Allocator:
         return self.items
 
     def _copy(self, loop: Loop, k: int) -> int:
-        """Copy the next carried value to a temporary place; return the place."""
+        """Copy the next carried value to a temporary place and return the place."""
         node = loop.carried[k]
         value = self._ref(loop.following[k])
         if loop.condition is not None:

@@ -59,7 +59,7 @@ class Template(NamedTuple):
         text: lines of LLVM IR.
         lines: number of lines.
         names: number of values that the lines name.
-        result: number of the result among the new names, from 1; 0 for the first operand.
+        result: number of the result among the new names, from 1, or 0 for the first operand.
     """
 
     text: str
@@ -99,7 +99,7 @@ class Stretch(NamedTuple):
 
     Attributes:
         pieces: one piece, or several pieces that run in turn.
-        result: name of its result; "" if there is none.
+        result: name of its result, or "" if there is none.
         kind: LLVM's type of the result.
     """
 
@@ -143,11 +143,11 @@ class LoopCode:
     Attributes:
         loop: loop of the graph.
         number: unique number for labels.
-        counter: place of the round's number; None if it is not read.
+        counter: place of the round's number, or None if it is not read.
         test: code that ends with a stretch whose result is the condition of another round.
         body: code of a round.
         per_vector: whether the loop is a branch that each vector of a group takes separately.
-        packed: slots that the loop reads and slots that it carries; None if it is not packed.
+        packed: slots that the loop reads and slots that it carries, or None if it is not packed.
     """
 
     loop: Loop

@@ -50,7 +50,7 @@ def object_code(request: Request) -> bytes:
 
 
 def _reply_of(process: subprocess.Popen, request: Request) -> bytes:
-    """Send a request; return the object code of the answer.
+    """Send a request and return the object code of the answer.
 
     Raises:
         CompilerDied: LLVM ended its process.
@@ -86,7 +86,7 @@ _owner = 0
 
 
 def _running() -> subprocess.Popen | None:
-    """Return the compiler's process; start it if needed, and return None if that fails."""
+    """Return the compiler's process. Start it if needed, and return None if that fails."""
     global _process, _owner
     # After a fork, the pipes belong to the parent process.
     if _process is None or _owner != os.getpid() or _process.poll() is not None:

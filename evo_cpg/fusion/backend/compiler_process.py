@@ -82,7 +82,7 @@ def _machine(processor: str, features: str, effort: int) -> "llvm.TargetMachine"
 
 
 def _on_large_stack(compute: Callable[[], bytes]) -> bytes:
-    """Run a function on a separate thread with a large stack; return its result."""
+    """Run a function on a separate thread with a large stack and return its result."""
     found: list[bytes] = []
     errors: list[BaseException] = []
 
@@ -102,7 +102,7 @@ def _on_large_stack(compute: Callable[[], bytes]) -> bytes:
 
 
 def _started(run: Callable[[], None]) -> threading.Thread | None:
-    """Start a thread with a large stack; return None if the system refuses."""
+    """Start a thread with a large stack and return None if the system refuses."""
     try:
         before = threading.stack_size(_STACK)
     except (ValueError, RuntimeError):

@@ -33,7 +33,7 @@ def handler(name: str, arguments: int, results: int) -> str:
     Args:
         name: name of the function.
         arguments: number of arrays that the program reads.
-        results: number of arrays that it writes, at least one; scratch memory comes after them.
+        results: number of arrays that it writes, at least one. Scratch memory comes after them.
     """
     buffers = [("arguments", k) for k in range(arguments)]
     buffers += [("results", k) for k in range(results + 1)]

@@ -100,7 +100,7 @@ class _Printer:
         ]
 
     def _items(self, items: Sequence[Item]) -> str:
-        """Print code; return the name of the last result."""
+        """Print code and return the name of the last result."""
         result = ""
         for item in items:
             if isinstance(item, Stretch):
@@ -120,7 +120,7 @@ class _Printer:
     def _function(
         self, lines: Sequence[str], buffers: Sequence[str], result: str = "", kind: str = "void"
     ) -> str:
-        """Write a function of some lines; return its name."""
+        """Write a function of some lines and return its name."""
         name = f"stretch{len(self.functions)}"
         pointers = "".join(f"ptr noalias {buffer}, " for buffer in buffers)
         body = "\n".join(["entry:", *lines, f"ret {kind} {result}"])
@@ -133,7 +133,7 @@ class _Printer:
         return name
 
     def _stretch(self, stretch: Stretch) -> str:
-        """Print a stretch and its call; return the name of its result."""
+        """Print a stretch and its call, and return the name of its result."""
         *before, last = [
             (_lines(piece.steps), piece.buffers, "".join(f"ptr {b}, " for b in piece.buffers))
             for piece in stretch.pieces
@@ -155,7 +155,7 @@ class _Printer:
     def _call_function(
         self, name: str, given: str, has_result: bool = False, kind: str = "void"
     ) -> str:
-        """Call a function for one vector or for all of a group; return the name of the result."""
+        """Call a function for one vector or for a group, and return the name of the result."""
         if self.grouped:
             self._call_for_group(name, given, given)
             return ""
@@ -237,7 +237,7 @@ class _Printer:
         self._call_for_group(name, parameters, parameters)
 
     def _packed(self, item: LoopCode, reads: Sequence[Slot], carries: Sequence[Slot]) -> None:
-        """Print a loop with packed individuals; its functions work on one vector."""
+        """Print a loop with packed individuals. Its functions work on one vector."""
         name = f"loop{len(self.functions)}"
         parameters = f"{self.buffers}ptr {FRAME}, "
         lines, mask = self._separately(lambda: self._items(item.test))

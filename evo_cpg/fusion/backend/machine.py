@@ -32,13 +32,13 @@ _folder: Path | None = None
 
 
 def keep_code_in(folder: Path | None) -> None:
-    """Set the folder in which machine code is kept for the next start; None keeps nothing."""
+    """Set the folder in which machine code is kept for the next start, or None to keep none."""
     global _folder
     _folder = folder
 
 
 def code_folder() -> Path | None:
-    """Return the folder in which machine code is kept; None if it is not kept."""
+    """Return the folder in which machine code is kept, or None if it is not kept."""
     return _folder
 
 
@@ -72,7 +72,7 @@ def host(requested: str | None = None) -> Target:
     """Return this machine, limited to an instruction set.
 
     Args:
-        requested: name of the set; None for the largest set of the processor.
+        requested: name of the set, or None for the largest set of the processor.
 
     Raises:
         Unsupported: llvmlite is missing, or the processor lacks the set.
@@ -98,7 +98,7 @@ def host(requested: str | None = None) -> Target:
 
 
 def load(text: str, target: Target) -> tuple[str, int]:
-    """Compile and load a module; return a unique name for its ``@handler``, and the address.
+    """Compile and load a module. Return a unique name for its ``@handler``, and the address.
 
     Args:
         text: LLVM IR of a module with a function ``@handler``.

@@ -86,7 +86,7 @@ class Memory:
         return place
 
     def borrow(self, size: int) -> int:
-        """Return a place in shared memory until its release; a reused place is likely cached."""
+        """Return a place in shared memory until its release. A reused place is likely cached."""
         free = self._free.get(size)
         if free:
             return free.pop()

@@ -47,7 +47,7 @@ class Operation:
         kind: column of the source in tables: 0 float, 1 signed integer, 2 unsigned integer or bool.
         t: LLVM's type of the result.
         s: LLVM's type of the first operand.
-        constants: values of constant operands; None for other operands.
+        constants: values of constant operands, or None for other operands.
     """
 
     def __init__(self, writer: Writer, node: Node):
@@ -72,7 +72,7 @@ class Operation:
         return self.let(f"select {flags} {flag}, {self.t} {yes}, {self.t} {no}")
 
     def intrinsic(self, name: str, t: str, a: Sequence[str], source: str = "") -> str:
-        """Write a call of an LLVM intrinsic; return the name of its result."""
+        """Write a call of an LLVM intrinsic and return the name of its result."""
         return self._writer.intrinsic(name, t, a, source)
 
     def library_call(self, name: str, a: Sequence[str]) -> str:
@@ -136,7 +136,7 @@ def _not(o: Operation, x: str) -> str:
 
 
 def _extreme(o: Operation, x: str, y: str) -> str:
-    """Write the maximum or minimum of two numbers; NaN if either is NaN."""
+    """Write the maximum or minimum of two numbers, which is NaN if either is NaN."""
     word = {"max": ("ogt", "sgt", "ugt"), "min": ("olt", "slt", "ult")}[o.op][o.kind]
     known = o.constants[0]
     if o.constants[1] is not None:

@@ -37,7 +37,7 @@ class VectorGroup(NamedTuple):
     Attributes:
         vectors: maximum number of vectors.
         width: number of individuals of each vector.
-        stride: bytes of scratch memory of each vector; the packed vector's memory comes last.
+        stride: bytes of scratch memory of each vector. The packed vector's memory comes last.
         compresses: whether the processor has AVX-512's instruction that compresses numbers.
     """
 
@@ -212,7 +212,7 @@ lane:
 
 
 def _fill_compressed(name: str, group: VectorGroup) -> str:
-    """Write code that fills the lanes vector by vector; individuals without a lane are masked."""
+    """Write code that fills the lanes vector by vector. Individuals without a lane are masked."""
     return f"""  br label %row
 row:
   %r = phi i64 [ 0, %fill ], [ %r_next, %row_done ]

@@ -19,7 +19,7 @@ class Registers:
     """The names of values that are in registers.
 
     Args:
-        count: number of vector registers; a fraction ``VALUE_REGISTERS`` of them holds values.
+        count: number of vector registers. A fraction ``VALUE_REGISTERS`` of them holds values.
     """
 
     def __init__(self, count: int):
@@ -53,15 +53,15 @@ class Registers:
         self._next_use[node, wide] = uses[-1] if uses else len(self._steps)
 
     def name(self, node: Node, wide: bool) -> str | None:
-        """Return the name of a value in a register; None if the value is in no register."""
+        """Return the name of a value in a register, or None if the value is in no register."""
         return self._names.get((node, wide))
 
     def pass_on(self) -> tuple[list[tuple[Held, str]], list[Node]]:
         """Continue with the next operation.
 
         Returns:
-            Values that leave the registers and are used again, with their names; and nodes that
-            are not used again.
+            A list of values that leave the registers and are used again, with their names, and a
+            list of nodes that are not used again.
         """
         over = [node for node in self._steps[self._now] if self._is_over(node)]
         self._now += 1
@@ -77,13 +77,13 @@ class Registers:
         return bool(self._uses.get(node))
 
     def empty(self) -> list[tuple[Held, str]]:
-        """Remove all values from the registers; return the values that are used again."""
+        """Remove all values from the registers and return the values that are used again."""
         leaving = [(held, name) for held, name in self._names.items() if self._uses.get(held[0])]
         self._names, self._next_use = {}, {}
         return leaving
 
     def _is_over(self, node: Node) -> bool:
-        """Remove the current use of a node; return whether it was the last use."""
+        """Remove the current use of a node and return whether it was the last use."""
         uses = self._uses[node]
         uses.pop()
         for held in ((node, False), (node, True)):

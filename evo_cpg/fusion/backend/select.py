@@ -101,13 +101,13 @@ class Selector:
 
     @_made_once(2)
     def store(self, dtype: np.dtype, uniform: bool, base: str, value: str, place: str) -> None:
-        """Write a value to a place behind a pointer; "" if the place is a pointer itself."""
+        """Write a value at ``place`` bytes behind ``base``, or at ``place`` if ``base`` is ""."""
         pointer = self._w.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
         self._store(value, dtype, pointer, uniform)
 
     @_made_once(1)
     def load(self, dtype: np.dtype, uniform: bool, base: str, place: str) -> str:
-        """Read a value from a place behind a pointer; "" if the place is a pointer itself."""
+        """Read a value at ``place`` bytes behind ``base``, or at ``place`` if ``base`` is ""."""
         pointer = self._w.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
         return self._load(dtype, pointer, uniform)
 

@@ -49,7 +49,7 @@ class Writer:
         return Template("\n".join(self.lines), len(self.lines), self._names, result)
 
     def let(self, text: str) -> str:
-        """Write an instruction; return the name of its result."""
+        """Write an instruction and return the name of its result."""
         name = f"%v{{{self._arity + self._names}}}"
         self._names += 1
         self.lines.append(f"{name} = {text}")
@@ -68,13 +68,13 @@ class Writer:
         return f"splat ({TYPES[dtype.char]} {text})"
 
     def intrinsic(self, name: str, t: str, a: Sequence[str], source: str = "") -> str:
-        """Call an LLVM intrinsic; return the name of its result.
+        """Call an LLVM intrinsic and return the name of its result.
 
         Args:
             name: name of the intrinsic, without ``llvm.`` and types.
             t: type of its result.
             a: names of its operands.
-            source: type of its operands; "" if equal to ``t``.
+            source: type of its operands, or "" if equal to ``t``.
         """
         source = source or t
         suffix = self.suffix(t) + (f".{self.suffix(source)}" if source != t else "")

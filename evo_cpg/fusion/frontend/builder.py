@@ -42,7 +42,7 @@ class Builder:
     Attributes:
         top: block of the whole program.
         block: block in which loops are currently made.
-        active: node that is true for individuals that run the block; None if all individuals do.
+        active: node that is true for individuals that run the block, or None if all individuals do.
     """
 
     def __init__(self, rules: Mapping[str, Sequence[Rule]] = RULES):
@@ -57,7 +57,7 @@ class Builder:
         self._constants: dict[Any, Node] = {}
 
     def argument(self, shape: Sequence[int], dtype: Any, shared: bool = False) -> np.ndarray:
-        """Add an argument and return its nodes; an array without elements is not added."""
+        """Add an argument and return its nodes. An array without elements is not added."""
         dtype, size = np.dtype(dtype), int(np.prod(shape, dtype=int))
         places = [(len(self._arguments), row) for row in range(size)]
         if size:
@@ -85,7 +85,7 @@ class Builder:
     def end_part(
         self, arguments: Iterable[Node], results: Iterable[Node], reorder: bool = True
     ) -> int:
-        """End a program within the program; equal nodes before and after its end are not shared.
+        """End a program within the program. Equal nodes before and after its end are not shared.
 
         Args:
             arguments: first nodes of the part.
@@ -120,8 +120,8 @@ class Builder:
 
         Args:
             node: the original node.
-            block: block of the new node; None for the block of ``node``.
-            part: number of the part whose result the node is; None for an argument.
+            block: block of the new node, or None for the block of ``node``.
+            part: number of the part whose result the node is, or None for an argument.
         """
         if node.value is not None:
             return node
@@ -135,7 +135,7 @@ class Builder:
         return self._new("inside", (node,), node.dtype, block, node.uniform)
 
     def make(self, op: str, operands: Sequence[Node], dtype: Any, detail: Any = None) -> Node:
-        """Return a node without simplification; return an existing equal node if there is one.
+        """Return an existing equal node, or a new node without simplification.
 
         Args:
             op: name of the operation.
@@ -243,7 +243,7 @@ class Builder:
 
         Args:
             block: a block within the current block.
-            active: node that is true for individuals that run the block; None for no change.
+            active: node that is true for individuals that run the block, or None for no change.
         """
         outer = self.block, self.active
         self.block, self.active = block, active or self.active

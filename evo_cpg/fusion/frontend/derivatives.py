@@ -23,7 +23,7 @@ def differentiate(
     program: Program,
     batch: tuple[int, ...],
 ) -> tuple[list[jax.Array], list[Any]]:
-    """Return the results of a program and their tangents; integer results have no tangent."""
+    """Return the results of a program and their tangents. Integer results have no tangent."""
     if program.loops:
         # JAX differentiates the loop itself. The parts of the loop are fused.
         changes = [internals.instantiate_zeros(tangent) for tangent in tangents]
@@ -95,7 +95,7 @@ def differentiate(
 def _for_all(
     values: Sequence[jax.Array], numbers: Iterable[int], program: Program, batch: tuple[int, ...]
 ) -> list[jax.Array]:
-    """Return the values; broadcast shared values to the batch axes.
+    """Return the values, with shared values broadcast to the batch axes.
 
     Args:
         values: arrays.

@@ -142,7 +142,7 @@ def logistic(x: Array) -> Array:
 
 
 def sin(x: Array) -> Array:
-    """Return ``sin x``, within 1.5e-7 for ``abs(x)`` up to 1e4; larger arguments lose digits.
+    """Return ``sin x``, within 1.5e-7 for ``abs(x)`` up to 1e4. Larger arguments lose digits.
 
     Up to 1e4, k times each of the first two parts of pi is exact.
     """
@@ -206,7 +206,7 @@ def atan2(y: Array, x: Array) -> Array:
 
 
 def pow_(x: Array, y: Array) -> Array:
-    """Return ``x^y`` as ``2^(y log2 x)``; logarithm and product are sums of two numbers.
+    """Return ``x^y`` as ``2^(y log2 x)``. Logarithm and product are sums of two numbers.
 
     The main part of each product has factors of 12 binary digits, so it is exact.
     """
@@ -234,7 +234,7 @@ def pow_(x: Array, y: Array) -> Array:
 
 
 def _pow_special(x: Array, y: Array, size: Array) -> Array:
-    """Return the power from its absolute value; set sign, zeros, infinities and NaN."""
+    """Return the power from its absolute value. Set sign, zeros, infinities and NaN."""
     a = abs(x)
     zero = a < _SMALLEST
     grows = _where(zero, -y, y) > 0.0
@@ -296,7 +296,7 @@ def cosh(x: Array) -> Array:
 
 
 def asinh(x: Array) -> Array:
-    """Return ``ln(x + sqrt(x^2 + 1))``; the sum minus 1 is computed without cancellation."""
+    """Return ``ln(x + sqrt(x^2 + 1))``. The sum minus 1 is computed without cancellation."""
     a = abs(x)
     square = a * a
     more = a + square / (1.0 + lax.sqrt(1.0 + square))
@@ -304,7 +304,7 @@ def asinh(x: Array) -> Array:
 
 
 def acosh(x: Array) -> Array:
-    """Return ``ln(x + sqrt(x^2 - 1))``; the sum minus 1 is computed without cancellation."""
+    """Return ``ln(x + sqrt(x^2 - 1))``. The sum minus 1 is computed without cancellation."""
     t = x - 1.0
     more = t + lax.sqrt(t * (t + 2.0))
     return _where(x < 1.0, math.nan, _log1p_or_log_of_double(more, x))
@@ -327,7 +327,7 @@ FLOAT32: dict[str, Callable[..., Array]] = {
 
 
 def _exp_parts(x: Array, greatest: int) -> tuple[Array, Array]:
-    """Return an integer ``k <= greatest`` and p with ``e^x = 2^k p``; k = -127 for ``e^x = 0``."""
+    """Return an integer ``k <= greatest`` and p with ``e^x = 2^k p``, k = -127 for ``e^x = 0``."""
     x = _at_least(x, -88.0)
     k = _at_most(_nearest(x * _LOG2_E), greatest)
     r = _less_multiple(x, k, _LN_2_PARTS)
@@ -345,13 +345,13 @@ def _expm1_parts(
 
 
 def _expm1_over(divisor: int, x: Array, ln_2: Sequence[float] = _LN_2_PARTS) -> Array:
-    """Return ``(e^x - 1) / divisor``; the divisor is a power of two."""
+    """Return ``(e^x - 1) / divisor``. The divisor is a power of two."""
     r, scale = _expm1_parts(x, divisor, ln_2)
     return scale * r + (scale - 1 / divisor)
 
 
 def _power_of_two(k: Array, more: float = 0.0) -> Array:
-    """Return ``2^(k + more)`` for an integer exponent; 0 for -127 and infinity for 128."""
+    """Return ``2^(k + more)`` for an integer exponent: 0 for -127 and infinity for 128."""
     return _float(lax.shift_left(_bits(k + (_INTEGER_IN_BITS + more)), np.int32(_MANTISSA_BITS)))
 
 
@@ -409,7 +409,7 @@ def _atan_of_ratio(z: Array, inverted: Array) -> Array:
 
 
 def _polynomial(coefficients: Sequence[float], x: Array) -> Array:
-    """Evaluate a polynomial by Horner's rule; coefficients begin with the constant term."""
+    """Evaluate a polynomial by Horner's rule. Coefficients begin with the constant term."""
     value = x * coefficients[-1] + coefficients[-2]
     for coefficient in coefficients[-3::-1]:
         value = value * x + coefficient

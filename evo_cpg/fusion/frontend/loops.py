@@ -26,7 +26,7 @@ Trace = Callable[..., list[Any]]
 
 
 def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> list[Any]:
-    """Lower a counted loop; its inputs per round are in tables, its stacked outputs in lists.
+    """Lower a counted loop. Its inputs per round are in tables, its stacked outputs in lists.
 
     Raises:
         Unsupported: the loop stacks more numbers than native code keeps.

@@ -106,7 +106,7 @@ def trace_closed(builder: Builder, closed: ClosedJaxpr, inputs: Sequence[np.ndar
 
 
 def constants(builder: Builder, values: np.ndarray) -> np.ndarray:
-    """Return an array of constant nodes; tangents of integers (float0) are False, as in JAX."""
+    """Return an array of constant nodes. Tangents of integers (float0) are False, as in JAX."""
     if values.dtype == jax.dtypes.float0:
         values = np.zeros(values.shape, bool)
     return node_array(
@@ -185,7 +185,7 @@ def _elimination(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
 
 
 def _linear_solve(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
-    """Trace the solver of a linear system; its other programs are for derivatives."""
+    """Trace the solver of a linear system. Its other programs are for derivatives."""
     counts, jaxprs = equation.params["const_lengths"], equation.params["jaxprs"]
     before = counts.matvec + counts.vecmat
     given = operands[sum(counts) :]
@@ -233,7 +233,7 @@ def _in_float32(name: str, count: int) -> ClosedJaxpr:
 
 
 def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
-    """Write out a function of the C library for float32; call the library for float64."""
+    """Write out a function of the C library for float32. Call the library for float64."""
     dtype = next((node.dtype for node in operands[0].flat), np.dtype(np.float32))
     if dtype == np.float32 and name in FLOAT32:
         # The functions are written for scalars, but elementwise operations take arrays as well.
@@ -314,7 +314,7 @@ def _dot_general(builder: Builder, operands: Arrays, params: dict) -> Arrays:
 
 
 def _scalar_product(builder: Builder, a: np.ndarray, b: np.ndarray) -> Node:
-    """Return a sum of products; products with equal constant factors, up to the sign, share one.
+    """Return a sum of products. Products with equal constant factors, up to the sign, share one.
 
     Coordinates of points on a regular grid differ by their signs only. The common terms of their
     rows are then computed once. The order of summation, and so the rounding, differs from the

@@ -89,7 +89,7 @@ def _places(gather, x, indices):
 
 
 def _gather_at_computed_places(builder, x, indices, params):
-    """Gather one window for each row of indices; offsets within the window are fixed."""
+    """Gather one window for each row of indices. Offsets within the window are fixed."""
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
     if numbers.operand_batching_dims:
         raise Unsupported("it has no gather with batch dimensions at computed places")
@@ -183,7 +183,7 @@ def _unstack(builder, operands, params):
 
 
 def _pad(builder, operands, params):
-    """Pad between and around the elements; negative padding around the elements cuts."""
+    """Pad between and around the elements. Negative padding around the elements cuts."""
     x, value = operands
     shape, inside, kept = [], [], []
     for count, (low, high, inner) in zip(x.shape, params["padding_config"], strict=True):
@@ -197,7 +197,7 @@ def _pad(builder, operands, params):
 
 
 def _scatter(builder, operands, params, combine=lambda old, new: new):
-    """Put elements at constant places; a gather by JAX finds the places."""
+    """Put elements at constant places. A gather by JAX finds the places."""
     x, indices, updates = operands
     if any(node.value is None for node in indices.flat):
         raise Unsupported("it has no scatter to computed places")

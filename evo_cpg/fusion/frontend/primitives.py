@@ -37,8 +37,8 @@ class Program:
 
     Attributes:
         name: name of the function, for messages.
-        jaxpr: JAX program of the function; its constants are its first arguments.
-        constants: values of the constants; None for a traced constant, which is an argument.
+        jaxpr: JAX program of the function. Its constants are its first arguments.
+        constants: values of the constants, or None for a traced constant, which is an argument.
         shared: number of traced constants, the first arguments, which all individuals share.
     """
 
@@ -61,7 +61,7 @@ class Program:
         return [atom.aval for atom in self.jaxpr.outvars]
 
     def __call__(self, *arrays: jax.Array) -> list[Any]:
-        """Return the results for one individual; constant results are NumPy arrays."""
+        """Return the results for one individual. Constant results are NumPy arrays."""
         given = iter(arrays[: self.shared])
         consts = [next(given) if own is None else own for own in self.constants]
         return internals.run(ClosedJaxpr(self.jaxpr, []), [*consts, *arrays[self.shared :]])
@@ -79,7 +79,7 @@ class Program:
 
     @functools.cached_property
     def loops(self) -> bool:
-        """Whether the program has loops without their own derivative rule."""
+        """Return whether the program has loops without their own derivative rule."""
         return any(
             equation.params["program"].loops
             if equation.primitive is fused_p

@@ -23,7 +23,7 @@ class Rule(NamedTuple):
     """A rewrite rule.
 
     Attributes:
-        name: the rewrite as text; c is a constant.
+        name: the rewrite as text, with c for a constant.
         apply: function from a builder and the operands to an equal node, or None.
     """
 
@@ -165,7 +165,7 @@ def saturates(operand: Node, dtype: np.dtype) -> bool:
 
 
 def _whole_quotient(a: np.integer, b: np.integer) -> Any:
-    """Divide and round towards zero; return -1 (all bits) for a zero divisor, as in XLA."""
+    """Divide and round towards zero. A zero divisor gives -1 (all bits), as in XLA."""
     size = abs(int(a)) // abs(int(b)) if b else -1
     bits = (-size if b and (a < 0) != (b < 0) else size) % (1 << 8 * a.dtype.itemsize)
     return np.asarray(bits, f"u{a.dtype.itemsize}").view(a.dtype)[()]

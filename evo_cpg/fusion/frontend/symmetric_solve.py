@@ -23,7 +23,7 @@ from evo_cpg.spatial.ldl import factorize, solve_factorized
 
 
 def solve_symmetric(H: Float[Array, "v v *n"], b: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
-    """Return ``H^-1 b``; its derivative solves equations with the same matrix."""
+    """Return ``H^-1 b``. Its derivative solves equations with the same matrix."""
 
     def product(x: Array) -> Array:
         return (H * x[None]).sum(1)
@@ -83,7 +83,7 @@ def elimination_cost(filled: np.ndarray) -> int:
 
 
 def eliminate(builder: Builder, operands: list[np.ndarray]) -> np.ndarray | None:
-    """Return the solution by a loop; return None if written-out code is better.
+    """Return the solution by a loop, or None if written-out code is better.
 
     Args:
         builder: maker of the nodes.

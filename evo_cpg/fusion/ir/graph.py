@@ -36,7 +36,7 @@ class Block:
     """The place where nodes are computed.
 
     Attributes:
-        parent: the block around it; None for the whole program.
+        parent: the block around it, or None for the whole program.
         depth: number of blocks around it.
     """
 
@@ -55,7 +55,7 @@ class Node:
         dtype: type of the result.
         block: block in which the node is computed.
         uniform: whether the value is equal for all individuals.
-        number: order of creation; operands come before their users.
+        number: order of creation. Operands come before their users.
         value: value of a constant, else None.
         detail: other data of the operation (a `Loop`, the place of an input, an index).
     """
@@ -78,14 +78,14 @@ class Loop(NamedTuple):
     """A loop over a block, the detail of a node whose operands are the initial carried values.
 
     Attributes:
-        count: number of rounds; None for a loop that runs while the condition holds for any
+        count: number of rounds, or None for a loop that runs while the condition holds for any
             individual. The other individuals keep their values.
         test: block of the condition, in which the carried values are known.
         body: block that is repeated, within ``test``.
         counter: number of the round, from 0, of a counted loop.
         carried: placeholders of the values that are carried into a round.
         following: values that are carried out of a round.
-        condition: truth value of an uncounted loop; None for a counted loop.
+        condition: truth value of an uncounted loop, or None for a counted loop.
         index: place of a round's values in the lists of a counted loop.
         written: values that each round adds to the lists.
         once: whether the loop is a branch: one test, and the body runs once at most.
@@ -122,7 +122,7 @@ class Run(NamedTuple):
 
     Attributes:
         nodes: operations in the order of their computation.
-        loop: loop after the operations; None after the last loop of a block.
+        loop: loop after the operations, or None after the last loop of a block.
     """
 
     nodes: Sequence[Node]
@@ -134,15 +134,15 @@ class Graph:
     """A program for one individual.
 
     Attributes:
-        arguments: buffers; the detail of an input is (number of the buffer, row).
+        arguments: buffers. The detail of an input is (number of the buffer, row).
         results: buffers, and the node of each row.
         top: block of the whole program.
         nodes: all nodes in the order of their numbers.
         loops: loop of each test block and body block.
         parts: programs within the program, until dead code is eliminated. The detail of an
-            ``opaque`` node is the number of the part whose result it is; None for an argument.
+            ``opaque`` node is the number of the part whose result it is, or None for an argument.
         kept: numbers of the needed carried values of each loop.
-        runs: runs of each block; empty before scheduling.
+        runs: runs of each block (empty before scheduling).
     """
 
     arguments: tuple[Buffer, ...]
@@ -176,7 +176,7 @@ class Graph:
 
 
 class Change(NamedTuple):
-    """The replacement of a node; its type and its block stay.
+    """The replacement of a node. Its type and its block stay.
 
     Attributes:
         op: new operation.
@@ -268,7 +268,7 @@ def runs_of(
 
     Args:
         graph: the program.
-        order: function that orders the operations of a run; default: the order of their numbers.
+        order: function that orders the operations of a run, by default the order of their numbers.
     """
     blocks: dict[Block, list[Node]] = {}
     for node in graph.nodes:

@@ -24,7 +24,7 @@ class Operation(NamedTuple):
 
     Attributes:
         signature: types of its operands and of its result.
-        detail: type of its other data; None if there is none.
+        detail: type of its other data, or None if there is none.
     """
 
     signature: str

@@ -53,7 +53,7 @@ def _check_schedule(graph: Graph, block: Block, computed: set[Node]) -> None:
     Args:
         graph: the program.
         block: the block.
-        computed: nodes that were computed before; this function adds the nodes of the block.
+        computed: nodes that were computed before. This function adds the nodes of the block.
 
     Raises:
         InvalidGraph: a node is scheduled before its operands, twice, or in another block.
@@ -109,7 +109,7 @@ def _check_type(node: Node) -> None:
 
 @functools.cache
 def _letters(signature: str, count: int) -> str | None:
-    """Return the letter of each operand and of the result; None if their number is wrong."""
+    """Return the letter of each operand and of the result, or None if their number is wrong."""
     given, result = signature.split("->")
     letters = given.split()
     if letters and letters[-1].endswith("..."):

@@ -141,7 +141,7 @@ def _used(node: Node, graph: Graph, entered: set[int]) -> Sequence[Node]:
     Args:
         node: the node.
         graph: the program.
-        entered: numbers of inner parts whose arguments were already returned; updated.
+        entered: numbers of inner parts whose arguments were already returned, updated in place.
     """
     if node.op == "opaque":
         # A result of an inner part depends on its arguments. An argument depends on no inner node.

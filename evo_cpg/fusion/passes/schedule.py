@@ -57,7 +57,7 @@ class _Order:
                 stack.extend((operand, False) for operand in self._operands[node])
 
     def _put(self, node: Node) -> None:
-        """Append a node, and then ready nodes that free at least as many registers as they take."""
+        """Append a node and ready nodes that free at least as many registers as they take."""
         stack = [node]
         while stack:
             node = stack.pop()
