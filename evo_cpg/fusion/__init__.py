@@ -1,4 +1,4 @@
-"""Programs for one individual as native code for all: from JAX to machine code."""
+"""Compile JAX programs for one individual to native code for all individuals."""
 
-# Teaches JAX how to run, differentiate and map what is fused.
+# This import teaches JAX how to run, differentiate and map fused programs.
 import evo_cpg.fusion.native  # noqa: F401

@@ -1,4 +1,4 @@
-"""The compiler: from a JAX program for one individual to machine code for all of them.
+"""Compile a JAX program for one individual to machine code for all individuals.
 
 | pass | from | to | file |
 |---|---|---|---|
@@ -11,11 +11,11 @@
 | print | code | LLVM IR | `backend.llvm`, `backend.handler` |
 | compile | LLVM IR | machine code in memory | `backend.machine` |
 
-Lowering simplifies each operation as it is made (`frontend.simplify`). It is no pass of its own,
-because lowering itself depends on it: the place of a slice must be a known number.
+Lowering simplifies each operation as it is made (`frontend.simplify`). Simplification is not a
+separate pass, because lowering depends on it: the place of a slice must be a known number.
 
-Passes from graph to graph and rewrite rules may be left out (`PASSES`, `RULES`). The program then
-costs more and computes the same, except that sums without multiply-adds round otherwise.
+Passes from graph to graph and rewrite rules are optional (`PASSES`, `RULES`). Without them the
+program costs more and computes the same. Only sums without multiply-adds round differently.
 
 | environment variable | after each pass |
 |---|---|
@@ -55,7 +55,7 @@ def check_size(graph: Graph) -> Graph:
     """Return the graph if it is small enough.
 
     Raises:
-        Unsupported: there are more operations than code is made of.
+        Unsupported: there are more operations than `MOST_OPERATIONS`.
     """
     if len(graph.nodes) > machine_constants.MOST_OPERATIONS:
         raise Unsupported(f"it has more than {machine_constants.MOST_OPERATIONS} operations")
@@ -67,12 +67,12 @@ PASSES: tuple[Pass, ...] = (contract_multiply_adds, eliminate_dead_code, check_s
 
 
 class Module(NamedTuple):
-    """A module of LLVM IR, whose function ``@handler`` XLA calls.
+    """A module of LLVM IR with a function ``@handler`` that XLA calls.
 
     Attributes:
         text: LLVM IR.
-        scratch: bytes of memory that it works in.
-        operations: number of nodes of the graph that it computes.
+        scratch: bytes of working memory.
+        operations: number of nodes of the graph that the module computes.
     """
 
     text: str
@@ -81,15 +81,15 @@ class Module(NamedTuple):
 
 
 def optimize(program: Program, passes: Sequence[Pass] | None = None, rules: Rules = RULES) -> Graph:
-    """Return the graph of a program behind the passes from graph to graph.
+    """Return the graph of a program after the passes from graph to graph.
 
     Args:
-        program: for one individual.
-        passes: from graph to graph; None for `PASSES`.
+        program: program for one individual.
+        passes: functions from graph to graph, or None for `PASSES`.
         rules: rewrite rules by operation.
 
     Raises:
-        Unsupported: there is no rule for a part of it, or it is too large.
+        Unsupported: there is no rule for a part of the program, or the program is too large.
     """
     graph = lower(program, Builder(rules))
     _inspect("lower", graph)
@@ -105,16 +105,16 @@ def to_llvm(
     passes: Sequence[Pass] | None = None,
     rules: Rules = RULES,
 ) -> Module:
-    """Return LLVM IR of a program's code and of the entry into it.
+    """Return LLVM IR of a program's code and of its entry function.
 
     Args:
-        program: for one individual.
+        program: program for one individual.
         variant: the machine and the kind of code.
-        passes: see `optimize`.
-        rules: see `optimize`.
+        passes: functions from graph to graph, or None for `PASSES`.
+        rules: rewrite rules by operation.
 
     Raises:
-        Unsupported: there is no rule for a part of it, or it is too large.
+        Unsupported: there is no rule for a part of the program, or the program is too large.
     """
     with _without_collector():
         graph = optimize(program, passes, rules)
@@ -129,9 +129,9 @@ def to_llvm(
 
 @contextlib.contextmanager
 def _without_collector() -> Iterator[None]:
-    """Pause Python's garbage collector: there are a million objects, and no cycles to be found.
+    """Pause Python's garbage collector: there are a million objects and no cycles.
 
-    The collector took half of the time that passes take.
+    The collector took half of the time of the passes.
     """
     enabled = gc.isenabled()
     gc.disable()
@@ -143,7 +143,7 @@ def _without_collector() -> Iterator[None]:
 
 
 def _inspect(name: str, graph: Graph) -> None:
-    """Print and verify what a pass has made, where that is switched on."""
+    """Print and verify the graph that a pass has made, if the environment variables are set."""
     if os.environ.get("EVO_CPG_SHOW_PASSES"):
         print(f"--- {name}", show(graph), sep="\n", file=sys.stderr)
     if os.environ.get("EVO_CPG_VERIFY_PASSES"):

@@ -1,8 +1,8 @@
-"""Searches in a loop that ends when every individual has found its answer, and their derivatives.
+"""Iterate until every individual has converged, and differentiate the solution.
 
-JAX has no reverse mode through such a loop, and how an answer was found is nothing to its
-derivative. By the implicit function theorem that is the derivative of one more step of Newton's
-method from there, which goes nowhere; JAX differentiates that.
+JAX has no reverse mode through such a loop, and the derivative does not depend on the iterations.
+By the implicit function theorem it equals the derivative of one more Newton step at the solution.
+JAX differentiates that step, which leaves the solution unchanged.
 """
 
 import functools
@@ -18,12 +18,12 @@ Value = TypeVar("Value")
 def while_each(
     goes_on: Callable[[Value], jax.Array], advance: Callable[[Value], Value], x: Value
 ) -> Value:
-    """``jax.lax.while_loop`` for every individual by itself.
+    """Run ``jax.lax.while_loop`` with a separate condition for every individual.
 
     Args:
-        goes_on: whether each individual does, ``(*n)``.
-        advance: of a pytree of arrays with the individuals on their last axes, to one like it.
-        x: where it starts.
+        goes_on: function that returns whether each individual continues, ``(*n)``.
+        advance: function from a pytree of arrays, individuals on their last axes, to the next one.
+        x: initial value.
     """
 
     def step(x: Value) -> Value:
@@ -44,13 +44,13 @@ def while_each(
 def implicit(
     search: Callable[[Value], tuple[Any, Any]], replay: Callable[[Any], Any], x: Value, like: Any
 ) -> Any:
-    """The first of ``search(x)``, with the derivatives of what ``replay`` gives.
+    """Return the first result of ``search(x)``, with the derivatives of ``replay``.
 
     Args:
-        search: gives an answer, and notes on how it came about.
-        replay: of the notes; the same answer by steps that JAX can differentiate. It is not
-            computed where no derivative is asked for.
-        x: where the search starts, by which there is no derivative.
+        search: function that returns an answer, and notes on how the answer was found.
+        replay: function from the notes to the same answer, by steps that JAX can differentiate.
+            It runs only if a derivative is requested.
+        x: initial value of the search. The derivative by ``x`` is zero.
         like: notes of the same shape.
     """
     found, found_closed = jax.closure_convert(search, x)

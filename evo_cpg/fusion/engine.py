@@ -1,8 +1,8 @@
-"""What computes fused programs: native code where this machine can, else JAX itself.
+"""Choose the engine that computes fused programs: native code if possible, else JAX.
 
-The engine is chosen when a program is traced; what was compiled with one keeps it. Before native
-code is used for the first time with some versions of JAX and llvmlite, a process of its own tests
-it: a mistake there could end the process, and no exception would tell.
+The engine is chosen when a program is traced, and a compiled program keeps its engine. A separate
+process tests native code before its first use with some versions of JAX and llvmlite. A mistake
+there could end the process without an exception.
 """
 
 import contextlib
@@ -27,13 +27,13 @@ InstructionSet = Literal["host", "avx512", "avx2", "sse", "neon"]
 
 
 class Engine(NamedTuple):
-    """What is to compute programs.
+    """The engine that computes programs.
 
     Attributes:
-        name: "auto" takes native code where it can be had, with a warning where it cannot;
-            "native" insists on it; "jax" never does.
-        instructions: the set of instructions of native code; "host" is the largest there is.
-        tested: whether native code has to pass its self-test first. Only the self-test needs none.
+        name: "auto" uses native code if possible, else JAX with a warning. "native" requires
+            native code. "jax" never uses native code.
+        instructions: instruction set of native code ("host" is the largest of this machine).
+        tested: whether native code must pass its self-test first (False only in the self-test).
     """
 
     name: EngineName = "auto"
@@ -42,12 +42,12 @@ class Engine(NamedTuple):
 
 
 class EngineWarning(UserWarning):
-    """Something runs on plain JAX that was to run as native code."""
+    """A program runs on plain JAX instead of native code."""
 
 
 _AUTO = Engine()
 _chosen: contextvars.ContextVar[Engine] = contextvars.ContextVar("engine")
-# Names of the parts that fell back while a program is computed in parts.
+# Names of the parts that fell back to JAX while a program is computed in parts.
 _fallbacks: contextvars.ContextVar[list[str]] = contextvars.ContextVar("fallbacks")
 
 
@@ -62,10 +62,10 @@ def using(engine: Engine) -> Iterator[None]:
 
 
 def is_native() -> bool:
-    """Whether what is traced now becomes native code.
+    """Return whether programs traced now become native code.
 
     Raises:
-        Unsupported: it must, and cannot.
+        Unsupported: the engine is "native", and this machine has no native code.
     """
     engine = _chosen.get(_AUTO)
     if engine.name == "jax":
@@ -82,10 +82,10 @@ def is_native() -> bool:
 
 
 def target() -> machine.Target:
-    """The machine that native code is made for.
+    """Return the machine that native code is made for.
 
     Raises:
-        Unsupported: there is none.
+        Unsupported: this machine has no native code, or failed the self-test.
     """
     if jax.default_backend() != "cpu":
         raise Unsupported(f"JAX computes on {jax.default_backend()}, and native code is for CPUs")
@@ -97,7 +97,7 @@ def target() -> machine.Target:
 
 
 def described(engine: Engine) -> dict[str, Any]:
-    """What an engine comes to on this machine, for the records."""
+    """Return a description of an engine on this machine, for the records."""
     with using(engine):
         if not is_native():
             return {"engine": "jax"}
@@ -111,7 +111,7 @@ def described(engine: Engine) -> dict[str, Any]:
 
 
 def warn_of_fallback(name: str, error: Exception) -> None:
-    """Warn once that JAX computes a program after all."""
+    """Warn once that a program runs on plain JAX."""
     _fallbacks.get([]).append(name)
     kind = "" if isinstance(error, Unsupported) else f"{type(error).__name__}: "
     reason = str(error).strip().split("\n")[0]
@@ -120,11 +120,11 @@ def warn_of_fallback(name: str, error: Exception) -> None:
 
 @contextlib.contextmanager
 def smallest_fallback(name: str, error: Exception) -> Iterator[None]:
-    """Compute a program in parts: warn of it, unless one of the parts falls back as well.
+    """Compute a program in parts, and warn about it unless one of the parts falls back as well.
 
     Args:
-        name: of the program.
-        error: why it cannot become native code.
+        name: name of the program.
+        error: reason why the program cannot become native code.
     """
     parts: list[str] = []
     token = _fallbacks.set(parts)
@@ -140,7 +140,7 @@ def smallest_fallback(name: str, error: Exception) -> Iterator[None]:
 
 @functools.cache
 def register(name: str, address: int) -> str:
-    """Make a handler known to XLA; under which name."""
+    """Register a handler with XLA and return its registered name."""
     make = ctypes.pythonapi.PyCapsule_New
     make.restype = ctypes.py_object
     make.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
@@ -157,11 +157,11 @@ def _warn_once(message: str) -> None:
 
 @functools.cache
 def _wrong(found: machine.Target) -> str:
-    """What is wrong with native code here; nothing where it passed its self-test."""
+    """Return the fault of native code on this machine, or "" if it passed its self-test."""
     if machine.passed_self_test(found, jax.__version__):
         return ""
     command = [sys.executable, "-m", "evo_cpg.fusion.self_test", found.name]
-    # Else the last line of an error is JAX's remark on how it shortened it.
+    # The last line of a filtered error is JAX's remark on the shortened traceback.
     own = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_TRACEBACK_FILTERING": "off"}
     try:
         test = subprocess.run(

@@ -1,13 +1,12 @@
 """Evaluate an array program for all individuals as one piece of native code.
 
-XLA:CPU gives every small matrix product of an articulated body a kernel of its own: reading and
-writing memory and starting hundreds of kernels then costs several times the arithmetic. Here the
-program is traced for one individual down to scalars (`frontend.lower`), and every scalar
-becomes one instruction on a vector of individuals (`backend.allocate`).
+XLA:CPU makes a kernel of every small matrix product of an articulated body. Memory traffic and the
+start of hundreds of kernels then cost several times the arithmetic. This module traces the program
+for one individual down to scalars (`frontend.lower`). Every scalar becomes one instruction on a
+vector of individuals (`backend.allocate`).
 
-Functions that are fused may call others that are: a trial is one program, of which a control step
-is a part that is a program as well. What cannot become native code is then the smallest part that
-holds what is in the way.
+Fused functions may call other fused functions: a trial is one program, and a control step is a
+program within it. If an operation is unsupported, only the smallest part around it runs on JAX.
 """
 
 import contextlib
@@ -30,14 +29,14 @@ _tracing = contextvars.ContextVar("tracing", default=False)
 
 
 def fuse(function: Callable, *args: Any, batch_ndim: int, name: str = "") -> Any:
-    """``function(*args)``, computed individual by individual in native code.
+    """Return ``function(*args)``, computed individual by individual in native code.
 
     Args:
-        function: of pytrees of arrays, with any number of trailing batch axes, none included, that
-            treats every individual alike.
-        args: arrays whose last ``batch_ndim`` axes are the same for all.
+        function: function of pytrees of arrays with any number of trailing batch axes, or none.
+            It must treat every individual alike.
+        args: arrays whose last ``batch_ndim`` axes are equal.
         batch_ndim: number of batch axes.
-        name: of the function, for messages.
+        name: name of the function, for messages.
     """
     if not _tracing.get() and not engine.is_native():
         return function(*args)
@@ -48,16 +47,16 @@ def fuse(function: Callable, *args: Any, batch_ndim: int, name: str = "") -> Any
         with counted():
             return _bind(function, args, batch_ndim, name)
     except Exception as error:
-        # Whatever it is: if JAX cannot compute the whole either, it says so.
+        # Any error may fall back: if JAX cannot compute the function either, JAX raises its own.
         with engine.smallest_fallback(name, error):
             return function(*args)
 
 
 def _bind(function: Callable, args: tuple, batch_ndim: int, name: str) -> Any:
-    """The results of the primitive.
+    """Return the results of the primitive.
 
     Raises:
-        Unsupported: outside of other programs, it holds what native code has no rule for.
+        Unsupported: the outermost program holds a primitive that native code has no rule for.
     """
     leaves, structure = jax.tree.flatten(args)
     batch = leaves[0].shape[leaves[0].ndim - batch_ndim :]
@@ -81,9 +80,9 @@ def _bind(function: Callable, args: tuple, batch_ndim: int, name: str) -> Any:
 
 
 def symmetric(m: jax.Array) -> jax.Array:
-    """The same matrix ``(k, k, ...)``, known to be symmetric: fused, its lower half costs nothing.
+    """Return the matrix ``(k, k, ...)`` with its lower half replaced by the upper half.
 
-    Outside a fused function the matrix is returned as it is.
+    In a fused function the lower half then costs nothing. Elsewhere the matrix is unchanged.
     """
     if not _tracing.get():
         return m

@@ -1,4 +1,4 @@
-"""All that touches JAX beyond its public interface, so that a new version breaks one file."""
+"""All uses of JAX beyond its public interface, so that a new version breaks one file."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -29,7 +29,7 @@ _RANDOM = {
 
 
 def primitive(name: str) -> Primitive:
-    """Return a new primitive with several results, which `implement` gives its rules."""
+    """Return a new primitive with several results. `implement` adds its rules."""
     new = Primitive(name)
     new.multiple_results = True
     return new
@@ -46,12 +46,12 @@ def implement(
     """Teach JAX the rules of a primitive.
 
     Args:
-        primitive: which.
-        shapes: of its results (`jax.ShapeDtypeStruct`), from arguments and parameters.
-        evaluate: in terms of other primitives.
+        primitive: the primitive.
+        shapes: function from arguments and parameters to result shapes (`jax.ShapeDtypeStruct`).
+        evaluate: definition in terms of other primitives.
         differentiate: rule of forward mode.
         batch: rule of `jax.vmap`.
-        transpose: rule of reverse mode, if it is linear.
+        transpose: rule of reverse mode, if the primitive is linear.
     """
     primitive.def_abstract_eval(
         lambda *x, **params: [ShapedArray(s.shape, s.dtype) for s in shapes(*x, **params)]
@@ -65,20 +65,20 @@ def implement(
 
 
 def no_tangent(x: jax.Array) -> Any:
-    """The change of what does not change."""
+    """Return the symbolic zero tangent of an array."""
     return Zero(jax.typeof(x).to_tangent_aval())
 
 
 def is_random(name: str) -> bool:
-    """Whether a primitive makes random numbers or keys; keys are traced as their words."""
+    """Return whether a primitive makes random numbers or keys. Keys are traced as their words."""
     return name in _RANDOM
 
 
 def random_program(equation: Any) -> ClosedJaxpr:
-    """What a primitive of random numbers does, on the words of keys.
+    """Return the program of a random-number primitive on the words of keys.
 
     Raises:
-        Unsupported: the keys are not of threefry, or this JAX has it in another place.
+        Unsupported: the keys are not threefry keys, or this JAX version keeps them elsewhere.
     """
     name, params = equation.primitive.name, equation.params
     shapes = [_words(atom.aval) for atom in equation.invars]
@@ -110,13 +110,13 @@ def _random_function(name: str, params: dict, equation: Any) -> Callable:
 
 
 def _words(aval: Any) -> jax.ShapeDtypeStruct:
-    """An array as it is traced: a key is two numbers."""
+    """Return the shape and type of an array as traced: a key is two numbers."""
     if jax.numpy.issubdtype(aval.dtype, jax.dtypes.prng_key):
         return jax.ShapeDtypeStruct((*aval.shape, *aval.dtype._impl.key_shape), "uint32")
     return jax.ShapeDtypeStruct(aval.shape, aval.dtype)
 
 
-# Options that make XLA compile fast. They come and go: jaxlib 0.11.2 has the last one no more.
+# Options that make XLA compile fast. They change with the version: jaxlib 0.11.2 lacks the last.
 _QUICK: dict[str, Any] = {
     "xla_backend_optimization_level": 0,
     "xla_cpu_experimental_ynn_fusion_type": "",
@@ -125,7 +125,7 @@ _QUICK: dict[str, Any] = {
 
 
 def quick_jit(function: Callable, **options: Any) -> Callable:
-    """`jax.jit` for what runs so briefly that compiling is what takes the time."""
+    """Return `jax.jit` of a function that takes longer to compile than to run."""
 
     @functools.cache
     def jitted() -> Callable:
@@ -140,7 +140,7 @@ def quick_jit(function: Callable, **options: Any) -> Callable:
 
 @functools.cache
 def _quick_options() -> dict[str, Any]:
-    """Those that this XLA has; it starts the back end."""
+    """Return the options of `_QUICK` that this XLA has. This call starts the back end."""
     if _has(_QUICK):
         return _QUICK
     return {name: value for name, value in _QUICK.items() if _has({name: value})}
@@ -155,17 +155,16 @@ def _has(options: dict[str, Any]) -> bool:
 
 
 def opened(closed: ClosedJaxpr) -> Jaxpr:
-    """A program whose constants are its first arguments.
+    """Return a program whose constants are its first arguments.
 
-    Since JAX 0.11 every program holds its constants, and what a cache keeps must hold none that are
-    traced.
+    Since JAX 0.11 every program holds its constants. Cached programs must hold no traced constants.
     """
     jaxpr = closed.jaxpr
     return jaxpr.replace(constvars=(), invars=[*jaxpr.constvars, *jaxpr.invars])
 
 
 def scan_counts(params: dict[str, Any]) -> tuple[int, int]:
-    """How many constants a ``scan`` has, and how many values it carries."""
+    """Return the number of constants of a ``scan`` and the number of values that it carries."""
     if "ft_in" in params:  # since JAX 0.11
         constants, carried, _ = params["ft_in"].unpack()
         return len(constants), len(carried)
@@ -173,19 +172,19 @@ def scan_counts(params: dict[str, Any]) -> tuple[int, int]:
 
 
 def run(closed: ClosedJaxpr, arrays: Sequence[Any]) -> list[Any]:
-    """The results of a program."""
+    """Return the results of a program."""
     return list(jaxpr_as_fun(closed)(*arrays))
 
 
 def detected_cluster(timeout: float) -> tuple[str, int, int] | None:
-    """Where the scheduler that started this process wants JAX to join: SLURM, Open MPI and others.
+    """Return the JAX cluster of the scheduler that started this process: SLURM, Open MPI, others.
 
     Args:
-        timeout: for schedulers that have to be asked, s.
+        timeout: time limit for schedulers that need a query, s.
 
     Returns:
-        Host and port of the coordinator, how many processes there are, and which this one is; None
-        where there is no such scheduler.
+        Host and port of the coordinator, number of processes, and number of this process. None
+        without such a scheduler.
     """
     from jax._src import clusters
 

@@ -1,25 +1,25 @@
-"""Every number that is right for one kind of machine and may be wrong for the next.
+"""Constants that suit one kind of machine and may be wrong for another.
 
-What a trial comes to does not depend on them: they trade time against memory. Those that are
-"fitted" are what
+The result of a trial does not depend on them: they trade time against memory. "Fitted" constants
+are measured on the machine at hand by
 
     python -m benchmarks.fit_constants
 
-measures on the machine at hand; the others are facts, or limits that keep a mistake from taking
-minutes. Modules read them when they need them.
+The others are facts, or limits that keep a mistake from taking minutes. Modules read a constant
+at each use.
 """
 
 from typing import NamedTuple
 
 
 class InstructionSet(NamedTuple):
-    """What a processor's vectors are.
+    """The vectors of a processor.
 
     Attributes:
-        bytes: of a vector.
-        registers: that hold one.
-        needs: LLVM's names of what the processor must have for it.
-        compresses: whether an instruction closes up the chosen numbers of a vector.
+        bytes: size of a vector, bytes.
+        registers: number of vector registers.
+        needs: LLVM's names of the processor features that the set requires.
+        compresses: whether an instruction compresses the chosen numbers of a vector.
     """
 
     bytes: int

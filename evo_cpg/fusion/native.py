@@ -1,4 +1,4 @@
-"""Fused programs as native code: from a program to a call of machine code, or to plain JAX."""
+"""Evaluate fused programs by a call of machine code, or by plain JAX."""
 
 import time
 import weakref
@@ -22,9 +22,9 @@ class Native(NamedTuple):
     """Machine code of a program.
 
     Attributes:
-        name: under which XLA finds it.
-        scratch: bytes of memory that it works in.
-        width: the least number of individuals.
+        name: name of the handler in XLA.
+        scratch: bytes of working memory.
+        width: minimum number of individuals.
     """
 
     name: str
@@ -39,11 +39,11 @@ _codes: "weakref.WeakKeyDictionary[Program, dict]" = weakref.WeakKeyDictionary()
 
 
 def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> list[jax.Array]:
-    """The results of a program for all individuals.
+    """Return the results of a program for all individuals.
 
     Args:
-        arrays: what it shares, and its arguments with the batch axes behind.
-        program: for one individual.
+        arrays: shared arguments, then the other arguments with trailing batch axes.
+        program: program for one individual.
         batch: lengths of the batch axes.
     """
     count = int(np.prod(batch, dtype=int))
@@ -55,7 +55,7 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
     except Exception as error:
         engine.warn_of_fallback(program.name, error)
         return plain(program, batch)(*arrays)
-    # A vector has to be full: copies of the last individual fill the lanes that are left over.
+    # A vector must be full: copies of the last individual fill the remaining lanes.
     lanes = max(count, native.width)
     rows = [int(np.prod(aval.shape, dtype=int)) for aval in outputs]
     shapes = [
@@ -78,13 +78,13 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
 
 
 def _filled(x: jax.Array, lanes: int) -> jax.Array:
-    """Return rows that are as long as wanted; copies of their last number fill them up."""
+    """Return rows with at least ``lanes`` numbers, padded with copies of their last number."""
     missing = lanes - x.shape[1]
     return jnp.pad(x, ((0, 0), (0, missing)), mode="edge") if missing else x
 
 
 def _native(program: Program, count: int) -> Native:
-    """Machine code for so many individuals, made at the first call."""
+    """Return machine code for ``count`` individuals, compiled at the first call."""
     target = engine.target()
     codes = _codes.setdefault(program, {})
     kinds = [np.dtype(x.dtype) for x in (*program.inputs, *program.outputs)]

@@ -1,4 +1,4 @@
-"""Test native code: ``python -m evo_cpg.fusion.self_test avx2`` ends with 0 where it holds."""
+"""Test native code: ``python -m evo_cpg.fusion.self_test avx2`` exits with 0 on success."""
 
 import functools
 import sys
@@ -13,10 +13,10 @@ from evo_cpg.fusion.fuse import fuse
 
 
 def main(instructions: str) -> None:
-    """Compare a small program with JAX, one individual and many.
+    """Compare a small program in native code with JAX, for one individual and for many.
 
     Raises:
-        ArithmeticError: they differ.
+        ArithmeticError: the results differ.
     """
 
     def program(x: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -28,7 +28,7 @@ def main(instructions: str) -> None:
     values = np.linspace(-2, 2, 120, dtype=np.float32).reshape(2, 60)
     own = engine.Engine("native", instructions, tested=False)  # pyright: ignore
     with engine.using(own), warnings.catch_warnings():
-        # JAX must not compute what code cannot be made for.
+        # A fallback to JAX must fail the test.
         warnings.simplefilter("error", engine.EngineWarning)
         for count in (1, 3, 60):
             x = jnp.asarray(values[:, :count])

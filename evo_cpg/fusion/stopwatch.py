@@ -1,4 +1,4 @@
-"""Measure the time that a thread spends on making native code, and note what it makes."""
+"""Measure the time that a thread spends on native code, and record the programs it compiles."""
 
 import contextlib
 import contextvars
@@ -12,11 +12,11 @@ class Made(NamedTuple):
     """Record of a program that became machine code.
 
     Attributes:
-        name: of the program.
+        name: name of the program.
         operations: number of nodes of its graph that became code.
         writing: time from the JAX program to LLVM IR, s.
         compiling: time from LLVM IR to machine code in memory, s.
-        scratch: bytes of memory that it works in.
+        scratch: bytes of working memory.
     """
 
     name: str
@@ -31,9 +31,9 @@ class Spent:
     """Time spent on native code.
 
     Attributes:
-        seconds: all of it, s: tracing programs, writing their code, and compiling it.
-        compiler: the part of it that LLVM took, s; 0 where all code was kept from before.
-        programs: that became machine code, in order.
+        seconds: total time, s: tracing programs, writing their code, and compiling it.
+        compiler: time in LLVM, part of ``seconds``, s (0 if all code came from the cache).
+        programs: programs that became machine code, in order.
     """
 
     seconds: float = 0.0
@@ -46,7 +46,7 @@ _spent: contextvars.ContextVar[Spent | None] = contextvars.ContextVar("spent", d
 
 @contextlib.contextmanager
 def measuring() -> Iterator[Spent]:
-    """Measure what this thread spends within the block."""
+    """Measure the time that this thread spends on native code within the block."""
     spent = Spent()
     token = _spent.set(spent)
     try:
@@ -56,7 +56,7 @@ def measuring() -> Iterator[Spent]:
 
 
 def record(made: Made) -> None:
-    """Note a program that became machine code, if this thread measures."""
+    """Record a program that became machine code, if this thread measures."""
     spent = _spent.get()
     if spent is not None:
         spent.programs.append(made)
@@ -64,10 +64,10 @@ def record(made: Made) -> None:
 
 @contextlib.contextmanager
 def counted(compiler: bool = False) -> Iterator[None]:
-    """Add the time of the block to what is measured.
+    """Add the time of the block to the measurement.
 
     Args:
-        compiler: whether the block is LLVM's part, which lies within a block that counts already.
+        compiler: whether the block is LLVM's part, within a block that is already counted.
     """
     spent, start = _spent.get(), time.perf_counter()
     try:

@@ -1,5 +1,5 @@
-"""Why a program cannot become native code."""
+"""The exception for programs that cannot become native code."""
 
 
 class Unsupported(Exception):
-    """A program holds something that cannot be written as scalars, or not for this machine."""
+    """The program has a part that cannot become scalar code, or not on this machine."""

@@ -1,1 +1,1 @@
-"""From a graph of scalars to LLVM IR, and from that to machine code in memory."""
+"""Compile a graph of scalars to LLVM IR, and LLVM IR to machine code in memory."""

@@ -1,13 +1,13 @@
-"""Give every value its place: a register, a name that LLVM finds a register for, or memory.
+"""Assign every value a place: a register, a name that LLVM finds a register for, or memory.
 
-The program runs over the individuals a *vector* at a time: every scalar of the graph becomes
-instructions on registers that hold it for 16 individuals (or 8, 4, 1: the machine's width). All
-that lies between two ends of loops is one *stretch* without branches. What crosses from one to
-another has a *slot* in scratch memory, a number for each individual of the vector. What leaves the
-registers for a while is in memory that all vectors share. A value that a loop carries lives in its
-slot.
+The program processes one *vector* of individuals at a time. Every scalar of the graph becomes
+instructions on registers that hold it for 16 individuals (or 8, 4, 1: the machine's width). The
+code between two ends of loops is one *stretch* without branches. A value that is used in several
+stretches has a *slot* in scratch memory, with a number for each individual of the vector. A value
+that leaves the registers temporarily goes to memory that all vectors share. A value that a loop
+carries has a slot.
 
-The outcome is a program of `evo_cpg.fusion.backend.code`, in which nothing is left to decide.
+The result is a program of `evo_cpg.fusion.backend.code`, in which all choices are made.
 """
 
 import dataclasses
@@ -51,7 +51,7 @@ def allocate(graph: Graph, variant: Variant) -> Code:
     """Return the program in which every value has a place.
 
     Args:
-        graph: a program; one that is not scheduled stays in the order in which it was made.
+        graph: a program. An unscheduled program keeps the order of its nodes.
         variant: the kind of code.
     """
     if not graph.runs:
@@ -60,7 +60,7 @@ def allocate(graph: Graph, variant: Variant) -> Code:
 
 
 class _Packed:
-    """A packed loop: what its rounds read from memory, and what they write."""
+    """Values and tables that the rounds of a packed loop read from memory, and nodes they write."""
 
     def __init__(self):
         self.read: dict[Node, None] = {}
@@ -69,11 +69,11 @@ class _Packed:
 
 
 class _Allocator:
-    """Goes through the code in the order in which it runs.
+    """Allocator that walks through the code in the order of its computation.
 
-    ``steps`` are those of the present piece, ``pieces`` those before it in the present stretch, and
-    ``items`` the code of the present block. ``registers`` and ``names`` know where the values of
-    the stretch are. ``packed`` belongs to the packed loop that is allocated, if it is one.
+    ``steps`` belong to the current piece, ``pieces`` are the earlier pieces of the current stretch,
+    and ``items`` are the code of the current block. ``registers`` and ``names`` hold the places of
+    the stretch's values. ``packed`` belongs to the current packed loop, and is None elsewhere.
     """
 
     def __init__(self, graph: Graph, variant: Variant):
@@ -89,7 +89,7 @@ class _Allocator:
         self.tables: dict[Node, int | str] = {}
         self.constants: list[Table] = []
         self.count = 0
-        # Of what crosses stretches, and of what left the registers in this one.
+        # Places of values used across stretches, and of values spilled in the current stretch.
         self.slots: dict[Node, int] = {}
         self.spilled: dict[Node, int] = {}
         ends = [loop.detail for loop in graph.kept if loop.detail.condition is not None]
@@ -136,13 +136,13 @@ class _Allocator:
 
     @property
     def _in_group(self) -> bool:
-        """Return whether all vectors of a group run the present code together."""
+        """Return whether all vectors of a group run the current code together."""
         return self.grouped and self.packed is None and not self.per_vector
 
     # Steps, pieces, stretches.
 
     def _let(self, template: Template, *operands: str | int) -> str:
-        """Add a step; return the name of its result."""
+        """Add a step and return the name of its result."""
         first = self.count + 1
         self.count += template.names
         self.lines += template.lines
@@ -152,18 +152,18 @@ class _Allocator:
         return operands[0]  # pyright: ignore[reportReturnType]
 
     def _begin(self) -> None:
-        """Begin a stretch, in which nothing is known yet."""
+        """Begin an empty stretch."""
         self.steps: list[Step] = []
         self.lines = 0
-        # Names of values that LLVM finds registers for: truth values, and whole numbers for all.
+        # Names of values that LLVM finds registers for: truth values and uniform integers.
         self.names: dict[Node, str] = {}
         self.buffers: dict[str, None] = {}
 
     def _cut(self) -> None:
-        """Go on in another function, if this one is long.
+        """Continue in a new function, if the current function is long.
 
-        The time and the stack that LLVM takes grow faster than a function. All that is used again
-        goes through memory. Nothing may be held by its name alone where this is called.
+        LLVM's time and stack grow faster than the length of a function. Values that are used again
+        go through memory. A caller must hold no value by its name alone.
         """
         if self.lines >= machine_constants.LONGEST_FUNCTION:
             self._empty_registers()
@@ -183,7 +183,7 @@ class _Allocator:
     # Registers.
 
     def _empty_registers(self) -> None:
-        """Put all that is used again into memory."""
+        """Store all values that are used again in memory."""
         for (node, wide), name in self.registers.empty():
             if wide != node.uniform:
                 self._spill(node, name)
@@ -193,7 +193,7 @@ class _Allocator:
         self.names = {}
 
     def _spill(self, node: Node, name: str) -> None:
-        """Keep a value in the memory that vectors share, unless it is in memory already."""
+        """Store a value in shared memory, unless the value is in memory already."""
         if node in self.spilled or home(node) in self.slots:
             return
         self.spilled[node] = place = self.memory.borrow(self._row_bytes(node))
@@ -201,7 +201,7 @@ class _Allocator:
         self._let(self.select.store(node.dtype, node.uniform, FRAME), name, place - FRAME_ORIGIN)
 
     def _expect(self, run: Sequence[Node], result_nodes: list[Node]) -> None:
-        """Begin a run; `_used` is to be called after each operation and each use in the end."""
+        """Begin a run. Call `_used` after each operation and each use of a result."""
         self.registers.expect(run, result_nodes)
         for node, place in self.spilled.items():
             self.memory.release(self._row_bytes(node), place)
@@ -241,7 +241,7 @@ class _Allocator:
         return name or self._fetch(node)
 
     def _fetch(self, node: Node) -> str:
-        """Read a value that is in memory."""
+        """Load a value from memory and return its name."""
         if node in self.spilled:
             self.buffers[FRAME] = None
             template = self.select.load(node.dtype, node.uniform, FRAME)
@@ -281,7 +281,7 @@ class _Allocator:
             self.packed.written.add(node)
 
     def _copy_inputs(self, nodes: list[Node]) -> None:
-        """Bring rows that loops read close together: far apart they compete for cache and pages."""
+        """Copy rows that loops read close together, so they do not compete for cache and pages."""
         runs: list[list[Node]] = []
         for node in sorted(nodes, key=lambda node: node.detail):
             number, row = node.detail
@@ -302,7 +302,10 @@ class _Allocator:
     # Code without branches.
 
     def _block(self, block: Block, result_nodes: list[Node]) -> None:
-        """The operations of a block; its result nodes at the end, in the order of their use."""
+        """Allocate the operations and loops of a block.
+
+        The result nodes are used after the block, in the given order.
+        """
         for run, loop in self.graph.runs.get(block, [([], None)]):
             uses = (
                 result_nodes if loop is None else [loop.operands[k] for k in self.graph.kept[loop]]
@@ -337,7 +340,7 @@ class _Allocator:
         self._wrote(node)
 
     def _store_operands(self, node: Node) -> int:
-        """Write the operands of a node to memory, one behind the other; return where."""
+        """Write the operands of a node to consecutive places in memory. Return the first place."""
         size = self._row_bytes(node)
         start = self.memory.reserve(size * len(node.operands))
         for i, operand in enumerate(node.operands):
@@ -345,7 +348,7 @@ class _Allocator:
         return start
 
     def _sums(self, node: Node) -> None:
-        """Begin sums in memory of their own."""
+        """Write the initial values of sums to memory."""
         size, first = self._row_bytes(node), node.operands[0]
         start = self.tables[node] = self.memory.reserve(size * len(node.operands))
         self._wrote(node)
@@ -362,13 +365,13 @@ class _Allocator:
         self._wrote(node)
 
     def _solve(self, node: Node) -> None:
-        """Put equations in memory and call the function that solves them."""
+        """Write equations to memory and call the function that solves them."""
         start = self._store_operands(node)
         behind = (len(node.operands) - node.detail) * self._row_bytes(node)
         answers = self.tables[node] = start + behind
         template = self.select.solve(node.dtype, node.uniform)
         H, b = self._address(start), self._address(answers)
-        # Registers do not outlast a call.
+        # A call clobbers the registers.
         self._empty_registers()
         self._let(template, H, b, node.detail)
         self._wrote(node)
@@ -400,7 +403,7 @@ class _Allocator:
     # Loops.
 
     def _loop(self, node: Node, loop: Loop) -> None:
-        """Carried values live in their slots; a round reads all that it needs before it writes."""
+        """Allocate a loop. Its carried values are in their slots."""
         kept, lists = self.graph.kept[node], self.lists[node]
         for k in kept:
             self._store(self._ref(node.operands[k]), loop.carried[k], self.slots[loop.carried[k]])
@@ -422,7 +425,7 @@ class _Allocator:
         number = self.count
         if loop.condition is not None:
             flags = self._active(loop)
-            # A vector goes on while any of its individuals does.
+            # A vector continues while any of its individuals continues.
             result = flags if self.width == 1 else self._let(self.select.any_of(), flags)
             self._end(result, "i1")
         test, self.items = self.items, []
@@ -436,12 +439,12 @@ class _Allocator:
         self.per_vector = before
 
     def _pack(self, node: Node, loop: Loop) -> None:
-        """A loop whose individuals are packed together; its functions are of one vector."""
+        """Allocate a loop with packed individuals. Its functions work on one vector."""
         packed = self.packed = _Packed()
         outside, self.items = self.items, []
         self._end(self._let(self.select.mask(), self._active(loop)), "i32")
         test, self.items = self.items, []
-        # An individual that is moved was tested before: a round comes first.
+        # A packed individual was tested before its move, so its code begins with a round.
         tested = set(packed.written)
         body = self._round(node, loop)
         self.packed, self.items = None, outside
@@ -456,14 +459,14 @@ class _Allocator:
         return Slot(self.slots[node], node.dtype.itemsize, node.uniform)
 
     def _rows_of(self, table: Node) -> Iterable[Slot]:
-        """The places of a table in scratch memory."""
+        """Iterate over the slots of a table in scratch memory."""
         start, size = self.tables[table], self._row_bytes(table)
         assert isinstance(start, int)
         for i in range(row_count(table)):
             yield Slot(start + i * size, table.dtype.itemsize, table.uniform)
 
     def _active(self, loop: Loop) -> str:
-        """Allocate the test of a loop; return which individuals go on."""
+        """Allocate the test of a loop and return the name of the condition."""
         condition = loop.condition
         assert condition is not None
         self._begin()
@@ -471,10 +474,10 @@ class _Allocator:
         return self._ref(condition)
 
     def _round(self, node: Node, loop: Loop) -> list[Item]:
-        """Allocate a round of a loop; return its code."""
+        """Allocate a round of a loop and return its code."""
         self._begin()
         kept, lists = self.graph.kept[node], self.lists[node]
-        # What goes from one place to another is read before any is written.
+        # A carried value that moves to another slot is read before any slot is written.
         carried = set(loop.carried)
         ends = {k: resolve(loop.following[k]) for k in kept}
         moved = [k for k in kept if ends[k] in carried and ends[k] is not loop.carried[k]]
@@ -512,7 +515,7 @@ class _Allocator:
         return self.items
 
     def _copy(self, loop: Loop, k: int) -> int:
-        """Keep aside what comes to be carried; return where."""
+        """Copy the next carried value to a temporary place and return the place."""
         node = loop.carried[k]
         value = self._ref(loop.following[k])
         if loop.condition is not None:
@@ -523,7 +526,7 @@ class _Allocator:
         return place
 
     def _unless_done(self, loop: Loop, k: int, value: str) -> str:
-        """Return the new value of individuals that go on, and the old one of the others."""
+        """Return the new value for individuals that continue, and the old value for the others."""
         node, condition = loop.carried[k], loop.condition
         assert condition is not None
         flags = self._ref(condition)

@@ -1,11 +1,11 @@
-"""Allocated programs: LLVM instructions by name, places in memory, loops; everything but the text.
+"""Allocated programs: LLVM instructions, places in memory and loops, before they become text.
 
-| type | what it is |
+| type | meaning |
 |---|---|
 | `Template` | the instructions for one operation, with gaps for its operands |
 | `Step` | a template with operands |
 | `Stretch` | code without branches, which becomes a function |
-| `Copy` | rows of an argument that are brought close together |
+| `Copy` | rows of an argument that are copied close together |
 | `LoopCode` | a loop or a branch over stretches |
 """
 
@@ -22,13 +22,13 @@ class Target(NamedTuple):
     """The machine that code is made for.
 
     Attributes:
-        name: of its set of instructions.
-        bytes: of a vector.
-        registers: for vectors.
-        fma: whether it multiplies and adds in one instruction.
-        compresses: whether one closes up the chosen numbers of a vector.
-        processor: LLVM's name of it.
-        features: LLVM's list of what it has.
+        name: name of the instruction set.
+        bytes: size of a vector, bytes.
+        registers: number of vector registers.
+        fma: whether the processor multiplies and adds in one instruction.
+        compresses: whether one instruction compresses the chosen numbers of a vector.
+        processor: LLVM's name of the processor.
+        features: LLVM's list of processor features.
     """
 
     name: str
@@ -44,8 +44,8 @@ class Variant(NamedTuple):
     """The kind of machine code.
 
     Attributes:
-        target: the machine that it is for.
-        width: individuals in a vector.
+        target: the machine.
+        width: number of individuals in a vector.
     """
 
     target: Target
@@ -53,13 +53,13 @@ class Variant(NamedTuple):
 
 
 class Template(NamedTuple):
-    """Instructions with gaps: ``{0}`` and on for operands, then one for each new name.
+    """Instructions with gaps: ``{0}``, ``{1}``... for operands, then one for each new name.
 
     Attributes:
         text: lines of LLVM IR.
-        lines: how many.
-        names: how many values the lines name.
-        result: number of the result among the new names, from 1; 0 for the first operand.
+        lines: number of lines.
+        names: number of values that the lines name.
+        result: number of the result among the new names, from 1, or 0 for the first operand.
     """
 
     text: str
@@ -73,7 +73,7 @@ class Step(NamedTuple):
 
     Attributes:
         template: the instructions.
-        operands: names of values, constants, places.
+        operands: names of values, constants or places.
         first: number of the first new name.
     """
 
@@ -86,8 +86,8 @@ class Piece(NamedTuple):
     """A part of a stretch that is short enough for a function.
 
     Attributes:
-        steps: in order.
-        buffers: pointers that it needs besides scratch memory.
+        steps: steps in order.
+        buffers: pointers that the piece needs besides scratch memory.
     """
 
     steps: Sequence[Step]
@@ -98,9 +98,9 @@ class Stretch(NamedTuple):
     """Code without branches.
 
     Attributes:
-        pieces: one, or several that take turns.
-        result: name of its result, if it has one.
-        kind: LLVM's type of that.
+        pieces: one piece, or several pieces that run in turn.
+        result: name of its result, or "" if there is none.
+        kind: LLVM's type of the result.
     """
 
     pieces: Sequence[Piece]
@@ -109,11 +109,11 @@ class Stretch(NamedTuple):
 
 
 class Copy(NamedTuple):
-    """Rows that lie one behind the other, brought from an argument to scratch memory.
+    """Consecutive rows that are copied from an argument to scratch memory.
 
     Attributes:
-        step: what is done for each row.
-        rows: how many.
+        step: step for each row.
+        rows: number of rows.
         buffer: pointer to the argument.
     """
 
@@ -126,9 +126,9 @@ class Slot(NamedTuple):
     """A place in scratch memory.
 
     Attributes:
-        start: bytes.
+        start: offset, bytes.
         size: bytes of one individual's number.
-        shared: one number for all individuals.
+        shared: whether all individuals share one number.
     """
 
     start: int
@@ -141,13 +141,13 @@ class LoopCode:
     """A loop or a branch.
 
     Attributes:
-        loop: what it is.
-        number: a number of its own, for labels.
-        counter: place of the number of the round; None if it is not read.
-        test: code that ends with a stretch whose result says whether there is another round.
+        loop: loop of the graph.
+        number: unique number for labels.
+        counter: place of the round's number, or None if it is not read.
+        test: code that ends with a stretch whose result is the condition of another round.
         body: code of a round.
-        per_vector: a branch that each vector of a group takes by itself.
-        packed: places that the loop reads and that it carries, if its individuals are packed.
+        per_vector: whether the loop is a branch that each vector of a group takes separately.
+        packed: slots that the loop reads and slots that it carries, or None if it is not packed.
     """
 
     loop: Loop
@@ -166,9 +166,9 @@ class Table(NamedTuple):
     """A table of constants.
 
     Attributes:
-        name: of the global.
-        values: what it holds.
-        dtype: their type.
+        name: name of the LLVM global.
+        values: constants of the table.
+        dtype: type of the constants.
     """
 
     name: str
@@ -178,15 +178,15 @@ class Table(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Code:
-    """A program whose values have their places.
+    """A program in which every value has a place.
 
     Attributes:
-        arguments: what it reads.
-        results: what it writes.
-        variant: what it is made for.
-        items: in order.
+        arguments: arrays that the program reads.
+        results: arrays that the program writes.
+        variant: kind of machine code.
+        items: code in order.
         tables: constants in memory.
-        functions: those that are called, by name.
+        functions: functions that the code calls, by name.
         size: bytes of scratch memory for a vector.
         frame: bytes of memory that vectors share.
         grouped: whether several vectors run together.

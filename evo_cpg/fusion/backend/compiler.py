@@ -1,7 +1,7 @@
-"""LLVM in a process of its own, so that a compiler that dies does not end the run.
+"""Run LLVM in a separate process, so that a crash of the compiler does not end the run.
 
-The process starts with the first program that is not on disk yet, and ends with this one. Where no
-process can be started, LLVM runs in this one, on a thread with a large stack.
+The process starts with the first program that is not on disk, and ends with the current process.
+If no process can be started, LLVM runs in the current process, on a thread with a large stack.
 """
 
 import atexit
@@ -19,7 +19,7 @@ from evo_cpg.fusion.backend import compiler_process
 from evo_cpg.fusion.backend.compiler_process import Request
 from evo_cpg.fusion.unsupported import Unsupported
 
-# A process that has compiled more text than this (bytes) ends, for LLVM keeps its memory.
+# After a text longer than this (characters) the process is stopped, because LLVM keeps its memory.
 _LARGE_TEXT = 4 * 2**20
 
 
@@ -41,7 +41,7 @@ def object_code(request: Request) -> bytes:
         try:
             return _reply_of(process, request)
         except BaseException:
-            # The pipes hold half a request or half an answer.
+            # The pipes may hold an incomplete request or answer.
             _stop()
             raise
         finally:
@@ -50,7 +50,12 @@ def object_code(request: Request) -> bytes:
 
 
 def _reply_of(process: subprocess.Popen, request: Request) -> bytes:
-    """Send a request and read the answer."""
+    """Send a request and return the object code of the answer.
+
+    Raises:
+        CompilerDied: LLVM ended its process.
+        RuntimeError: the answer is an error.
+    """
     requests, answers = cast(BinaryIO, process.stdin), cast(BinaryIO, process.stdout)
     options = request._asdict()
     text = options.pop("text").encode()
@@ -81,9 +86,9 @@ _owner = 0
 
 
 def _running() -> subprocess.Popen | None:
-    """Return the compiler's process, started where it is needed; None where none can be."""
+    """Return the compiler's process. Start it if needed, and return None if that fails."""
     global _process, _owner
-    # After a fork the pipes are the parent's.
+    # After a fork, the pipes belong to the parent process.
     if _process is None or _owner != os.getpid() or _process.poll() is not None:
         command = [sys.executable, "-P", str(Path(compiler_process.__file__))]
         try:

@@ -1,8 +1,8 @@
-"""A process that turns LLVM IR into object code, started as a file by `compiler`.
+"""Compile LLVM IR to object code in a process that `compiler` starts from this file.
 
-It imports nothing of the package, so that it starts in a fifth of a second.
+This file imports nothing of the package, so that the process starts in 0.2 s.
 
-A request is one line of JSON and the text; an answer is one line of JSON and the object code.
+A request is one line of JSON and the text. An answer is one line of JSON and the object code.
 
 | line | keys |
 |---|---|
@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
 
-# Stack of the thread that compiles, bytes. LLVM goes through a function recursively: one of 250,000
-# lines, as version 1.0.0 made of a spider, needs more than 8 MiB. Functions that are cut need
-# 256 KiB, also those of a walker with 41 bodies. Only what is touched takes up memory.
+# Stack of the thread that compiles, bytes. LLVM walks through a function recursively. The 250,000
+# lines of a spider in version 1.0.0 needed more than 8 MiB. Functions that are cut need 256 KiB,
+# even for a walker with 41 bodies. Unused stack takes no memory.
 _STACK = 256 * 2**20
 
 
@@ -31,10 +31,10 @@ class Request(NamedTuple):
     """A module of LLVM IR to be compiled.
 
     Attributes:
-        text: the module.
-        processor: LLVM's name of it.
-        features: LLVM's list of what it has.
-        effort: of the optimiser, 0 to 3.
+        text: text of the module.
+        processor: LLVM's name of the processor.
+        features: LLVM's list of processor features.
+        effort: optimisation level, 0 to 3.
     """
 
     text: str
@@ -57,8 +57,8 @@ def _object_code(text: str, *machine_of: Any) -> bytes:
 
     machine = _machine(*machine_of)
     module = llvm.parse_assembly(text)
-    # The order of instructions and what is in registers is settled (`registers`);
-    # looking for a better one takes longer than all the rest. The setting is the whole process's.
+    # The order of instructions and the use of registers are fixed (`registers`). A search for a
+    # better order takes longer than the rest of compilation. The option holds for the process.
     llvm.set_option("", "-enable-misched=false")
     try:
         return machine.emit_object(module)
@@ -82,7 +82,7 @@ def _machine(processor: str, features: str, effort: int) -> "llvm.TargetMachine"
 
 
 def _on_large_stack(compute: Callable[[], bytes]) -> bytes:
-    """Return the result of a function that runs on a thread of its own."""
+    """Run a function on a separate thread with a large stack and return its result."""
     found: list[bytes] = []
     errors: list[BaseException] = []
 
@@ -102,7 +102,7 @@ def _on_large_stack(compute: Callable[[], bytes]) -> bytes:
 
 
 def _started(run: Callable[[], None]) -> threading.Thread | None:
-    """Start a thread with a large stack; return None where the system refuses one."""
+    """Start a thread with a large stack and return None if the system refuses."""
     try:
         before = threading.stack_size(_STACK)
     except (ValueError, RuntimeError):
@@ -118,7 +118,7 @@ def _started(run: Callable[[], None]) -> threading.Thread | None:
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Answer requests until there are no more."""
+    """Answer requests until the input ends."""
     while line := requests.readline():
         request = json.loads(line)
         text = requests.read(request.pop("size")).decode()
@@ -131,6 +131,6 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
 
 
 if __name__ == "__main__":
-    # An interrupt is for the process that asked, which then closes the pipe.
+    # The parent process handles interrupts and then stops this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     serve(sys.stdin.buffer, sys.stdout.buffer)

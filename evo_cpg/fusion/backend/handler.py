@@ -1,29 +1,29 @@
-"""The entry into native code: an XLA FFI handler, written as LLVM IR like the code itself.
+"""Write the entry into native code, an XLA FFI handler, as LLVM IR.
 
-XLA calls it with a *call frame* whose layout is that of the public header (``xla/ffi/api/c_api.h``
-in `jax.ffi.include_dir()`), on 64-bit machines:
+XLA calls the handler with a *call frame*. The public header ``xla/ffi/api/c_api.h`` in
+`jax.ffi.include_dir()` defines its layout. On 64-bit machines:
 
 | structure | fields and their offsets in bytes |
 |---|---|
 | call frame | extension 8, stage 32, arguments 40, results 80 |
 | arguments, results (within the frame) | pointers +32 |
 | buffer | data 24, dimensions 40 |
-| extension | type 8; of one that asks for metadata: metadata 24 |
+| extension | type 8, metadata 24 (only in a request for metadata) |
 | metadata | version 24 (major, minor), traits 32 |
 
 A call needs no checks of types and shapes. `evo_cpg.fusion.native.evaluate` makes all calls, with
-the arrays of the program that the code was made of. A user cannot make another call: the name of
-the handler is a hash of its code.
+the arrays of the compiled program. A user does not call a handler directly: its name is a hash of
+its code.
 
-A new XLA cannot read astray in a user's process either. XLA refuses a handler for another version
-of the interface when it is registered. The self-test of `evo_cpg.fusion.engine` then tries the
-layout in a process of its own before native code is first used.
+A changed layout in a new XLA does not harm the user's process. XLA refuses to register a handler
+for another version of the interface. The self-test of `evo_cpg.fusion.engine` then tests the
+layout in a separate process before the first use of native code.
 """
 
-# Version of the interface that this is written for.
+# Version of the XLA FFI interface.
 _MAJOR, _MINOR = 0, 1
 
-# XLA's numbers of an extension that asks for metadata, and of the stage that computes.
+# XLA's numbers of the extension that requests metadata, and of the stage that computes.
 _METADATA, _EXECUTE = 1, 3
 
 
@@ -31,9 +31,9 @@ def handler(name: str, arguments: int, results: int) -> str:
     """Return LLVM IR of a handler ``@name`` that runs ``@program``.
 
     Args:
-        name: of the function.
+        name: name of the function.
         arguments: number of arrays that the program reads.
-        results: number of arrays that it writes, at least one. Scratch memory comes behind them.
+        results: number of arrays that it writes, at least one. Scratch memory comes after them.
     """
     buffers = [("arguments", k) for k in range(arguments)]
     buffers += [("results", k) for k in range(results + 1)]
@@ -80,7 +80,7 @@ done:
 
 
 def _load(name: str, kind: str, base: str, offset: int) -> str:
-    """Return lines that read a field of a structure."""
+    """Return lines of LLVM IR that load a field of a structure."""
     return (
         f"  {name}.at = getelementptr i8, ptr {base}, i64 {offset}\n"
         f"  {name} = load {kind}, ptr {name}.at"

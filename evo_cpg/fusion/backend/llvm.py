@@ -1,11 +1,12 @@
 """Print an allocated program as LLVM IR.
 
-Every stretch becomes a function. A *driver*, the function ``@program``, loops and calls them, for
-one vector, or for several in turn where loops end at different rounds for each individual
-(`evo_cpg.fusion.backend.packing`). The last vector overlaps the one before it where the individuals
-do not come out even. `evo_cpg.fusion.native` sees to it that one vector at least is full.
+Every stretch becomes a function. The *driver* function ``@program`` loops over vectors and calls
+the stretches. If loops end at different rounds for each individual, the driver runs several vectors
+in turn (`evo_cpg.fusion.backend.packing`). If the number of individuals is not a multiple of the
+width, the last vector overlaps the one before. `evo_cpg.fusion.native` ensures at least one full
+vector.
 
-No instruction carries a fast-math flag, so the bits of an individual's results do not depend on the
+No instruction has a fast-math flag. So the bits of an individual's results do not depend on the
 vector's width.
 """
 
@@ -22,21 +23,21 @@ _GIVEN = "ptr %scratch, i64 %n, i64 %first"
 
 
 def print_llvm(code: Code) -> tuple[str, int]:
-    """Return the text of the function ``@program``, and the bytes of memory that it works in."""
+    """Return the LLVM IR of the program, and its bytes of working memory."""
     return _Printer(code).text()
 
 
 class _Printer:
-    """Writes the functions, one for each stretch, and the lines of the driver that calls them.
+    """Writer of the functions, one for each stretch, and of the driver that calls them.
 
-    With a group, the driver's calls are for all of its vectors, but for those in a packed loop and
-    in a branch that each vector takes by itself: there ``grouped`` is false.
+    With a group, the driver calls a function for all vectors of the group. In a packed loop and in
+    a branch per vector, ``grouped`` is false and each call is for one vector.
     """
 
     def __init__(self, code: Code):
         self.code = code
         variant, size = code.variant, code.size
-        # An odd number of lines: the same place of different vectors is not in the same set.
+        # An odd number of lines: equal places of different vectors are in different cache sets.
         line = machine_constants.CACHE_LINE
         stride = (size // line | 1) * line + line
         self.group = VectorGroup(
@@ -57,7 +58,7 @@ class _Printer:
         driver = [
             f"define internal void @program({self.buffers}ptr %scratch, i64 %n) #0 {{",
             "entry:",
-            # Behind all that vectors have of their own.
+            # The shared memory lies behind the vectors' own memory.
             f"{FRAME} = getelementptr i8, ptr %scratch, i64 {self.own + FRAME_ORIGIN}",
             "br label %vector",
             "vector:",
@@ -99,7 +100,7 @@ class _Printer:
         ]
 
     def _items(self, items: Sequence[Item]) -> str:
-        """Print code; return the name of the last result."""
+        """Print code and return the name of the last result."""
         result = ""
         for item in items:
             if isinstance(item, Stretch):
@@ -119,12 +120,12 @@ class _Printer:
     def _function(
         self, lines: Sequence[str], buffers: Sequence[str], result: str = "", kind: str = "void"
     ) -> str:
-        """Write a function of some lines; return its name."""
+        """Write a function of some lines and return its name."""
         name = f"stretch{len(self.functions)}"
         pointers = "".join(f"ptr noalias {buffer}, " for buffer in buffers)
         body = "\n".join(["entry:", *lines, f"ret {kind} {result}"])
-        # Not inlined: within the driver's loops LLVM would take constants out of them, thousands,
-        # and spill each as a whole vector.
+        # Not inlined: LLVM would move thousands of constants out of the driver's loops and spill
+        # each as a whole vector.
         self.functions.append(
             f"define internal {kind} @{name}({pointers}ptr noalias %scratch, i64 %n, i64 %first) "
             f"noinline #0 {{\n{body}\n}}"
@@ -132,7 +133,7 @@ class _Printer:
         return name
 
     def _stretch(self, stretch: Stretch) -> str:
-        """Print a stretch and its call; return the name of its result."""
+        """Print a stretch and its call, and return the name of its result."""
         *before, last = [
             (_lines(piece.steps), piece.buffers, "".join(f"ptr {b}, " for b in piece.buffers))
             for piece in stretch.pieces
@@ -140,7 +141,7 @@ class _Printer:
         lines, buffers, given = last
         result, kind = stretch.result, stretch.kind
         if before:
-            # The pieces take turns for each vector, for what they hand on is in shared memory.
+            # All pieces run for one vector before the next, because they share memory.
             calls = [
                 f"call void @{self._function(part, own)}({passed}{_GIVEN})"
                 for part, own, passed in before
@@ -154,7 +155,7 @@ class _Printer:
     def _call_function(
         self, name: str, given: str, has_result: bool = False, kind: str = "void"
     ) -> str:
-        """Call a function for one vector or for all of a group; return the name of the result."""
+        """Call a function for one vector or for a group, and return the name of the result."""
         if self.grouped:
             self._call_for_group(name, given, given)
             return ""
@@ -213,7 +214,7 @@ class _Printer:
         return ""
 
     def _count(self, slot: int, counter: str, number: int) -> None:
-        """Put the number of the round where it is read."""
+        """Store the number of the round in its slot."""
         if not self.grouped:
             place = f"%place{number}"
             self.driver.append(f"{place} = getelementptr i8, ptr %scratch, i64 {slot}")
@@ -228,7 +229,7 @@ class _Printer:
         self._call_for_group(name, "i32 %round, ", f"i32 %{counter}, ")
 
     def _per_vector(self, item: LoopCode) -> None:
-        """A branch that each vector of a group takes by itself, as a function of one vector."""
+        """Print a branch that each vector of a group takes separately, as a function."""
         name = f"branch{len(self.functions)}"
         parameters = f"{self.buffers}ptr {FRAME}, "
         lines, _ = self._separately(lambda: self._loop(item))
@@ -236,7 +237,7 @@ class _Printer:
         self._call_for_group(name, parameters, parameters)
 
     def _packed(self, item: LoopCode, reads: Sequence[Slot], carries: Sequence[Slot]) -> None:
-        """A loop whose individuals are packed together; its functions are of one vector."""
+        """Print a loop with packed individuals. Its functions work on one vector."""
         name = f"loop{len(self.functions)}"
         parameters = f"{self.buffers}ptr {FRAME}, "
         lines, mask = self._separately(lambda: self._items(item.test))
@@ -247,7 +248,7 @@ class _Printer:
         self.driver.append(f"call void @{name}.group({parameters}ptr %scratch, i64 %n, i64 %count)")
 
     def _separately(self, write: Callable[[], str]) -> tuple[list[str], str]:
-        """Return the driver's lines of what one vector does by itself, and the result of that."""
+        """Return the driver's lines for code of one vector, and the name of its result."""
         outside = self.driver, self.label, self.grouped
         self.driver, self.label, self.grouped = [], "entry", False
         result = write()

@@ -1,7 +1,7 @@
-"""From LLVM IR to machine code in memory, kept on disk so that it is made once.
+"""Compile LLVM IR to machine code in memory, with a cache on disk.
 
-llvmlite brings LLVM; no compiler and no linker are needed. What was compiled stays in memory as
-long as the process lives, for XLA may call it at any time; equal code is there only once.
+llvmlite contains LLVM, so no compiler and no linker are needed. Code stays in memory until the
+process ends, because XLA may call it at any time. Equal code is loaded only once.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ from evo_cpg.fusion.unsupported import Unsupported
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
 
-# What is left out where a smaller set is requested.
+# Prefixes of features that are switched off if a smaller set is requested.
 _LARGER = {"avx2": ("avx512",), "sse": ("avx", "fma", "f16c", "xop", "vaes", "vpclmul")}
 
 
@@ -32,29 +32,29 @@ _folder: Path | None = None
 
 
 def keep_code_in(folder: Path | None) -> None:
-    """Where machine code is kept for the next start; None keeps nothing."""
+    """Set the folder in which machine code is kept for the next start, or None to keep none."""
     global _folder
     _folder = folder
 
 
 def code_folder() -> Path | None:
-    """Return the folder in which machine code is kept; None where it is not."""
+    """Return the folder in which machine code is kept, or None if it is not kept."""
     return _folder
 
 
 def llvm_version() -> str:
-    """Of the LLVM that makes the code."""
+    """Return the version of the LLVM that compiles the code."""
     return ".".join(map(str, _llvm().llvm_version_info))
 
 
 def passed_self_test(target: Target, version: str) -> bool:
-    """Whether code for a machine has passed its self-test with a version of JAX."""
-    # Unlike a path's own method this does not complain of a folder that is another user's.
+    """Return whether code for a machine has passed its self-test with a version of JAX."""
+    # Unlike `Path.exists`, this does not raise for a folder of another user.
     return _folder is not None and os.path.exists(_folder / _self_test_name(target, version))
 
 
 def remember_self_test(target: Target, version: str) -> None:
-    """Note that it has."""
+    """Record that code for a machine has passed its self-test with a version of JAX."""
     if _folder is not None:
         with contextlib.suppress(OSError):
             (_folder / _self_test_name(target, version)).touch()
@@ -69,10 +69,10 @@ def _self_test_name(target: Target, version: str) -> str:
 
 @functools.cache
 def host(requested: str | None = None) -> Target:
-    """This machine, or as much of it as a set of instructions has.
+    """Return this machine, limited to an instruction set.
 
     Args:
-        requested: name of the set; None for the largest that the processor has.
+        requested: name of the set, or None for the largest set of the processor.
 
     Raises:
         Unsupported: llvmlite is missing, or the processor lacks the set.
@@ -98,10 +98,10 @@ def host(requested: str | None = None) -> Target:
 
 
 def load(text: str, target: Target) -> tuple[str, int]:
-    """A name of its own for a module's function ``@handler``, and its address.
+    """Compile and load a module. Return a unique name for its ``@handler``, and the address.
 
     Args:
-        text: LLVM IR, which may be any module with that function.
+        text: LLVM IR of a module with a function ``@handler``.
         target: the machine.
     """
     effort = str(machine_constants.LLVM_EFFORT)
@@ -110,12 +110,12 @@ def load(text: str, target: Target) -> tuple[str, int]:
     return name, _load(name, text, target)
 
 
-# Of each module its entry, the size of its code, and what keeps it in memory.
+# Entry address and code size (bytes) of each module, and the object that keeps it in memory.
 _loaded: dict[str, tuple[int, int, object]] = {}
 
 
 def code_bytes() -> int:
-    """Size of all machine code in memory."""
+    """Return the size of all machine code in memory, bytes."""
     return sum(size for _, size, _ in _loaded.values())
 
 
@@ -162,7 +162,7 @@ def _read(name: str) -> bytes | None:
         content = (_folder / f"native-{name}").read_bytes()
     except OSError:
         return None
-    # A file that was cut short is none.
+    # A truncated file counts as missing.
     code, digest = content[:-32], content[-32:]
     return code if hashlib.sha256(code).digest() == digest else None
 

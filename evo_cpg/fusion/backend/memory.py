@@ -1,7 +1,7 @@
-"""Which values live in memory, and where, in bytes.
+"""Choose the values that are in memory, and their places in bytes.
 
-A *stretch* is the code between two ends of loops. A value that is used in another stretch than its
-own crosses memory.
+A *stretch* is the code between two ends of loops. A value that is used in a different stretch is
+stored in memory.
 """
 
 from collections.abc import Iterable
@@ -35,13 +35,13 @@ def live_across(graph: Graph, lists: dict[Node, list[Node]]) -> list[Node]:
             node = resolve(operand)
             if node.op in _IN_MEMORY or (node.op == "input" and node.uniform):
                 continue
-            # Loops read inputs that were brought close together in memory.
+            # Loops read inputs from copies that are close together in memory.
             far = block.depth > 0 if node.op == "input" else stretch[node] != now
             if far:
                 found[node] = None
 
     def walk(block: Block) -> None:
-        """Go through the code in the order in which it runs."""
+        """Walk through the code in the order of its computation."""
         nonlocal now
         for run, node in graph.runs.get(block, ()):
             for one in run:
@@ -68,12 +68,11 @@ def live_across(graph: Graph, lists: dict[Node, list[Node]]) -> list[Node]:
 
 
 class Memory:
-    """Hands out places.
+    """Allocator of places in memory.
 
     Attributes:
-        size: bytes of scratch memory, which each vector has for itself.
-        frame: bytes of shared memory. Vectors that take turns use the same, so that it stays in the
-            cache.
+        size: bytes of scratch memory of each vector.
+        frame: bytes of shared memory. Vectors use it in turn, so that it stays in the cache.
     """
 
     def __init__(self):
@@ -81,13 +80,13 @@ class Memory:
         self.size = self.frame = 0
 
     def reserve(self, size: int) -> int:
-        """Return a place in scratch memory for good."""
+        """Return a permanent place in scratch memory."""
         place = self.size
         self.size += _lines(size)
         return place
 
     def borrow(self, size: int) -> int:
-        """Return a place in shared memory until it is given back, likely still in the cache."""
+        """Return a place in shared memory until its release. A reused place is likely cached."""
         free = self._free.get(size)
         if free:
             return free.pop()
@@ -96,11 +95,11 @@ class Memory:
         return place
 
     def release(self, size: int, place: int) -> None:
-        """Let a borrowed place be used for something else."""
+        """Free a borrowed place for another value."""
         self._free.setdefault(size, []).append(place)
 
 
 def _lines(size: int) -> int:
-    """Round up to whole lines of the cache."""
+    """Round a size up to whole cache lines, bytes."""
     line = machine_constants.CACHE_LINE
     return -(-size // line) * line

@@ -1,7 +1,7 @@
-"""Each operation on scalars as LLVM's instructions.
+"""Write each operation on scalars as LLVM instructions.
 
-They have JAX's meaning: NaN goes through maxima, whole numbers may be divided by zero, conversions
-to whole numbers stop at the ends of their range.
+The instructions keep JAX's semantics: maxima propagate NaN, integers may be divided by zero, and
+conversions to integers saturate.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ import numpy as np
 from evo_cpg.fusion.backend.writer import TYPES, Writer
 from evo_cpg.fusion.ir.graph import Node
 
-# Of floats, signed and unsigned whole numbers: what LLVM calls an operation.
+# LLVM's names of operations on floats, signed integers and unsigned integers.
 _ARITHMETIC = {
     "add": ("fadd", "add", "add"),
     "sub": ("fsub", "sub", "sub"),
@@ -38,16 +38,16 @@ _SHIFTS = {"shift_left": "shl", "shift_right_arithmetic": "ashr", "shift_right_l
 
 
 class Operation:
-    """An operation that is written, and what its instructions are made of.
+    """An operation to write, with the data of its instructions.
 
     Attributes:
-        op: its name.
+        op: name of the operation.
         dtype: type of its result.
         source: type of its first operand.
-        kind: number of the source in tables: 0 a float, 1 a signed, 2 an unsigned whole number.
+        kind: column of the source in tables: 0 float, 1 signed integer, 2 unsigned integer or bool.
         t: LLVM's type of the result.
         s: LLVM's type of the first operand.
-        constants: values of operands, where they are known.
+        constants: values of constant operands, or None for other operands.
     """
 
     def __init__(self, writer: Writer, node: Node):
@@ -59,11 +59,11 @@ class Operation:
         self.let, self.fma = writer.let, writer.fma
 
     def type_of(self, dtype: np.dtype) -> str:
-        """Return LLVM's type of values, scalars if they are the same for all individuals."""
+        """Return LLVM's type of a value: a scalar if the operation is uniform, else a vector."""
         return self._writer.type_of(dtype, self._uniform)
 
     def literal(self, value: Any, dtype: np.dtype | None = None) -> str:
-        """Return a constant, of the result's type unless another one is named."""
+        """Return a constant, by default of the result's type."""
         return self._writer.literal(value, dtype or self.dtype, self._uniform)
 
     def choose(self, flag: str, yes: str, no: str) -> str:
@@ -72,11 +72,11 @@ class Operation:
         return self.let(f"select {flags} {flag}, {self.t} {yes}, {self.t} {no}")
 
     def intrinsic(self, name: str, t: str, a: Sequence[str], source: str = "") -> str:
-        """Write a call of one of LLVM's own functions."""
+        """Write a call of an LLVM intrinsic and return the name of its result."""
         return self._writer.intrinsic(name, t, a, source)
 
     def library_call(self, name: str, a: Sequence[str]) -> str:
-        """Write calls of a function of the C library, one individual after the other."""
+        """Write calls of a function of the C library, one per individual."""
         w, t = self._writer, TYPES[self.dtype.char]
         w.functions[name] = f"declare {t} @{name}({', '.join([t] * len(a))})"
         if self._uniform or w.width == 1:
@@ -93,12 +93,12 @@ def write(writer: Writer, node: Node, a: list[str]) -> str:
     """Write an operation.
 
     Args:
-        writer: where it is written.
+        writer: writer of the instructions.
         node: the operation.
-        a: names of its operands, vectors unless all is the same for all individuals.
+        a: names of its operands, scalars if the operation is uniform, else vectors.
 
     Returns:
-        The name of its result.
+        Name of its result.
     """
     o = Operation(writer, node)
     word = _ARITHMETIC.get(o.op, (None,) * 3)[o.kind]
@@ -136,11 +136,11 @@ def _not(o: Operation, x: str) -> str:
 
 
 def _extreme(o: Operation, x: str, y: str) -> str:
-    """Write the larger or smaller of two; NaN if either is."""
+    """Write the maximum or minimum of two numbers, which is NaN if either is NaN."""
     word = {"max": ("ogt", "sgt", "ugt"), "min": ("olt", "slt", "ult")}[o.op][o.kind]
     known = o.constants[0]
     if o.constants[1] is not None:
-        # A comparison with NaN chooses the second operand. So a constant is the first.
+        # A comparison with NaN selects the second operand. So a constant goes first.
         x, y, known = y, x, o.constants[1]
     better = o.let(f"{'icmp' if o.kind else 'fcmp'} {word} {o.t} {x}, {y}")
     chosen = o.choose(better, x, y)
@@ -150,7 +150,7 @@ def _extreme(o: Operation, x: str, y: str) -> str:
 
 
 def _size(o: Operation, x: str) -> str:
-    """Write the absolute value of a whole number."""
+    """Write the absolute value of an integer."""
     zero = o.literal(0)
     negative = o.let(f"icmp slt {o.t} {x}, {zero}")
     return o.choose(negative, o.let(f"sub {o.t} {zero}, {x}"), x)
@@ -160,7 +160,7 @@ def _sign(o: Operation, x: str) -> str:
     zero, one = o.literal(0), o.literal(1)
     if o.kind == 0:
         size = o.intrinsic("copysign", o.t, [one, x])
-        # Zero and NaN are their own signs.
+        # The sign of zero is zero, and the sign of NaN is NaN.
         return o.choose(o.let(f"fcmp one {o.t} {x}, {zero}"), size, x)
     up = o.choose(o.let(f"icmp ne {o.t} {x}, {zero}"), one, zero)
     if o.kind == 2:
@@ -186,15 +186,15 @@ def _remainder(o: Operation, x: str, y: str) -> str:
 
 
 def _divided(o: Operation, word: str, x: str, y: str, by_zero: str, overflow: str) -> str:
-    """Write a division of whole numbers by a divisor that a processor takes.
+    """Write a division of integers without a trap on zero divisors and overflow.
 
     Args:
         o: the operation.
         word: LLVM's name of the division.
-        x: the dividend.
-        y: the divisor.
-        by_zero: the result where the divisor is zero.
-        overflow: the result of the least number by -1.
+        x: dividend.
+        y: divisor.
+        by_zero: result for a zero divisor.
+        overflow: result for the smallest integer divided by -1.
     """
     known = o.constants[1]
     if known is not None and known not in (0, -1):

@@ -1,13 +1,14 @@
-"""Pack individuals together in loops of which they need different numbers of rounds.
+"""Pack individuals together in loops with a different number of rounds for each individual.
 
-A vector would go round until its last individual is done, and compute all lanes for one. So the
-vectors of a *group* come to such a loop together. Each goes round by itself while many of its
-individuals are active. The other active ones are then moved, one by one, into the lanes of a vector
-of their own in scratch memory. When one is done, the next takes its lane. All that the loop reads
-is moved to the packed vector. What it carries is moved back. With AVX-512, one instruction
-compresses the chosen numbers of a vector, and the first lanes are filled vector by vector.
+Without packing, a vector repeats the loop until its last individual is done, and computes all lanes
+for one. So the vectors of a *group* enter such a loop together. Each vector runs separately while
+many of its individuals are active. The remaining active individuals then move, one by one, into the
+lanes of a packed vector in scratch memory. When an individual is done, the next takes its lane. All
+values that the loop reads move to the packed vector, and carried values move back. With AVX-512,
+one instruction compresses the chosen numbers of a vector, and the first lanes are filled vector by
+vector.
 
-An individual's numbers are the same wherever they lie, so its bits do not depend on its neighbours.
+An individual's values do not depend on the lane, so its bits do not depend on its neighbours.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -15,15 +16,15 @@ from typing import NamedTuple
 
 from evo_cpg.fusion.backend.code import Slot
 
-# A vector goes round by itself while more than this fraction of it is active. Fitted: with 1/4 to
-# 1/2 quadrupeds and hexapods take at most 1.07 times as long.
+# A vector runs separately while more than this fraction of it is active. Fitted: quadrupeds and
+# hexapods take at most 1.07 times as long with 1/4 to 1/2.
 _BUSY = 3 / 8
 
-# AVX-512's instruction that closes up chosen numbers, the smallest that it is used for, and its
-# vector, bytes.
+# AVX-512's instruction that compresses chosen numbers, the size of the smallest numbers that it
+# handles, and the size of its vector, bytes.
 _COMPRESS, _NARROWEST, _VECTOR = "llvm.x86.avx512.mask.compress", 4, 64
 
-# As many slots at equal distances are moved by a loop.
+# Minimum number of slots at equal distances that a loop moves.
 _FEWEST_ROUNDS = 16
 
 # IR types by bytes of a number.
@@ -34,10 +35,10 @@ class VectorGroup(NamedTuple):
     """A group of vectors that run together.
 
     Attributes:
-        vectors: at most.
-        width: individuals of each.
-        stride: bytes of scratch memory of each; behind those of the last lies the packed vector's.
-        compresses: whether the processor has AVX-512's instruction that closes up numbers.
+        vectors: maximum number of vectors.
+        width: number of individuals of each vector.
+        stride: bytes of scratch memory of each vector. The packed vector's memory comes last.
+        compresses: whether the processor has AVX-512's instruction that compresses numbers.
     """
 
     vectors: int
@@ -49,17 +50,18 @@ class VectorGroup(NamedTuple):
 def packed_loop(
     name: str, parameters: str, group: VectorGroup, reads: Sequence[Slot], carries: Sequence[Slot]
 ) -> str:
-    """The function ``@name.group``, which runs a loop for all vectors of a group.
+    """Return the function ``@name.group``, which runs a loop for all vectors of a group.
 
-    It calls ``@name.test``, whose result has a bit for each individual that wants another round,
-    and ``@name.round``, each of one vector.
+    The function calls ``@name.test`` and ``@name.round`` for one vector at a time. The result of
+    the test has a bit for each individual that needs another round.
 
     Args:
-        name: of the loop.
-        parameters: of both before the scratch memory, with their types, and a comma behind.
+        name: name of the loop.
+        parameters: parameters of both functions before the scratch memory, with types and a
+            trailing comma.
         group: the vectors.
-        reads: all that the loop reads.
-        carries: what of it changes.
+        reads: slots that the loop reads.
+        carries: slots that the loop changes.
     """
     own = sorted({slot for slot in reads if not slot.shared} | set(carries))
     shared = sorted({slot for slot in reads if slot.shared})
@@ -187,7 +189,7 @@ done:
 
 
 def _fill_one_by_one(name: str, group: VectorGroup) -> str:
-    """Fill the lanes of the packed vector with the first individuals."""
+    """Write code that fills the lanes of the packed vector with the first individuals."""
     return f"""  br label %lane
 lane:
   %s = phi i64 [ 0, %fill ], [ %s_next, %lane ]
@@ -210,7 +212,7 @@ lane:
 
 
 def _fill_compressed(name: str, group: VectorGroup) -> str:
-    """Fill the lanes vector by vector; an individual for which no lane is left is masked out."""
+    """Write code that fills the lanes vector by vector. Individuals without a lane are masked."""
     return f"""  br label %row
 row:
   %r = phi i64 [ 0, %fill ], [ %r_next, %row_done ]
@@ -259,13 +261,13 @@ noted:
 
 
 class _Series(NamedTuple):
-    """Places one behind the other, at equal distances.
+    """Consecutive places at equal distances.
 
     Attributes:
-        start: bytes, of the first.
+        start: first place, bytes.
         size: bytes of one individual's number.
-        step: bytes from one to the next.
-        count: how many.
+        step: bytes from one place to the next.
+        count: number of places.
     """
 
     start: int
@@ -275,7 +277,7 @@ class _Series(NamedTuple):
 
 
 def _series(slots: Iterable[Slot]) -> list[_Series]:
-    """Put slots at equal distances together where they are many."""
+    """Group slots at equal distances, if there are at least ``_FEWEST_ROUNDS``."""
     found: list[_Series] = []
     for start, size, _ in slots:
         if found and found[-1].size == size:
@@ -297,11 +299,11 @@ def _series(slots: Iterable[Slot]) -> list[_Series]:
 
 
 def _through(series: list[_Series], lines: Callable[[int, int, str], list[str]]) -> list[str]:
-    """Write what is done at each place, in loops over those at equal distances.
+    """Write the code for each place, with loops over places at equal distances.
 
     Args:
-        series: of slots.
-        lines: of a number of its own, bytes of a number, and the slot.
+        series: places.
+        lines: function from a unique number, bytes of a number, and the place to lines of code.
     """
     written, label = [], "entry"
     for i, (start, size, step, count) in enumerate(series):
@@ -327,7 +329,7 @@ def _through(series: list[_Series], lines: Callable[[int, int, str], list[str]])
 def _move(name: str, slots: list[Slot], group: VectorGroup, source: str, target: str) -> str:
     """Write a function that moves an individual's numbers into a packed lane, or back.
 
-    What lies in no order is moved without a loop, so the processor fetches many at a time.
+    Irregular places are moved without a loop, so the processor fetches many numbers at a time.
     """
     lines = []
     for size in sorted({slot.size for slot in slots}):
@@ -362,8 +364,8 @@ entry:
 def _move_compressed(name: str, slots: list[Slot], group: VectorGroup) -> str:
     """Write a function that moves the chosen individuals of a vector into consecutive lanes.
 
-    The first vector fills all lanes, those left over like the first individual: no number in them
-    may be without meaning.
+    The first vector fills all lanes. Copies of the first individual fill the unused lanes, because
+    every lane must hold valid numbers.
     """
     width = group.width
     bits, flags = f"i{width}", f"<{width} x i1>"
@@ -425,11 +427,11 @@ def _lines(lines: list[str]) -> str:
 
 
 def each_vector(name: str, parameters: str, group: VectorGroup) -> str:
-    """The function ``@name.group``, which calls ``@name`` for every vector of a group.
+    """Return the function ``@name.group``, which calls ``@name`` for every vector of a group.
 
     Args:
-        name: of a function of one vector.
-        parameters: before its scratch memory, with their types, and a comma behind.
+        name: name of a function of one vector.
+        parameters: its parameters before the scratch memory, with types and a trailing comma.
         group: the vectors.
     """
     return f"""

@@ -1,7 +1,7 @@
-"""Which instructions an operation becomes, as templates that are made once for each kind.
+"""Select the instructions of each operation, as templates made once for each kind.
 
-What is in registers is decided elsewhere (`evo_cpg.fusion.backend.allocate`), so every load and
-store is *volatile*: LLVM neither drops nor moves one, nor spends time on trying to.
+`evo_cpg.fusion.backend.allocate` decides which values are in registers. So every load and store is
+*volatile*: LLVM does not drop or move it, and spends no time on trying.
 """
 
 import functools
@@ -20,14 +20,17 @@ SCRATCH, FRAME = "%scratch", "%frame"
 
 _BOOL, _BYTE, _INDEX = np.dtype(bool), np.dtype(np.int8), np.dtype(np.int32)
 
-# Operations that are shorter with some constants.
+# Operations whose code is shorter with some constants.
 _DEPENDS_ON_CONSTANTS = {
     "div", "max", "min", "rem", "shift_left", "shift_right_arithmetic", "shift_right_logical",
 }  # fmt: skip
 
 
 def _made_once(arity: int) -> Callable[[Callable], Callable[..., Template]]:
-    """Make a method's instructions a template for each kind; its last arguments are operands."""
+    """Return a decorator that makes one template for each kind of arguments of a method.
+
+    The last ``arity`` arguments of the method are operands. The others are the kind.
+    """
 
     def decorate(method: Callable) -> Callable[..., Template]:
         @functools.wraps(method)
@@ -48,7 +51,7 @@ class Selector:
     """Templates for a variant of code.
 
     Attributes:
-        functions: those that templates call, by name.
+        functions: functions that templates call, by name.
     """
 
     def __init__(self, variant: Variant):
@@ -76,7 +79,7 @@ class Selector:
 
     @_made_once(2)
     def element(self, pointer: str, steps: str) -> str:
-        """Return a pointer some bytes behind another."""
+        """Return a pointer ``steps`` bytes behind another pointer."""
         return self._w.let(f"getelementptr i8, ptr {pointer}, i32 {steps}")
 
     @_made_once(2)
@@ -92,30 +95,30 @@ class Selector:
 
     @_made_once(3)
     def choose(self, dtype: np.dtype, flag: str, yes: str, no: str) -> str:
-        """Return one or the other."""
+        """Return a selection between two values."""
         t, flags = self._w.type_of(dtype, False), self._w.type_of(_BOOL, False)
         return self._w.let(f"select {flags} {flag}, {t} {yes}, {t} {no}")
 
     @_made_once(2)
     def store(self, dtype: np.dtype, uniform: bool, base: str, value: str, place: str) -> None:
-        """Write a value to a place behind a pointer; "" if the place is a pointer itself."""
+        """Write a value at ``place`` bytes behind ``base``, or at ``place`` if ``base`` is ""."""
         pointer = self._w.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
         self._store(value, dtype, pointer, uniform)
 
     @_made_once(1)
     def load(self, dtype: np.dtype, uniform: bool, base: str, place: str) -> str:
-        """Read a value from a place behind a pointer; "" if the place is a pointer itself."""
+        """Read a value at ``place`` bytes behind ``base``, or at ``place`` if ``base`` is ""."""
         pointer = self._w.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
         return self._load(dtype, pointer, uniform)
 
     @_made_once(2)
     def load_row(self, dtype: np.dtype, shared: bool, base: str, row: str) -> str:
-        """Read a row of an argument: a number for each individual, or one for all."""
+        """Read a row of an argument: one number per individual, or one shared number."""
         return self._load(dtype, self._row(base, row, dtype, shared), shared)
 
     @_made_once(4)
     def copy_row(self, dtype: np.dtype, base: str, row: str, size: str, start: str) -> None:
-        """Bring the row ``%i`` behind a row of an argument to scratch memory."""
+        """Copy the row ``%i`` rows behind a row of an argument to scratch memory."""
         w = self._w
         source = w.let(f"add i64 %i, {row}")
         value = self._load(dtype, self._row(base, source, dtype, False), False)
@@ -135,11 +138,11 @@ class Selector:
         """Read a number of a table.
 
         Args:
-            dtype: of the table.
-            shared: whether the table is the same for all individuals.
-            same_index: whether the index is.
+            dtype: type of the table's numbers.
+            shared: whether all individuals share the table.
+            same_index: whether all individuals share the index.
             base: pointer to the table.
-            index: which, of one number for all or of a number for each individual.
+            index: index of the number: one for all individuals, or one per individual.
         """
         w, t = self._w, TYPES[_kept_as(dtype).char]
         if same_index or w.width == 1:
@@ -159,7 +162,7 @@ class Selector:
 
     @_made_once(1)
     def spread(self, dtype: np.dtype, name: str) -> str:
-        """Return a value that all share as a vector."""
+        """Return a shared value as a vector."""
         t, scalar = self._w.type_of(dtype, False), TYPES[dtype.char]
         one = self._w.let(f"insertelement {t} poison, {scalar} {name}, i32 0")
         zeros = f"<{self._w.width} x i32> zeroinitializer"
@@ -167,7 +170,7 @@ class Selector:
 
     @_made_once(3)
     def fill(self, dtype: np.dtype, to: str, value: str, count: str) -> None:
-        """Write the same value to all rows of a table, by a loop in a function of its own."""
+        """Write one value to all rows of a table, by a loop in a separate function."""
         w, t = self._w, self._w.type_of(dtype, False)
         size = dtype.itemsize * w.width
         name = f"fill.{w.suffix(t)}"
@@ -199,7 +202,7 @@ class Selector:
 
     @_made_once(1)
     def mask(self, flags: str) -> str:
-        """Return a whole number with a bit for each individual."""
+        """Return an int32 with one bit per individual."""
         bits = f"i{self._w.width}"
         own = self._w.let(f"bitcast {self._w.type_of(_BOOL, False)} {flags} to {bits}")
         return self._w.let(f"zext {bits} {own} to i32")
@@ -222,7 +225,7 @@ class Selector:
         return self._w.let(f"getelementptr {item}, ptr {base}, i64 {place}")
 
     def _kept(self, value: str, dtype: np.dtype, uniform: bool) -> tuple[str, str]:
-        """Return a value and its type as they are in memory: truth values are bytes."""
+        """Return a value and its type as stored in memory: truth values are bytes."""
         t, kept = self._w.type_of(dtype, uniform), self._w.type_of(_kept_as(dtype), uniform)
         return (value if t == kept else self._w.let(f"zext {t} {value} to {kept}")), kept
 

@@ -1,17 +1,17 @@
-"""A function in LLVM IR that solves symmetric equations in a loop.
+"""Write a function in LLVM IR that solves symmetric equations in a loop.
 
-It eliminates in the order of `evo_cpg.spatial.ldl`, and skips what is zero for all individuals of a
-vector, such as the coupling of limbs that do not touch.
+The function eliminates in the order of `evo_cpg.spatial.ldl`. It skips elements that are zero for
+all individuals of a vector, such as the coupling of limbs that do not touch.
 """
 
 
 def routine(name: str, t: str, row: int, size: int, fma: bool) -> str:
-    """LLVM IR of a function that solves equations whose numbers lie in memory.
+    """Return LLVM IR of a function that solves equations in memory.
 
-    The lower triangle of H lies row by row, then b, which becomes the answer.
+    The lower triangle of H is stored row by row. The solution replaces b.
 
     Args:
-        name: of the function.
+        name: name of the function.
         t: LLVM's type of a number.
         row: bytes from one number to the next.
         size: bytes of one individual's number.

@@ -1,6 +1,6 @@
-"""The text of LLVM's instructions: names, types, constants.
+"""Write the text of LLVM instructions: names, types, constants.
 
-A value is either the same for all individuals of a vector, a scalar, or a vector of theirs.
+A value is either a scalar, equal for all individuals of a vector, or a vector.
 """
 
 import struct
@@ -18,14 +18,14 @@ TYPES = {
 
 
 class Writer:
-    """Writes the instructions of templates.
+    """Writer of the instructions of templates.
 
     Attributes:
-        width: individuals in a vector.
+        width: number of individuals in a vector.
         fma: whether the processor multiplies and adds in one instruction.
-        lines: the instructions.
-        functions: declarations or definitions of the functions that are called, by name. LLVM's
-            own functions need none.
+        lines: instructions of the current template.
+        functions: declarations or definitions of the called functions, by name. LLVM intrinsics
+            need none.
     """
 
     def __init__(self, width: int, fma: bool):
@@ -39,7 +39,7 @@ class Writer:
 
         Args:
             arity: number of operands.
-            write: from gaps for operands to the name of the result.
+            write: function from gaps for operands to the name of the result, or None.
         """
         self.lines, self._arity, self._names = [], arity, 0
         operands = [f"{{{k}}}" for k in range(arity)]
@@ -49,32 +49,32 @@ class Writer:
         return Template("\n".join(self.lines), len(self.lines), self._names, result)
 
     def let(self, text: str) -> str:
-        """Write an instruction; return the name of its result."""
+        """Write an instruction and return the name of its result."""
         name = f"%v{{{self._arity + self._names}}}"
         self._names += 1
         self.lines.append(f"{name} = {text}")
         return name
 
     def type_of(self, dtype: np.dtype, uniform: bool) -> str:
-        """Return the type of a value: a scalar, if it is the same for all, or a vector."""
+        """Return LLVM's type of a value: a scalar if uniform, else a vector."""
         t = TYPES[dtype.char]
         return t if uniform or self.width == 1 else f"<{self.width} x {t}>"
 
     def literal(self, value, dtype: np.dtype, uniform: bool) -> str:
-        """Return a constant."""
+        """Return a constant as LLVM text: a scalar if uniform, else a vector."""
         text = number(value, dtype)
         if uniform or self.width == 1:
             return text
         return f"splat ({TYPES[dtype.char]} {text})"
 
     def intrinsic(self, name: str, t: str, a: Sequence[str], source: str = "") -> str:
-        """Call one of LLVM's own functions; return the name of its result.
+        """Call an LLVM intrinsic and return the name of its result.
 
         Args:
-            name: of it, without ``llvm.`` and types.
+            name: name of the intrinsic, without ``llvm.`` and types.
             t: type of its result.
             a: names of its operands.
-            source: type of these, if it is another.
+            source: type of its operands, or "" if equal to ``t``.
         """
         source = source or t
         suffix = self.suffix(t) + (f".{self.suffix(source)}" if source != t else "")
@@ -84,7 +84,7 @@ class Writer:
 
     @staticmethod
     def suffix(t: str) -> str:
-        """Return what LLVM appends to the names of intrinsics for a type."""
+        """Return the suffix of intrinsic names for a type."""
         short = t.replace("float", "f32").replace("double", "f64")
         if short.startswith("<"):
             width, _, item = short[1:-1].partition(" x ")
@@ -98,6 +98,6 @@ def number(value, dtype: np.dtype) -> str:
         return "true" if value else "false"
     if dtype.kind in "iu":
         return str(int(np.asarray(value).astype(dtype)))
-    # Of both types the digits are those of a double.
+    # LLVM writes constants of both float types with the digits of a double.
     bits = struct.unpack("<Q", struct.pack("<d", float(np.asarray(value, dtype))))[0]
     return f"0x{bits:016X}"

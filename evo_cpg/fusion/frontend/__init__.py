@@ -1,1 +1,1 @@
-"""JAX programs as graphs of scalars, and what fused programs are to JAX."""
+"""Lower JAX programs to graphs of scalars, and define fused programs as JAX primitives."""

@@ -1,11 +1,11 @@
-"""Make the nodes of a graph, in which equal things are one thing.
+"""Make the nodes of a graph in which equal nodes are shared.
 
-Making a node folds constants, applies the rewrite rules (`evo_cpg.fusion.frontend.simplify`), and
-hands out the node that is there already. So a creature's zeros (a centre of mass on the joint, a
+The builder folds constants, applies the rewrite rules (`evo_cpg.fusion.frontend.simplify`), and
+returns an equal node if one exists. So a creature's zeros (a centre of mass on the joint, a
 principal axis) cost nothing in the end.
 
-A node lies in the block of the innermost loop that any of its operands lies in, so what does not
-change in a loop is computed before it.
+A node is in the innermost block of its operands. So values that do not change in a loop are
+computed before the loop.
 """
 
 import contextlib
@@ -20,12 +20,12 @@ from evo_cpg.fusion.ir.types import COMMUTATIVE, PREDICATES
 
 
 class Sums:
-    """An array that a loop carries and only adds to: numbers in memory.
+    """An array in memory that a loop carries and only adds to.
 
     Attributes:
-        shape: of the array.
-        memory: the node of its memory.
-        added: the nodes that add to it.
+        shape: shape of the array.
+        memory: node of its memory.
+        added: nodes that add to the array.
     """
 
     def __init__(self, shape: tuple[int, ...], memory: Node):
@@ -34,15 +34,15 @@ class Sums:
 
 
 class Builder:
-    """Makes nodes, and hands out the one that is there already.
+    """Maker of nodes, which returns an existing equal node if there is one.
 
     Args:
         rules: rewrite rules by operation, tried in order.
 
     Attributes:
-        top: the block of the whole program.
-        block: the block in which loops are made at present.
-        active: whether an individual takes part in the block, if some do not; else None.
+        top: block of the whole program.
+        block: block in which loops are currently made.
+        active: node that is true for individuals that run the block, or None if all individuals do.
     """
 
     def __init__(self, rules: Mapping[str, Sequence[Rule]] = RULES):
@@ -57,7 +57,7 @@ class Builder:
         self._constants: dict[Any, Node] = {}
 
     def argument(self, shape: Sequence[int], dtype: Any, shared: bool = False) -> np.ndarray:
-        """Return the nodes of one more argument; an array without elements is none."""
+        """Add an argument and return its nodes. An array without elements is not added."""
         dtype, size = np.dtype(dtype), int(np.prod(shape, dtype=int))
         places = [(len(self._arguments), row) for row in range(size)]
         if size:
@@ -68,7 +68,7 @@ class Builder:
         )
 
     def graph(self, results: Sequence[np.ndarray]) -> Graph:
-        """Return the program whose results are some arrays of nodes."""
+        """Return the program with the given arrays of nodes as its results."""
         rows = [tuple(nodes.flat) for nodes in results if nodes.size]
         return Graph(
             arguments=tuple(self._arguments),
@@ -85,22 +85,22 @@ class Builder:
     def end_part(
         self, arguments: Iterable[Node], results: Iterable[Node], reorder: bool = True
     ) -> int:
-        """End a program within the program: equal nodes are not the same on both sides of its end.
+        """End a program within the program. Equal nodes before and after its end are not shared.
 
         Args:
-            arguments: the nodes that it starts from.
-            results: its last nodes.
-            reorder: whether its sums may be added in another order than they are written.
+            arguments: first nodes of the part.
+            results: last nodes of the part.
+            reorder: whether the order of summation may change.
 
         Returns:
-            The number of the part.
+            Number of the part.
         """
         self._parts.append(Part(tuple(arguments), tuple(results), reorder))
         self._nodes.clear()
         return len(self._parts) - 1
 
     def constant(self, value: Any, dtype: Any) -> Node:
-        """A constant of the given type."""
+        """Return a constant of the given type."""
         value = np.asarray(value, dtype)[()]
         key = (value.dtype.char, value.tobytes())
         node = self._constants.get(key)
@@ -110,16 +110,18 @@ class Builder:
         return node
 
     def placeholder(self, op: str, dtype: Any, block: Block, uniform: bool = False) -> Node:
-        """What a loop gives to its rounds: something carried, or the counter."""
+        """Return a node for a carried value or the counter of a loop."""
         return self._new(op, (), np.dtype(dtype), block, uniform)
 
     def opaque(self, node: Node, block: Block | None = None, part: int | None = None) -> Node:
-        """Return the same number as a node of which nothing is known but its type.
+        """Return an opaque node for the same number, of which only the type is known.
+
+        A constant is returned unchanged.
 
         Args:
-            node: which.
-            block: where it is seen; None for its own.
-            part: number of the part whose result it is.
+            node: the original node.
+            block: block of the new node, or None for the block of ``node``.
+            part: number of the part whose result the node is, or None for an argument.
         """
         if node.value is not None:
             return node
@@ -127,19 +129,19 @@ class Builder:
         return self._new("opaque", (node,), node.dtype, block, node.uniform, detail=part)
 
     def inside(self, node: Node, block: Block) -> Node:
-        """A node as a block sees it, so that what is computed from it is computed in the block."""
+        """Return a node as seen from a block, so that values computed from it are in the block."""
         if node.value is not None:
             return node
         return self._new("inside", (node,), node.dtype, block, node.uniform)
 
     def make(self, op: str, operands: Sequence[Node], dtype: Any, detail: Any = None) -> Node:
-        """A node as it stands, without simplification; the one that is there already, if any.
+        """Return an existing equal node, or a new node without simplification.
 
         Args:
-            op: its name.
-            operands: nodes.
-            dtype: of the value.
-            detail: hashable.
+            op: name of the operation.
+            operands: operand nodes.
+            dtype: type of the value.
+            detail: other data of the operation, hashable.
         """
         return self._found(op, tuple(operands), np.dtype(dtype), detail)
 
@@ -157,10 +159,10 @@ class Builder:
         return node
 
     def table(self, column: Sequence[Node]) -> Node:
-        """Numbers in a row, from which one can be taken at a computed place."""
+        """Return a table of numbers for lookups at computed indices."""
         dtype, first = column[0].dtype, column[0]
         if first.op == "lookup" and first.operands[0].op in ("list", "totals"):
-            # All of a list, read one by one, are that list.
+            # If the column is a whole list in order, the table is that list.
             whole = first.operands[0]
             of_it = all(node.op == "lookup" and node.operands[0] is whole for node in column)
             places = [node.operands[1].value for node in column] if of_it else []
@@ -180,11 +182,11 @@ class Builder:
         return self.make("lookup", (table, index), table.dtype)
 
     def solve(self, triangle: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """The answers to symmetric equations, by a function that loops.
+        """Return the solution of symmetric equations, by a function that loops.
 
         Args:
-            triangle: the lower triangle of the matrix, row by row.
-            b: the other side.
+            triangle: lower triangle of the matrix, row by row.
+            b: right-hand side.
         """
         return self.rows(self.make("solve", (*triangle, *b), b[0].dtype, len(b)), b.shape)
 
@@ -194,20 +196,20 @@ class Builder:
         return node_array([self.lookup(table, place) for place in places], shape)
 
     def sums(self, start: np.ndarray) -> Sums:
-        """Memory for sums that begin with the given nodes, all of one type."""
+        """Return sums in memory with the given initial nodes, all of one type."""
         nodes = tuple(start.flat)
         memory = self._new("sums", nodes, nodes[0].dtype, self.block, False)
         return Sums(start.shape, memory)
 
     def accumulate(self, sums: Sums, index: Node, value: Node) -> None:
-        """Add a number to the one at an index (int32, the same for all individuals)."""
+        """Add a number to the sum at an index (int32, equal for all individuals)."""
         if self.active is not None and not self.active.uniform:
             value = self.select(self.active, value, self.constant(0, value.dtype))
         operands = index, value, sums.memory
         sums.added.append(self._new("accumulate", operands, value.dtype, self.block, False))
 
     def totals(self, sums: Sums) -> np.ndarray:
-        """What sums have come to after the loop that was made last."""
+        """Return the final sums after the loop that was made last."""
         operands = (sums.memory, *sums.added)
         table = self._new("totals", operands, sums.memory.dtype, self.block, False)
         return self.rows(table, sums.shape)
@@ -216,11 +218,11 @@ class Builder:
         """Put a loop into the current block.
 
         Args:
-            start: the carried values at first.
-            loop: what it does.
+            start: initial carried values.
+            loop: the loop.
 
         Returns:
-            The carried values in the end, and its lists.
+            Final carried values, and the lists of the loop.
         """
         block, flag = self.block, np.dtype(bool)
         node = self._new("loop", tuple(start), flag, block, False, detail=loop)
@@ -240,8 +242,8 @@ class Builder:
         """Make loops in the given block.
 
         Args:
-            block: a block within the present one.
-            active: whether an individual takes part; None for the same as around it.
+            block: a block within the current block.
+            active: node that is true for individuals that run the block, or None for no change.
         """
         outer = self.block, self.active
         self.block, self.active = block, active or self.active
@@ -251,12 +253,12 @@ class Builder:
             self.block, self.active = outer
 
     def apply(self, op: str, *operands: Node, dtype: Any = None) -> Node:
-        """The result of an operation on scalars, in its simplest form.
+        """Return the result of an operation on scalars, simplified.
 
         Args:
             op: name of JAX's primitive.
-            operands: its arguments.
-            dtype: of the result of a conversion.
+            operands: operand nodes.
+            dtype: type of the result of a conversion.
         """
         if op in ("convert", "bitcast"):
             return self._convert(op, operands[0], np.dtype(dtype))
@@ -279,31 +281,31 @@ class Builder:
         return self._found(op, operands, kind, None)
 
     def add(self, a: Node, b: Node) -> Node:
-        """The sum a + b."""
+        """Return the sum a + b."""
         return self.apply("add", a, b)
 
     def subtract(self, a: Node, b: Node) -> Node:
-        """The difference a - b."""
+        """Return the difference a - b."""
         return self.apply("sub", a, b)
 
     def multiply(self, a: Node, b: Node) -> Node:
-        """The product a b."""
+        """Return the product a b."""
         return self.apply("mul", a, b)
 
     def negate(self, a: Node) -> Node:
-        """The negative of a."""
+        """Return -a."""
         return self.apply("neg", a)
 
     def select(self, condition: Node, yes: Node, no: Node) -> Node:
-        """One or the other."""
+        """Return ``yes`` if the condition holds, else ``no``."""
         return self.apply("select", condition, yes, no)
 
     def convert(self, a: Node, dtype: Any) -> Node:
-        """The number in another type."""
+        """Return the number converted to another type."""
         return self.apply("convert", a, dtype=dtype)
 
     def power(self, base: Node, exponent: int) -> Node:
-        """A whole power by repeated squaring."""
+        """Return an integer power, by repeated squaring."""
         if exponent < 0:
             return self.apply("div", self.constant(1, base.dtype), self.power(base, -exponent))
         if exponent == 0:
@@ -338,14 +340,14 @@ class Builder:
 
 
 def node_array(nodes: Sequence[Node], shape: Sequence[int]) -> np.ndarray:
-    """Return an array of nodes."""
+    """Return nodes as an array of the given shape."""
     result = np.empty(len(nodes), object)
     result[:] = nodes
     return result.reshape(shape)
 
 
 def all_nodes(arrays: Iterable[np.ndarray]) -> tuple[Node, ...]:
-    """Return the nodes of arrays, one after the other."""
+    """Return the nodes of all arrays in order."""
     return tuple([node for array in arrays for node in array.flat])
 
 
@@ -355,7 +357,7 @@ def elementwise(make: Callable[..., Node], *arrays: Any) -> np.ndarray:
 
 
 def _comes_later(a: Node, b: Node) -> bool:
-    """Whether b is to be named before a: constants come last, whenever they were made."""
+    """Return whether b goes before a: constants go last, other nodes in order of creation."""
     if a.value is not None or b.value is not None:
         return a.value is not None
     return a.number > b.number

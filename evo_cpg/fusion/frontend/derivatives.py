@@ -1,8 +1,8 @@
 """Derivatives of fused programs, which are fused programs themselves.
 
-JAX differentiates the program for one individual, forwards or backwards; what comes out is scalar
-arithmetic like the program itself, and is traced and cut like it. A gradient keeps nothing but the
-arguments of each program: its backward pass computes the forward one again, in registers.
+JAX differentiates the program for one individual, in forward or reverse mode. The derivative is
+scalar arithmetic, and is traced and cut like the program itself. A gradient stores only the
+arguments of each program. Its backward pass computes the forward pass again, in registers.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -23,9 +23,9 @@ def differentiate(
     program: Program,
     batch: tuple[int, ...],
 ) -> tuple[list[jax.Array], list[Any]]:
-    """Return the results of a program and the tangents of those that change at all."""
+    """Return the results of a program and their tangents. Integer results have no tangent."""
     if program.loops:
-        # JAX's own derivative of the loop, of which the parts are fused.
+        # JAX differentiates the loop itself. The parts of the loop are fused.
         changes = [internals.instantiate_zeros(tangent) for tangent in tangents]
         results, changes = jax.jvp(plain(program, batch), list(primals), changes)
         return results, changes
@@ -35,7 +35,7 @@ def differentiate(
     ndim, name = len(batch), f"the derivative of {program.name}"
 
     def one(values: Sequence[jax.Array]) -> tuple:
-        """The smooth results for one individual as a function of what changes, and where it is."""
+        """Return the smooth results as a function of the varied inputs, and these inputs."""
 
         def run(*some: jax.Array) -> tuple:
             every = list(values)
@@ -47,7 +47,7 @@ def differentiate(
         return run, [values[i] for i in moving]
 
     def each(function: Callable) -> Callable:
-        """For any number of trailing batch axes."""
+        """Map a function over any number of trailing batch axes."""
 
         def run(values: list[jax.Array], x: list[jax.Array]) -> tuple:
             mapped = function
@@ -95,7 +95,14 @@ def differentiate(
 def _for_all(
     values: Sequence[jax.Array], numbers: Iterable[int], program: Program, batch: tuple[int, ...]
 ) -> list[jax.Array]:
-    """Values with these numbers; those that all share get batch axes, too."""
+    """Return the values, with shared values broadcast to the batch axes.
+
+    Args:
+        values: arrays.
+        numbers: number of the program's argument that each array belongs to.
+        program: program for one individual.
+        batch: lengths of the batch axes.
+    """
     return [
         jnp.broadcast_to(x.reshape(*x.shape, *(1,) * len(batch)), (*x.shape, *batch))
         if i < program.shared
@@ -111,7 +118,7 @@ def batch_again(
     program: Program,
     batch: tuple[int, ...],
 ) -> tuple[list[jax.Array], list[int]]:
-    """Map a program: the mapped axis is one more batch axis, the last."""
+    """Map a program over one more batch axis, which becomes the last."""
     size = next(x.shape[axis] for x, axis in zip(values, axes, strict=True) if axis is not None)
     every = []
     for i, (x, axis) in enumerate(zip(values, axes, strict=True)):

@@ -1,17 +1,17 @@
 """Elementary functions of float32 as basic arithmetic without branches.
 
-Each is a pure function of one or two arrays of float32, element by element, and traces to
-additions, products, quotients, roots, roundings, comparisons, selections, conversions and integer
-operations on the bits: what a vector unit does for all its lanes at once.
+Each is a pure elementwise function of one or two arrays of float32. It traces to operations that a
+vector unit performs for all lanes at once: additions, products, quotients, roots, roundings,
+comparisons, selections, conversions and integer operations on the bits.
 
-The argument is first brought into a short interval, where a polynomial takes over. With k an
-integer, and constants that it multiplies given in parts, all but the last so short that the
-products are exact (Cody and Waite),
+The argument is first reduced to a short interval, where a polynomial approximates the result. The
+table writes k for an integer. The constants that k multiplies are sums of parts. All parts but the
+last are so short that the products are exact (Cody and Waite).
 
-| function | the argument becomes | the result |
+| function | reduced argument | result |
 |---|---|---|
 | exp, exp2 | r = x - k ln 2 in [-ln 2 / 2, ln 2 / 2] | 2^k P(r) |
-| expm1 | the same | 2^k (r + r^2 P(r)) + (2^k - 1) |
+| expm1 | r as for exp | 2^k (r + r^2 P(r)) + (2^k - 1) |
 | log, log1p | x = 2^k (1 + f), abs(f) <= 1/3 | k ln 2 + (f - f^2 / 2 + f^3 P(f)) |
 | sin, cos | r = x - k pi in [-pi/2, pi/2] | (-1)^k (r + r^3 P(r^2)), (-1)^k (1 + r^2 Q(r^2)) |
 | tan | r = x - k pi/2 in [-pi/4, pi/4] | t = r + r^3 P(r^2); -1 / t if k is odd |
@@ -21,13 +21,12 @@ products are exact (Cody and Waite),
 | erf_inv | w = -log(1 - x^2) | x P(w) / Q(w) |
 | cbrt | h = 1 - x y^3, y near x^(-1/3) by its bits | y (1 - h)^(-1/3), and a Newton step |
 
-and the others follow from these. The coefficients are those of the least greatest error of the
-result, relative to it (Remez' exchange on a grid of Chebyshev points, values by mpmath). From the
-constant term on each was rounded to float32 and those behind it were fitted again.
+The other functions follow from these. The coefficients minimise the maximum relative error of the
+result (Remez exchange on a grid of Chebyshev points, values by mpmath). Each coefficient was
+rounded to float32, the constant term first, and the remaining coefficients were fitted again.
 
-`tests/fusion/test_elementary.py` has the greatest errors, most of them below two units in the last
-place. Products may or may not be fused with the sums that they go into, and subnormal numbers may
-or may not be taken for zero.
+`tests/fusion/test_elementary.py` lists the maximum errors, most of them below two units in the last
+place. Products may or may not be fused with sums. Subnormal numbers may or may not count as zero.
 """
 
 import math
@@ -36,30 +35,30 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jax import Array, lax
 
-# The least number that is not subnormal; and below this some functions are their tangent.
+# Smallest normal number, and the limit below which some functions equal their tangent.
 _SMALLEST = 2.0**-126
 _TINY = 2.0**-30
 
-# A float32 by its bits: sign, exponent plus 127, mantissa.
+# Bits of a float32: sign, exponent plus 127, mantissa.
 _SIGN, _MANTISSA = -(2**31), 0x007FFFFF
 _MANTISSA_BITS = 23
 _TWO_THIRDS, _FOUR = 0x3F2AAAAB, 0x40800000
-# The bits of this plus an integer k end in those of k + 127.
+# The bits of this constant plus an integer k end in the bits of k + 127.
 _INTEGER_IN_BITS = 1.5 * 2**23 + 127
 
 _LOG2_E = math.log2(math.e)
 _LOG2_E_PARTS = (1.4423828125, 3.1222838838e-4)
-# In one part for a small k: its error in float32 is 2e-9.
+# One part is enough for a small k: the error of ln 2 in float32 is 2e-9.
 _LN_2 = math.log(2.0)
 _LN_2_PARTS = (0.693145751953125, 1.428606765330187e-6)
 _PI_PARTS = (3.140625, 9.67502593994140625e-04, 1.509957990978376432e-07)
 _HALF_PI_PARTS = (1.5703125, 4.837512969970703e-4, 7.549533620476723e-8, 2.5633440682570896e-12)
-# By so much pi / 2 is greater in float32 than it is.
+# Error of pi / 2 in float32, which is too large.
 _HALF_PI_EXCESS = 4.371139e-8
 
 # fmt: off
-# e^r on [-ln 2 / 2, ln 2] and 2^r on [-1/2, 1], with errors that count half in the last third: only
-# the greatest results need it, as k is at most 127.
+# e^r on [-ln 2 / 2, ln 2] and 2^r on [-1/2, 1]. Errors in the last third have half the weight: only
+# the largest results need it, because k is at most 127.
 _EXP = (1.0, 1.0, 0.50000197, 0.16666782, 0.04162442, 0.008341856, 0.0016019798)
 _EXP2 = (1.0, 0.6931472, 0.24022745, 0.05550448, 0.0096084075, 0.0013347428, 0.00017762973)
 # (e^r - 1 - r) / r^2 on [-ln 2 / 2, ln 2 / 2].
@@ -69,11 +68,11 @@ _LOG1P = (
     0.33333215, -0.24999796, 0.20010479, -0.16680591,
     0.14004397, -0.12182546, 0.13992809, -0.12900318,
 )
-# (sin r - r) / r^3 and (cos r - 1) / r^2 on [0, pi / 2], by the square; for the absolute error.
+# (sin r - r) / r^3 and (cos r - 1) / r^2 on [0, pi / 2], in r^2, fitted to the absolute error.
 _SIN = (-1.66666571e-01, 8.33301729e-03, -1.98066152e-04, 2.60005477e-06)
 _COS = (-4.99999995e-01, 4.16666407e-02, -1.38884035e-03, 2.47618862e-05, -2.60771053e-07)
-# (tan r - r) / r^3 on [0, pi / 4], (asin s - s) / s^3 on [0, 1/2], (atan z - z) / z^3 on [0, 1], by
-# the square.
+# (tan r - r) / r^3 on [0, pi / 4], (asin s - s) / s^3 on [0, 1/2], (atan z - z) / z^3 on [0, 1], in
+# the square of the argument.
 _TAN = (0.33333156, 0.13338846, 0.053406864, 0.024447259, 0.0030908117, 0.009403415)
 _ASIN = (0.16666752, 0.074953094, 0.04546915, 0.02418478, 0.0421583)
 _ATAN = (
@@ -85,44 +84,44 @@ _ERF = (
     0.12837917, 0.63661957, 0.1027763, -0.019147826, -0.00016948466,
     0.0016756394, -0.0006373315, 0.000118848555, -9.386046e-6,
 )
-# erf_inv(x) / x up to the w of the greatest x below 1, 15.95; coefficients not fitted again.
+# erf_inv(x) / x up to w = 15.95, for the largest x below 1. The coefficients were not fitted again.
 _ERF_INV = (0.88622695, 0.3064674, 0.059570104, 0.0077630226, 0.00064372784, 2.434903e-5)
 _ERF_INV_BELOW = (1.0, 0.084012434, 0.03218962, 0.0018750958, 0.0001796728, 1.2935906e-6)
-# ((1 - h)^(-1/3) - 1) / h on [-0.1027, 0.1027], where h is for a first y by these bits.
+# ((1 - h)^(-1/3) - 1) / h on [-0.1027, 0.1027], the range of h for the first y from these bits.
 _CBRT = (0.3333275, 0.22348884, 0.17471948)
 _CBRT_BITS = 1419900800.0
 # fmt: on
 
 
 def exp(x: Array) -> Array:
-    """``e^x``."""
+    """Return ``e^x``."""
     k, p = _exp_parts(x, 127)
     return p * _power_of_two(k)
 
 
 def exp2(x: Array) -> Array:
-    """``2^x``."""
+    """Return ``2^x``."""
     x = _at_least(x, -127.0)
     k = _at_most(_nearest(x), 127.0)
     return _polynomial(_EXP2, x - k) * _power_of_two(k)
 
 
 def expm1(x: Array) -> Array:
-    """``e^x - 1``."""
+    """Return ``e^x - 1``."""
     half = _expm1_over(2, _clip(x, -18.0, 89.0))
     return _where(abs(x) < _TINY, x, half + half)
 
 
 def log(x: Array) -> Array:
-    """``ln x``."""
+    """Return ``ln x``."""
     inside = _where(x < _SMALLEST, _where(x < 0.0, math.nan, -math.inf), _log_of_positive(x))
     return _where(x < math.inf, inside, x)
 
 
 def log1p(x: Array) -> Array:
-    """``ln(1 + x)``."""
+    """Return ``ln(1 + x)``."""
     above = _bits(1.0 + x) - _TWO_THIRDS
-    # f = 2^-k (1 + x) - 1 from x itself. As k may be 128, with 2^(2 - k), which is not subnormal.
+    # f = 2^-k (1 + x) - 1. k may be 128, so the scale is 2^(2 - k), which is not subnormal.
     scale = _float(_FOUR - (above & ~_MANTISSA))
     f = 0.25 * x * scale + (0.25 * scale - 1.0)
     inside = _where(x > -1.0, _log_of_parts(_exponent(above), f), -math.inf)
@@ -131,21 +130,21 @@ def log1p(x: Array) -> Array:
 
 
 def tanh(x: Array) -> Array:
-    """``t / (1 + t)`` with ``t = (e^(2 x) - 1) / 2``."""
+    """Return ``tanh x`` as ``t / (1 + t)`` with ``t = (e^(2 x) - 1) / 2``."""
     a = _at_most(abs(x), 10.0)
     t = _expm1_over(2, a + a, (_LN_2,))
     return _with_sign(t / (1.0 + t), x)
 
 
 def logistic(x: Array) -> Array:
-    """``1 / (1 + e^-x)``."""
+    """Return ``1 / (1 + e^-x)``."""
     return 1.0 / (1.0 + exp(-x))
 
 
 def sin(x: Array) -> Array:
-    """``sin x``, within 1.5e-7 for ``abs(x)`` up to 1e4; loses digits beyond that.
+    """Return ``sin x``, within 1.5e-7 for ``abs(x)`` up to 1e4. Larger arguments lose digits.
 
-    Up to there k times each of the first two parts of pi is exact.
+    Up to 1e4, k times each of the first two parts of pi is exact.
     """
     r, square, sign = _half_turns(x)
     cubic = _polynomial(_SIN, square) * square * r
@@ -153,14 +152,14 @@ def sin(x: Array) -> Array:
 
 
 def cos(x: Array) -> Array:
-    """``cos x``, as exact as `sin`."""
+    """Return ``cos x``, with the accuracy of `sin`."""
     _, square, sign = _half_turns(x)
     even = _polynomial(_COS, square) * square
     return sign * (even + 1.0)
 
 
 def tan(x: Array) -> Array:
-    """``tan x``, which loses digits for ``abs(x)`` beyond 1e4."""
+    """Return ``tan x``, which loses digits for ``abs(x)`` beyond 1e4."""
     k = _nearest(x * (2 / math.pi))
     r = _less_multiple(x, k, _HALF_PI_PARTS)
     square = r * r
@@ -171,7 +170,7 @@ def tan(x: Array) -> Array:
 
 
 def asin(x: Array) -> Array:
-    """The angle in [-pi/2, pi/2] whose sine is x."""
+    """Return the angle in [-pi/2, pi/2] with sine x."""
     far, s, rest = _asin_parts(x)
     # pi / 2 - 2 asin s
     beyond = (math.pi / 2 - 2.0 * s) - (2.0 * rest + _HALF_PI_EXCESS)
@@ -179,7 +178,7 @@ def asin(x: Array) -> Array:
 
 
 def acos(x: Array) -> Array:
-    """The angle in [0, pi] whose cosine is x."""
+    """Return the angle in [0, pi] with cosine x."""
     far, s, rest = _asin_parts(x)
     signed = _with_sign(s + rest, x)
     beyond = _where(x < 0.0, math.pi, 0.0) + 2.0 * signed
@@ -187,18 +186,18 @@ def acos(x: Array) -> Array:
 
 
 def atan(x: Array) -> Array:
-    """The angle in [-pi/2, pi/2] whose tangent is x."""
+    """Return the angle in [-pi/2, pi/2] with tangent x."""
     a = abs(x)
     far = a > 1.0
     return _with_sign(_atan_of_ratio(_where(far, 1.0, a) / _where(far, a, 1.0), far), x)
 
 
 def atan2(y: Array, x: Array) -> Array:
-    """The angle in [-pi, pi] from the x-axis to ``(x, y)``."""
+    """Return the angle in [-pi, pi] from the x-axis to ``(x, y)``."""
     a, b = abs(y), abs(x)
     steep = a > b
     lesser, greater = _where(steep, b, a), _where(steep, a, b)
-    # 0 / 0 is to be 0, infinity / infinity 1.
+    # 0 / 0 must be 0, and infinity / infinity must be 1.
     greater = _where(greater < _SMALLEST, _SMALLEST, greater)
     ratio = _where(lesser == greater, 1.0, lesser / greater)
     angle = _atan_of_ratio(ratio, steep)
@@ -207,9 +206,9 @@ def atan2(y: Array, x: Array) -> Array:
 
 
 def pow_(x: Array, y: Array) -> Array:
-    """``x^y`` as ``2^(y log2 x)``, the logarithm and the product each a sum of two numbers.
+    """Return ``x^y`` as ``2^(y log2 x)``. Logarithm and product are sums of two numbers.
 
-    Of each product the part that matters is of factors with 12 digits, and exact.
+    The main part of each product has factors of 12 binary digits, so it is exact.
     """
     k, f = _parts_of_log(abs(x))
     # ln(1 + f) = high + low
@@ -224,7 +223,7 @@ def pow_(x: Array, y: Array) -> Array:
     high_2 = k + exact
     low_2 = (exact - (high_2 - k)) + (high - head) * _LOG2_E_PARTS[0]
     low_2 = low_2 + high * _LOG2_E_PARTS[1] + low * _LOG2_E
-    # y log2 x = exact + rest. What y is beyond 2^40 makes no difference, unless x = 1.
+    # y log2 x = exact + rest. The value of y beyond 2^40 has no effect, unless x = 1.
     factor = _clip(y, -(2.0**40), 2.0**40)
     head, head_2 = _head(factor), _head(high_2)
     exact = head * head_2
@@ -235,7 +234,7 @@ def pow_(x: Array, y: Array) -> Array:
 
 
 def _pow_special(x: Array, y: Array, size: Array) -> Array:
-    """The power from its size for ordinary numbers: its sign, zeros, infinities and NaN."""
+    """Return the power from its absolute value. Set sign, zeros, infinities and NaN."""
     a = abs(x)
     zero = a < _SMALLEST
     grows = _where(zero, -y, y) > 0.0
@@ -250,7 +249,7 @@ def _pow_special(x: Array, y: Array, size: Array) -> Array:
 
 
 def erf(x: Array) -> Array:
-    """``2 / sqrt(pi)`` times the integral of ``e^(-t^2)`` from 0 to x."""
+    """Return ``2 / sqrt(pi)`` times the integral of ``e^(-t^2)`` from 0 to x."""
     a = _at_most(abs(x), 4.0)
     r, scale = _expm1_parts(-(a + a * _polynomial(_ERF, a)), 1, (_LN_2,))
     size = (1.0 - scale) - scale * r
@@ -258,7 +257,7 @@ def erf(x: Array) -> Array:
 
 
 def erf_inv(x: Array) -> Array:
-    """The number of which x is the error function."""
+    """Return the number whose error function is x."""
     a = abs(x)
     w = -_log_of_positive((1.0 - a) * (1.0 + a))
     inside = x * _polynomial(_ERF_INV, w) / _polynomial(_ERF_INV_BELOW, w)
@@ -267,7 +266,7 @@ def erf_inv(x: Array) -> Array:
 
 
 def cbrt(x: Array) -> Array:
-    """The real cubic root."""
+    """Return the real cube root."""
     a = abs(x)
     bits = lax.convert_element_type(_bits(a), np.float32)
     y = _float(lax.convert_element_type(_CBRT_BITS - bits * (1 / 3), np.int32))
@@ -279,7 +278,10 @@ def cbrt(x: Array) -> Array:
 
 
 def sinh(x: Array) -> Array:
-    """``(t + t / (t + 1)) / 2`` with ``t = e^x - 1``, in quarters, as t may be too great."""
+    """Return ``sinh x`` as ``(t + t / (t + 1)) / 2``, with ``t = e^x - 1``.
+
+    The code computes t / 4, because t may overflow.
+    """
     a = abs(x)
     quarter = _expm1_over(4, _at_most(a, 89.5))
     half = quarter + quarter / (4.0 * quarter + 1.0)
@@ -287,14 +289,14 @@ def sinh(x: Array) -> Array:
 
 
 def cosh(x: Array) -> Array:
-    """``h + 1 / (4 h)`` with ``h = e^x / 2``."""
+    """Return ``cosh x`` as ``h + 1 / (4 h)`` with ``h = e^abs(x) / 2``."""
     k, p = _exp_parts(abs(x), 128)
     half = p * _power_of_two(k, -1)
     return half + 0.25 / half
 
 
 def asinh(x: Array) -> Array:
-    """``ln(x + sqrt(x^2 + 1))``, the sum less 1 without cancellation."""
+    """Return ``ln(x + sqrt(x^2 + 1))``. The sum minus 1 is computed without cancellation."""
     a = abs(x)
     square = a * a
     more = a + square / (1.0 + lax.sqrt(1.0 + square))
@@ -302,14 +304,14 @@ def asinh(x: Array) -> Array:
 
 
 def acosh(x: Array) -> Array:
-    """``ln(x + sqrt(x^2 - 1))``, the sum less 1 without cancellation."""
+    """Return ``ln(x + sqrt(x^2 - 1))``. The sum minus 1 is computed without cancellation."""
     t = x - 1.0
     more = t + lax.sqrt(t * (t + 2.0))
     return _where(x < 1.0, math.nan, _log1p_or_log_of_double(more, x))
 
 
 def atanh(x: Array) -> Array:
-    """``ln((1 + x) / (1 - x)) / 2``."""
+    """Return ``ln((1 + x) / (1 - x)) / 2``."""
     a = abs(x)
     return _with_sign(0.5 * log1p((a + a) / (1.0 - a)), x)
 
@@ -325,7 +327,7 @@ FLOAT32: dict[str, Callable[..., Array]] = {
 
 
 def _exp_parts(x: Array, greatest: int) -> tuple[Array, Array]:
-    """An integer k up to the greatest and p with ``e^x = 2^k p``; k is -127 for ``e^x = 0``."""
+    """Return an integer ``k <= greatest`` and p with ``e^x = 2^k p``, k = -127 for ``e^x = 0``."""
     x = _at_least(x, -88.0)
     k = _at_most(_nearest(x * _LOG2_E), greatest)
     r = _less_multiple(x, k, _LN_2_PARTS)
@@ -335,7 +337,7 @@ def _exp_parts(x: Array, greatest: int) -> tuple[Array, Array]:
 def _expm1_parts(
     x: Array, divisor: int, ln_2: Sequence[float] = _LN_2_PARTS
 ) -> tuple[Array, Array]:
-    """Numbers r and s = 2^k / divisor with ``e^x - 1 = 2^k r + (2^k - 1)``."""
+    """Return r and ``2^k / divisor``, with ``e^x - 1 = 2^k r + (2^k - 1)``."""
     k = _nearest(x * _LOG2_E)
     r = _less_multiple(x, k, ln_2)
     r = r + r * r * _polynomial(_EXPM1, r)
@@ -343,24 +345,24 @@ def _expm1_parts(
 
 
 def _expm1_over(divisor: int, x: Array, ln_2: Sequence[float] = _LN_2_PARTS) -> Array:
-    """``(e^x - 1) / divisor``; the divisor is a power of two."""
+    """Return ``(e^x - 1) / divisor``. The divisor is a power of two."""
     r, scale = _expm1_parts(x, divisor, ln_2)
     return scale * r + (scale - 1 / divisor)
 
 
 def _power_of_two(k: Array, more: float = 0.0) -> Array:
-    """``2^(k + more)`` of integers; 0 for -127 and infinity for 128."""
+    """Return ``2^(k + more)`` for an integer exponent: 0 for -127 and infinity for 128."""
     return _float(lax.shift_left(_bits(k + (_INTEGER_IN_BITS + more)), np.int32(_MANTISSA_BITS)))
 
 
 def _parts_of_log(x: Array) -> tuple[Array, Array]:
-    """An integer k and f with ``x = 2^k (1 + f)``, f in [-1/3, 1/3]."""
+    """Return an integer k and f in [-1/3, 1/3] with ``x = 2^k (1 + f)``."""
     above = _bits(x) - _TWO_THIRDS
     return _exponent(above), _float((above & _MANTISSA) + _TWO_THIRDS) - 1.0
 
 
 def _exponent(above: Array) -> Array:
-    """The exponent of a number by its bits above those of 2/3."""
+    """Return the exponent of a number from its bits minus the bits of 2/3."""
     k = lax.shift_right_arithmetic(above, np.int32(_MANTISSA_BITS))
     return lax.convert_element_type(k, np.float32)
 
@@ -376,13 +378,13 @@ def _log_of_parts(k: Array, f: Array) -> Array:
 
 
 def _log1p_or_log_of_double(more: Array, x: Array) -> Array:
-    """``log(1 + more)``, for great x ``log(2 x)``."""
+    """Return ``log(1 + more)``, or ``log(2 x)`` for large x."""
     great = x > 2.0**25
     return log1p(_where(great, x, more)) + _where(great, _LN_2, 0.0)
 
 
 def _half_turns(x: Array) -> tuple[Array, Array, Array]:
-    """The remainder r, its square, and the sign ``(-1)^k``."""
+    """Return the remainder ``r = x - k pi``, its square, and the sign ``(-1)^k``."""
     k = _nearest(x * (1 / math.pi))
     r = _less_multiple(x, k, _PI_PARTS)
     half = k * 0.5
@@ -391,7 +393,7 @@ def _half_turns(x: Array) -> tuple[Array, Array, Array]:
 
 
 def _asin_parts(x: Array) -> tuple[Array, Array, Array]:
-    """Whether x is beyond 1/2, s, and what asin s is more than it."""
+    """Return whether ``abs(x) > 1/2``, s, and ``asin(s) - s``."""
     a = abs(x)
     far = a > 0.5
     square = _where(far, 0.5 - 0.5 * a, a * a)
@@ -400,14 +402,14 @@ def _asin_parts(x: Array) -> tuple[Array, Array, Array]:
 
 
 def _atan_of_ratio(z: Array, inverted: Array) -> Array:
-    """``atan z`` for z in [0, 1], or of its inverse: what is left of a right angle."""
+    """Return ``atan z`` for z in [0, 1], or ``pi / 2 - atan z`` if inverted."""
     square = z * z
     angle = z + z * square * _polynomial(_ATAN, square)
     return _where(inverted, math.pi / 2 - (angle + _HALF_PI_EXCESS), angle)
 
 
 def _polynomial(coefficients: Sequence[float], x: Array) -> Array:
-    """By Horner's rule, the constant term first."""
+    """Evaluate a polynomial by Horner's rule. Coefficients begin with the constant term."""
     value = x * coefficients[-1] + coefficients[-2]
     for coefficient in coefficients[-3::-1]:
         value = value * x + coefficient
@@ -415,7 +417,7 @@ def _polynomial(coefficients: Sequence[float], x: Array) -> Array:
 
 
 def _less_multiple(x: Array, k: Array, parts: Sequence[float]) -> Array:
-    """What is left of x without k times the sum of the parts."""
+    """Return x minus k times the sum of the parts."""
     for part in parts:
         x = x - k * part
     return x
@@ -426,7 +428,7 @@ def _nearest(x: Array) -> Array:
 
 
 def _at_most(x: Array, greatest: float) -> Array:
-    # NaN stays. That is one instruction where `lax.min`, which minds NaN in both, takes several.
+    # NaN stays NaN. This is one instruction. `lax.min` checks both operands for NaN and takes more.
     return _where(x > greatest, greatest, x)
 
 
@@ -439,12 +441,12 @@ def _clip(x: Array, least: float, greatest: float) -> Array:
 
 
 def _with_sign(size: Array, of: Array) -> Array:
-    """A number without sign with that of another."""
+    """Return a nonnegative number with the sign of ``of``."""
     return _float(_bits(size) | (_bits(of) & _SIGN))
 
 
 def _head(x: Array) -> Array:
-    """The first 12 binary digits."""
+    """Return a number rounded towards zero to its first 12 binary digits."""
     return _float(_bits(x) & ~0xFFF)
 
 
@@ -457,7 +459,7 @@ def _float(bits: Array) -> Array:
 
 
 def _where(condition: Array, x: Array | float, y: Array | float) -> Array:
-    """`jax.numpy.where` for float32, as a single operation."""
+    """Select as `jax.numpy.where` for float32, in a single operation."""
     full = [
         each if isinstance(each, Array) else lax.full_like(condition, each, np.float32)
         for each in (x, y)

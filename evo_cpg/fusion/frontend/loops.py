@@ -1,9 +1,9 @@
-"""Loops and branches of a JAX program, as loops of the graph.
+"""Lower loops and branches of a JAX program to loops of the graph.
 
-A short branch that depends on the individual becomes both, of which one is chosen, as under
-`jax.vmap`. A long one is left out where no individual of a vector takes it.
+Both sides of a short branch are computed and one result is selected, as under `jax.vmap`. A long
+branch is skipped if no individual of a vector takes it.
 
-A loop that carries an array and only adds to it has the array in memory (`Sums`).
+If a loop carries an array and only adds to it, the array is in memory (`Sums`).
 """
 
 import functools
@@ -26,7 +26,11 @@ Trace = Callable[..., list[Any]]
 
 
 def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> list[Any]:
-    """A counted loop; what it reads one by one lies in tables, what it stacks in lists."""
+    """Lower a counted loop. Its inputs per round are in tables, its stacked outputs in lists.
+
+    Raises:
+        Unsupported: the loop stacks more numbers than native code keeps.
+    """
     constant_count, carry_count = internals.scan_counts(params)
     length, closed = params["length"], params["jaxpr"]
     consts = operands[:constant_count]
@@ -69,18 +73,18 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
     )  # fmt: skip
     ends, lists = builder.loop(all_nodes(begin), loop)
     found = dict(zip(others, _like(ends, begin), strict=True))
-    # Sums of a loop around this one go on.
+    # Sums of a loop around this one are not complete yet.
     found |= {k: x if x is start[k] else builder.totals(x) for k, x in sums.items()}
     return [*(found[k] for k in range(carry_count)), *_stacks(builder, lists, stacked, length)]
 
 
 def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
-    """Whether a program does nothing to an argument but add to it, and returns it.
+    """Return whether a program only adds to an argument, and returns it as the given result.
 
     Args:
         jaxpr: the program.
         into: number of the argument.
-        out: number of the result that it is to become.
+        out: number of the result.
     """
     array: Any = jaxpr.invars[into]
     for equation in jaxpr.eqns:
@@ -120,12 +124,15 @@ def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
 
 
 def _in_bounds(params: dict) -> bool:
-    """Whether a scatter is told that its places are within the array."""
+    """Return whether the caller of a scatter promises that its places are within the array."""
     return "PROMISE" in str(params["mode"])
 
 
 def _returned(params: dict, place: int) -> int | None:
-    """Number of the result in which all branches return an argument that they only add to."""
+    """Return the number of the result in which all branches return an argument they only add to.
+
+    Return None if there is no such result.
+    """
     counts = range(len(params["branches"][0].jaxpr.outvars))
     fits = [
         k for k in counts if all(_only_adds(each.jaxpr, place, k) for each in params["branches"])
@@ -136,7 +143,10 @@ def _returned(params: dict, place: int) -> int | None:
 def _while(
     builder: Builder, operands: list[np.ndarray], params: dict, trace: Trace
 ) -> list[np.ndarray]:
-    """A loop that ends when no individual wants another round; the others stay as they are."""
+    """Lower a loop that ends when the condition holds for no individual.
+
+    Individuals that are done keep their values.
+    """
     of_test, of_body = params["cond_nconsts"], params["body_nconsts"]
     test_consts, body_consts = operands[:of_test], operands[of_test : of_test + of_body]
     start = operands[of_test + of_body :]
@@ -147,9 +157,9 @@ def _while(
         (condition,) = trace(builder, params["cond_jaxpr"], [*test_consts, *carried])
         condition = condition.item()
         if builder.active is not None and not condition.uniform:
-            # A loop in another one does not wait for individuals that are done there.
+            # An inner loop does not wait for individuals that are done in the outer loop.
             condition = builder.apply("and", condition, builder.active)
-    # What the test computes of them is computed before it is known whether there is a round.
+    # The body must not share nodes with the test, which runs before the condition is known.
     again = [elementwise(lambda node: builder.opaque(node, body), x) for x in carried]
     with builder.within(body, None if condition.uniform else condition):
         results = trace(builder, params["body_jaxpr"], [*body_consts, *again])
@@ -174,7 +184,11 @@ def _cond(builder: Builder, operands: list, params: dict, trace: Trace) -> list:
 
 
 def _without_sums(builder: Builder, trace: Trace, branch: ClosedJaxpr, given: list) -> list:
-    """The results of a branch that is always computed; it must not add to anything."""
+    """Return the results of a branch that is always computed.
+
+    Raises:
+        Unsupported: the branch adds to an array.
+    """
     before = [len(x.added) for x in given if isinstance(x, Sums)]
     results = trace(builder, branch, given)
     if before != [len(x.added) for x in given if isinstance(x, Sums)]:
@@ -185,7 +199,7 @@ def _without_sums(builder: Builder, trace: Trace, branch: ClosedJaxpr, given: li
 def _branch(
     builder: Builder, branch: ClosedJaxpr, given: list, here: Node, otherwise: list, trace: Trace
 ) -> list:
-    """The results of a branch for whoever takes it, and the other results for all others."""
+    """Return the branch's results for individuals that take it, else the other results."""
     adds = any(isinstance(x, Sums) for x in otherwise)
     if not adds and _length(branch.jaxpr) < machine_constants.SHORTEST_BRANCH:
         choose = functools.partial(builder.select, here)
@@ -201,9 +215,9 @@ def _branch(
     carried = [_placeholders(builder, x, body) for x in start]
 
     def hide(node: Node) -> Node:
-        """Return a node as the branch sees it, so that what it alone needs is computed in it.
+        """Return a node as seen from the branch, so that code only for the branch is inside it.
 
-        A number of a list stays one, so that the list is not copied.
+        A number of a list stays unchanged, so that the list is not copied.
         """
         listed = node.op == "lookup" and node.operands[0].op in ("list", "totals")
         return builder.inside(node, body) if node.block is builder.block and not listed else node
@@ -219,7 +233,7 @@ def _branch(
 
 
 def _length(jaxpr: Jaxpr) -> int:
-    """Return about how many scalars a program computes."""
+    """Return the approximate number of scalars that a program computes."""
     leaves = (each for each in equations(jaxpr) if not any(programs_in(each)))
     return sum(atom.aval.size for each in leaves for atom in each.outvars)
 
@@ -232,7 +246,7 @@ LOOPS: dict[str, Callable[[Builder, list[np.ndarray], dict, Trace], list[np.ndar
 
 
 def _row(builder: Builder, x: np.ndarray, index: Node) -> np.ndarray:
-    """Return one of the rows of an array, at a computed index."""
+    """Return the row of an array at a computed index."""
     columns = x.reshape(len(x), -1).T
     return node_array(
         [builder.lookup(builder.table(list(column)), index) for column in columns], x.shape[1:]
@@ -244,13 +258,13 @@ def _placeholders(builder: Builder, like: np.ndarray, block: Block) -> np.ndarra
 
 
 def _like(nodes: list[Node], arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Return nodes one after the other, in arrays of the same shapes as others."""
+    """Return consecutive nodes in arrays of the same shapes as other arrays."""
     given = iter(nodes)
     return [node_array([*itertools.islice(given, x.size)], x.shape) for x in arrays]
 
 
 def _stacks(builder: Builder, lists: list[Node], avals: Sequence, length: int) -> list[np.ndarray]:
-    """Return what a loop has stacked, from the lists of its scalars."""
+    """Return the stacked outputs of a loop, from the lists of their scalars."""
     columns = iter([builder.rows(each, (length,)) for each in lists])
     return [
         np.array([*itertools.islice(columns, aval.size)], object)

@@ -1,8 +1,8 @@
-"""From a JAX program on small arrays to a graph of scalars.
+"""Lower a JAX program on small arrays to a graph of scalars.
 
-An array becomes a NumPy array of nodes. Whatever only moves numbers about (slices, stacks,
-transposes) is then done by NumPy while tracing and leaves nothing behind; sums and small matrix
-products become additions and multiplications; elementwise operations one node per element.
+An array becomes a NumPy array of nodes. NumPy performs operations that only move numbers (slices,
+stacks, transposes) while tracing, so they cost nothing. Sums and small matrix products become
+additions and multiplications. Elementwise operations become one node per element.
 """
 
 import functools
@@ -32,8 +32,8 @@ def lower(program: Program, builder: Builder) -> Graph:
     """Return the graph of a program.
 
     Args:
-        program: for one individual.
-        builder: makes its nodes.
+        program: program for one individual.
+        builder: maker of the nodes.
 
     Raises:
         Unsupported: the program holds something that cannot be written as scalars.
@@ -46,16 +46,16 @@ def lower(program: Program, builder: Builder) -> Graph:
 
 
 def trace_program(builder: Builder, program: Program, inputs: Sequence[np.ndarray]) -> Arrays:
-    """The results of a program for one individual, arrays of nodes.
+    """Return the results of a program for one individual, arrays of nodes.
 
-    What a program computes depends on nothing around it, not even in its last digit: nothing is
-    known of its inputs, and its sums are put in order before anything else uses its results. So a
-    control step has the same results alone and as a part of a trial.
+    The results do not depend on the code around the program, not even in the last digit. Its inputs
+    are opaque, and its sums are ordered before other code uses its results. So a control step has
+    the same results alone and as a part of a trial.
 
     Args:
-        builder: where the nodes are made.
-        program: what to trace.
-        inputs: what it shares, and its arguments.
+        builder: maker of the nodes.
+        program: program to trace.
+        inputs: shared arguments, then the other arguments.
 
     Raises:
         Unsupported: the program holds something that cannot be written as scalars.
@@ -72,10 +72,10 @@ def trace_program(builder: Builder, program: Program, inputs: Sequence[np.ndarra
 def trace(
     builder: Builder, jaxpr: Jaxpr, consts: Sequence[np.ndarray], inputs: Sequence[np.ndarray]
 ) -> Arrays:
-    """The program's outputs as arrays of nodes.
+    """Return the program's outputs as arrays of nodes.
 
     Args:
-        builder: where the nodes are made.
+        builder: maker of the nodes.
         jaxpr: the program.
         consts: values of its constants, arrays of nodes.
         inputs: values of its arguments, arrays of nodes.
@@ -100,13 +100,13 @@ def trace(
 
 
 def trace_closed(builder: Builder, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]) -> Arrays:
-    """`trace` of a program that brings its constants along."""
+    """Trace a program that holds its constants (`trace`)."""
     values = [constants(builder, np.asarray(value)) for value in closed.consts]
     return trace(builder, closed.jaxpr, values, inputs)
 
 
 def constants(builder: Builder, values: np.ndarray) -> np.ndarray:
-    """Return an array of constant nodes; tangents of integers (float0) are False, as in JAX."""
+    """Return an array of constant nodes. Tangents of integers (float0) are False, as in JAX."""
     if values.dtype == jax.dtypes.float0:
         values = np.zeros(values.shape, bool)
     return node_array(
@@ -115,7 +115,7 @@ def constants(builder: Builder, values: np.ndarray) -> np.ndarray:
 
 
 def is_supported(name: str) -> bool:
-    """Return whether there is a rule for a primitive, whatever it is applied to."""
+    """Return whether there is a rule for a primitive, for any operands."""
     known = (_PROGRAMS, LOOPS, _RULES, _ELEMENTWISE, ARITHMETIC, FLOAT32, LIBRARY)
     return internals.is_random(name) or any(name in names for names in known)
 
@@ -146,7 +146,7 @@ def _equation(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
     raise Unsupported(f"it has no rule for {name}")
 
 
-# Programs within the program.
+# Rules of primitives that hold programs.
 
 
 def _call(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
@@ -156,7 +156,7 @@ def _call(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
 
 
 def _fused(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
-    """Trace a part, of which each individual may hold several."""
+    """Trace a fused program once for each element of its batch axes."""
     program, batch = equation.params["program"], equation.params["batch"]
     if not batch:
         return trace_program(builder, program, operands)
@@ -176,7 +176,7 @@ def _linear_map(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
 
 
 def _elimination(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
-    """Call the routine that loops, or write the elimination out where that is short."""
+    """Call the routine that loops, or write out a short elimination."""
     answers = eliminate(builder, operands)
     if answers is not None:
         return [answers]
@@ -185,7 +185,7 @@ def _elimination(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
 
 
 def _linear_solve(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
-    """Trace the solver of a linear system; its other programs are for derivatives."""
+    """Trace the solver of a linear system. Its other programs are for derivatives."""
     counts, jaxprs = equation.params["const_lengths"], equation.params["jaxprs"]
     before = counts.matvec + counts.vecmat
     given = operands[sum(counts) :]
@@ -208,7 +208,7 @@ _PROGRAMS: dict[str, Callable[[Builder, Any, Arrays], Arrays]] = {
 
 
 def _evaluate(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
-    """Compute any other primitive on constants by JAX itself."""
+    """Let JAX compute any other primitive on constants."""
     values = [
         np.array([node.value for node in operand.flat], _type(atom)).reshape(operand.shape)
         for operand, atom in zip(operands, equation.invars, strict=True)
@@ -233,10 +233,10 @@ def _in_float32(name: str, count: int) -> ClosedJaxpr:
 
 
 def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
-    """Write a function of the C library out for float32; call it for float64."""
+    """Write out a function of the C library for float32. Call the library for float64."""
     dtype = next((node.dtype for node in operands[0].flat), np.dtype(np.float32))
     if dtype == np.float32 and name in FLOAT32:
-        # Written for scalars; what is elementwise takes arrays as well.
+        # The functions are written for scalars, but elementwise operations take arrays as well.
         inside = [elementwise(builder.opaque, x) for x in np.broadcast_arrays(*operands)]
         (result,) = trace_closed(builder, _in_float32(name, len(operands)), inside)
         # Their sums are ordered so that errors cancel.
@@ -277,7 +277,7 @@ def _cumulative(op: str, builder: Builder, operands: Arrays, params: dict) -> Ar
 
 
 def _extreme_place(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
-    """Index of the first largest or smallest; of the first NaN, if there is one."""
+    """Return the index of the first NaN if there is one, else of the first largest or smallest."""
     (x,), (axis,), dtype = operands, params["axes"], np.dtype(params["index_dtype"])
     x = np.moveaxis(x, axis, 0)
 
@@ -314,11 +314,11 @@ def _dot_general(builder: Builder, operands: Arrays, params: dict) -> Arrays:
 
 
 def _scalar_product(builder: Builder, a: np.ndarray, b: np.ndarray) -> Node:
-    """Sum of products; those with the same constant factor, up to its sign, share it.
+    """Return a sum of products. Products with equal constant factors, up to the sign, share one.
 
-    Points on a regular grid have coordinates that differ by their signs only: what their rows
-    have in common is then computed once for all rows. The order of summation, and with it the
-    rounding, is not that of the original product.
+    Coordinates of points on a regular grid differ by their signs only. The common terms of their
+    rows are then computed once. The order of summation, and so the rounding, differs from the
+    original product.
     """
     groups: dict[Node, list[tuple[bool, Node]]] = {}
     for x, y in zip(a, b, strict=True):
@@ -332,7 +332,7 @@ def _scalar_product(builder: Builder, a: np.ndarray, b: np.ndarray) -> Node:
             groups.setdefault(factor, []).append((negative, other))
     total = builder.constant(0, a[0].dtype)
     for factor, terms in groups.items():
-        # The first term gives the sign, so that opposite sums are the same node.
+        # The first term sets the sign, so that opposite sums are the same node.
         flip = terms[0][0]
         inner = terms[0][1]
         for negative, term in terms[1:]:
@@ -387,7 +387,7 @@ def _conversion(op: str, builder: Builder, operands: Arrays, params: dict) -> Ar
 _ELEMENTWISE: dict[str, Callable[..., Node]] = {
     "add_any": Builder.add,
     "clamp": lambda b, low, x, high: b.apply("min", b.apply("max", low, x), high),
-    # As a product, which keeps all digits near one; JAX has it since 0.12, for `tanh`.
+    # The product keeps all digits near one. JAX 0.12 added this primitive for `tanh`.
     "one_minus_square": lambda b, x: b.multiply(
         b.subtract(one := b.constant(1, x.dtype), x), b.add(one, x)
     ),

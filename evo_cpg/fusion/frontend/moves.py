@@ -1,4 +1,4 @@
-"""Operations that only move numbers about: NumPy does them on arrays of nodes while tracing."""
+"""Operations that only move numbers: NumPy performs them on arrays of nodes while tracing."""
 
 import functools
 import itertools
@@ -35,7 +35,7 @@ def _dynamic_slice(builder, operands, params):
 
 
 def _dynamic_update_slice(builder, operands, params):
-    """Each element is the new one where the window lies over it."""
+    """Replace the elements under the window by new elements."""
     x, update, *starts = operands
     first = [
         _clamped(builder, start.item(), whole - size)
@@ -64,7 +64,7 @@ def _dynamic_update_slice(builder, operands, params):
 
 
 def _gather(builder, operands, params):
-    """Taken at constant indices, where JAX itself says where each element comes from, or others."""
+    """Gather elements at constant indices, with their places from JAX, or at computed indices."""
     x, indices = operands
     if all(node.value is not None for node in indices.flat):
         gather = functools.partial(jax.lax.gather_p.bind, **{**params, "fill_value": _OUTSIDE})
@@ -76,12 +76,12 @@ def _gather(builder, operands, params):
     return [_gather_at_computed_places(builder, x, indices, params)]
 
 
-# Where an element that lies outside of an array comes from.
+# Place of an element outside the array.
 _OUTSIDE = -1
 
 
 def _places(gather, x, indices):
-    """Ask JAX where each element comes from that is gathered at constant indices."""
+    """Return the place of each element that JAX gathers at constant indices."""
     places = np.arange(x.size, dtype=np.int32).reshape(x.shape)
     where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
     with jax.ensure_compile_time_eval():
@@ -89,7 +89,7 @@ def _places(gather, x, indices):
 
 
 def _gather_at_computed_places(builder, x, indices, params):
-    """One window for each row of indices; its elements lie at a fixed distance from its first."""
+    """Gather one window for each row of indices. Offsets within the window are fixed."""
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
     if numbers.operand_batching_dims:
         raise Unsupported("it has no gather with batch dimensions at computed places")
@@ -119,7 +119,7 @@ def _gather_at_computed_places(builder, x, indices, params):
     batch = indices.shape[:-1]
     stacked = np.array([t.reshape(-1) for t in results], object)
     stacked = stacked.reshape((*batch, *results[0].shape))
-    # Axes of the windows stand where the numbers say, those of the indices in between.
+    # ``offset_dims`` places the axes of the windows. The axes of the indices go in between.
     order = iter(range(len(batch)))
     inner = {axis: len(batch) + k for k, axis in enumerate(numbers.offset_dims)}
     axes = [inner[i] if i in inner else next(order) for i in range(stacked.ndim)]
@@ -127,10 +127,10 @@ def _gather_at_computed_places(builder, x, indices, params):
 
 
 def _taken(builder, x, first, window):
-    """Elements of an array, at places in a window whose first element is at a computed place.
+    """Return elements of an array in a window whose first element is at a computed place.
 
     Args:
-        builder: where nodes are made.
+        builder: maker of the nodes.
         x: the array.
         first: index of the window's first element along each axis, within the array.
         window: ``(axes, ...)``, indices within the window.
@@ -155,7 +155,7 @@ def _taken(builder, x, first, window):
 
 
 def _clamped(builder, place, most):
-    """An index from 0 to the largest that there is, int32."""
+    """Return an index clamped to ``[0, most]``, int32."""
     if place.dtype.kind == "u":
         place = builder.apply("min", place, builder.constant(most, place.dtype))
         return builder.convert(place, np.int32)
@@ -164,7 +164,7 @@ def _clamped(builder, place, most):
 
 
 def _filler(dtype):
-    """What JAX puts in the place of what lies outside."""
+    """Return the value that JAX gathers from outside the array."""
     if dtype.kind == "f":
         return np.nan
     if dtype.kind == "b":
@@ -183,7 +183,7 @@ def _unstack(builder, operands, params):
 
 
 def _pad(builder, operands, params):
-    """Between and around the elements, or less than nothing around: that cuts."""
+    """Pad between and around the elements. Negative padding around the elements cuts."""
     x, value = operands
     shape, inside, kept = [], [], []
     for count, (low, high, inner) in zip(x.shape, params["padding_config"], strict=True):
@@ -197,7 +197,7 @@ def _pad(builder, operands, params):
 
 
 def _scatter(builder, operands, params, combine=lambda old, new: new):
-    """Put at constant places; where each element goes is asked of JAX itself, as a gather."""
+    """Put elements at constant places. A gather by JAX finds the places."""
     x, indices, updates = operands
     if any(node.value is None for node in indices.flat):
         raise Unsupported("it has no scatter to computed places")
@@ -228,12 +228,16 @@ def _same(builder, operands, params):
     return operands
 
 
-# JAX's names of the operation that adds to some places of an array.
+# JAX's names of the primitive that adds to some places of an array.
 SCATTER_ADD = ("scatter-add", "scatter_add")
 
 
 def add_to_sums(builder: Builder, operands: list, params: dict) -> list:
-    """Add to numbers in memory, at places that are the same for all individuals."""
+    """Add to numbers in memory, at places that are equal for all individuals.
+
+    Raises:
+        Unsupported: the places differ between individuals.
+    """
     sums, indices, updates = operands
     places = indices.reshape(-1)
     if not all(node.uniform for node in places):
@@ -247,7 +251,7 @@ def _scatter_add(builder, operands, params):
     return _scatter(builder, operands, params, builder.add)
 
 
-# By the name of JAX's primitive, from its operands and parameters to its results.
+# Rules by the name of JAX's primitive, from its operands and parameters to its results.
 MOVES: dict[str, Callable[[Builder, list[np.ndarray], dict], list[np.ndarray]]] = {
     "broadcast_in_dim": _broadcast_in_dim,
     "concatenate": lambda builder, xs, params: [np.concatenate(xs, params["dimension"])],

@@ -1,11 +1,11 @@
-"""What programs for one individual are to JAX.
+"""JAX primitives for programs for one individual.
 
-| primitive | what it stands for |
+| primitive | meaning |
 |---|---|
 | ``fused`` | a program that runs as native code for all individuals |
 | ``linear_map`` | a function that is linear in some arguments, and its transpose |
 
-See `evo_cpg.fusion.fuse` for the function that binds them.
+The function `evo_cpg.fusion.fuse.fuse` binds ``fused``.
 """
 
 import dataclasses
@@ -23,7 +23,7 @@ from evo_cpg.fusion import jax_internals as internals
 
 Arrays = Sequence[jax.Array]
 
-# Rules that are given with a function, so that its loops need none.
+# Functions with their own derivative rules, so that their loops need none.
 _OWN_RULES = {"custom_jvp_call", "custom_vjp_call"}
 _LOOPS = {"scan", "while"}
 
@@ -33,13 +33,13 @@ linear_map_p = internals.primitive("linear_map")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Program:
-    """What a fused function does for one individual.
+    """A fused function as a program for one individual.
 
     Attributes:
-        name: of the function, for messages.
-        jaxpr: of the function; its constants are its first arguments.
-        constants: their values; None for those that are arguments, because they are traced.
-        shared: how many arguments come first that all individuals share, in place of these.
+        name: name of the function, for messages.
+        jaxpr: JAX program of the function. Its constants are its first arguments.
+        constants: values of the constants, or None for a traced constant, which is an argument.
+        shared: number of traced constants, the first arguments, which all individuals share.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Program:
 
     @property
     def inputs(self) -> list[Any]:
-        """Shapes and types of the arguments, what is shared first."""
+        """Shapes and types of the arguments, shared arguments first."""
         count = len(self.constants)
         constants = zip(self.jaxpr.invars[:count], self.constants, strict=True)
         shared = [variable.aval for variable, own in constants if own is None]
@@ -61,14 +61,14 @@ class Program:
         return [atom.aval for atom in self.jaxpr.outvars]
 
     def __call__(self, *arrays: jax.Array) -> list[Any]:
-        """The results for one individual; of NumPy where they are constants."""
+        """Return the results for one individual. Constant results are NumPy arrays."""
         given = iter(arrays[: self.shared])
         consts = [next(given) if own is None else own for own in self.constants]
         return internals.run(ClosedJaxpr(self.jaxpr, []), [*consts, *arrays[self.shared :]])
 
     @functools.cached_property
     def primitives(self) -> frozenset[str]:
-        """Names of the primitives that do something in it and in programs within it."""
+        """Names of the primitives with non-literal operands, in it and in programs within it."""
         names: set[str] = set()
         for equation in equations(self.jaxpr, ()):
             if equation.primitive is fused_p:
@@ -79,7 +79,7 @@ class Program:
 
     @functools.cached_property
     def loops(self) -> bool:
-        """Whether there are loops in it that bring no derivative of their own."""
+        """Return whether the program has loops without their own derivative rule."""
         return any(
             equation.params["program"].loops
             if equation.primitive is fused_p
@@ -89,11 +89,11 @@ class Program:
 
 
 def equations(jaxpr: Jaxpr, closed: Iterable[str] = ()) -> Iterator[Any]:
-    """Walk through the equations of a program and of the programs within it.
+    """Iterate over the equations of a program and of the programs within it.
 
     Args:
         jaxpr: the program.
-        closed: primitives whose programs are left out.
+        closed: names of primitives whose inner programs are skipped.
     """
     for equation in jaxpr.eqns:
         yield equation
@@ -103,7 +103,7 @@ def equations(jaxpr: Jaxpr, closed: Iterable[str] = ()) -> Iterator[Any]:
 
 
 def programs_in(equation: Any) -> Iterator[Jaxpr]:
-    """Walk through the programs among the parameters of an equation."""
+    """Iterate over the programs among the parameters of an equation."""
     for value in equation.params.values():
         for inner in value if isinstance(value, (tuple, list)) else (value,):
             inner = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
@@ -112,10 +112,10 @@ def programs_in(equation: Any) -> Iterator[Jaxpr]:
 
 
 def plain(program: Program, batch: tuple[int, ...]) -> Callable[..., list[jax.Array]]:
-    """The program for all individuals, as JAX itself computes it.
+    """Return a function that computes the program for all individuals by plain JAX.
 
     Args:
-        program: for one.
+        program: program for one individual.
         batch: lengths of the trailing batch axes of its own arguments and of its results.
     """
 
@@ -142,17 +142,17 @@ def linear_map(
     x: Arrays,
     like: Sequence[Any],
 ) -> list[jax.Array]:
-    """``forward(fixed, x)``, whose transpose is known.
+    """Return ``forward(fixed, x)``, with ``backward`` as its transpose.
 
-    JAX transposes a linear program operation by operation, which a fused one does not allow, and
-    only what is asked for is traced: a gradient never looks at ``forward``.
+    JAX transposes a linear program operation by operation, which a fused program does not allow.
+    Only the requested direction is traced: a gradient does not trace ``forward``.
 
     Args:
-        forward: linear in its second argument.
-        backward: its transpose, from changes of the results to those of ``x``.
-        fixed: what the map depends on.
-        x: what it is applied to.
-        like: of the shapes and types of the results.
+        forward: function that is linear in its second argument.
+        backward: transpose, from cotangents of the results to cotangents of ``x``.
+        fixed: arrays that the map depends on.
+        x: arrays that the map is applied to.
+        like: arrays with the shapes and types of the results.
     """
     shapes = tuple((array.shape, array.dtype) for array in like)
     return linear_map_p.bind(
@@ -171,7 +171,7 @@ def _differentiate_map(primals, tangents, **params):
     if all(isinstance(tangent, internals.Zero) for tangent in tangents[:count]):
         x = [internals.instantiate_zeros(tangent) for tangent in tangents[count:]]
         return results, linear_map_p.bind(*primals[:count], *x, **params)
-    # What the map depends on changes as well: a second derivative.
+    # The fixed arrays change as well: a second derivative.
     tangents = [internals.instantiate_zeros(tangent) for tangent in tangents]
     return jax.jvp(lambda *values: _apply_map(*values, **params), list(primals), tangents)
 
@@ -217,5 +217,5 @@ internals.implement(
 
 
 def trace_of(params: dict[str, Any], inputs: Sequence[Any]) -> ClosedJaxpr:
-    """The program of a ``linear_map`` with the given parameters."""
+    """Return the program of a ``linear_map`` with the given parameters."""
     return jax.make_jaxpr(lambda *values: _apply_map(*values, **params))(*inputs)

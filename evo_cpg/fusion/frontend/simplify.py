@@ -1,10 +1,10 @@
-"""The rewrite rules, which the builder applies to every operation as it makes it.
+"""Rewrite rules that the builder applies to every operation as it makes it.
 
-`RULES` is the one table of them. Each rule gives an equal node that costs less, or None. The rules
-are exact, with two exceptions: the sign of a zero, and that 0 x stays 0 if x is not finite.
+`RULES` is the table of all rules. Each rule returns an equal node that costs less, or None. The
+rules are exact, with two exceptions: the sign of a zero, and 0 x = 0 even if x is not finite.
 
-This is no pass from graph to graph. NumPy folds operations on constants (`FOLDED`), and lowering
-needs the result: the places of slices and the lengths of loops must be known numbers.
+Simplification is not a pass from graph to graph. NumPy folds operations on constants (`FOLDED`),
+and lowering needs the result: the places of slices and the lengths of loops must be known numbers.
 """
 
 import math
@@ -23,8 +23,8 @@ class Rule(NamedTuple):
     """A rewrite rule.
 
     Attributes:
-        name: what becomes what; c is a constant.
-        apply: from a builder and the operands to an equal node, or None.
+        name: the rewrite as text, with c for a constant.
+        apply: function from a builder and the operands to an equal node, or None.
     """
 
     name: str
@@ -80,7 +80,7 @@ def _multiply_negative(b: "Builder", x: Node, y: Node) -> Node | None:
 
 
 def _divide_by_power(b: "Builder", x: Node, y: Node) -> Node | None:
-    """Exact if the reciprocal of the power of two is not subnormal."""
+    """Multiply by the reciprocal, which is exact if the power of two is far from subnormal."""
     if y.value is None or not _is_float(y):
         return None
     mantissa, exponent = math.frexp(float(y.value))
@@ -94,7 +94,10 @@ def _undo(op: str) -> "Callable[[Builder, Node], Node | None]":
 
 
 def _settled(decisive: bool) -> "Callable[[Builder, Node, Node], Node | None]":
-    """One operand with the decisive truth value settles "and" or "or"; the other has no effect."""
+    """Return the rule of "and" or "or": an operand with the decisive truth value is the result.
+
+    An operand with the other truth value has no effect.
+    """
 
     def settle(b: "Builder", x: Node, y: Node) -> Node | None:
         if x.dtype.kind != "b":
@@ -151,9 +154,9 @@ RULES: dict[str, tuple[Rule, ...]] = {
 
 
 def saturates(operand: Node, dtype: np.dtype) -> bool:
-    """Return whether a constant has no counterpart among whole numbers.
+    """Return whether a constant is outside the range of an integer type.
 
-    The processor has the last word on it.
+    The processor then computes the conversion, not NumPy.
     """
     if not _is_float(operand) or dtype.kind not in "iu":
         return False
@@ -162,7 +165,7 @@ def saturates(operand: Node, dtype: np.dtype) -> bool:
 
 
 def _whole_quotient(a: np.integer, b: np.integer) -> Any:
-    """Round towards zero; -1 (all bits) if the divisor is zero, as in XLA."""
+    """Divide and round towards zero. A zero divisor gives -1 (all bits), as in XLA."""
     size = abs(int(a)) // abs(int(b)) if b else -1
     bits = (-size if b and (a < 0) != (b < 0) else size) % (1 << 8 * a.dtype.itemsize)
     return np.asarray(bits, f"u{a.dtype.itemsize}").view(a.dtype)[()]

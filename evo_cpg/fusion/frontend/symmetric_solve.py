@@ -1,9 +1,10 @@
-"""Symmetric positive definite equations: written out where that is short, else solved in a loop.
+"""Solve symmetric positive definite equations: short ones written out, others in a loop.
 
-Written out, elements that are zero cost nothing (`evo_cpg.spatial.ldl`). But an animal whose limbs
-may all meet has no zeros, and elimination then takes v^3/6 operations for v unknowns. Beyond some
-thousands native code calls a function that loops. It eliminates in the same order, and leaves out
-what is zero for all individuals of a vector, such as the coupling of limbs that do not touch.
+In written-out code, zero elements cost nothing (`evo_cpg.spatial.ldl`). An animal whose limbs may
+all touch has no zeros. Elimination then takes v^3/6 operations for v unknowns. Beyond some
+thousands, native code calls a function that loops. The function eliminates in the same order. It
+skips elements that are zero for all individuals of a vector, such as the coupling of limbs that do
+not touch.
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ from evo_cpg.spatial.ldl import factorize, solve_factorized
 
 
 def solve_symmetric(H: Float[Array, "v v *n"], b: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
-    """``H^-1 b``, whose derivative is the answer to further such equations."""
+    """Return ``H^-1 b``. Its derivative solves equations with the same matrix."""
 
     def product(x: Array) -> Array:
         return (H * x[None]).sum(1)
@@ -38,7 +39,7 @@ def _evaluate(H: Array, b: Array) -> list[Array]:
 
 
 def _batch(values: tuple[Array, Array], axes: tuple[int | None, int | None]) -> tuple:
-    """Put the mapped axis last, where individuals are."""
+    """Move the mapped axis to the end, where the individuals are."""
     size = next(x.shape[k] for x, k in zip(values, axes, strict=True) if k is not None)
     H, b = (
         jnp.broadcast_to(x[..., None], (*x.shape, size)) if k is None else jnp.moveaxis(x, k, -1)
@@ -63,7 +64,7 @@ internals.implement(
 
 
 def elimination_of(avals: Sequence[Any]) -> ClosedJaxpr:
-    """The elimination as a program that is written out, for arguments of some shapes."""
+    """Return the written-out elimination as a program, for arguments of the given shapes."""
     return jax.make_jaxpr(_evaluate)(*avals)
 
 
@@ -71,7 +72,7 @@ def elimination_cost(filled: np.ndarray) -> int:
     """Count the products of an elimination from the last unknown to the first.
 
     Args:
-        filled: ``(v, v)``, where the matrix is not zero.
+        filled: ``(v, v)``, true at nonzero elements of the matrix.
     """
     filled, total = filled.copy(), 0
     for k in reversed(range(len(filled))):
@@ -82,10 +83,10 @@ def elimination_cost(filled: np.ndarray) -> int:
 
 
 def eliminate(builder: Builder, operands: list[np.ndarray]) -> np.ndarray | None:
-    """Make the answers by a loop; return None where writing them out is better.
+    """Return the solution by a loop, or None if written-out code is better.
 
     Args:
-        builder: where nodes are made.
+        builder: maker of the nodes.
         operands: H and b of one individual.
     """
     H, b = operands

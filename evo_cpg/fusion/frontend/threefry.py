@@ -1,7 +1,7 @@
 """The random numbers of JAX: threefry-2x32 of Salmon et al. 2011, 20 rounds.
 
-Two words of a key encrypt two words of a counter by additions, rotations and exclusive ors; every
-four rounds another pair of key words is added (the third word is the parity of the two).
+Two words of a key encrypt two words of a counter by additions, rotations and exclusive ors. Every
+four rounds another pair of key words is added. The third key word is the parity of the other two.
 """
 
 import jax
@@ -15,13 +15,13 @@ _BITS = 32
 def threefry2x32(
     key_0: jax.Array, key_1: jax.Array, count_0: jax.Array, count_1: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    """Two random words for each pair of counter words.
+    """Return two random words for each pair of counter words.
 
     Args:
         key_0: first word of the key, uint32.
-        key_1: second word.
-        count_0: first word of the counter.
-        count_1: second word.
+        key_1: second word of the key, uint32.
+        count_0: first word of the counter, uint32.
+        count_1: second word of the counter, uint32.
     """
     keys = key_0, key_1, key_0 ^ key_1 ^ _PARITY
     x, y = count_0 + key_0, count_1 + key_1

@@ -1,14 +1,14 @@
 """The intermediate representation: a graph of scalar operations, for one individual.
 
-| type | what it is |
+| type | meaning |
 |---|---|
 | `Node` | one operation, with the types of its operands and of its result (`ir.types`) |
 | `Block` | the place of a node: the whole program, or the test or the body of a loop |
 | `Loop` | a counted loop, a loop with a condition, or a branch |
 | `Graph` | a program: its arguments, its nodes, its results |
 
-Every node has the type of one scalar and belongs to one block. A node is *uniform* if it is the
-same for all individuals. Passes read a graph and return a new one. They never change a node.
+Every node has the type of one scalar and belongs to one block. A node is *uniform* if its value is
+equal for all individuals. Passes read a graph and return a new graph. They never change a node.
 """
 
 import dataclasses
@@ -19,12 +19,12 @@ import numpy as np
 
 
 class Buffer(NamedTuple):
-    """An array that goes into or out of a program.
+    """An array that is an argument or a result of a program.
 
     Attributes:
-        rows: numbers for each individual.
-        dtype: of the numbers.
-        shared: whether there is one set of them for all individuals.
+        rows: count of numbers for each individual.
+        dtype: type of the numbers.
+        shared: whether all individuals share one set of numbers.
     """
 
     rows: int
@@ -33,10 +33,10 @@ class Buffer(NamedTuple):
 
 
 class Block:
-    """Where nodes are computed.
+    """The place where nodes are computed.
 
     Attributes:
-        parent: the block around it; None for the whole program.
+        parent: the block around it, or None for the whole program.
         depth: number of blocks around it.
     """
 
@@ -47,17 +47,17 @@ class Block:
 
 @dataclasses.dataclass(slots=True, eq=False, repr=False)
 class Node:
-    """One scalar, or something in memory that other nodes read.
+    """One scalar, or numbers in memory that other nodes read.
 
     Attributes:
         op: name of the operation, a key of `evo_cpg.fusion.ir.types.OPERATIONS`.
-        operands: nodes.
+        operands: operand nodes.
         dtype: type of the result.
-        block: where it is computed.
-        uniform: whether it is the same for all individuals.
-        number: order of creation; operands come before their users.
+        block: block in which the node is computed.
+        uniform: whether the value is equal for all individuals.
+        number: order of creation. Operands come before their users.
         value: value of a constant, else None.
-        detail: what else the operation needs (a `Loop`, the place of an input, an index).
+        detail: other data of the operation (a `Loop`, the place of an input, an index).
     """
 
     op: str
@@ -75,20 +75,20 @@ class Node:
 
 
 class Loop(NamedTuple):
-    """A loop over a block, the detail of a node whose operands are the carried values at first.
+    """A loop over a block, the detail of a node whose operands are the initial carried values.
 
     Attributes:
-        count: number of rounds; None while the condition holds for any individual. Individuals for
-            which it does not hold stay as they are.
+        count: number of rounds, or None for a loop that runs while the condition holds for any
+            individual. The other individuals keep their values.
         test: block of the condition, in which the carried values are known.
         body: block that is repeated, within ``test``.
         counter: number of the round, from 0, of a counted loop.
         carried: placeholders of the values that are carried into a round.
-        following: the values that are carried out of it.
-        condition: None for a counted loop.
-        index: where a round's values go in the lists, of a counted loop.
-        written: what each round adds to lists.
-        once: a branch: the condition is asked once, and the block runs once at most.
+        following: values that are carried out of a round.
+        condition: truth value of an uncounted loop, or None for a counted loop.
+        index: place of a round's values in the lists of a counted loop.
+        written: values that each round adds to the lists.
+        once: whether the loop is a branch: one test, and the body runs once at most.
     """
 
     count: int | None
@@ -104,12 +104,12 @@ class Loop(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A program within the program, whose sums are put in order by themselves.
+    """A program within the program, whose sums are ordered independently.
 
     Attributes:
-        arguments: the nodes that it starts from.
-        results: its last nodes.
-        reorder: whether its sums may be added in another order than they are written.
+        arguments: first nodes of the part.
+        results: last nodes of the part.
+        reorder: whether the order of summation may change.
     """
 
     arguments: tuple[Node, ...]
@@ -118,11 +118,11 @@ class Part(NamedTuple):
 
 
 class Run(NamedTuple):
-    """Operations without loops, and the loop behind them.
+    """Operations without loops, and the loop after them.
 
     Attributes:
-        nodes: in the order in which they are computed.
-        loop: None behind the last loop of a block.
+        nodes: operations in the order of their computation.
+        loop: loop after the operations, or None after the last loop of a block.
     """
 
     nodes: Sequence[Node]
@@ -134,15 +134,15 @@ class Graph:
     """A program for one individual.
 
     Attributes:
-        arguments: buffers; the detail of an input is (number of the buffer, row).
+        arguments: buffers. The detail of an input is (number of the buffer, row).
         results: buffers, and the node of each row.
         top: block of the whole program.
         nodes: all nodes in the order of their numbers.
-        loops: the loop whose test or body a block is.
+        loops: loop of each test block and body block.
         parts: programs within the program, until dead code is eliminated. The detail of an
-            ``opaque`` node is the number of the part whose result it is; None for an argument.
-        kept: for each loop the numbers of the carried values that are needed.
-        runs: for each block its runs, once they are scheduled.
+            ``opaque`` node is the number of the part whose result it is, or None for an argument.
+        kept: numbers of the needed carried values of each loop.
+        runs: runs of each block (empty before scheduling).
     """
 
     arguments: tuple[Buffer, ...]
@@ -161,12 +161,12 @@ class Graph:
 
     @property
     def operations(self) -> int:
-        """Number of the operations that are scheduled."""
+        """Number of scheduled operations."""
         runs = [run for each in self.runs.values() for run in each]
         return sum(len(run.nodes) + (run.loop is not None) for run in runs)
 
     def around(self, node: Node) -> list[Node]:
-        """Return the loops around a node that adds to sums, up to where these begin."""
+        """Return the loops around a node that adds to sums, up to the block of the sums."""
         found, block, memory = [], node.block, node.operands[-1]
         while block is not memory.block:
             assert block.parent is not None
@@ -176,11 +176,11 @@ class Graph:
 
 
 class Change(NamedTuple):
-    """What a node becomes; its type and its block stay.
+    """The replacement of a node. Its type and its block stay.
 
     Attributes:
         op: new operation.
-        operands: nodes of the old graph.
+        operands: new operands, nodes of the old graph.
         number: new place in the order.
     """
 
@@ -190,7 +190,7 @@ class Change(NamedTuple):
 
 
 def rewrite(graph: Graph, changes: Mapping[Node, Change]) -> Graph:
-    """Return a graph in which some nodes are others, and all their users use these."""
+    """Return a graph in which some nodes and all uses of them are replaced."""
     if not changes:
         return graph
     new: dict[Node, Node] = {}
@@ -236,7 +236,7 @@ NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside"}
 
 
 def resolve(node: Node) -> Node:
-    """Return the node behind others that only stand for it."""
+    """Return the node behind ``opaque`` and ``inside`` nodes."""
     while node.op in ("opaque", "inside"):
         node = node.operands[0]
     return node
@@ -253,7 +253,7 @@ def table_values(table: Node) -> np.ndarray:
 
 
 def row_count(table: Node) -> int:
-    """Return how many numbers a table in memory has."""
+    """Return the count of numbers of a table in memory."""
     if table.op == "list":
         return table.operands[0].detail.count or 1
     if table.op == "totals":
@@ -264,11 +264,11 @@ def row_count(table: Node) -> int:
 def runs_of(
     graph: Graph, order: Callable[[list[Node]], Sequence[Node]] = list
 ) -> dict[Block, list[Run]]:
-    """Return the operations of each block up to each of its loops, and behind the last.
+    """Return the runs of each block: operations before each loop, and after the last loop.
 
     Args:
         graph: the program.
-        order: puts the operations of a run in order; else they stay in the order of their numbers.
+        order: function that orders the operations of a run, by default the order of their numbers.
     """
     blocks: dict[Block, list[Node]] = {}
     for node in graph.nodes:

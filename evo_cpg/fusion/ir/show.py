@@ -1,4 +1,4 @@
-"""Print a graph as text, one node a line."""
+"""Print a graph as text, with one node per line."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
@@ -9,7 +9,7 @@ def show(graph: Graph) -> str:
     """Return a program as text.
 
     A line has the number of a node, its type (with ``u`` if it is uniform), its operation, and the
-    numbers of its operands. The blocks of a loop are indented. Only what is computed is shown.
+    numbers of its operands. The blocks of a loop are indented. Only computed nodes are shown.
     """
     runs = graph.runs or runs_of(graph)
     lines = [

@@ -1,15 +1,15 @@
-"""The operations of the graph with the types of their operands and results.
+"""The operations of the graph, with the types of their operands and results.
 
-A signature lists the types of the operands and, behind the arrow, of the result. Equal letters are
-equal types.
+A signature lists the types of the operands and, after the arrow, the type of the result. Equal
+letters are equal types.
 
 | letter | type |
 |---|---|
-| f, i, n | a float, a whole number, either of them |
+| f, i, n | a float, an integer, a float or an integer |
 | b | a truth value |
-| k | an int32, the place of something in memory |
+| k | an int32, an index into memory |
 | a | any type |
-| * | any type, of its own |
+| * | any type, independent of other letters |
 | ... | any number of operands of the type before it |
 """
 
@@ -24,7 +24,7 @@ class Operation(NamedTuple):
 
     Attributes:
         signature: types of its operands and of its result.
-        detail: type of what else it needs; None for nothing.
+        detail: type of its other data, or None if there is none.
     """
 
     signature: str
@@ -64,12 +64,12 @@ OPERATIONS: dict[str, Operation] = {
     **LIBRARY,
     # Multiply-adds: x y + z, x y - z, z - x y.
     **_each("fma fms fnma", "f f f -> f"),
-    # What a block is given.
+    # Inputs of a block.
     "constant": Operation("-> *"),
     "input": Operation("-> *", tuple),
     "carried": Operation("-> *"),
     "counter": Operation("-> k"),
-    # The same number, seen from elsewhere.
+    # A number, seen from another part or block.
     "opaque": Operation("a -> a", int | None),
     "inside": Operation("a -> a"),
     # Tables in memory, and the numbers in them.
@@ -80,7 +80,7 @@ OPERATIONS: dict[str, Operation] = {
     "totals": Operation("n... -> n"),
     "accumulate": Operation("k n n -> n"),
     "lookup": Operation("a k -> a"),
-    # Loops; a list has what each round has written.
+    # Loops. A list holds the values that each round has written.
     "loop": Operation("*... -> b", Loop),
     "result": Operation("b -> *", int),
     "list": Operation("b -> *", int),

@@ -13,14 +13,14 @@ _KINDS = {"f": "f", "i": "iu", "n": "fiu", "b": "b", "k": "i", "a": "fiub", "*":
 
 
 class InvalidGraph(AssertionError):
-    """A pass has made a graph that breaks a rule of the intermediate representation."""
+    """The graph breaks a rule of the intermediate representation."""
 
 
 def verify(graph: Graph) -> Graph:
     """Return the graph if it is valid.
 
     Raises:
-        InvalidGraph: a node has the wrong type, or uses what is not known where it is.
+        InvalidGraph: a node has the wrong type, or uses a node that is not known in its place.
     """
     known: set[Node] = set()
     last = 0.0
@@ -48,12 +48,15 @@ def verify(graph: Graph) -> Graph:
 
 
 def _check_schedule(graph: Graph, block: Block, computed: set[Node]) -> None:
-    """Check a block in the order in which it runs.
+    """Check a block in the order of its computation.
 
     Args:
         graph: the program.
-        block: where.
-        computed: the nodes that were computed before; those of the block are added.
+        block: the block.
+        computed: nodes that were computed before. This function adds the nodes of the block.
+
+    Raises:
+        InvalidGraph: a node is scheduled before its operands, twice, or in another block.
     """
     for run, node in graph.runs.get(block, ()):
         for one in run:
@@ -82,7 +85,7 @@ def _check_computed(node: Node, operands: Iterable[Node], computed: set[Node]) -
 def _check_use(node: Node, operand: Node, known: set[Node]) -> None:
     if operand not in known:
         raise InvalidGraph(f"{node!r} uses {operand!r} before it is made")
-    # Memory is read behind the loop in which something was added to it.
+    # Totals are read after the loop that adds to them.
     if node.op != "totals" and not _encloses(operand.block, node.block):
         raise InvalidGraph(f"{node!r} uses {operand!r}, which is computed in another block")
     if node.uniform and not operand.uniform:
@@ -106,7 +109,7 @@ def _check_type(node: Node) -> None:
 
 @functools.cache
 def _letters(signature: str, count: int) -> str | None:
-    """Return the letter of each operand and of the result; None if their number is wrong."""
+    """Return the letter of each operand and of the result, or None if their number is wrong."""
     given, result = signature.split("->")
     letters = given.split()
     if letters and letters[-1].endswith("..."):

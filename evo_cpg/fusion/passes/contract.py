@@ -1,15 +1,15 @@
-"""Rewrite sums so that every product in them is added as it is made.
+"""Rewrite sums as chains of multiply-adds.
 
-A processor multiplies and adds in one instruction, ``a b + c``, and rounds once. Written as sums of
-dot products, ``(a b + c d) + (e f + g h)``, four products take two plain multiplications, two such
-instructions and an addition; as a chain, ``((a b + c d) + e f) + g h``, one multiplication and
-three of them. Where a sum has other terms they come first: ``((x + a b) + c d)``.
+A processor computes ``a b + c`` in one instruction, a multiply-add, and rounds once. The sum of dot
+products ``(a b + c d) + (e f + g h)`` takes two multiplications, two multiply-adds and an addition.
+The chain ``((a b + c d) + e f) + g h`` takes one multiplication and three multiply-adds. Other
+terms of a sum come first: ``((x + a b) + c d)``.
 
-Which products are added so is decided here, never by the compiler: the numbers are then the same
-with vectors of any width. It is decided for each part of the program by itself, so a part has the
-same results alone and within a larger program.
+This pass chooses the fused products, never the compiler. So the results are equal for vectors of
+any width. Each part of the program is rewritten independently. So a part has the same results
+alone and within a larger program.
 
-| operation | what it is |
+| operation | meaning |
 |---|---|
 | ``fma`` | a b + c |
 | ``fms`` | a b - c |
@@ -27,7 +27,7 @@ _SUMS = {"add", "sub"}
 
 
 def contract_multiply_adds(graph: Graph) -> Graph:
-    """Return the program with the sums of each part as chains of fused products."""
+    """Return the program with the sums of each part as chains of multiply-adds."""
     changes: dict[Node, Change] = {}
     reached: set[Node] = set()
 
@@ -42,7 +42,7 @@ def contract_multiply_adds(graph: Graph) -> Graph:
             contraction = _Contraction(graph, part)
             changes |= contraction.changes
             reach(contraction.nodes)
-    # What was left of a sum may have users that no result needs.
+    # Nodes of a rewritten sum may have other users that no result needs.
     nodes = [node for node in graph.nodes if node in reached]
     return rewrite(dataclasses.replace(graph, nodes=nodes), changes)
 
@@ -50,11 +50,11 @@ def contract_multiply_adds(graph: Graph) -> Graph:
 class _Contraction:
     """The new sums of a part.
 
-    Other parts are left alone, and what they are given is not taken apart.
+    Other parts stay unchanged. Sums that are their arguments are not merged into other sums.
 
     Attributes:
-        changes: what sums become.
-        nodes: the nodes of the part, each with what it uses.
+        changes: replacement of each rewritten node.
+        nodes: nodes of the part, with the nodes that each one uses.
     """
 
     def __init__(self, graph: Graph, part: Part):
@@ -77,7 +77,7 @@ class _Contraction:
             self._fuse_product(node)
 
     def _chain(self, root: Node) -> None:
-        """Write one sum as a chain with as many additions as before."""
+        """Rewrite a sum as a chain with the same number of additions."""
         sums, terms = [], []
         waiting = [(root, True)]
         while waiting:
@@ -102,7 +102,7 @@ class _Contraction:
             total = node
 
     def _fuse_product(self, node: Node) -> None:
-        """Make one operation of a sum and one of its products."""
+        """Fuse a sum with one of its products."""
         op, (first, second), number = self.changes.get(node) or (
             node.op, node.operands, node.number
         )  # fmt: skip
@@ -118,12 +118,12 @@ class _Contraction:
 
 
 def _goes_with(operand: Node, node: Node) -> bool:
-    """Whether both are computed at the same place, once for all or for each individual."""
+    """Return whether two nodes are in one block and are both uniform or both not."""
     return operand.block is node.block and operand.uniform == node.uniform
 
 
 def _part(graph: Graph, result_nodes: Iterable[Node]) -> dict[Node, Sequence[Node]]:
-    """Return the result nodes and all behind them in their part, each with what it uses."""
+    """Return the result nodes and all nodes they depend on in their part, with uses of each."""
     found: dict[Node, Sequence[Node]] = {}
     entered: set[int] = set()
     waiting = list(result_nodes)
@@ -136,15 +136,15 @@ def _part(graph: Graph, result_nodes: Iterable[Node]) -> dict[Node, Sequence[Nod
 
 
 def _used(node: Node, graph: Graph, entered: set[int]) -> Sequence[Node]:
-    """Return all nodes that must be known before a node is, within its part.
+    """Return all nodes of its part that a node depends on.
 
     Args:
-        node: which.
+        node: the node.
         graph: the program.
-        entered: numbers of the parts within, whose arguments were returned already.
+        entered: numbers of inner parts whose arguments were already returned, updated in place.
     """
     if node.op == "opaque":
-        # A result of a part depends on its arguments; an argument depends on nothing within.
+        # A result of an inner part depends on its arguments. An argument depends on no inner node.
         if node.detail is None or node.detail in entered:
             return ()
         entered.add(node.detail)

@@ -1,4 +1,4 @@
-"""Leave out what no result needs, also of what loops carry."""
+"""Eliminate nodes and carried values that no result needs."""
 
 import dataclasses
 
@@ -6,7 +6,7 @@ from evo_cpg.fusion.ir.graph import Graph, Node
 
 
 def eliminate_dead_code(graph: Graph) -> Graph:
-    """Return the program with the nodes and carried values that its results need."""
+    """Return the program with only the nodes and carried values that its results need."""
     needed: dict[Node, None] = {}
     kept: dict[Node, list[int]] = {}
     places: dict[Node, tuple[Node, int]] = {}
@@ -17,7 +17,7 @@ def eliminate_dead_code(graph: Graph) -> Graph:
             places.update((one, (node, k)) for k, one in enumerate(node.detail.carried))
 
     def keep(node: Node, k: int) -> list[Node]:
-        """Return what is needed if a loop carries one more value."""
+        """Return the nodes that are needed if a loop carries one more value."""
         open_loop(node)
         if k in kept[node]:
             return []
@@ -44,7 +44,7 @@ def eliminate_dead_code(graph: Graph) -> Graph:
         else:
             waiting += node.operands
             if node.op == "accumulate":
-                # The loops around it run for its sake, whatever they carry.
+                # The loops around it must run even if they carry no needed value.
                 around = graph.around(node)
                 for loop in around:
                     open_loop(loop)

@@ -1,7 +1,7 @@
-"""In which order operations are computed, so that few values wait for their use at a time.
+"""Order operations so that few values wait for their use at a time.
 
-What waits takes a register, or is stored and read again: a quarter of all instructions in the order
-in which a program was written.
+A waiting value takes a register, or is stored and loaded again. In the order in which a program is
+written, these stores and loads are a quarter of all instructions.
 """
 
 import dataclasses
@@ -18,8 +18,8 @@ def schedule(graph: Graph) -> Graph:
 def ordered(run: list[Node]) -> list[Node]:
     """Return the operations of a run in order.
 
-    Each comes shortly before it is used, behind what nothing else uses, the operand made last
-    first; and as soon as it is the last that waits for some value.
+    An operation comes shortly before its first use. Operands go in reverse order of their numbers.
+    A ready operation that is the last user of some value comes at once.
     """
     return _Order(run).nodes
 
@@ -36,7 +36,7 @@ class _Order:
             self._operands[node] = sorted((x for x in operands if x in inside), key=_number)
             for operand in self._operands[node]:
                 self._users[operand].append(node)
-        # How many operands of each are not there yet, and how many uses of each are to come.
+        # Number of operands of each node still to compute, and number of its remaining uses.
         self._missing = {node: len(operands) for node, operands in self._operands.items()}
         self._left = {node: len(users) for node, users in self._users.items()}
         for root in reversed(run):
@@ -57,7 +57,7 @@ class _Order:
                 stack.extend((operand, False) for operand in self._operands[node])
 
     def _put(self, node: Node) -> None:
-        """A node is next, and after it what takes no more room than it frees."""
+        """Append a node and ready nodes that free at least as many registers as they take."""
         stack = [node]
         while stack:
             node = stack.pop()
@@ -72,7 +72,7 @@ class _Order:
             stack.extend(user for user in self._touched(node) if self._frees(user))
 
     def _touched(self, node: Node) -> Iterator[Node]:
-        """What may have become ready, or the last use of something."""
+        """Iterate over nodes that may now be ready, or the last user of some value."""
         yield from self._users[node]
         for operand in self._operands[node]:
             if self._left[operand] == 1:
