@@ -11,8 +11,8 @@
 Differs from Iwadate 2010: each unit has a bias (the weight of a unit that is always 1), and T is
 a setting of its own; the paper prints T_r, the CPG's rise time, but calls it a temperature.
 
-The genes of a layer are its weights ``(out, in + 1)`` row by row, the bias last: what flows into
-one unit lies together, so that one-point crossover tends to keep it whole.
+The genes of a layer are its weights ``(out, in + 1)`` row by row, the bias last. All weights of a
+unit are adjacent, so that one-point crossover tends to keep them together.
 """
 
 import dataclasses
@@ -26,26 +26,26 @@ from jaxtyping import Array, Float
 from evo_cpg.spatial.linear import matvec
 from evo_cpg.spatial.numerics import Number
 
-# XLA:CPU splits a sum over more than 32 terms into two passes, with all products stored in
-# between; summing in blocks of this many keeps each in one pass (20 % of a control step).
+# XLA:CPU splits a sum over more than 32 terms into two passes and stores all products in between.
+# Sums over blocks of this many terms take one pass each (20 % of a control step).
 SUM_BLOCK = 32
 
-# Of each layer the weights ``(out, in, *n)`` in blocks of inputs, and the biases ``(out, *n)``.
+# For each layer: the weights ``(out, in, *n)`` in blocks of inputs, and the biases ``(out, *n)``.
 Weights = tuple[tuple[Array, ...], ...]
 
 
 @dataclasses.dataclass(frozen=True)
 class BrainSettings:
-    """Shape of the brain and range of its first weights.
+    """Shape of the brain and range of its initial weights.
 
     Attributes:
         hidden: units in each hidden layer, at least 1; empty for a single layer.
         temperature: T of eq. 3, more than 0; small values make the units switches.
-        init_range: genes of the first generation are uniform within plus and minus this, more
+        init_range: largest magnitude of the uniform random genes of the first generation, more
             than 0.
 
     Raises:
-        ValueError: a value outside its range.
+        ValueError: a value is outside its range.
     """
 
     hidden: tuple[int, ...] = (16,)
@@ -86,19 +86,19 @@ def build_brain(input_count: int, output_count: int, settings: BrainSettings) ->
 
 
 def decode_weights(brain: Brain, genes: Float[Array, "g *n"]) -> Weights:
-    """What `think` works with.
+    """Return the weights for `think`.
 
     Args:
         brain: structure.
         genes: weights of each individual, layer by layer.
 
     Raises:
-        ValueError: the number of genes is not the brain's.
+        ValueError: the number of genes does not fit the brain.
     """
     if genes.shape[0] != brain.gene_count:
         raise ValueError(f"the brain has {brain.gene_count} genes, but was given {genes.shape[0]}")
     sizes = list(itertools.pairwise(brain.sizes))
-    # Splits, not slices: the slopes of their parts are put side by side, not padded and added up.
+    # Splits, not slices: their gradients are concatenated instead of padded and added.
     layers = jnp.split(genes, list(itertools.accumulate((i + 1) * o for i, o in sizes))[:-1])
     weights = []
     for (count, units), layer in zip(sizes, layers, strict=True):
@@ -109,15 +109,15 @@ def decode_weights(brain: Brain, genes: Float[Array, "g *n"]) -> Weights:
 
 
 def think(brain: Brain, weights: Weights, inputs: Float[Array, "i *n"]) -> Float[Array, "o *n"]:
-    """Outputs of the brain, each between 0 and 1.
+    """Return the outputs of the brain, each between 0 and 1.
 
     Args:
         brain: structure.
-        weights: from `decode_weights`.
-        inputs: of each individual.
+        weights: result of `decode_weights`.
+        inputs: inputs of each individual.
 
     Raises:
-        ValueError: the number of inputs is not the brain's.
+        ValueError: the number of inputs does not fit the brain.
     """
     if inputs.shape[0] != brain.sizes[0]:
         raise ValueError(
@@ -144,6 +144,6 @@ def random_weights(
     dtype: jnp.dtype | type,
     init_range: float,
 ) -> Float[Array, "g *n"]:
-    """Weights of the first generation, uniform within plus and minus ``init_range``."""
+    """Return weights of the first generation, uniform within plus and minus ``init_range``."""
     shape = (brain.gene_count, *batch)
     return jax.random.uniform(key, shape, dtype, -init_range, init_range)

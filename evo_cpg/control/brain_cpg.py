@@ -1,14 +1,14 @@
-"""The controller of Iwadate 2010: a brain (ANN) that plays on a spinal cord (CPG).
+"""The controller of Iwadate 2010: a brain (ANN) that drives a spinal cord (CPG).
 
-Once per control step the brain reads the senses of Table 2 and sets the tonic input u and the
-adaptation gain b of the oscillators, which set the amplitude and the period of the rhythm. With
-sigma an output of the brain, between 0 and 1:
+Once per control step the brain reads the senses of Table 2. It sets the tonic input u and the
+adaptation gain b of the oscillators, which set the amplitude and the period of the rhythm. For an
+output sigma of the brain, between 0 and 1:
 
     u = u_max sigma,    b = b_min + (b_max - b_min) sigma,    d = d_max (2 sigma - 1),
     u_e = u (1 + d),    u_f = u (1 - d),
     target = G g (y_e - y_f) - k_c q,    within plus and minus max_rate.
 
-The paper says no more than "angular-velocity control" of the last line.
+The paper describes the last line only as "angular-velocity control".
 
 | symbol | name |
 |---|---|
@@ -21,8 +21,8 @@ The paper says no more than "angular-velocity control" of the last line.
 | q | ``joint_angle`` (rad) |
 
 Differs from Iwadate 2010: steering and centring are additions. Without a difference between u_e
-and u_f an animal cannot turn by bending to one side; without centring that difference, or the
-transient at the start, leaves the joints standing off centre, at worst at their stops.
+and u_f an animal cannot turn by bending to one side. Without centring, that difference or the
+initial transient leaves the joints off centre, at worst at their stops.
 
 One `BrainCpg.act` of the default swimmer (27 oscillators, 94 inputs, 100 individuals) takes about
 36 us on one core in float32.
@@ -62,7 +62,7 @@ from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# A bias that lets an output of the brain be 0.
+# Bias that drives an output of the brain to 0.
 _SILENT = -60.0
 
 CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
@@ -70,16 +70,17 @@ CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
 
 @dataclasses.dataclass(frozen=True)
 class AxisSettings:
-    """What is different about the motors of one axis.
+    """Special settings for the motors of one axis.
 
     Attributes:
         gain: factor on ``rate_gain``.
-        centring: rate at which these joints return to their neutral angle, 1/s; that of the whole
-            animal if None.
-        steering_range: likewise of these joints, 0 to 1.
+        centring: rate at which these joints return to their neutral angle, 1/s; None for the
+            setting of the whole animal.
+        steering_range: largest relative difference between extensor and flexor drive, 0 to 1; None
+            for the setting of the whole animal.
 
     Raises:
-        ValueError: a value outside its range.
+        ValueError: a value is outside its range.
     """
 
     gain: float = 1.0
@@ -97,22 +98,22 @@ class BrainCpgSettings:
     Attributes:
         cpg: the oscillators.
         brain: the network that sets them.
-        drive: what the brain sets: ``shared``, u and steering of each axis (of each group) and one
-            b for the whole animal; ``per_joint``, the three of each joint; ``per_dof``, the three
-            of each degree of freedom.
+        drive: variables that the brain sets: ``shared``, u and steering of each axis (of each
+            group) and one b for the whole animal; ``per_joint``, all three for each joint;
+            ``per_dof``, all three for each degree of freedom.
         groups: names of bodies, or patterns such as ``*_arm``, whose joints have axes of their
-            own, named ``group/axis``; those of all other bodies are named by the axis alone.
+            own, named ``group/axis``; axes of all other bodies have the plain name.
         steering_range: largest relative difference between extensor and flexor drive, 0 to 1.
         rate_gain: G, joint rate per unit of output, rad/s.
         centring: k_c, rate at which a joint returns to its neutral angle, 1/s, at least 0, which
             is the literal angular-velocity control.
-        max_rate: largest rate asked of a motor, rad/s, more than 0.
-        axes: what is different about the axes named, such as ``x`` or ``limbs/y``.
-        joint_rates: let the brain sense the joint rates as well, which the paper's text lists
-            but its Table 2 does not.
+        max_rate: largest commanded rate of a motor, rad/s, more than 0.
+        axes: special settings of named axes, such as ``x`` or ``limbs/y``.
+        joint_rates: True to add the joint rates to the senses, which the paper's text lists but
+            its Table 2 does not.
 
     Raises:
-        ValueError: a value outside its range.
+        ValueError: a value is outside its range.
     """
 
     cpg: CpgSettings = CpgSettings()
@@ -133,27 +134,27 @@ class BrainCpgSettings:
 
 
 class BrainCpg(Controller):
-    """Brain and spinal cord of one creature; its state is that of the neurons.
+    """Brain and spinal cord of one creature, with the neurons' state as its state.
 
     Attributes:
         gene_count: number of the brain's weights.
-        brain: inputs to outputs. The outputs are the tonic inputs, then the steerings, then the
+        brain: network from inputs to outputs. The outputs are tonic inputs, steerings, and
             adaptation gains, each in the order of the axis names, joints or degrees of freedom.
         network: the oscillators, one per degree of freedom.
-        origin: its settings.
-        joint_rates: whether the brain senses the joint rates.
+        origin: settings of the controller.
+        joint_rates: True if the brain senses the joint rates.
         substeps: Runge-Kutta steps in a control step.
         max_tonic_input: u_max.
         min_adaptation_gain: b_min.
         max_adaptation_gain: b_max.
-        max_rate: rad/s.
+        max_rate: largest commanded rate, rad/s.
         max_amplitude: A_max, see `max_amplitude`.
-        source: which tonic input (and steering) each oscillator takes.
-        gain_source: which adaptation gain it takes.
+        source: index of the tonic input (and steering) of each oscillator.
+        gain_source: index of the adaptation gain of each oscillator.
         steering_range: d_max of each degree of freedom.
         rate_gain: G g of each degree of freedom, rad/s.
         centring: k_c of each degree of freedom, 1/s.
-        control_step: s.
+        control_step: length of a control step, s.
     """
 
     gene_count: int = eqx.field(static=True)
@@ -178,26 +179,26 @@ class BrainCpg(Controller):
 
     @property
     def settings(self) -> BrainCpgSettings:
-        """What it was built from."""
+        """Settings that the controller was built from."""
         return self.origin.settings
 
     @property
     def rhythm_generator(self) -> Oscillators:
-        """The spinal cord."""
+        """Spinal cord of the controller."""
         return Oscillators(self.settings.cpg, self.network, self.rate_gain)
 
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
     ) -> Float[Array, "g *n"]:
-        """Uniform weights (see `evo_cpg.control.controller.Controller.random_genes`)."""
+        """Return uniform weights (see `evo_cpg.control.controller.Controller.random_genes`)."""
         return random_weights(key, self.brain, batch, dtype, self.settings.brain.init_range)
 
     def initial_state(self, batch: tuple[int, ...], dtype: jnp.dtype | type) -> MatsuokaState:
-        """Neurons at rest but for the extensors, which are slightly active."""
+        """Return neurons at rest, except for slightly active extensors."""
         return matsuoka.initial_state(self.network, batch, dtype)
 
     def decode(self, genes: Float[Array, "g *n"]) -> Weights:
-        """The brain's weights."""
+        """Return the brain's weights."""
         return decode_weights(self.brain, genes)
 
     def act(
@@ -206,7 +207,7 @@ class BrainCpg(Controller):
         """Sense, think, advance the rhythm by one control step, command the motors.
 
         Raises:
-            ValueError: the senses are not those that the brain was built for.
+            ValueError: the senses do not fit the brain.
         """
         outputs = think(self.brain, decoded, self.brain_inputs(state, observation))
         return self._follow(outputs, state, observation.joint_angle)
@@ -214,7 +215,7 @@ class BrainCpg(Controller):
     def _follow(
         self, outputs: Array, state: MatsuokaState, joint_angle: Array
     ) -> tuple[MatsuokaState, Command]:
-        """What the spinal cord and the motors make of the brain's outputs in one control step."""
+        """Return the next state and the command for the brain's outputs in one control step."""
         tonic_input, adaptation_gain = self.cpg_inputs(outputs)
         state = matsuoka.advance(
             self.network, state, tonic_input, adaptation_gain, self.control_step, self.substeps
@@ -228,12 +229,12 @@ class BrainCpg(Controller):
         return state, Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
 
     def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
-        """What the brain senses: Table 2 of Iwadate 2010, every value from -1 to 1.
+        """Return the inputs of the brain: Table 2 of Iwadate 2010, every value from -1 to 1.
 
-        In order: light, pressure, cosine and sine to the vertical; cosine of each joint angle,
-        sine of each, normalised gain A / A_max of each oscillator in the last step, and, where
-        wanted, each joint rate in units of ``max_rate``, cut off at 1; last what is not in Table 2:
-        the depths of an animal with depth gauges, and readings of sensors of one's own.
+        The order is: light, pressure, cosine and sine to the vertical. Then: cosine of each joint
+        angle, sine of each, gain A / A_max of each oscillator in the last step. Then, if the
+        settings say so: each joint rate in units of ``max_rate``, clipped to 1. Last, not in
+        Table 2: depths of depth gauges, and readings of extra sensors.
         """
         angle = observation.joint_angle
         values = [
@@ -255,7 +256,7 @@ class BrainCpg(Controller):
     def cpg_inputs(
         self, outputs: Float[Array, "s *n"]
     ) -> tuple[Float[Array, "2 d *n"], Float[Array, "d *n"]]:
-        """Tonic input of each neuron (extensors first) and adaptation gain of each oscillator."""
+        """Return tonic inputs of the neurons (extensors first) and gains of the oscillators."""
         count, source = max(self.source) + 1, np.array(self.source)
         tonic = self.max_tonic_input * outputs[:count][source]
         turn = (2 * outputs[count : 2 * count] - 1)[source]
@@ -275,20 +276,20 @@ def build_brain_cpg(
     depth_count: int = 0,
     custom_count: int = 0,
 ) -> BrainCpg:
-    """Grow the controller on a creature's tree.
+    """Build the controller for a creature's tree.
 
     Args:
         tree: the creature; every degree of freedom gets an oscillator.
-        light_count: light sensors, each of which also senses its angle to the vertical.
-        pressure_count: pressure sensors.
-        settings: the defaults if None.
+        light_count: number of light sensors, which also sense their angle to the vertical.
+        pressure_count: number of pressure sensors.
+        settings: settings; None for the defaults.
         control_step: time between two calls of `BrainCpg.act`, s.
-        depth_count: depth gauges.
-        custom_count: readings of the creature's `sensors`.
+        depth_count: number of depth gauges.
+        custom_count: number of readings of the creature's `sensors`.
 
     Raises:
         ValueError: the creature has no joint.
-        UnfitError: it lacks a body or an axis that the settings name.
+        UnfitError: the creature lacks a body or an axis that the settings name.
     """
     settings = settings or BrainCpgSettings()
     if not tree.dof_count:
@@ -342,23 +343,23 @@ def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:
     assert isinstance(controller, BrainCpg)
     *_, hidden, outputs = controller.brain.sizes
     genes = np.zeros(controller.gene_count, np.float32)
-    # The last layer's biases, each behind its weights.
+    # Biases of the last layer. Each follows its weights.
     genes[-outputs * (hidden + 1) :].reshape(outputs, -1)[:, -1] = _SILENT
     return genes
 
 
 def max_amplitude(settings: BrainCpgSettings) -> Number:
-    """A_max: the output of an oscillator never exceeds it, in units of the tonic input."""
+    """Return A_max, the bound of every oscillator's output, in units of the tonic input."""
     cpg = settings.cpg
     ranges = [_or(axis.steering_range, 0.0) for axis in settings.axes.values()]
     every = [settings.steering_range, *ranges]
-    # Of equal ones the first: raising another one would make that the largest.
+    # The first of equal maxima: if another one increased, it would be the maximum.
     steering = every[chosen(lambda: int(np.argmax(every)))]
     return cpg.max_tonic_input * (1 + steering) + xp.maximum(cpg.sensory_feedback, 0.0)
 
 
 def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str]:
-    """Axis of each degree of freedom, behind the group of its body where it is in one."""
+    """Return the axis of each degree of freedom, after the group of its body if it has one."""
     group_of: dict[int, str] = {}
     for group, patterns in groups.items():
         found = matching_bodies(tree, patterns, ("groups", group))

@@ -1,4 +1,4 @@
-"""What every controller takes and gives: senses in, motor commands out, once per control step."""
+"""Interface of all controllers: senses in, motor commands out, once per control step."""
 
 import abc
 from typing import Any, NamedTuple
@@ -11,20 +11,20 @@ from evo_cpg.control.matsuoka import Oscillators
 
 
 class Observation(NamedTuple):
-    """What an animal senses at one instant (Iwadate 2010, Table 2).
+    """Senses of an animal at one instant (Iwadate 2010, Table 2).
 
-    The trailing axes ``*n`` are the individuals; one alone has none. Degrees of freedom are in
-    the order of ``Tree.dof_names``.
+    The trailing axes ``*n`` are the individuals. A single individual has none. Degrees of freedom
+    are in the order of ``Tree.dof_names``.
 
     Attributes:
         light: strength at each light sensor, 0 to 1.
         pressure: 1 where a pressure sensor touches something solid, else 0.
         vertical_cosine: cosine of the angle between a sensor's axis and the vertical.
-        vertical_sine: its sine.
-        joint_angle: rad.
-        joint_rate: rad/s.
-        depth: of each depth gauge below the water's surface, 0 to 1 at its full scale and below.
-        custom: readings of the creature's `sensors`, one after the other; None stands for none.
+        vertical_sine: sine of the angle between a sensor's axis and the vertical.
+        joint_angle: joint angles, rad.
+        joint_rate: joint rates, rad/s.
+        depth: depth of each gauge below the water's surface, 0 to 1 at full scale and below.
+        custom: readings of the creature's `sensors`, concatenated. None if there are none.
     """
 
     light: Float[Array, "l *n"]
@@ -38,14 +38,14 @@ class Observation(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What a controller asks of the motors until the next control step.
+    """Command to the motors until the next control step.
 
     Attributes:
         target_rate: rate for each motor's velocity servo to follow, rad/s.
-        signal: the rhythm behind it, for plots of the phase lag: the output y_e - y_f of each
-            oscillator, or whatever plays its part.
-        target_angle: angle for each motor's spring to pull to, rad; None leaves the springs at
-            their neutral angle.
+        signal: rhythm behind the rate, for plots of the phase lag: the output y_e - y_f of each
+            oscillator, or an equivalent.
+        target_angle: neutral angle for each motor's spring, rad. None leaves the springs at their
+            neutral angle.
     """
 
     target_rate: Float[Array, "d *n"]
@@ -54,9 +54,9 @@ class Command(NamedTuple):
 
 
 class Origin:
-    """What something was built from, to be looked up: it takes no part in comparisons.
+    """Settings that an object was built from, for reference only. Comparisons ignore them.
 
-    The numbers that count are fields of what was built, where derivatives can be taken by them.
+    The effective numbers are fields of the object, so that derivatives can be taken by them.
     """
 
     def __init__(self, settings: Any):
@@ -72,18 +72,19 @@ class Origin:
 class Controller(eqx.Module):
     """A nervous system whose genes evolve.
 
-    The controller itself is structure and settings, the same for the whole population; what
-    differs between individuals are the ``genes``, and what changes in time is the ``state``, any
-    pytree of arrays. To write one, subclass this, declare the number of genes, and give the three
-    methods. They must be pure JAX functions: no Python branches on array values, nothing changed
-    in place. Arrays have their components first and individuals on the trailing axes, of which
-    there may be none, so plain arithmetic serves one individual and a population alike.
+    The controller itself is structure and settings, common to the whole population. Individuals
+    differ in the ``genes``. The ``state``, any pytree of arrays, changes in time.
 
-    ``act`` is called once per control step (1/60 s unless the config says otherwise), with the
-    senses at the start of the step; its command is held until the next one.
+    To write a controller, subclass this, declare the number of genes, and define the three
+    methods. They must be pure JAX functions: no Python branches on array values, no changes in
+    place. Arrays have their components first and individuals on the trailing axes. There may be
+    none of these, so plain arithmetic serves one individual and a population.
+
+    ``act`` is called once per control step (1/60 s by default) with the senses at the start of the
+    step. Its command is held until the next call.
 
     Example:
-        Every joint follows one sine wave; amplitude and frequency evolve.
+        Every joint follows one sine wave. Its amplitude and frequency evolve.
 
         >>> import equinox as eqx
         >>> import jax
@@ -109,7 +110,7 @@ class Controller(eqx.Module):
     Attributes:
         gene_count: numbers in the genome of one individual.
         uses_senses: False if commands do not depend on the senses.
-        signal_label: what `Command.signal` is, with its unit, for plots.
+        signal_label: meaning of `Command.signal`, with its unit, for plots.
     """
 
     gene_count: eqx.AbstractVar[int]
@@ -119,19 +120,19 @@ class Controller(eqx.Module):
 
     @property
     def binary(self) -> bool:
-        """Whether genes are bits, 0 or 1; no, unless overridden."""
+        """Return whether genes are bits, 0 or 1; False unless overridden."""
         return False
 
     @property
     def rhythm_generator(self) -> Oscillators | None:
-        """The oscillators that make the rhythm; None unless overridden."""
+        """Return the oscillators of the rhythm; None unless overridden."""
         return None
 
     @abc.abstractmethod
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
     ) -> Float[Array, "g *n"]:
-        """Genes of the first generation.
+        """Return genes of the first generation.
 
         Args:
             key: random key.
@@ -141,7 +142,7 @@ class Controller(eqx.Module):
 
     @abc.abstractmethod
     def initial_state(self, batch: tuple[int, ...], dtype: jnp.dtype | type) -> PyTree[Array]:
-        """State at the start of a trial.
+        """Return the state at the start of a trial.
 
         Args:
             batch: trailing axes of every array, such as ``(population,)``.
@@ -149,13 +150,13 @@ class Controller(eqx.Module):
         """
 
     def decode(self, genes: Float[Array, "g *n"]) -> PyTree[Array]:
-        """What `act` gets of the genes, which is the genes themselves unless a subclass says so.
+        """Return the genes in the form that `act` takes; unchanged unless overridden.
 
-        Called once per trial. What stays the same throughout belongs here: it is then computed
-        once, and a gradient adds up its slopes array by array.
+        Called once per trial. Compute here everything that does not change in the trial. It is then
+        computed once, and a gradient accumulates over these arrays.
 
         Args:
-            genes: of each individual.
+            genes: genes of each individual.
         """
         return genes
 
@@ -163,11 +164,11 @@ class Controller(eqx.Module):
     def act(
         self, decoded: PyTree[Array], state: PyTree[Array], observation: Observation
     ) -> tuple[PyTree[Array], Command]:
-        """One control step.
+        """Run one control step.
 
         Args:
-            decoded: the genes of each individual, as `decode` gives them.
-            state: as `initial_state` or the last step left it.
+            decoded: genes of each individual from `decode`.
+            state: state from `initial_state` or the last step.
             observation: senses at the start of the step.
 
         Returns:

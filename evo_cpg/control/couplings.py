@@ -1,21 +1,21 @@
-"""Couplings that a creature's tree does not give: between chosen oscillators, and around rings.
+"""Couplings beyond those of the tree: between chosen oscillators, and around rings.
 
-With A the inhibition of each oscillator (row) by the other side of each other one (column), and
-with negative A by the same side, both in units of ``pair_weight``, a pair in which the target
-follows the source by the lag L is coupled by
+A is the inhibition of each oscillator (row) by the other side of each other one (column). A
+negative A is inhibition by the same side. Both are in units of ``pair_weight``. A pair in which the
+target follows the source by the lag L is coupled by
 
     A[target, source] = w (cos L + sin L),    A[source, target] = w (cos L - sin L),        (1)
 
-and n oscillators around a ring, each behind the one before it by L, with n L whole turns, by
+n oscillators around a ring, each behind the previous one by L, with n L whole turns, are coupled by
 
     A[i, j] = w / (n - 1) (cos (i - j) L + sin (i - j) L)    for all i and j of the ring.    (2)
 
-The cosine is the same both ways, and holds the distance; the sine runs one way, and tells which of
-the two leads. At L = 0 all swing together, at 180 degrees neighbours swing against each other, and
-at 90 degrees the source pushes the target, which pulls it back.
+The cosine is symmetric and sets the distance. The sine is antisymmetric and selects the leader. At
+L = 0 all swing together. At 180 degrees neighbours swing against each other. At 90 degrees the
+source pushes the target, which pulls the source back.
 
-In a ring of equal oscillators with equal drives a wave with exactly this lag is a solution, for the
-network looks the same from each of them. ``docs/models/controller.md`` says which waves grow.
+In a ring of equal oscillators with equal drives, a wave with exactly this lag is a solution by
+symmetry. ``docs/models/controller.md`` shows which waves grow.
 """
 
 import dataclasses
@@ -35,12 +35,12 @@ from evo_cpg.spatial.numerics import Number, Numbers, xp
 # Cosines and sines below this are rounding.
 _NO_COUPLING = 1e-12
 
-# A ring closes if its lags add up to whole turns but for so many degrees: 51.43 for 7 is enough.
+# Largest error of each lag in degrees for a ring that closes: 51.43 for 7 is accurate enough.
 _CLOSED_DEG = 0.1
 
 
 class UnfitError(ValueError):
-    """Settings of a controller that do not fit the creature.
+    """Raised for settings of a controller that do not fit the creature.
 
     Attributes:
         where: path of the offending value in the settings, such as ``("groups", "legs", 0)``.
@@ -52,7 +52,7 @@ class UnfitError(ValueError):
 
 
 class CouplingError(UnfitError):
-    """Couplings that do not fit a creature.
+    """Raised for couplings that do not fit a creature.
 
     Attributes:
         where: path of the offending value in the settings of the oscillators, such as
@@ -62,19 +62,20 @@ class CouplingError(UnfitError):
 
 @dataclasses.dataclass(frozen=True)
 class Coupling:
-    """What one oscillator, or each of several, does to another one.
+    """Effect of one oscillator, or of each of several, on another one.
 
     Attributes:
         source: a degree of freedom, or a pattern such as ``left_*.z``.
-        target: likewise; several sources act on as many targets one on one, in the order of the
-            bodies, and one acts on several, or several on one.
-        weight: in units of ``pair_weight``; without a lag, positive where the source inhibits the
-            target's other side (they swing together), negative where its own (against each other).
-        lag_deg: what the target is to be behind the source, degrees; both then act on each other.
-            None for one way alone, from source to target.
+        target: a degree of freedom, or a pattern; as many targets as sources in the order of the
+            bodies, or one of either for several of the other.
+        weight: strength in units of ``pair_weight``; without a lag, positive if the source
+            inhibits the target's other side (they swing together), negative if it inhibits the
+            same side (they swing against each other).
+        lag_deg: lag of the target behind the source, degrees, with coupling in both directions;
+            None for coupling from source to target only.
 
     Raises:
-        ValueError: a value outside its range.
+        ValueError: a value is outside its range.
     """
 
     source: str
@@ -93,18 +94,18 @@ class Coupling:
 
 @dataclasses.dataclass(frozen=True)
 class Ring:
-    """Oscillators around a ring, each as far behind the one before it.
+    """Oscillators around a ring, with a constant lag from each to the next.
 
     Attributes:
-        oscillators: degrees of freedom, or patterns such as ``arm*_1.y``, in the order of the ring;
-            those of a pattern in the order of the bodies.
-        lag_deg: of each behind the one before it, degrees; as many of them as there are oscillators
-            make whole turns.
-        weight: how much inhibition the others together may exert on one, in units of
+        oscillators: degrees of freedom, or patterns such as ``arm*_1.y``, in the order of the
+            ring; matches of a pattern are in the order of the bodies.
+        lag_deg: lag of each behind the previous one, degrees; the lags of all oscillators add up
+            to whole turns.
+        weight: largest total inhibition of one oscillator by the others, in units of
             ``pair_weight``, at least 0.
 
     Raises:
-        ValueError: a value outside its range.
+        ValueError: a value is outside its range.
     """
 
     oscillators: tuple[str, ...]
@@ -121,7 +122,7 @@ class Ring:
 
 
 def axis_names(tree: Tree) -> tuple[str, ...]:
-    """Axis of each degree of freedom: the part of its name behind the body's, mostly x, y or z."""
+    """Return the axis of each degree of freedom: its name without the body, such as x."""
     return tuple(
         name[len(tree.names[body]) + 1 :]
         for name, body in zip(tree.dof_names, tree.dof_bodies, strict=True)
@@ -129,15 +130,15 @@ def axis_names(tree: Tree) -> tuple[str, ...]:
 
 
 def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str | int]) -> set[int]:
-    """Indices of the bodies that are named by patterns such as ``*_arm``.
+    """Return the indices of the bodies that match patterns such as ``*_arm``.
 
     Args:
         tree: the creature.
-        patterns: names, in which ``*`` stands for anything.
+        patterns: names, in which ``*`` matches anything.
         where: path of the setting, for the message.
 
     Raises:
-        UnfitError: a pattern that no body matches.
+        UnfitError: no body matches a pattern.
     """
     found: set[int] = set()
     for i, pattern in enumerate(patterns):
@@ -150,11 +151,11 @@ def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str |
 
 
 def matching_oscillators(tree: Tree, pattern: str, where: Sequence[str | int]) -> list[int]:
-    """Oscillators that are named by a pattern such as ``arm*_1.y``, in the order of the bodies.
+    """Return the oscillators that match a pattern such as ``arm*_1.y``, in the order of bodies.
 
     Args:
         tree: the creature.
-        pattern: a degree of freedom, in which ``*`` stands for anything.
+        pattern: a degree of freedom, in which ``*`` matches anything.
         where: path of the setting, for the message.
 
     Raises:
@@ -178,11 +179,11 @@ def _near(pattern: str, names: Sequence[str]) -> str:
 def explicit_weights(
     tree: Tree, couplings: tuple[Coupling, ...], rings: tuple[Ring, ...]
 ) -> dict[tuple[int, int], Number]:
-    """What each target (first) is inhibited with by each source, in units of ``pair_weight``.
+    """Return the weight of each target (first) and source (second), in units of ``pair_weight``.
 
     Raises:
-        CouplingError: names that do not exist or do not fit together, a ring that does not close,
-            or two couplings of the same source and target.
+        CouplingError: names do not exist or do not fit together, a ring does not close, or two
+            couplings have one source and target.
     """
     weights: dict[tuple[int, int], Number] = {}
     written: dict[tuple[int, int], str] = {}
@@ -221,16 +222,16 @@ def start_phases(
     rings: tuple[Ring, ...],
     joined: Float[Numbers, "o o"],
 ) -> Float[Numbers, " o"]:
-    """By how much each oscillator starts behind the first of those that it is coupled to, rad.
+    """Return the initial lag of each oscillator behind the first of its connected ones, rad.
 
-    Lags that are asked for count first; what else is joined starts together. Where lags contradict
-    each other around a loop of couplings, those written first count.
+    Explicit lags come first. All other connected oscillators start together. If lags contradict
+    each other around a loop, rings come first, then couplings in the order of the settings.
 
     Args:
         tree: the creature.
-        couplings: with lags.
-        rings: likewise.
-        joined: not 0 where two oscillators are coupled at all.
+        couplings: couplings, with or without a lag.
+        rings: rings of oscillators.
+        joined: matrix that is not 0 where two oscillators are coupled.
     """
     lags: list[dict[int, Number]] = [{} for _ in tree.dof_names]
     for i, ring in enumerate(rings):
@@ -250,7 +251,7 @@ def start_phases(
     phases: list[Number] = [0.0] * len(lags)
     placed: set[int] = set()
     for first in range(len(lags)):
-        # What the tree alone joins waits until no lag is left to follow.
+        # Couplings of the tree wait until no explicit lag is left to follow.
         now, later = [first] if first not in placed else [], []
         placed.add(first)
         while now or later:
@@ -270,15 +271,15 @@ def start_phases(
 
 
 def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
-    """The oscillators of a ring, in its order.
+    """Return the oscillators of a ring, in its order.
 
     Args:
         tree: the creature.
-        ring: names them.
-        number: which of the settings' rings it is, for messages.
+        ring: ring that names the oscillators.
+        number: index of the ring in the settings, for messages.
 
     Raises:
-        CouplingError: fewer than two, one that stands there twice, or a ring that does not close.
+        CouplingError: fewer than two oscillators, one twice, or a ring that does not close.
     """
     where = ("rings", number, "oscillators")
     found = [
@@ -314,20 +315,20 @@ def _closes(lag_deg: float, count: int) -> bool:
 
 
 def uncoupled(matrix: Float[np.ndarray, "o o"]) -> list[int]:
-    """Oscillators that no other one inhibits, and that inhibit no other one.
+    """Return the oscillators that neither inhibit another one nor are inhibited by one.
 
     Args:
-        matrix: see `evo_cpg.control.matsuoka.inhibition_matrix`.
+        matrix: result of `evo_cpg.control.matsuoka.inhibition_matrix`.
     """
     others = matrix - np.diag(np.diag(matrix))
     return [int(i) for i in np.flatnonzero(~others.any(0) & ~others.any(1))]
 
 
 def _pairs(tree: Tree, coupling: Coupling, number: int) -> Iterator[tuple[int, int]]:
-    """Sources and targets, one on one.
+    """Yield sources and targets, pair by pair.
 
     Raises:
-        CouplingError: they are neither as many nor one, or an oscillator would act on itself.
+        CouplingError: numbers of both differ and none is one, or an oscillator couples to itself.
     """
     where = ("couplings", number)
     sources = matching_oscillators(tree, coupling.source, (*where, "source"))
@@ -347,7 +348,7 @@ def _pairs(tree: Tree, coupling: Coupling, number: int) -> Iterator[tuple[int, i
 
 
 def _cosine_and_sine(lag_deg: Number) -> tuple[Number, Number]:
-    """Of a lag in degrees; exactly 0 where they are, so that no coupling is nearly none."""
+    """Return cosine and sine of a lag; rounding errors become exactly 0, which is no coupling."""
     cosine, sine = xp.cos(xp.deg2rad(lag_deg)), xp.sin(xp.deg2rad(lag_deg))
     cosine_counts, sine_counts = chosen(
         lambda: (abs(cosine) > _NO_COUPLING, abs(sine) > _NO_COUPLING)

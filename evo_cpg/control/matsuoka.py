@@ -1,4 +1,4 @@
-"""The spinal cord: a network of Matsuoka neurons grown on the creature's own tree.
+"""The spinal cord: a network of Matsuoka neurons built on the creature's tree.
 
 Iwadate 2010, eqs. 4-6, for neuron i with the others j acting on it:
 
@@ -18,14 +18,16 @@ Iwadate 2010, eqs. 4-6, for neuron i with the others j acting on it:
 | T_r, T_a | ``rise_time``, ``adaptation_time`` (s) |
 
 Every degree of freedom has one *oscillator*: an extensor and a flexor neuron that inhibit each
-other with weight a. Oscillators of the same axis on successive bodies inhibit each other
-contralaterally (extensor to flexor, flexor to extensor), more strongly from parent to child than
-back; that asymmetry is what makes the wave run from head to tail. Where the two axes point in
-opposite directions (the z of a right leg that swings forwards by a turn about -z), what is
-contralateral for the muscles is ipsilateral for the neurons. The axes of one joint may inhibit
-each other contralaterally, too (``cross_weight``), and any oscillators may be coupled one by one
-or around a ring (`evo_cpg.control.couplings`). One signed matrix (oscillator by oscillator) states
-it, its positive part A from one side to the other, its negative part B within a side:
+other with weight a. Oscillators of one axis on successive bodies inhibit each other
+contralaterally (extensor to flexor, flexor to extensor). Inhibition is stronger from parent to
+child than back. That asymmetry makes the wave run from head to tail.
+
+If the two axes point in opposite directions, contralateral inhibition of muscles is ipsilateral
+between neurons. An example is the z of a right leg that swings forwards by a turn about -z. The
+axes of one joint may inhibit each other contralaterally, too (``cross_weight``). Any oscillators
+may be coupled one by one or around a ring (`evo_cpg.control.couplings`). One signed matrix
+(oscillator by oscillator) holds all this. Its positive part A acts from one side to the other, its
+negative part B within a side:
 
     T_r dx_e/dt + x_e = -A y_f - B y_e - b z_e + u_e + s,    and the same with e and f exchanged.
 
@@ -63,18 +65,18 @@ from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# (T_r, T_a) in s: Iwadate 2010, Table 3, exchanged and as it stands there.
+# (T_r, T_a) in s: Iwadate 2010, Table 3, swapped and as printed.
 TIME_CONSTANTS = {"swapped": (0.153337, 1.181958), "as_printed": (1.181958, 0.153337)}
 
-# Runge-Kutta substeps are at most this share of the shorter time constant: at 1/60 s and b = 5
-# the signals then stay within 1e-3 (rms) of the exact ones for 33 s, phase included.
+# Largest Runge-Kutta substep as a fraction of the shorter time constant. At 1/60 s and b = 5 the
+# signals then stay within 1e-3 (rms) of the exact ones for 33 s, phase included.
 SUBSTEP_FRACTION = 0.25
 
-# Up to so many substeps are written out.
+# Largest number of substeps that are written out.
 _UNROLLED = 3
 
-# Extensors start at this share of the largest tonic input, flexors at 0, or as a wanted lag has it.
-# A symmetric start would never oscillate.
+# Initial potential of extensors as a fraction of the largest tonic input. Flexors start at 0
+# unless a lag is set. A symmetric start would never oscillate.
 INITIAL_FRACTION = 0.1
 
 
@@ -85,25 +87,26 @@ class CpgSettings:
     Attributes:
         constants: which of the two times of Table 3 is T_r: ``swapped`` (0.153 s) oscillates,
             ``as_printed`` (1.182 s) does not.
-        time_scale: multiplies T_r and T_a, more than 0; frequencies divide by it exactly and
-            nothing else changes.
+        time_scale: factor on T_r and T_a, more than 0; it divides frequencies exactly and changes
+            nothing else.
         pair_weight: a, between extensor and flexor of one oscillator, at least 0.
         parent_weight: inhibition from the parent's oscillator, in units of ``pair_weight``, at
             least 0.
-        child_weight: inhibition from a child's oscillator, likewise.
-        cross_weight: mutual inhibition of successive axes of one joint, likewise; they then turn
-            together, positive with positive.
-        opposite: bodies, or patterns such as ``front_*``, whose oscillators follow the other side
-            of their parents' than their axes say; so front legs that step against hind legs.
-        couplings: between chosen oscillators, in the place of what the tree would give them.
-        rings: of oscillators with a constant lag from one to the next, likewise.
-        sensory_feedback: the s of eq. 4, the same for every neuron.
+        child_weight: inhibition from a child's oscillator, in units of ``pair_weight``, at least 0.
+        cross_weight: mutual inhibition of successive axes of one joint, in units of
+            ``pair_weight``, at least 0; they then turn together, positive with positive.
+        opposite: bodies, or patterns such as ``front_*``, whose oscillators follow the opposite
+            side of their parents', as for front legs that step against hind legs.
+        couplings: couplings between chosen oscillators, which replace those of the tree.
+        rings: rings of oscillators with a constant lag from one to the next, which replace
+            couplings of the tree.
+        sensory_feedback: the s of eq. 4, equal for every neuron.
         max_tonic_input: u_max, more than 0; outputs are proportional to it.
         min_adaptation_gain: smallest b, more than 0.
         max_adaptation_gain: largest b.
 
     Raises:
-        ValueError: a value outside its range.
+        ValueError: a value is outside its range.
     """
 
     constants: Literal["swapped", "as_printed"] = "swapped"
@@ -141,15 +144,15 @@ class MatsuokaNetwork(eqx.Module):
     """Connections and time constants; one oscillator per degree of freedom of the tree.
 
     Attributes:
-        offsets: which diagonals of the inhibition A from the other side are not zero; offset k
-            means that oscillator i is inhibited by oscillator i + k.
-        weights: those diagonals, ``weights[m, i] = A[i, i + offsets[m]]``, 0 outside.
-        own_offsets: the same of the inhibition B from the same side.
-        own_weights: likewise.
+        offsets: diagonals of the inhibition A from the other side that are not zero. Offset k means
+            that oscillator i + k inhibits oscillator i.
+        weights: these diagonals, ``weights[m, i] = A[i, i + offsets[m]]``, 0 outside.
+        own_offsets: diagonals of the inhibition B from the same side that are not zero.
+        own_weights: these diagonals of B, 0 outside.
         rise_time: T_r, s.
         adaptation_time: T_a, s.
         sensory_feedback: s.
-        initial_potential: of each neuron at the start, extensors first.
+        initial_potential: initial potential of each neuron, extensors first.
     """
 
     offsets: tuple[int, ...] = eqx.field(static=True)
@@ -168,7 +171,7 @@ class MatsuokaNetwork(eqx.Module):
 
     @property
     def matrix(self) -> Float[np.ndarray, "o o"]:
-        """How strongly each oscillator is inhibited by each other one; see `inhibition_matrix`."""
+        """Inhibition of each oscillator by each other one; see `inhibition_matrix`."""
         count = self.oscillator_count
         matrix = np.zeros((count, count))
         for sign, offsets, weights in (
@@ -181,7 +184,7 @@ class MatsuokaNetwork(eqx.Module):
         return matrix
 
     def substeps(self, h: float) -> int:
-        """Number of Runge-Kutta steps that a step of h (s) is divided into."""
+        """Return the number of Runge-Kutta steps for a step of h (s)."""
         return chosen(lambda: self._substeps(h))
 
     def _substeps(self, h: float) -> int:
@@ -193,7 +196,7 @@ class Oscillators(NamedTuple):
     """The oscillators of a controller.
 
     Attributes:
-        settings: from which they were built.
+        settings: settings that the oscillators were built from.
         network: one oscillator per degree of freedom.
         rate_gain: joint rate per unit of output of each, rad/s.
     """
@@ -216,16 +219,16 @@ class MatsuokaState(eqx.Module):
 
 
 def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[Numbers, "o o"]:
-    """How strongly each oscillator (row) is inhibited by each other one (column).
+    """Return the inhibition of each oscillator (row) by each other one (column).
 
-    An oscillator is joined to the one of the same axis on its body's nearest ancestor that has
-    such an axis; an ancestor may be joined to several (a trunk with limbs).
+    An oscillator is joined to one on its body's nearest ancestor that has its axis. An ancestor may
+    be joined to several oscillators (a trunk with limbs).
 
     Returns:
-        Positive where the other side inhibits, negative where the same side does.
+        Matrix, positive for inhibition by the other side, negative for the same side.
 
     Raises:
-        ValueError: no body is named as ``opposite`` says, or couplings do not fit the creature.
+        ValueError: no body matches ``opposite``, or couplings do not fit the creature.
     """
     axes = axis_names(tree)
     weights: dict[tuple[int, int], Number] = {(i, i): 1.0 for i in range(tree.dof_count)}
@@ -251,14 +254,14 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[Numbers, "o o"
 
 
 def _matrix(count: int, elements: dict[tuple[int, int], Number]) -> Float[Numbers, "o o"]:
-    """A square matrix of some elements, and zeros."""
+    """Return a square matrix with these elements, and zeros elsewhere."""
     place = np.zeros((count, count), int)
     place[tuple(np.array(list(elements)).T)] = 1 + np.arange(len(elements))
     return xp.array([0.0, *elements.values()])[place]
 
 
 def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
-    """Grow the network on a creature's tree."""
+    """Build the network on a creature's tree."""
     rise_time, adaptation_time = TIME_CONSTANTS[settings.constants]
     matrix = inhibition_matrix(tree, settings)
     fraction = xp.cos(start_phases(tree, settings.couplings, settings.rings, matrix))
@@ -273,9 +276,9 @@ def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
 
 
 def parts(network: MatsuokaNetwork) -> list[tuple[int, ...]]:
-    """Oscillators that are joined to each other, directly or not, part by part.
+    """Return groups of oscillators that are joined to each other, directly or not.
 
-    Axes that do not inhibit each other have rhythms of their own, each with a phase of its own.
+    Axes that do not inhibit each other have independent rhythms, each with its own phase.
     """
     joined = (
         (network.matrix != 0)
@@ -288,14 +291,14 @@ def parts(network: MatsuokaNetwork) -> list[tuple[int, ...]]:
 
 
 def sub_network(network: MatsuokaNetwork, oscillators: tuple[int, ...]) -> MatsuokaNetwork:
-    """Some of a network's oscillators with what joins them."""
+    """Return the network of some oscillators, with the couplings between them."""
     connections = _connections(network.matrix[np.ix_(oscillators, oscillators)])
     start = network.initial_potential[:, list(oscillators)]
     return dataclasses.replace(network, **connections, initial_potential=start)
 
 
 def _connections(matrix: Float[Numbers, "o o"]) -> dict[str, Any]:
-    """The fields of a `MatsuokaNetwork` that state an inhibition matrix."""
+    """Return the fields of a `MatsuokaNetwork` for an inhibition matrix."""
     signs = chosen(lambda: np.sign(matrix))
     offsets, weights = _diagonals(matrix, signs > 0)
     own_offsets, own_weights = _diagonals(-matrix, signs < 0)
@@ -308,18 +311,18 @@ def _connections(matrix: Float[Numbers, "o o"]) -> dict[str, Any]:
 
 
 def diagonal(matrix: Float[Numbers, "o o"], offset: int) -> Float[Numbers, " o"]:
-    """A diagonal as long as the matrix: ``matrix[i, i + offset]`` for each i, 0 outside."""
+    """Return ``matrix[i, i + offset]`` for each i, 0 outside the matrix."""
     return xp.pad(xp.diagonal(matrix, offset), (max(0, -offset), max(0, offset)))
 
 
 def _diagonals(
     matrix: Float[Numbers, "o o"], there: Bool[np.ndarray, "o o"]
 ) -> tuple[tuple[int, ...], Float[Numbers, "k o"]]:
-    """The diagonals that are not empty, each as long as the matrix, and their offsets.
+    """Return the non-empty diagonals, each as long as the matrix, and their offsets.
 
     Args:
         matrix: the elements.
-        there: which of them count; all others are zero.
+        there: True for elements that count. All others are zero.
     """
     count = len(matrix)
     offsets = [k for k in range(1 - count, count) if np.diagonal(there, k).any()]
@@ -333,10 +336,10 @@ def initial_state(
     batch: tuple[int, ...] = (),
     dtype: jnp.dtype | type = jnp.float32,
 ) -> MatsuokaState:
-    """Neurons slightly active, extensors where no lag is asked for, and nothing adapted.
+    """Return neurons at their initial potentials, without adaptation.
 
     Args:
-        network: gives the number of oscillators.
+        network: network with the initial potentials.
         batch: trailing axes, such as ``(population,)``.
         dtype: floating-point type of the state.
     """
@@ -352,18 +355,18 @@ def advance(
     h: float,
     substeps: int | None = None,
 ) -> MatsuokaState:
-    """Integrate eqs. 4-6 over h (s) by classical Runge-Kutta steps with the inputs held.
+    """Integrate eqs. 4-6 over h (s) by classical Runge-Kutta steps, with constant inputs.
 
-    Never by explicit Euler: its error acts as negative damping, and at 1/60 s it makes a damped
-    pair oscillate as soon as b > 4.25.
+    Explicit Euler is unsuitable. Its error acts as negative damping, and at 1/60 s it makes a
+    damped pair oscillate if b > 4.25.
 
     Args:
         network: connections and time constants.
-        state: at the start of the step.
+        state: state at the start of the step.
         tonic_input: u of each neuron, extensors first.
         adaptation_gain: b of each oscillator.
-        h: s; divided into substeps where it is long against T_r or T_a.
-        substeps: how many; None for as many as `MatsuokaNetwork.substeps` says.
+        h: step, s. It is divided into substeps if it is long compared with T_r or T_a.
+        substeps: number of substeps; None for `MatsuokaNetwork.substeps`.
     """
     count = network.substeps(h) if substeps is None else substeps
     drive = tonic_input + network.sensory_feedback
@@ -383,10 +386,10 @@ def advance(
 
 
 def output(state: MatsuokaState) -> Float[Array, "o *n"]:
-    """Motor signal of each oscillator, ``y_e - y_f``, in units of the tonic input.
+    """Return the motor signal of each oscillator, ``y_e - y_f``, in units of the tonic input.
 
     Its size never exceeds the largest u + s (or the initial potential), because inhibition and
-    adaptation only ever lower a potential.
+    adaptation only lower a potential.
     """
     extensor, flexor = jnp.maximum(state.potential, 0.0)
     return extensor - flexor
@@ -399,13 +402,13 @@ def runge_kutta_step(
     drive: Float[Array, "2 o *n"],
     adaptation_gain: Float[Array, "o *n"],
 ) -> MatsuokaState:
-    """One classical fourth-order step, with the stages' states in place of their slopes.
+    """Take one classical fourth-order step, written with the stages' states.
 
-    With s1, s2 and s3 the states at which the second to fourth slopes are taken, the usual
+    s1, s2 and s3 are the states at which the second to fourth derivatives are computed. The usual
     ``s + h/6 (k1 + 2 k2 + 2 k3 + k4)`` is ``(s1 + 2 s2 + s3 - s) / 3 + h/6 k4``. A stage then
-    needs only the one before it.
+    needs only the previous one.
 
-    Potentials stand between rows of zeros, so that each diagonal of A meets a plain slice.
+    Potentials have rows of zeros around them, so that each diagonal of A takes a plain slice.
     """
     count = network.oscillator_count
     margin = max(map(abs, network.offsets + network.own_offsets), default=0)
@@ -419,7 +422,7 @@ def runge_kutta_step(
         return padded[:, margin + offset : margin + offset + count]
 
     def change(padded: Array, adaptation: Array) -> tuple[Array, Array]:
-        """``T_r dx/dt`` and ``T_a dz/dt``."""
+        """Return ``T_r dx/dt`` and ``T_a dz/dt``."""
         firing = jnp.maximum(padded, 0.0)
         other = zip(network.offsets, network.weights, strict=True)
         own = zip(network.own_offsets, network.own_weights, strict=True)

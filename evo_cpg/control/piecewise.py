@@ -1,22 +1,23 @@
 """The exact flow of a Matsuoka network under a constant drive, one linear piece at a time.
 
 The equations (`evo_cpg.control.matsuoka`) are linear as long as no neuron begins or ceases to fire.
-With the signs of all potentials given, the *pattern*, a state s moves by
+The signs of all potentials form the *pattern*. For a given pattern a state s moves by
 
     ds/dt = A s + c,    s(t + h) = s(t) + E(h) (s(t), 1),
 
-with E(h) from the matrix exponential. So no step has an error of integration, however stiff the
-network is, and a step may be as long as the pattern lasts. Steps are halved until a cubic through
-their ends foretells their middle. This finds where a potential crosses zero. A Taylor series, which
-is exact there, then locates the crossing.
+with E(h) from the matrix exponential. A step has no integration error, however stiff the network
+is, and may last as long as the pattern. Steps are halved until a cubic through their ends predicts
+their middle. The cubic finds zero crossings of potentials. A Taylor series, exact in this range,
+then locates the crossing.
 
-The field is continuous where the pattern changes. A product of the pieces' derivatives is therefore
-the derivative of the flow, without a term for the change.
+The field is continuous where the pattern changes. So the derivative of the flow is the product of
+the pieces' derivatives, without a term for the change.
 
-Units: time in units of ``T_r + T_a`` and states in units of the largest drive. The equations are
-homogeneous in both, so no tolerance depends on how strong the drive or how quick the network is.
+Units: time in units of ``T_r + T_a``, states in units of the largest drive. The equations are
+homogeneous in both, so tolerances do not depend on the strength of the drive or the speed of the
+network.
 
-NumPy alone: nothing has to compile, so this can be called before every run.
+Only NumPy is used. Nothing has to compile, so this can be called before every run.
 """
 
 import math
@@ -28,26 +29,26 @@ from jaxtyping import Bool, Complex, Float
 
 from evo_cpg.control.matsuoka import MatsuokaNetwork
 
-# The shortest tabulated step times the largest rate of the network, and as many terms of a Taylor
-# series as are exact to rounding below it: 0.125^12 / 12! = 3e-20.
+# Shortest tabulated step times the largest rate of the network, and number of Taylor terms that are
+# exact to rounding below it: 0.125^12 / 12! = 3e-20.
 _SHORTEST, _TERMS = 0.125, 12
 
-# Networks with more numbers than this take no tabulated steps: every pattern needs a table, and the
-# tables of 25 oscillators are as much as is quickly made. They go by series as long as this times
+# Largest size of a network with tabulated steps. Every pattern needs a table, and larger tables than
+# those of 25 oscillators are slow to build. Larger networks use series up to the second number times
 # the largest rate: 0.5^12 / 12! = 5e-13.
 _TABULATED, _SERIES = 100, 0.5
 
-# Where a cubic meets the exact path in the middle of a step to this share of the potential, it
-# meets it everywhere, and shows every crossing but a dip of this share.
+# Largest relative error of the cubic in the middle of a step. It then holds everywhere, and the
+# cubic shows every crossing except dips of this relative size.
 _SMOOTH = 1e-4
 # A step twice as long has 16 times the error.
 _LENGTHEN = _SMOOTH / 32
 
-# Potentials nearer to zero than this, in units of the largest drive, have no sign: rounding.
+# Potentials below this, in units of the largest drive, are rounding errors without a sign.
 _ZERO = 1e-14
 
-# Places within a step at which the cubic is looked at, and the cubic there from the values and
-# slopes at its ends (Hermite).
+# Places within a step at which the cubic is evaluated, and its weights there for the values and
+# derivatives at the ends (Hermite).
 _PLACES = np.arange(1, 9) / 8
 _CUBIC = np.stack(
     [
@@ -59,41 +60,41 @@ _CUBIC = np.stack(
     axis=1,
 )
 
-# No step is smooth in which anything grows by more.
+# Largest growth in a tabulated step. No step with more growth is smooth.
 _LARGEST_GROWTH = 1e6
 
-# A state that changes by less than this share of the drive in a unit of time stands still. So does
-# what grows by less.
+# Largest change of a state at rest, as a fraction of the drive in a unit of time. It is also the
+# limit for growth rates.
 _STILL = 1e-12
 
-# A sum of modes is a distance if it differs by less than this share.
+# Largest relative error of a sum of modes that represents a distance.
 _REBUILT = 1e-9
 
-# A leap is shorter than two to this power, in units of the flow.
+# Exponent of two for the longest part of a leap, in units of the flow.
 _LEAP = 50
 
-# A mode is gone after as many of its time constants: e^-50 = 2e-22.
+# Number of time constants after which a mode has vanished: e^-50 = 2e-22.
 _FADED = 50
 
-# Halvings of an eighth of a step that bracket a crossing, and steps of Newton's method that then
+# Bisections of an eighth of a step that bracket a crossing, and steps of Newton's method that then
 # find it to rounding.
 _HALVINGS, _REFINEMENTS = 8, 4
 
-# The matrices of all patterns met are kept, up to this many bytes.
+# Largest memory for the matrices of patterns, bytes.
 _KEPT_BYTES = 2**28
 
 
 class BudgetError(Exception):
-    """The flow needs more steps than it may take."""
+    """Raised if the flow needs more steps than allowed."""
 
 
 class Crossing(NamedTuple):
-    """A neuron that begins to fire.
+    """Start of a neuron's firing.
 
     Attributes:
-        time: since the start of the run, in the flow's units.
-        neuron: its number, extensors first.
-        state: of the network then, in the flow's units.
+        time: time since the start of the run, in the flow's units.
+        neuron: number of the neuron, extensors first.
+        state: state of the network at that time, in the flow's units.
     """
 
     time: float
@@ -102,16 +103,17 @@ class Crossing(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What a stretch of time came to.
+    """Result of a run.
 
     Attributes:
-        state: at its end.
-        duration: what was asked for, or less.
-        tangent: derivative of that with respect to the state at the start; None unless asked for.
-        onsets: neurons that began to fire, in order of time.
-        lowest: smallest output of each oscillator, at the steps that were taken.
-        highest: largest output.
-        most: largest sum of what the two neurons of an oscillator fire.
+        state: final state.
+        duration: requested duration, or less.
+        tangent: derivative of the final state with respect to the initial one; None unless
+            requested.
+        onsets: starts of firing, in order of time.
+        lowest: smallest output of each oscillator, at the computed steps.
+        highest: largest output of each oscillator, at the computed steps.
+        most: largest sum of the firing rates of an oscillator's two neurons.
     """
 
     state: Float[np.ndarray, " k"]
@@ -124,12 +126,12 @@ class Run(NamedTuple):
 
 
 class Rest(NamedTuple):
-    """A stable equilibrium, from whose surroundings a state never comes away.
+    """An equilibrium, with its eigenvalues.
 
     Attributes:
         state: the equilibrium, in the flow's units.
         rates: eigenvalues of the network there, largest real part first, in the flow's units.
-        firing: which neurons fire, extensors first.
+        firing: True for neurons that fire, extensors first.
     """
 
     state: Float[np.ndarray, " k"]
@@ -140,7 +142,7 @@ class Rest(NamedTuple):
 class _Piece(NamedTuple):
     """A pattern's generator, with the constant in the last column, and its tabulated steps.
 
-    Steps, longest first, are None where a swing would grow by more than a step can hold.
+    Steps, longest first, are None if a mode would grow by more than `_LARGEST_GROWTH`.
     """
 
     generator: np.ndarray
@@ -148,7 +150,7 @@ class _Piece(NamedTuple):
 
 
 class _Modes(NamedTuple):
-    """What a distance from an equilibrium is the sum of: rates, and shapes of the potentials."""
+    """Modes that add up to a distance from an equilibrium: rates, and shapes of the potentials."""
 
     rates: np.ndarray
     shapes: np.ndarray
@@ -166,9 +168,9 @@ class Flow:
         adaptation_gain: b of each oscillator.
 
     Attributes:
-        second: a second in units of the flow.
-        scale: the largest drive; the unit of states.
-        steps_left: how many more steps may be taken before `BudgetError`.
+        second: length of a second in units of the flow.
+        scale: largest drive, the unit of states.
+        steps_left: number of steps left before `BudgetError`.
     """
 
     def __init__(
@@ -202,16 +204,16 @@ class Flow:
         self._pieces: dict[bytes, _Piece] = {}
 
     def vector(self, potential: np.ndarray, adaptation: np.ndarray) -> Float[np.ndarray, " k"]:
-        """A state in units of the flow.
+        """Return a state in units of the flow.
 
         Args:
             potential: x of each neuron, extensors first, in the user's units.
-            adaptation: z likewise.
+            adaptation: z of each neuron, extensors first, in the user's units.
         """
         return np.concatenate([np.ravel(potential), np.ravel(adaptation)]) / self.scale
 
     def derivative(self, state: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-        """Derivative of a state with respect to time."""
+        """Return the derivative of a state with respect to time."""
         generator = self._piece(self._pattern(state)).generator
         return generator[:-1, :-1] @ state + generator[:-1, -1]
 
@@ -225,13 +227,13 @@ class Flow:
         """Follow the network for some time.
 
         Args:
-            state: at the start.
-            duration: in units of the flow.
-            tangent: also find the derivative of the end with respect to the start.
-            most_onsets: end earlier, when neurons began to fire so often.
+            state: initial state.
+            duration: duration in units of the flow.
+            tangent: True to compute the derivative of the final state by the initial one.
+            most_onsets: number of starts of firing after which the run ends early.
 
         Raises:
-            BudgetError: `steps_left` were not enough.
+            BudgetError: the run needs more than `steps_left` steps.
         """
         n = self.neurons
         columns = np.zeros((self.size + 1, 1 + self.size * tangent))
@@ -297,22 +299,22 @@ class Flow:
 
     @property
     def driven(self) -> bool:
-        """Whether any neuron has a drive, without which none fires for long."""
+        """True if any neuron has a drive. Without one, no neuron fires for long."""
         return bool((self._drive > 0).any())
 
     def stands_still(self, state: Float[np.ndarray, " k"]) -> bool:
-        """Whether a state changes by rounding only."""
+        """Return whether a state changes by rounding only."""
         return bool(np.abs(self.derivative(state)).max() < _STILL)
 
     def rest(self, state: Float[np.ndarray, " k"]) -> Rest | None:
-        """The equilibrium that a state is certain to decay to; None where that is not certain.
+        """Return the equilibrium that a state certainly decays to; None if this is not certain.
 
-        The state and the equilibrium have the same pattern, the equilibrium is stable, and what is
-        left of the distance can nowhere bring a potential across zero: it decays mode by mode.
+        The conditions are: state and equilibrium have one pattern, and the equilibrium is stable. No
+        decaying mode of the distance can bring a potential across zero.
         """
         if self.stands_still(state):
             here = self._with_rates(state, self._pattern(state))
-            # A potential of zero may be at the border of a pattern that leads away.
+            # A potential of zero may be at the border of a pattern with growth.
             certain = here.rates[0].real < _STILL and self._margin(here).min() > _STILL**0.5
             return here if certain else None
         near = self.equilibrium(state)
@@ -323,19 +325,18 @@ class Flow:
         modes = self._modes(near, distance)
         if modes is not None and (np.abs(modes.shapes).sum(1) < margin).all():
             return near
-        # Modes that are nearly parallel, as of oscillators that drive each other one way, say
-        # nothing. The norm of the flow then bounds what a distance can grow to.
+        # Nearly parallel modes, as of oscillators with one-way coupling, decide nothing. The norm of
+        # the flow then bounds the growth of a distance.
         reach = self._growth(near) * np.abs(distance).max()
         return near if (reach < margin).all() else None
 
     def leap(self, state: Float[np.ndarray, " k"]) -> tuple[Float[np.ndarray, " k"], float]:
-        """Follow swings that grow about an unstable equilibrium for as long as the pattern lasts.
+        """Follow growing oscillations about an unstable equilibrium while the pattern lasts.
 
-        Near the border of oscillation that may be millions of swings, which need no steps.
+        Near the onset of oscillation this may be millions of periods, without any steps.
 
         Returns:
-            The state after that, and the time it takes; the same state and 0 where nothing is
-            certain.
+            The later state, and the time until then; the initial state and 0 if nothing is certain.
         """
         near = self.equilibrium(state)
         if near is None or not near.rates[0].real > 0:
@@ -354,7 +355,7 @@ class Flow:
         return (near.state + grown, time) if time else (state, 0.0)
 
     def equilibrium(self, state: Float[np.ndarray, " k"]) -> Rest | None:
-        """Where a state with the pattern of this one would stay; None where that has another."""
+        """Return the equilibrium of this state's pattern; None if it has another pattern."""
         firing = self._pattern(state)
         generator = self._piece(firing).generator
         try:
@@ -372,11 +373,11 @@ class Flow:
         return Rest(state, rates[np.argsort(-rates.real)].astype(complex), firing)
 
     def _margin(self, near: Rest) -> Float[np.ndarray, " n"]:
-        """How far each potential is from zero; a neuron without a drive never begins to fire."""
+        """Return the distance of each potential from zero; infinity for neurons without a drive."""
         return np.where(self._drive > 0, np.abs(near.state[: self.neurons]), np.inf)
 
     def _modes(self, near: Rest, distance: np.ndarray) -> _Modes | None:
-        """A distance from an equilibrium as a sum of modes; None where modes are too alike."""
+        """Split a distance from an equilibrium into modes; None if modes are too similar."""
         rates, vectors = np.linalg.eig(self._piece(near.firing).generator[:-1, :-1])
         try:
             shapes = vectors * np.linalg.solve(vectors, distance)
@@ -388,7 +389,7 @@ class Flow:
         return _Modes(rates, shapes[: self.neurons], shapes)
 
     def _growth(self, near: Rest) -> float:
-        """Bound of the norm of the flow to a rest; four times that at powers of two of a time."""
+        """Return a bound of the norm of the flow: 4 times its maximum at powers of two of a step."""
         matrix = self._piece(near.firing).generator[:-1, :-1]
         step = _SHORTEST / np.abs(matrix).sum(1).max()
         onward = np.eye(len(matrix))
@@ -403,7 +404,7 @@ class Flow:
         return 4 * largest
 
     def _pattern(self, state: np.ndarray) -> Bool[np.ndarray, " n"]:
-        """Which neurons fire."""
+        """Return True for neurons that fire."""
         return state[: self.neurons] > 0
 
     def _piece(self, firing: np.ndarray) -> _Piece:
@@ -425,7 +426,7 @@ class Flow:
         generator[n:k, n:k] = -self._adaptation * np.eye(n)
         if not self._depth:
             return _Piece(generator, [None])
-        # Without the identity, beside which slow rates would lose their digits.
+        # Without the identity, which would cost slow rates their digits.
         shortest = generator * self._lengths[-1]
         step = term = shortest
         for order in range(2, _TERMS):
@@ -442,22 +443,22 @@ class Flow:
     def _onto_zero(
         self, piece: _Piece, columns: np.ndarray, about: float, neuron: int
     ) -> tuple[np.ndarray, float]:
-        """Move along one piece to where a neuron's potential is zero, and tell when that is.
+        """Move along one piece to the zero of a neuron's potential, and return the time it takes.
 
         Args:
-            piece: that holds until then.
-            columns: the state, and its derivatives.
-            about: a guess of the time.
-            neuron: whose potential it is.
+            piece: piece that holds until then.
+            columns: state and its derivatives.
+            about: estimate of the time.
+            neuron: number of the neuron.
         """
         left = about
         for step, length in zip(piece.steps, self._lengths, strict=True):
             if step is not None and left >= length:
                 columns, left = columns + step @ columns, left - length
         if not self._depth:
-            # The series is exact as far as a whole step.
+            # The series is exact within a whole step.
             left = min(left, float(self._lengths[0]))
-        # From here a series reaches both ways, as far as the shortest step.
+        # From here a series reaches the shortest step in both directions.
         terms = _terms(piece.generator, columns)
         series = [float(term[neuron, 0]) for term in terms]
         reach, moment = float(self._lengths[-1]), left
@@ -475,16 +476,18 @@ class Flow:
 def returned(
     onsets: Sequence[Crossing], near: float
 ) -> tuple[Float[np.ndarray, " k"], float] | None:
-    """The latest state at which a neuron began to fire, and how long ago it was nearly the same.
+    """Return the last state at a start of firing, and the time since nearly this state.
+
+    Returns None if the state did not recur.
 
     Args:
-        onsets: of one run.
-        near: how far the two may be apart, as a share of the swing.
+        onsets: starts of firing of one run.
+        near: largest distance of the two states, as a fraction of the swing.
     """
     if not onsets:
         return None
     last = onsets[-1]
-    # Only what still goes on says how far the network swings.
+    # Only the later half measures the swing, without the initial transient.
     recent = np.array([onset.state for onset in onsets[len(onsets) // 2 :]])
     swing = float(np.ptp(recent, axis=0).max())
     for before in reversed(onsets[:-1]):
@@ -495,7 +498,7 @@ def returned(
 
 
 def _terms(generator: np.ndarray, columns: np.ndarray) -> list[np.ndarray]:
-    """Coefficients of the Taylor series of columns in time."""
+    """Return the coefficients of the Taylor series of columns in time."""
     terms = [columns]
     for order in range(1, _TERMS):
         terms.append(generator @ terms[-1] / order)
@@ -503,7 +506,7 @@ def _terms(generator: np.ndarray, columns: np.ndarray) -> list[np.ndarray]:
 
 
 def _sum(terms: Sequence[np.ndarray], duration: float) -> np.ndarray:
-    """A Taylor series after a duration that is short against all rates."""
+    """Evaluate a Taylor series at a duration that is short against all rates."""
     total = terms[-1]
     for term in reversed(terms[:-1]):
         total = total * duration + term
@@ -513,7 +516,7 @@ def _sum(terms: Sequence[np.ndarray], duration: float) -> np.ndarray:
 def _first_root(
     x0: np.ndarray, x1: np.ndarray, v0: np.ndarray, v1: np.ndarray, neurons: np.ndarray, place: int
 ) -> tuple[float, int]:
-    """The first of some neurons whose cubic crosses zero before a place, and where, as a share."""
+    """Return where in a step the first cubic crosses zero before a place, and its neuron."""
     low = np.full(len(neurons), _PLACES[place - 1] if place else 0.0)
     high = np.full(len(neurons), _PLACES[place])
     a, b, c, d = x0[neurons], v0[neurons], 3 * (x1 - x0)[neurons] - (2 * v0 + v1)[neurons], 0.0
@@ -523,7 +526,7 @@ def _first_root(
         return a + t * (b + t * (c + t * d))
 
     after = np.sign(cubic(high))
-    # Closely enough for Newton's method, which follows.
+    # Accurate enough for Newton's method, which follows.
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         beyond = np.sign(cubic(middle)) == after

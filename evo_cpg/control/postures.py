@@ -1,19 +1,19 @@
 """The controller of Fukui 2003: a few postures that an animal takes in turn, for ever.
 
-A posture is one angle for every joint, and the motors are springs that pull to it (2.5 to 2.7 of
-the thesis). There is no sensing: posture k = 0, 1, ... is held while
+A posture is one angle for every joint. The motors are springs that pull to it (2.5 to 2.7 of the
+thesis). There is no sensing: posture k = 0, 1, ... is held while
 
     k T <= t < (k + 1) T,
 
-and the first follows the last. What evolves are the angles, written in bits (3.2): with B bits
-b_1 ... b_B for each joint of each posture,
+and the first follows the last. The angles evolve, in bits (3.2). With B bits b_1 ... b_B for each
+joint of each posture,
 
     theta = theta_0 + step sum_i 2^(B - i) b_i,    q = theta - theta_n.
 
 The thesis counts theta from straight up, so that 180 degrees is straight down, and allows 110, 130,
-... 250 degrees; it gives T as 1/3 s in chapter 2 and 0.3 s in chapter 5. It does not say which bit
-comes first, nor from what a lower leg's angle is measured: here the genome goes posture by posture,
-joint by joint, most significant bit first, and q is the angle from the parent body.
+... 250 degrees. T is 1/3 s in its chapter 2 and 0.3 s in chapter 5. The order of the bits and the
+reference of a lower leg's angle are not stated. Here the genome goes posture by posture, joint by
+joint, most significant bit first, and q is the angle from the parent body.
 
 | symbol | name |
 |---|---|
@@ -41,18 +41,18 @@ from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# Switches fall on the right control step for so many periods (and for ever, where that many hold a
-# whole number of control steps). A trial of the thesis, 20 s, has 60.
+# Number of periods with exact switches. It is infinite if this many periods are a whole number of
+# control steps. A trial of the thesis, 20 s, has 60.
 EXACT_PERIODS = 500
 
-# A switch may come this share of a control step early: 20 control steps of 1/60 s are 1/3 s
-# whichever way the floating-point numbers were rounded.
+# Largest fraction of a control step by which a switch may be early: 20 control steps of 1/60 s are
+# 1/3 s, however the floating-point numbers were rounded.
 TOLERANCE = 1e-6
 
-# Angles may exceed a limit by this (rad): both are rounded from degrees.
+# Largest excess of an angle over a limit, rad: both are rounded from degrees.
 _ANGLE_TOLERANCE = 1e-6
 
-# In control steps; keeps EXACT_PERIODS^2 of it, the largest product in `posture`, below 2^31.
+# In control steps. The largest product in `posture`, EXACT_PERIODS^2 times this, is below 2^31.
 LONGEST_PERIOD = 8000
 
 
@@ -61,18 +61,18 @@ class PostureSettings:
     """Settings of the postures; the defaults are those of Fukui 2003.
 
     Attributes:
-        postures: how many there are, 1 to 1000.
+        postures: number of postures, 1 to 1000.
         period: time for which each is held, s, more than 0.
         lowest_angle: angle of a joint whose bits are all 0, degrees.
-        angle_step: between neighbouring angles, degrees, more than 0.
+        angle_step: difference between neighbouring angles, degrees, more than 0.
         bits_per_joint: bits for each joint of each posture, 1 to 16, giving 2 to the power of it
             angles.
-        neutral_angle: angle that a joint has in the neutral pose, degrees.
-        graded: let a gene count for what it is from 0 to 1, so that angles change smoothly and
-            have slopes, instead of rounding it to a bit; genomes of bits mean the same either way.
+        neutral_angle: angle of a joint in the neutral pose, degrees.
+        graded: True to use genes as numbers from 0 to 1 instead of rounding them to bits, so that
+            angles change smoothly and have derivatives; genomes of bits mean the same either way.
 
     Raises:
-        ValueError: a value outside its range.
+        ValueError: a value is outside its range.
     """
 
     postures: int = 8
@@ -96,17 +96,17 @@ class PostureSettings:
 
 
 class PostureController(Controller):
-    """The postures of one creature; its state is the number of control steps done.
+    """The postures of one creature, with the number of completed control steps as its state.
 
     Attributes:
         gene_count: number of bits.
         dof_count: degrees of freedom, each of which has an angle in every posture.
-        origin: its settings.
-        postures: how many there are.
+        origin: settings of the controller.
+        postures: number of postures.
         bits_per_joint: B.
-        graded: whether genes between 0 and 1 count for what they are.
+        graded: True if genes are numbers between 0 and 1 instead of bits.
         lowest_angle: theta_0 - theta_n, degrees.
-        angle_step: degrees.
+        angle_step: difference between neighbouring angles, degrees.
         steps_per_posture: r, such that the k-th switch is at control step ceil(k r).
     """
 
@@ -125,28 +125,28 @@ class PostureController(Controller):
 
     @property
     def settings(self) -> PostureSettings:
-        """What it was built from."""
+        """Settings that the controller was built from."""
         return self.origin.settings
 
     @property
     def binary(self) -> bool:
-        """Bits, unless they are graded."""
+        """Return whether genes are bits, which they are unless graded."""
         return not self.graded
 
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
     ) -> Float[Array, "g *n"]:
-        """Bits, 0 or 1 with equal chances."""
+        """Return random bits, 0 or 1 with equal chances."""
         return jax.random.bernoulli(key, 0.5, (self.gene_count, *batch)).astype(dtype)
 
     def initial_state(self, batch: tuple[int, ...], dtype: jnp.dtype | type) -> Int[Array, "*n"]:
-        """No step done; a whole number, whatever the floating-point type."""
+        """Return the number of completed steps, 0, as an integer for any floating-point type."""
         return jnp.zeros(batch, jnp.int32)
 
     def act(
         self, decoded: Float[Array, "p d *n"], state: Int[Array, "*n"], observation: Observation
     ) -> tuple[Int[Array, "*n"], Command]:
-        """Pull to the posture of the present time."""
+        """Command the posture of the present time."""
         numbers = expand_dims_like(np.arange(self.postures), state, 1 + state.ndim)
         present = (numbers == self.posture(state)[None])[:, None]
         angle = jnp.where(present, decoded, 0.0).sum(0)
@@ -155,7 +155,7 @@ class PostureController(Controller):
         )
 
     def decode(self, genes: Float[Array, "g *n"]) -> Float[Array, "p d *n"]:
-        """Joint angles of every posture, rad; unless graded, a gene of 0.5 or more is a 1."""
+        """Return joint angles of every posture, rad; unless graded, a gene of 0.5 or more is a 1."""
         fractions = jnp.clip(genes, 0, 1) if self.graded else (genes >= 0.5).astype(genes.dtype)
         shape = self.postures, self.dof_count, self.bits_per_joint
         bits = fractions.reshape(*shape, *genes.shape[1:])
@@ -164,9 +164,9 @@ class PostureController(Controller):
         return jnp.deg2rad(self.lowest_angle + self.angle_step * number)
 
     def posture(self, step: Int[Array, "*n"]) -> Int[Array, "*n"]:
-        """Number of the posture at a control step, both counted from 0: floor(step / r)."""
+        """Return the number of the posture at a control step, both from 0: floor(step / r)."""
         steps, periods = self.steps_per_posture.as_integer_ratio()
-        # Whole rounds of so many steps first, because step times periods would overflow.
+        # Whole rounds of steps first, because step times periods would overflow.
         switches = step // steps * periods + step % steps * periods // steps
         return switches % self.postures
 
@@ -174,7 +174,7 @@ class PostureController(Controller):
 def build_posture_controller(
     tree: Tree, settings: PostureSettings, control_step: float
 ) -> PostureController:
-    """Fit the controller to a creature.
+    """Build the controller for a creature.
 
     Args:
         tree: the creature; every degree of freedom gets an angle in every posture.
@@ -182,9 +182,8 @@ def build_posture_controller(
         control_step: time between two calls of `PostureController.act`, s.
 
     Raises:
-        ValueError: the creature has no joint, a motor would pull its joint beyond a limit, or the
-            period is shorter than a control step (some postures would never be taken) or too long
-            to count.
+        ValueError: the creature has no joint, or a motor would pull its joint beyond a limit. The
+            period is shorter than a control step, which would skip postures, or too long to count.
     """
     if not tree.dof_count:
         raise ValueError("the controller needs a creature with at least one joint")
@@ -220,12 +219,12 @@ def one_posture(controller: Controller, angle: float) -> Float[np.ndarray, " g"]
 def _beyond(
     tree: Tree, settings: PostureSettings
 ) -> tuple[Bool[Numbers, " d"], tuple[Number, Number]]:
-    """Joints that a motor would pull beyond a limit, and the outermost angles, degrees."""
+    """Return which joints a motor would pull beyond a limit, and the extreme angles, degrees."""
     lowest = settings.lowest_angle - settings.neutral_angle
     highest = lowest + settings.angle_step * (2**settings.bits_per_joint - 1)
     least, most = xp.deg2rad(xp.array([lowest, highest]))
     beyond = (least < tree.lower - _ANGLE_TOLERANCE) | (most > tree.upper + _ANGLE_TOLERANCE)
-    # A motor without a spring does not pull to any angle.
+    # A motor without a spring has no commanded angle.
     return beyond & (tree.servo_stiffness > 0), (lowest, highest)
 
 
@@ -240,9 +239,9 @@ def _check_limits(tree: Tree, settings: PostureSettings) -> None:
 
 
 def _steps_per_posture(ratio: float) -> Fraction:
-    """The fraction r for which ceil(k r) is ceil(k ratio) for k up to ``EXACT_PERIODS``.
+    """Return the fraction r for which ceil(k r) is ceil(k ratio), k up to ``EXACT_PERIODS``.
 
-    It is the smallest of all ceil(k ratio) / k: so k r <= ceil(k ratio) for each of these k, and
+    r is the smallest of all ceil(k ratio) / k. So k r <= ceil(k ratio) for each of these k, and
     r >= ratio gives the other side.
     """
     slack = TOLERANCE / EXACT_PERIODS

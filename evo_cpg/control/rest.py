@@ -1,7 +1,7 @@
-"""Which oscillators come to rest under a constant drive, checked by letting them run.
+"""Oscillators that come to rest under a constant drive, found by running the network.
 
-`evo_cpg.analysis.limit_cycle` says much more. This takes a second at most, so that it can be asked
-before every run.
+This takes a second at most, so it can be called before every run. A full analysis is in
+`evo_cpg.analysis.limit_cycle`.
 """
 
 from typing import Any
@@ -12,42 +12,41 @@ from jaxtyping import Bool, Float
 from evo_cpg.control.matsuoka import MatsuokaNetwork, parts, sub_network
 from evo_cpg.control.piecewise import BudgetError, Flow, Run, returned
 
-# How long the network runs at most, in units of T_r + T_a: in stretches, each half as long again.
+# Longest run of a network, in units of T_r + T_a, its first stretch, and the growth of stretches.
 _LONGEST, _STRETCH, _LONGER = 70.0, 10.0, 1.5
 
-# A stretch ends earlier where each neuron begins to fire more often in a unit of time.
+# Starts of firing per neuron and unit of time after which a stretch ends early.
 _ONSETS = 4
 
-# A part repeats itself where it came back to the same state but for this share of its swing, or, at
-# the end, for the larger share.
+# Largest distance between two states of a repeating part, as a fraction of its swing: while the
+# network runs, and at the end.
 _NEAR, _NEAR_ENOUGH = 1e-4, 0.02
 
-# An oscillator rests in a part that swings where its output swings by less than this share of what
-# its neurons fire.
+# Largest swing of the output of an oscillator at rest, as a fraction of its neurons' firing.
 _LEAST_SWING = 1e-3
 
-# Parts with more oscillators than this are first looked at by an inexact simulation: with all gains
-# at once, to these relative and absolute tolerances, for so long and then a little longer, in units
-# of the slower time constant. What swings there is not said to rest.
+# Parts with more oscillators than this first get an inexact simulation with all gains at once:
+# tolerances, then settling time and observed time in units of the slower time constant. Oscillators
+# that swing in it are not reported to rest.
 _LARGE = 12
 _RELATIVE, _ABSOLUTE = 1e-4, 1e-5
 _SETTLING, _SEEN = 60.0, 10.0
 
-# Steps of each part; what needs more is not said to rest.
+# Largest number of steps for each part. A part that needs more is not reported to rest.
 _BUDGET = 20_000
 
 
 def resting(
     network: MatsuokaNetwork, tonic_input: float, min_gain: float, max_gain: float
 ) -> list[int]:
-    """Oscillators whose output does not swing, with the smallest, middle and largest gain.
+    """Return the oscillators whose output does not swing, with smallest, middle and largest gain.
 
-    Only those count that certainly rest: the whole part is near a stable equilibrium, or it
-    repeats itself without them.
+    Only certain cases count: the whole part is near a stable equilibrium, or it repeats itself
+    while these oscillators rest.
 
     Args:
         network: connections and time constants.
-        tonic_input: u of every neuron; outputs are proportional to it where s is 0.
+        tonic_input: u of every neuron. Outputs are proportional to it if s is 0.
         min_gain: smallest b.
         max_gain: largest b.
     """
@@ -56,7 +55,7 @@ def resting(
     known: dict[bytes, Bool[np.ndarray, " o"]] = {}
     for chosen in parts(network):
         part = sub_network(network, chosen)
-        # The axes of a body are often alike.
+        # The axes of a body often form equal networks.
         same = part.matrix.tobytes() + np.asarray(part.initial_potential).tobytes()
         if same not in known:
             gains = np.linspace(min_gain, max_gain, 3)
@@ -64,7 +63,7 @@ def resting(
             if len(chosen) > _LARGE and drive > 0:
                 known[same] = _seems_to_rest(part, drive, gains)
             for gain in gains:
-                # With the first gain most parts swing, and nothing is left to check.
+                # Most parts swing with the first gain, and need no further check.
                 if known[same].any():
                     known[same] &= _part_rests(part, drive, gain)
         rests[list(chosen)] = known[same]
@@ -72,7 +71,7 @@ def resting(
 
 
 def _part_rests(part: MatsuokaNetwork, drive: float, gain: float) -> Bool[np.ndarray, " o"]:
-    """Which oscillators of a part rest with a gain."""
+    """Return which oscillators of a part rest with a gain."""
     count = part.oscillator_count
     flow = Flow(part, np.full((2, count), drive), np.full(count, gain))
     if not flow.driven:
@@ -97,7 +96,7 @@ def _part_rests(part: MatsuokaNetwork, drive: float, gain: float) -> Bool[np.nda
 def _seems_to_rest(
     part: MatsuokaNetwork, drive: float, gains: Float[np.ndarray, " g"]
 ) -> Bool[np.ndarray, " o"]:
-    """Which oscillators of a part seem to rest with all gains."""
+    """Return which oscillators of a part seem to rest with all gains."""
     from scipy.integrate import solve_ivp
 
     count = part.oscillator_count
@@ -105,7 +104,7 @@ def _seems_to_rest(
     rise_time, adaptation_time = float(part.rise_time), float(part.adaptation_time)
 
     def change(time: float, numbers: np.ndarray) -> np.ndarray:
-        """Eqs. 4-6 of Iwadate 2010, of a network for each gain."""
+        """Return the derivatives in eqs. 4-6 of Iwadate 2010, with one network for each gain."""
         del time
         potential, adaptation = numbers.reshape(2, 2, count, len(gains))
         firing = np.maximum(potential, 0.0)

@@ -1,14 +1,17 @@
-"""A trial as reverse-mode differentiation goes back through it.
+"""Reverse-mode differentiation of a trial: memory and fading of gradients.
 
-Two things are done that change nothing forwards. Memory: of each control step the way back needs
-what its programs started from (see `fusion.frontend.derivatives`), which is kept; where that is too
-much for the whole trial, only what goes from one segment to the next is, and the rest computed
-again (Griewank's checkpoints in two levels). Horizon: a small change
-early in a trial changes what comes later the more, the later it is, and where the motion is chaotic
-the exact slope of the end says little about any finite step. A *faded* slope forgets: on its way
-back it shrinks by a factor in every control step, except for what it says of the root's position,
-which only ever adds up. On the ground some moments are so chaotic that no fading holds: there a
-slope is cut as well, to what a state can sensibly say about the way that is still to come.
+Neither changes the forward computation.
+
+*Memory.* The backward pass needs the inputs of the programs of each control step
+(`fusion.frontend.derivatives`), which are kept. If they are too large for the whole trial, only the
+states between segments are kept. Each segment is then recomputed (Griewank's checkpoints in two
+levels).
+
+*Horizon.* A small early change grows with time. In chaotic motion the exact gradient of the end
+says little about any finite step. A *faded* gradient shrinks by a factor in every control step on
+the backward pass. Its part for the root's position does not shrink, because positions only add up.
+On the ground some moments are too chaotic for fading. There a gradient is also cut, in proportion
+to the gradient of the horizontal position.
 """
 
 import dataclasses
@@ -29,21 +32,21 @@ from evo_cpg.physics.state import State
 Carry = TypeVar("Carry")
 Values = TypeVar("Values")
 
-# What of a slope fades, beside nerves. On rough ways the height is one of them, and together they
-# are at most so many times as large (in SI units) as what the slope says of the place.
+# Parts of a gradient that fade, beside nerves. Over rough ground the height fades too. There their
+# norm (SI units) is at most this many times the norm of the horizontal position's gradient.
 _FADING = "orientation", "velocity", "q", "qd"
 _STEEPEST = 10.0
 
 
 class Backward(NamedTuple):
-    """How a trial is differentiated.
+    """How to differentiate a trial.
 
     Attributes:
-        retention: share of a slope that is left of it one control step further back; None to
-            leave the slope exact, which 1 does as well.
-        copies: of the trial that are computed at once by `jax.vmap` and share the memory.
-        rough: the way leads over ground, on which slopes may grow a millionfold in a tenth of a
-            second. They are cut, and what they say of the height fades.
+        retention: fraction of a gradient that is left one control step further back. None or 1
+            leaves the gradient exact.
+        copies: number of copies of the trial that `jax.vmap` computes at once in the same memory.
+        rough: True for motion over ground, where gradients may grow a millionfold in 0.1 s. They
+            are cut, and the gradient of the height fades.
     """
 
     retention: Float[Array, " *#n"] | float | None = None
@@ -51,12 +54,12 @@ class Backward(NamedTuple):
     rough: bool = False
 
     def scan(self, advance: Callable, carry: Carry, steps: int) -> Carry:
-        """`jax.lax.scan` of a function of the carry and the number of the step, for its carry.
+        """Run `jax.lax.scan` over the numbers of the steps, and return the last carry.
 
         Args:
-            advance: one control step; what it gives beside the carry is dropped.
-            carry: at the start.
-            steps: how many.
+            advance: one control step, ``(carry, number) -> (carry, result)``. Drops the result.
+            carry: initial carry.
+            steps: number of steps.
         """
 
         def segment(length: int) -> Callable:
@@ -72,7 +75,7 @@ class Backward(NamedTuple):
         kept = _kept_bytes(step, carry)
         if self.copies * steps * kept <= machine_constants.LARGEST_RESIDUALS:
             return segment(steps)(carry, 0)[0]
-        # The least memory for the states between segments and for one segment together.
+        # This length minimises the memory for states between segments plus one segment.
         length = max(1, math.isqrt(steps * _bytes(jax.tree.leaves(carry)) // kept))
         count, rest = divmod(steps, length)
         whole_segment = jax.checkpoint(segment(length), prevent_cse=False)
@@ -80,11 +83,11 @@ class Backward(NamedTuple):
         return segment(rest)(carry, count * length)[0] if rest else carry
 
     def forget(self, state: State, nerves: Any) -> tuple[State, Any]:
-        """Body and nerves as they are; slopes that come back through here fade and are cut.
+        """Return body and nerves unchanged; gradients that pass back through here fade and are cut.
 
         Args:
-            state: of the body.
-            nerves: whatever else goes on from step to step.
+            state: state of the body.
+            nerves: everything else that is carried from step to step.
         """
         if self.retention is not None:
             kept = jnp.asarray(self.retention, state.q.dtype)
@@ -98,12 +101,12 @@ class Backward(NamedTuple):
 
 
 def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[np.ndarray, " *n"]:
-    """Of slopes that fade to 1/e within the horizon (s); infinity keeps them."""
+    """Return the retention of gradients that fade to 1/e within the horizon (s); infinity: 1."""
     return np.exp(-1.0 / (horizon * control_rate))
 
 
 def _kept_bytes(step: Callable, carry: Any) -> int:
-    """What one control step leaves for the way back, bytes; not what is the same for all steps."""
+    """Return the bytes that a control step keeps for the backward pass, without constants."""
     pure, shared = jax.closure_convert(lambda carry: step(carry, jnp.zeros((), int))[0], carry)
 
     def leave(carry: Any, *shared: Array) -> list[Array]:
@@ -123,7 +126,7 @@ def _bytes(arrays: Iterable[Any]) -> int:
 
 
 def _fading(values: Values, factor: Array) -> Values:
-    """The same values; slopes with respect to them are multiplied by the factor."""
+    """Return the values; gradients with respect to them are multiplied by the factor."""
     return jax.tree.map(
         lambda x: _faded(x, factor) if jnp.issubdtype(x.dtype, jnp.inexact) else x, values
     )
@@ -144,9 +147,9 @@ def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> t
 
 @jax.custom_vjp
 def _cut(state: State) -> State:
-    """The same state; slopes with respect to it are no steeper than `_STEEPEST` allows.
+    """Return the state; gradients with respect to it are limited by `_STEEPEST`.
 
-    Where a slope says nothing of the place it is left as it is.
+    A gradient without a part for the horizontal position is not limited.
     """
     return state
 

@@ -1,10 +1,9 @@
 """Different bodies in one program: simulations of one plan as a batch, like genomes.
 
-A number of a simulation (a mass, a size, a drag coefficient) is a constant of the compiled program,
-which is what makes it fast. Where simulations differ in some numbers, these alone become inputs of
-the program, one value for each individual; what all have in common, zeros of matrices above all,
-stays constant. A program that was compiled for some bodies serves all others that differ in the
-same numbers.
+A number of a simulation (a mass, a size, a drag coefficient) is a constant of the compiled program.
+That makes the program fast. Numbers that differ between simulations become inputs of the program,
+one value for each individual. Numbers that all have in common stay constant, above all zeros of
+matrices. A compiled program serves all other bodies that differ in the same numbers.
 """
 
 from collections.abc import Sequence
@@ -18,27 +17,27 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.mixed_array import MixedArray
 from evo_cpg.spatial.numerics import is_number
 
-# Differences of so many units in the last place are rounding.
+# Differences of this many units in the last place are rounding.
 _ROUNDING = 16 * np.finfo(float).eps
 
 
 class LayoutError(ValueError):
-    """Simulations that differ in more than numbers."""
+    """Raised for simulations that differ in more than numbers."""
 
 
 class Inputs(NamedTuple):
-    """Which numbers of a simulation are inputs of its program.
+    """Numbers of a simulation that are inputs of its program.
 
     Attributes:
-        places: of its leaves that have such numbers.
-        elements: of each of these leaves, flattened.
+        places: indices of the leaves that contain such numbers.
+        elements: indices of these numbers in each of the flattened leaves.
     """
 
     places: tuple[int, ...]
     elements: tuple[Int[np.ndarray, " _"], ...]
 
     def of(self, simulation: Simulation) -> list[np.ndarray]:
-        """Their values, leaf by leaf."""
+        """Return the values of the inputs, leaf by leaf."""
         leaves = jax.tree.leaves(simulation)
         return [
             np.asarray(leaves[place], float).reshape(-1)[own]
@@ -46,7 +45,7 @@ class Inputs(NamedTuple):
         ]
 
     def put(self, simulation: Simulation, values: Sequence[Array]) -> Simulation:
-        """The simulation with other values, which may be traced; its other numbers stay known."""
+        """Return the simulation with these inputs, possibly traced; other numbers stay constant."""
         leaves, structure = jax.tree.flatten(simulation)
         for place, own, value in zip(self.places, self.elements, values, strict=True):
             known = np.asarray(leaves[place], float)
@@ -61,9 +60,9 @@ class BatchedSimulation(NamedTuple):
     """Simulations that differ in some numbers, one for each individual.
 
     Attributes:
-        common: a simulation of the same plan, with the numbers in which all agree.
-        inputs: the numbers in which they differ.
-        values: values of these numbers, leaf by leaf, with the individuals on the last axis.
+        common: a simulation of the same plan, with the numbers that all have in common.
+        inputs: the numbers that differ.
+        values: values of the inputs, leaf by leaf, with the individuals on the last axis.
     """
 
     common: Simulation
@@ -71,7 +70,7 @@ class BatchedSimulation(NamedTuple):
     values: Sequence[Float[np.ndarray | Array, "_ n"]]
 
     def __getitem__(self, individual: int) -> Simulation:
-        """The simulation of one individual, all of its numbers known."""
+        """Return the simulation of one individual, with all numbers known."""
         own = [np.asarray(value[:, individual]) for value in self.values]
         leaves, structure = jax.tree.flatten(self.common)
         parts = zip(self.inputs.places, self.inputs.elements, own, strict=True)
@@ -90,16 +89,16 @@ class BatchedSimulation(NamedTuple):
 def batch(
     common: Simulation, simulations: Sequence[Simulation], like: BatchedSimulation | None = None
 ) -> BatchedSimulation:
-    """Simulations as a batch.
+    """Combine simulations into a batch.
 
     Args:
-        common: one of the same plan.
-        simulations: at least one; bodies of one plan in worlds of one kind.
-        like: a batch for which a program was compiled that is to serve these as well: they have
-            the same in common, and may differ in the same numbers.
+        common: a simulation of the same plan.
+        simulations: at least one simulation. All have bodies of one plan in worlds of one kind.
+        like: a batch with a compiled program that should serve these simulations too. They must
+            have its constants, and may differ only in its inputs.
 
     Raises:
-        LayoutError: they differ in more than numbers.
+        LayoutError: the simulations differ in more than numbers.
         ValueError: they differ in other numbers than ``like``, or in none.
     """
     every = [like.common if like else common, *simulations]
@@ -133,9 +132,9 @@ def batch(
 
 
 def _differs(each: np.ndarray) -> np.ndarray | np.bool_:
-    """Which elements differ along the first axis by more than rounding."""
+    """Return which elements differ along the first axis by more than rounding."""
     if not np.issubdtype(each.dtype, np.floating):
         return (each != each[:1]).any(0)
     largest = np.abs(each, where=np.isfinite(each), out=np.zeros_like(each)).max(initial=0.0)
-    # An infinity, a torque limit that is none, is close to another one.
+    # isclose accepts equal infinities, such as those of unlimited torques.
     return np.any(~np.isclose(each, each[:1], rtol=0, atol=_ROUNDING * largest), axis=0)

@@ -1,4 +1,4 @@
-"""Displacement of the animal, whatever it is judged by."""
+"""Displacement of the animal, independent of its task."""
 
 import dataclasses
 
@@ -12,15 +12,15 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.task import Transition
 
-# Name of the term; no term of a task of one's own is called so.
+# Name of the term. The parentheses keep it apart from terms of users' tasks.
 DISPLACEMENT = "(displacement of the root)"
 
 
 class RootDisplacement(Measure):
     """Displacement of the root, m.
 
-    With a light: how much nearer to it the root is at the end. Without one: the straight line over
-    the ground from the root's place at the start.
+    With a light: decrease of the root's distance to it. Without one: straight line over the ground
+    from the root's initial place.
     """
 
     lit: bool = eqx.field(static=True)

@@ -1,8 +1,8 @@
-"""What the genes of an individual mean: the one place that knows.
+"""Meaning of the genes of an individual, defined here only.
 
-A genome is a vector of numbers. Today all of them belong to the controller. Whatever evolves beside
-it is counted, drawn, bounded and decoded here, and gets a field of `Phenotype`. Searches, run
-folders, commands and the API know a genome as a vector of `Genome.count` numbers.
+A genome is a vector of numbers. At present all of them belong to the controller. Anything else that
+evolves is counted, drawn, bounded and decoded here, and gets a field of `Phenotype`. Searches, run
+folders, commands and the API treat a genome as a vector of `Genome.count` numbers.
 """
 
 from typing import NamedTuple
@@ -15,10 +15,10 @@ from evo_cpg.control.controller import Controller
 
 
 class Phenotype(NamedTuple):
-    """What the genes of every individual became.
+    """Decoded genes of every individual.
 
     Attributes:
-        controller: what `Controller.act` takes of them, see `Controller.decode`.
+        controller: genes as `Controller.act` takes them, see `Controller.decode`.
     """
 
     controller: PyTree[Array]
@@ -28,7 +28,7 @@ class Genome(NamedTuple):
     """The genes of all individuals of an experiment.
 
     Attributes:
-        controller: whose genes they are.
+        controller: controller that the genes belong to.
     """
 
     controller: Controller
@@ -40,7 +40,7 @@ class Genome(NamedTuple):
 
     @property
     def binary(self) -> bool:
-        """Whether genes are bits, 0 or 1."""
+        """Return whether genes are bits, 0 or 1."""
         return self.controller.binary
 
     def random(
@@ -54,7 +54,7 @@ class Genome(NamedTuple):
         return genes
 
     def decode(self, genes: Float[Array, "g *n"]) -> Phenotype:
-        """Return what the genes become; called once per trial."""
+        """Return the decoded genes; called once per trial."""
         return Phenotype(self.controller.decode(genes))
 
     def bound(self, largest: float) -> float | None:
@@ -62,7 +62,7 @@ class Genome(NamedTuple):
         return None if self.binary else largest
 
     def misfit(self, genes: Float[np.ndarray, " _"]) -> str | None:
-        """Say what is wrong with the genes of one individual; None if they fit."""
+        """Return what is wrong with the genes of one individual; None if they fit."""
         if genes.shape == (self.count,):
             return None
         return f"the genome has {genes.size} genes, not {self.count}"

@@ -15,8 +15,8 @@ from evo_cpg.simulation.rules import keeps
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task, Transition
 
-# Beyond these rates (rad/s) and speeds (m/s) a trial counts as diverged: no animal of metre size
-# moves like that, and the step no longer resolves it.
+# A trial counts as diverged beyond these rates (rad/s) and speeds (m/s). No animal of metre size
+# moves so fast, and the time step no longer resolves such motion.
 _WILDEST_RATE = 1e3
 _WILDEST_SPEED = 1e2
 

@@ -1,17 +1,17 @@
-"""Measures of gait: numbers of a whole trial that say how an animal moves, whatever its task.
+"""Measures of gait: numbers that describe the motion in a whole trial, for any task.
 
 They stand beside the task's terms, and maps of behaviour (`evo_cpg.evolution.map_elites`) have them
-as axes. Each is a class with the same three functions, like a task; the table `MEASURES` has them
-by name. Distances are those of the root's centre, in a straight line from start to end: over ground
-its height does not count.
+as axes. Each is a class with the same three functions, like a task. The table `MEASURES` lists them
+by name. Distances are straight lines from the initial to the final place of the root's centre.
+Over ground its height does not count.
 
-| name | what | unit |
+| name | meaning | unit |
 |---|---|---|
 | ``speed`` | distance by time | m/s |
 | ``cost_of_transport`` | energy of the motors by weight and distance (Tucker 1975) | - |
 | ``power`` | energy of the motors by time | W |
-| ``duty_factor`` | share of time on the ground, mean of the limbs that ever touch it | - |
-| ``airborne`` | share of time in which nothing touches the ground | - |
+| ``duty_factor`` | fraction of time on the ground, mean of the limbs that ever touch it | - |
+| ``airborne`` | fraction of time in which nothing touches the ground | - |
 | ``frequency`` | half of the changes of sign of the joints' rates, by time, mean of all | Hz |
 | ``amplitude`` | standard deviation of the joints' angles, mean of all joints | rad |
 | ``turning`` | mean rate of the root about the vertical, to the left | rad/s |
@@ -29,16 +29,16 @@ from jaxtyping import Array, Float, PyTree
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.task import Transition
 
-# Least distance (m) that is divided by, so that an animal that stays has a finite cost.
+# Least distance (m) to divide by, so that an animal that stays in place has a finite cost.
 _NOWHERE = 1e-6
 
 
 class Trial(NamedTuple):
-    """What a measure may ask for at the end.
+    """Facts about the whole trial that a measure may use at the end.
 
     Attributes:
         world: the animal in its surroundings.
-        duration: of the trial, s.
+        duration: duration of the trial, s.
     """
 
     world: World
@@ -50,19 +50,19 @@ class Measure(eqx.Module):
 
     @abc.abstractmethod
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> PyTree:
-        """The tally before the trial."""
+        """Return the tally before the trial."""
 
     @abc.abstractmethod
     def update(self, tally: PyTree, transition: Transition) -> PyTree:
-        """The tally after one more control step: same structure, shapes and types."""
+        """Return the tally after one more control step: same structure, shapes and types."""
 
     @abc.abstractmethod
     def finish(self, tally: PyTree, trial: Trial) -> Float[Array, " *n"]:
-        """The number."""
+        """Return the number."""
 
 
 class Displacement(NamedTuple):
-    """Place of the root at the start of the trial and at its end so far, m."""
+    """Initial place of the root in the trial, and its latest place, m."""
 
     start: Float[Array, "c *n"]
     end: Float[Array, "c *n"]
@@ -98,7 +98,7 @@ class Speed(Measure):
 
 
 class Spent(NamedTuple):
-    """Energy so far, J, and the displacement."""
+    """Energy so far, J, and displacement."""
 
     energy: Float[Array, " *n"]
     displacement: Displacement
@@ -124,7 +124,7 @@ class CostOfTransport(Measure):
 
 
 class _Total(Measure):
-    """A sum over the trial, by its duration."""
+    """Sum over the trial, divided by its duration."""
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:
         """See `Measure.begin`."""
@@ -140,22 +140,22 @@ class _Total(Measure):
 
     @abc.abstractmethod
     def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """What a control step adds."""
+        """Return the addend of a control step."""
 
 
 class Power(_Total):
     """Energy of the motors by time, W."""
 
     def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """Energy, J."""
+        """Return the energy, J."""
         return transition.energy
 
 
 class Airborne(_Total):
-    """Share of time in which nothing touches the ground."""
+    """Fraction of time in which nothing touches the ground."""
 
     def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """Time in the air, s."""
+        """Return the time in the air, s."""
         return transition.airborne * transition.before.control_step
 
 
@@ -163,7 +163,7 @@ class Turning(_Total):
     """Mean rate of the root about the vertical, rad/s."""
 
     def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """By how much it turns to the left, rad."""
+        """Return the turn to the left, rad."""
         return transition.after.state.velocity[2] * transition.before.control_step
 
 
@@ -171,20 +171,20 @@ class Tilt(_Total):
     """Mean of 1 - cos(angle of the root's up to the vertical)."""
 
     def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """That of the step, times its length."""
+        """Return 1 - cos(angle) at the start of the step, times the length of the step in s."""
         _, x, y, _ = transition.before.state.orientation
         return 2.0 * (x * x + y * y) * transition.before.control_step
 
 
 class Strides(NamedTuple):
-    """Signs of the joints' rates a step ago (0 before the first), and how often they changed."""
+    """Signs of the joints' rates a step ago (0 before the first), and numbers of their changes."""
 
     sign: Float[Array, "d *n"]
     changes: Float[Array, "d *n"]
 
 
 class Frequency(Measure):
-    """How often the joints swing to and fro, Hz."""
+    """Mean frequency of the joints' oscillation, Hz."""
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Strides:
         """See `Measure.begin`."""
@@ -204,14 +204,14 @@ class Frequency(Measure):
 
 
 class Swing(NamedTuple):
-    """Sums of the joints' angles and of their squares, by time."""
+    """Time integrals of the joints' angles and of their squares."""
 
     angle: Float[Array, "d *n"]
     square: Float[Array, "d *n"]
 
 
 class Amplitude(Measure):
-    """Standard deviation of the joints' angles, rad."""
+    """Standard deviation of the joints' angles, mean of all joints, rad."""
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Swing:
         """See `Measure.begin`."""
@@ -231,19 +231,19 @@ class Amplitude(Measure):
 
 
 class DutyFactor(Measure):
-    """Share of control steps on the ground, mean of the bodies that ever touch it but for the root.
+    """Fraction of control steps on the ground, mean of all bodies that ever touch it but the root.
 
-    A step counts as a whole, however short its contact was.
+    A step counts as a whole, however short its contact is.
     """
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:
-        """Time on the ground of every body that can touch it, s."""
+        """Return zero as the time on the ground (s) of every body that can touch it."""
         return jnp.zeros((len(_limbs(world)), *batch), dtype)
 
     def update(self, tally: Array, transition: Transition) -> Array:
         """See `Measure.update`."""
         force, step = transition.forces.contact_force, transition.before.control_step
-        # World axes: what the ground does to a point has a part along its normal, so some part.
+        # A contact force has a part along the normal, so it is not zero in world axes.
         touched = (force * force).sum(0) > 0
         owners = transition.before.contact_bodies
         rows = [
@@ -270,15 +270,15 @@ MEASURES: dict[str, type[Measure]] = {
     "turning": Turning,
 }
 
-# Those that mean nothing in free water.
+# Measures that mean nothing in free water.
 GROUND_MEASURES = ("airborne", "duty_factor")
 
 
 class Measures(eqx.Module):
-    """Several of them, by name.
+    """Several measures, by name.
 
     Attributes:
-        names: of each.
+        names: name of each measure.
         each: the measures.
     """
 
@@ -289,15 +289,15 @@ class Measures(eqx.Module):
         return Measures(self.names + other.names, self.each + other.each)
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> dict[str, PyTree]:
-        """The tallies before a trial."""
+        """Return the tallies before a trial."""
         return {name: one.begin(world, batch, dtype) for name, one in self._named()}
 
     def update(self, tallies: dict[str, PyTree], transition: Transition) -> dict[str, PyTree]:
-        """The tallies after one more control step."""
+        """Return the tallies after one more control step."""
         return {name: one.update(tallies[name], transition) for name, one in self._named()}
 
     def finish(self, tallies: dict[str, PyTree], trial: Trial) -> dict[str, Float[Array, " *n"]]:
-        """The numbers."""
+        """Return the numbers by name."""
         return {name: one.finish(tallies[name], trial) for name, one in self._named()}
 
     def _named(self) -> zip:
@@ -310,14 +310,14 @@ def measures(*names: str) -> Measures:
 
 
 def distance(displacement: Displacement, world: World) -> Float[Array, " *n"]:
-    """In a straight line, m; over ground heights do not count."""
+    """Return the length of the displacement, m; over ground without its height."""
     x, y, z = displacement.end - displacement.start
     level = x * x + y * y
     return jnp.sqrt(level if world.contact_model is not None else level + z * z)
 
 
 def _limbs(world: World) -> list[int]:
-    """Bodies with contact points, but for the root, which is the first."""
+    """Return the bodies with contact points, without the root, which is body 0."""
     contact_model = world.contact_model
     owners = np.array(() if contact_model is None else contact_model.bodies, int)
     return [int(body) for body in np.unique(owners) if body > 0]

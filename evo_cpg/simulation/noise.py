@@ -1,13 +1,13 @@
-"""Chance in a trial: where the animal starts, and how it is pushed about.
+"""Noise in a trial: in the initial pose, the pushes, and the friction.
 
-Fukui 2003, chapter 4, finds that his simulation is not perfectly repeatable, so that chance
-decides who is kept. Here a trial repeats to the last bit, and chance is put in on purpose, from
-random numbers that belong to the trial alone (see `evo_cpg.training.experiment.trial_keys`).
+Fukui 2003, chapter 4, finds that his simulation is not perfectly repeatable, so chance affects
+selection. Here a trial repeats to the last bit. Noise is added on purpose, from random numbers of
+the trial alone (see `evo_cpg.training.experiment.trial_keys`).
 
-How rough the ground is differs from trial to trial, and not within one.
+The friction of the ground varies between trials, and not within one.
 
-The push is a random walk added to the root's velocity: over a time t its standard deviation is
-``push sqrt(t)``, however long a control step is.
+The push is a random walk added to the root's velocity. Its standard deviation over a time t is
+``push sqrt(t)``, for any length of a control step.
 """
 
 from collections.abc import Callable
@@ -32,15 +32,15 @@ _START, _PUSH, _FRICTION = 0, 1, 2
 
 
 class Noise(eqx.Module):
-    """How large chance is; what is 0 costs nothing.
+    """Sizes of the noise; a size of 0 costs no time.
 
     Attributes:
-        joint_angle: standard deviation of every joint angle at the start, rad; no joint starts
-            beyond its limits.
-        tilt: standard deviation of the root's roll and of its pitch at the start, rad.
-        push: of the root in each direction, m/s per square root of a second.
-        friction: by up to such a share the ground's friction, static and dynamic, differs from
-            trial to trial, up and down.
+        joint_angle: standard deviation of every initial joint angle, rad. Joint limits are kept.
+        tilt: standard deviation of the root's initial roll and pitch, rad.
+        push: standard deviation of the root's velocity in each direction, m/s per square root of a
+            second.
+        friction: largest relative change of the ground's static and dynamic friction in a trial,
+            up or down.
     """
 
     joint_angle: float = 0.0
@@ -50,7 +50,7 @@ class Noise(eqx.Module):
 
     @property
     def silent(self) -> bool:
-        """Whether every trial of an individual is the same; never where a size is traced."""
+        """Return whether all trials of an individual are equal; False if a size is traced."""
         return all(
             _is_none(size) for size in (self.joint_angle, self.tilt, self.push, self.friction)
         )
@@ -59,10 +59,10 @@ class Noise(eqx.Module):
 def disturb_start(
     noise: Noise, world: World, state: State, keys: UInt32[Array, "w *n"] | None
 ) -> State:
-    """The pose at the start, as chance has it; lifted where that would be in the ground.
+    """Return the initial pose with noise; it is lifted if it would penetrate the ground.
 
     Args:
-        noise: how large chance is.
+        noise: sizes of the noise.
         world: the creature and its surroundings.
         state: the pose without noise.
         keys: raw random keys of the trials; None without noise.
@@ -71,7 +71,7 @@ def disturb_start(
         return state
     tree = world.tree
     turn, bend = jnp.split(_normals(keys, _START, 2 + tree.dof_count), [2])
-    # The rotation vector as a rate that is held for a second.
+    # The rotation vector is a rate that is held for one second.
     tilt = noise.tilt * jnp.concatenate([turn, jnp.zeros_like(turn[:1])])
     lower, upper = (expand_dims_like(limit, state.q) for limit in (tree.lower, tree.upper))
     state = State(
@@ -97,14 +97,14 @@ def disturb_motion(
     index: Array,
     duration: float,
 ) -> State:
-    """The state after the push of one control step.
+    """Return the state after the push of one control step.
 
     Args:
-        noise: how large chance is.
-        state: before it.
+        noise: sizes of the noise.
+        state: state before the push.
         keys: raw random keys of the trials; None without noise.
         index: number of the control step.
-        duration: of a control step, s.
+        duration: duration of a control step, s.
     """
     if keys is None or _is_none(noise.push):
         return state
@@ -128,14 +128,14 @@ def friction_scale_of(
 
 
 def _is_none(size: ArrayLike) -> bool:
-    """Whether there is no such noise; a traced size is one."""
+    """Return whether the size is 0; False for a traced size."""
     return not (is_traced(size) or size)
 
 
 def _normals(
     keys: UInt32[Array, "w *n"], stream: int, count: int, index: Array | int = 0
 ) -> Float[Array, "count *n"]:
-    """Normal deviates of every trial: each has its own, whoever else there is."""
+    """Return normal deviates of every trial, independent of the other trials in the batch."""
 
     def of_trial(key: Shaped[Array, ""]) -> Float[Array, " count"]:
         key = jax.random.fold_in(jax.random.fold_in(key, stream), index)
@@ -147,7 +147,7 @@ def _normals(
 def _of_each(
     of_trial: Callable[[Shaped[Array, ""]], Array], keys: UInt32[Array, "w *n"]
 ) -> Float[Array, "..."]:
-    """What is drawn with the key of every trial, on the trailing axes."""
+    """Return the draws of every trial with its key, with the trials on the trailing axes."""
     batch = keys.shape[1:]
     if not batch:
         return of_trial(jax.random.wrap_key_data(keys))

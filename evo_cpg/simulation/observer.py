@@ -21,7 +21,7 @@ from evo_cpg.simulation.simulation import Simulation
 
 
 class Seen(NamedTuple):
-    """One control step as an observer sees it.
+    """View of one control step for an observer.
 
     Attributes:
         simulation: the trial.

@@ -1,11 +1,11 @@
-"""Estimate how many operations the native code of a trial has, without making it.
+"""Estimate the number of operations in the native code of a trial, without compiling it.
 
 Every scalar of a trial becomes one operation, and equal limbs are all written out
-(`evo_cpg.fusion`). So the number grows with the creature, and the time to compile with the number.
-A loop has one round in the code, so neither steps nor individuals count.
+(`evo_cpg.fusion`). The number grows with the creature, and the compile time with the number. A loop
+has one round in the code, so the numbers of steps and individuals do not count.
 
-The weights are fitted to the true numbers of the shipped creatures and of random ones with 2 to
-100 bodies, on land and in water.
+The weights are fitted to the true numbers of the shipped creatures and of random creatures with 2
+to 100 bodies, on land and in water.
 """
 
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from evo_cpg.physics.step import needs_iteration
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.simulation import Simulation
 
-# Operations for one of each thing that `_counts` counts.
+# Operations per item that `_counts` counts.
 _WEIGHTS = {
     "bodies": {"body": 340.0, "axis": 300.0},
     "limits": {"axis": 340.0, "axis below axis": 30.0},
@@ -57,16 +57,16 @@ _WEIGHTS = {
 
 
 class Operations(NamedTuple):
-    """The operations of a trial by what causes them, about.
+    """Approximate numbers of operations in a trial, by cause.
 
     Attributes:
-        bodies: the bodies and their joints.
+        bodies: bodies and their joints.
         ground: contact with the floor.
-        obstacles: contact with what stands on it.
-        pairs: bodies that may touch each other.
-        water: force laws, of the water and others.
-        controller: the nervous system.
-        noise: chance.
+        obstacles: contact with obstacles on the floor.
+        pairs: contact between bodies.
+        water: force laws, of water and others.
+        controller: nervous system.
+        noise: noise.
     """
 
     bodies: float
@@ -79,7 +79,7 @@ class Operations(NamedTuple):
 
     @property
     def total(self) -> float:
-        """Of the whole trial."""
+        """Number of operations in the whole trial."""
         return sum(self)
 
 
@@ -101,7 +101,7 @@ def estimate_operations(simulation: Simulation) -> Operations:
 
 
 def _counts(simulation: Simulation) -> dict[str, dict[str, float]]:
-    """Count the things that operations come from."""
+    """Count the items that need operations."""
     world, tree = simulation.world, simulation.world.tree
     axes = tree.dof_count
     chains = [set(chain_to_root(tree, body)) for body in range(tree.body_count)]
@@ -151,7 +151,7 @@ def _of_meshes(contact_model: ContactModel) -> dict[str, float]:
 
 
 def _of_pairs(tree: Tree, chains: list[set[int]], pairs: Pairs) -> dict[str, float]:
-    """Count what is written out for pairs."""
+    """Count the items that are written out for pairs."""
     if pairs.looped:
         return {}
     axes = np.array([_between(tree, chains, *pair) for pair in zip(*pairs.owners, strict=True)])
@@ -162,7 +162,7 @@ def _of_pairs(tree: Tree, chains: list[set[int]], pairs: Pairs) -> dict[str, flo
 
 
 def _of_loops(tree: Tree, chains: list[set[int]], pairs: Pairs) -> dict[str, float]:
-    """Count what loops over pairs are made of: a round for each kind."""
+    """Count the items in loops over pairs: one round for each kind."""
     if not pairs.looped:
         return {}
     longest = max(

@@ -1,7 +1,7 @@
-"""A trial physics step by physics step: what an audit looks at.
+"""Physics steps of a trial, for an audit.
 
-A recording has the motion once per control step, as films and plots need it. Here are the states
-before and after every physics step, with what motors, ground and limbs did in it.
+A recording has the motion once per control step, for films and plots. This module returns the
+states before and after every physics step, with the forces of motors, ground and limbs.
 """
 
 import dataclasses
@@ -17,20 +17,22 @@ from evo_cpg.simulation.simulation import Simulation
 
 
 class PhysicsSteps(NamedTuple):
-    """One individual in every physics step of a trial; the last axis of every array is time.
+    """Physics steps of one individual; the last axis of every array is time.
 
     Attributes:
-        before: at its beginning, after the push of chance if there is any.
-        after: at its end.
-        target_rate: what the controller asked of each motor, rad/s.
-        target_angle: where it asked the motors' springs to pull to, rad.
-        torque: of the motors, N m.
-        contact_force: of the ground on every contact point, world axes, N; none without ground.
-        pair_force: with which limbs push each other, N; none where none can meet.
-        solved_residual: of the step's equations (`evo_cpg.physics.equations.Residual`); 0 where one
-            solve is exact.
-        coulomb_residual: likewise.
-        light: seen by each eye in the control step, 0 to 1.
+        before: state at the start of the step, after any push by noise.
+        after: state at the end of the step.
+        target_rate: commanded rate of each motor, rad/s.
+        target_angle: commanded neutral angle of the motors' springs, rad.
+        torque: torque of the motors, N m.
+        contact_force: force of the ground on every contact point, world axes, N; none without
+            ground.
+        pair_force: force between touching limbs, N; none if no limbs can touch.
+        solved_residual: residual of the step's equations (`evo_cpg.physics.equations.Residual`); 0
+            where one solve is exact.
+        coulomb_residual: residual of Coulomb's law (`evo_cpg.physics.equations.Residual`); 0 where
+            one solve is exact.
+        light: light seen by each eye in the control step, 0 to 1.
     """
 
     before: State
@@ -47,9 +49,9 @@ class PhysicsSteps(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class EachPhysicsStep(Observer):
-    """Keeps the first individual of a population in every physics step.
+    """Keeps every physics step of the first individual of a population.
 
-    Neighbours make the numbers come out as in training.
+    The other individuals are simulated too, so that the numbers equal those of training.
     """
 
     every_step = True

@@ -1,7 +1,7 @@
-"""Programs that serve all animals of one plan: worlds that differ in numbers alone.
+"""Programs that serve all animals of one plan: worlds that differ only in numbers.
 
-A trial has its numbers as constants, which makes it fast. What is computed once per animal, such as
-where it stands at the start, takes them as arguments instead, and is compiled once for them all.
+A trial has its numbers as constants, which makes it fast. Programs that run once per animal, such
+as the search for its initial pose, take the numbers as arguments. They are compiled once per plan.
 """
 
 from collections.abc import Callable
@@ -16,36 +16,36 @@ from evo_cpg.spatial.numerics import TABLES, is_number
 
 _Program = TypeVar("_Program")
 
-# Programs of a kind that are kept.
+# Largest number of programs of a kind that are kept.
 _MOST = 8
 
 
 class WorldPlan:
-    """What worlds have in common that differ in numbers alone.
+    """Common part of worlds that differ only in numbers.
 
     Args:
-        world: one of them.
+        world: one of these worlds.
     """
 
     def __init__(self, world: World):
         leaves, self._layout = jax.tree_util.tree_flatten_with_path(world)
         self._count = len(leaves)
-        # Everything that is no number stays as it is.
+        # Leaves that are not numbers are fixed.
         self._fixed = {i: leaf for i, (path, leaf) in enumerate(leaves) if not _varies(path, leaf)}
 
     def numbers(self, world: World) -> list[Any]:
-        """Those of a world of this plan."""
+        """Return the numbers of a world of this plan."""
         leaves = jax.tree.leaves(world)
         return [leaf for i, leaf in enumerate(leaves) if i not in self._fixed]
 
     def world(self, numbers: list[Array]) -> World:
-        """The world that has these numbers, which may be traced."""
+        """Return the world with these numbers, which may be traced."""
         others = iter(numbers)
         every = [self._fixed[i] if i in self._fixed else next(others) for i in range(self._count)]
         return jax.tree.unflatten(self._layout, every)
 
     def is_of(self, world: World) -> bool:
-        """Whether a world has this plan."""
+        """Return whether a world has this plan."""
         leaves, layout = jax.tree_util.tree_flatten_with_path(world)
         return layout == self._layout and all(
             np.array_equal(self._fixed[i], leaf) if i in self._fixed else _varies(path, leaf)
@@ -54,7 +54,7 @@ class WorldPlan:
 
 
 class _Made(NamedTuple):
-    """A program with what it was made for."""
+    """A program with the plan and settings that it was made for."""
 
     plan: WorldPlan
     settings: tuple[Any, ...]
@@ -62,21 +62,21 @@ class _Made(NamedTuple):
 
 
 class Programs(Generic[_Program]):
-    """Programs of a kind, one for each plan; those that were used last are kept.
+    """Programs of a kind, one for each plan; the most recently used are kept.
 
     Args:
-        make: a program, for a plan and some settings.
+        make: function that makes a program from a plan and settings.
     """
 
     def __init__(self, make: Callable[..., _Program]):
         self._make, self.kept = make, []
 
     def of(self, world: World, *settings: Any) -> tuple[_Program, list[Any]]:
-        """The program for a world, and the world's numbers.
+        """Return the program for a world, and the world's numbers.
 
         Args:
-            world: of any plan.
-            settings: arrays and numbers for which it is made.
+            world: world of any plan.
+            settings: arrays and numbers for which the program is made.
         """
         for i, made in enumerate(self.kept):
             if made.plan.is_of(world) and all(map(np.array_equal, made.settings, settings)):

@@ -2,10 +2,10 @@
 
     f(D, E, L) = -a D - b E + c L,    a D_max > c L_max > b E_max            (eqs. 9 and 10)
 
-with D the distance to the light at the end (mean of the last second), E the energy spent by the
-motors and L the light seen by the best eye, averaged over the trial. All three are normalised: D
-by the distance at the start, E by what is given or by the 95th percentile of the first generation.
-Eq. 10 then reads ``a > c > b``.
+D is the distance to the light at the end (mean of the last second). E is the energy of the motors.
+L is the light seen by the best eye, averaged over the trial. All three are normalised: D by the
+initial distance, E by a given value or the 95th percentile of the first generation. Eq. 10 then
+reads ``a > c > b``.
 """
 
 from collections.abc import Mapping
@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 from evo_cpg.simulation.task import Task, Transition
 from evo_cpg.spatial.numerics import Number, Triple
 
-# An animal that flees is not punished beyond this multiple of the starting distance, so that one
-# wild individual cannot dominate averages.
+# Upper limit of the normalised distance, so that one individual that flees cannot dominate
+# averages.
 _FARTHEST = 1.5
 
 # Scale of the energy: this percentile of the first generation is E_max.
@@ -38,12 +38,12 @@ class ReachLight(Task):
     """Swim to a point light.
 
     Attributes:
-        light: place of the light, m, where a situation does not have its own.
+        light: place of the light, m, for situations without their own.
         distance_weight: a.
         energy_weight: b.
         light_weight: c.
         final_steps: control steps at the end over which the distance is averaged.
-        energy_max: E_max, J; None for the first generation's.
+        energy_max: E_max, J; None to measure it on the first generation.
     """
 
     light: Triple
@@ -71,7 +71,7 @@ class ReachLight(Task):
         )
 
     def terms(self, tally: LightTally, steps: int) -> dict[str, Float[Array, " *n"]]:
-        """``distance`` (share of the start's), ``energy`` (J) and ``light`` (mean, 0 to 1)."""
+        """Return ``distance`` (relative to the start), ``energy`` (J), ``light`` (mean, 0 to 1)."""
         final = tally.final_distance / min(self.final_steps, steps)
         return {
             "distance": final / tally.start_distance,
@@ -80,7 +80,7 @@ class ReachLight(Task):
         }
 
     def scales(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Float[Array, ""]]:
-        """``energy``: E_max, as given or the 95th percentile of the first generation, J."""
+        """Return ``energy``: E_max, as given or the 95th percentile of the first generation, J."""
         if self.energy_max is not None:
             return {"energy": jnp.asarray(self.energy_max, terms["energy"].dtype)}
         energy = jnp.where(jnp.isfinite(terms["energy"]), terms["energy"], jnp.nan)
@@ -101,7 +101,7 @@ class ReachLight(Task):
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
-        """Eq. 9 on the normalised terms."""
+        """Return eq. 9 with the normalised terms."""
         return (
             -self.distance_weight * jnp.minimum(terms["distance"], _FARTHEST)
             - self.energy_weight * jnp.minimum(terms["energy"] / scales["energy"], 1.0)
@@ -112,6 +112,6 @@ class ReachLight(Task):
 def _distance(
     position: Float[Array, "3 *n"], light: Float[Array, "3 *#n"] | None
 ) -> Float[Array, " *n"]:
-    """From the light, m."""
+    """Return the distance from the light, m."""
     assert light is not None
     return jnp.sqrt(jnp.sum((light - position) ** 2, 0))

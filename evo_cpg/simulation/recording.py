@@ -1,4 +1,4 @@
-"""The motion of one individual, as films, plots and exports need it."""
+"""Motion of one individual, for films, plots and exports."""
 
 import dataclasses
 import functools
@@ -19,30 +19,30 @@ from evo_cpg.simulation.observer import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.linear import cross, expand_dims_like
 
-# Names of frames that hold readings of senses, and the state of the controller, begin so.
+# First parts of the names of frames with readings of senses and with the controller's state.
 SENSE, NERVE = "sense.", "nerve."
 
 
 class RecordingError(UserError, ValueError):
-    """A motion of which nothing can be shown."""
+    """Raised for a motion that cannot be shown."""
 
 
 class Recording(NamedTuple):
-    """What one animal did in one trial, sampled once per control step.
+    """Motion of one animal in one trial, sampled once per control step.
 
     Bodies are in the order of ``creature.bodies``, degrees of freedom in that of ``dof_names``.
 
     Attributes:
-        time: s.
+        time: time since the start of the trial, s.
         position: centre of every body in the world, m.
-        rotation: body to world.
-        joint_angle: rad.
-        target_rate: what the controller asked of each motor, rad/s.
-        cpg_output: output of each oscillator, or of whatever drives a degree of freedom.
-        torque: applied by each motor, N m.
-        distance: from the root to its goal, m; without a goal from the start, over ground.
-        goal: place of the light in the world, m; NaN where there is none.
-        dof_names: ``body.axis``.
+        rotation: rotation of every body, from body to world axes.
+        joint_angle: joint angles, rad.
+        target_rate: commanded rate of each motor, rad/s.
+        cpg_output: output of each oscillator, or of any other source of the rhythm.
+        torque: torque of each motor, N m.
+        distance: distance from the root to its goal, m; without a goal from the start, over ground.
+        goal: place of the light in the world, m; NaN without a light.
+        dof_names: name of each degree of freedom, ``body.axis``.
     """
 
     time: Float[np.ndarray, " t"]
@@ -65,10 +65,10 @@ class Recording(NamedTuple):
 
 
 def require_shapes(recording: Recording) -> None:
-    """Check that the arrays of a recording are of one motion.
+    """Check that the arrays of a recording belong to one motion.
 
     Raises:
-        RecordingError: they hold nothing, or have different numbers of instants, bodies or joints.
+        RecordingError: arrays are empty, or differ in numbers of instants, bodies or joints.
     """
     instants, dofs = len(recording.time), len(recording.dof_names)
     bodies = recording.position.shape[1] if recording.position.ndim > 1 else 0
@@ -90,14 +90,14 @@ def require_shapes(recording: Recording) -> None:
 
 
 def require_whole(recording: Recording, creature: Creature) -> None:
-    """Check that a recording shows an animal from its start to its end.
+    """Check that a recording shows a creature in a complete motion.
 
     Args:
         recording: the motion.
-        creature: the animal.
+        creature: the creature.
 
     Raises:
-        RecordingError: it holds no instant, has other bodies, or is not finite.
+        RecordingError: the recording has no instants, has other bodies, or is not finite.
     """
     if not len(recording.time):
         raise RecordingError("the recording is empty: it holds no instant")
@@ -117,12 +117,12 @@ def require_whole(recording: Recording, creature: Creature) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Recorder(Observer):
-    """Keeps arrays of every control step by name, from which `as_recording` makes a motion.
+    """Keeps arrays of every control step by name, for `as_recording`.
 
     Attributes:
-        count: individuals that are recorded.
-        first: of them.
-        full: with velocities, senses and the state of the controller.
+        count: number of individuals that are recorded.
+        first: index of the first of them.
+        full: True to add velocities, senses and the state of the controller.
     """
 
     every_step = True
@@ -147,14 +147,14 @@ def as_recording(
     individual: int = 0,
     trial: int = 0,
 ) -> Recording:
-    """Order the bodies as the creature does and add what belongs to a film.
+    """Order the bodies as in the creature, and add what a film needs.
 
     Args:
         simulation: the trial.
-        frames: from `Recorder`.
-        names: of the bodies in the order of ``creature.bodies``.
-        individual: which of those recorded.
-        trial: number of the situation that it lived in.
+        frames: arrays from `Recorder`.
+        names: names of the bodies in the order of ``creature.bodies``.
+        individual: index among the recorded individuals.
+        trial: number of the situation.
     """
     tree = simulation.world.tree
     order = [tree.names.index(name) for name in names]
@@ -178,7 +178,7 @@ def as_recording(
 
 
 def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
-    """What is recorded of one control step, but for the state of the controller."""
+    """Return the frames of one control step, without the state of the controller."""
     kin = kinematics(tree, effects.before)
     com = expand_dims_like(tree.com, kin.origin)
     residual = {} if effects.residual is None else effects.residual._asdict()
@@ -196,7 +196,7 @@ def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
         **{f"{name}_residual": values for name, values in residual.items()},
     }
     if full:
-        # Joint angles and rates are those of the state.
+        # Joint angles and rates are recorded with the state.
         senses = effects.observation._replace(joint_angle=None, joint_rate=None)._asdict()
         frame |= {
             "velocity": kin.linear + cross(kin.angular, lever),
@@ -208,6 +208,6 @@ def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
 
 
 def _nerve_frames(nerves: PyTree[Array]) -> dict[str, Array]:
-    """What a controller remembers, by the names of its fields."""
+    """Return the state of a controller, by the names of its fields."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(nerves)
     return {NERVE + jax.tree_util.keystr(path).strip("."): values for path, values in leaves}

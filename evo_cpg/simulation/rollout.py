@@ -38,17 +38,17 @@ def rollout(
     """Run one trial of every individual.
 
     Args:
-        simulation: the trial; or one trial for each individual, which then have one axis, the last
-            of every result.
+        simulation: the trial, or one trial for each individual. These have one axis, the last of
+            every result.
         genes: one genome per individual, on the trailing axes.
         keys: a raw random key for each trial's noise; None for no noise.
         trial: number of the situation in each lane; None for the first in all lanes.
         observers: one observer, or a tuple or dict of several.
         backward: how to differentiate the trial, if needed; not for observers of every step.
-        begin: changes the state that the trial starts with.
+        begin: function that changes the initial state of the trial.
 
     Returns:
-        The result of each observer: of `JUDGE` an `evo_cpg.simulation.judge.Outcome`.
+        Result of each observer. For `JUDGE`, an `evo_cpg.simulation.judge.Outcome`.
     """
     if isinstance(simulation, BatchedSimulation):
         common, inputs, values = simulation
@@ -69,7 +69,7 @@ def rollout(
         return _run(simulation, genes, keys, trial, observers, backward, begin)
 
     with using(simulation.engine):
-        # Results that are stacked along time cannot become native code, the control steps can.
+        # Results stacked along time cannot become native code, but control steps can.
         if any(one.every_step for one in jax.tree.leaves(observers)) or backward is not None:
             return run(genes, keys, trial)
         return fuse(run, genes, keys, trial, batch_ndim=genes.ndim - 1, name="a trial")

@@ -1,7 +1,7 @@
-"""Rules that an animal is out for breaking, in the control step in which it does.
+"""Rules that disqualify an animal in the control step in which it breaks them.
 
-Evolution finds what a simulator gets wrong. A rule takes such a way out of the search, as soon as
-it is taken, instead of finding it in the champion afterwards (`evo-cpg audit`).
+Evolution exploits the errors of a simulator. A rule removes such a motion from the search at once.
+Otherwise it would be found only in the champion (`evo-cpg audit`).
 """
 
 import equinox as eqx
@@ -18,14 +18,14 @@ from evo_cpg.spatial.numerics import Number
 
 
 class Rules(eqx.Module):
-    """What an animal stays within; what is None is no rule.
+    """Limits on the motion of an animal; None for no limit.
 
     Attributes:
-        speed: of the root, m/s.
-        power: of all motors together, mean over a control step, W.
-        penetration: of the ground, m.
-        overlap: of two of its bodies, m.
-        pairs: which of them; None where none can meet.
+        speed: largest speed of the root, m/s.
+        power: largest power of all motors together, mean over a control step, W.
+        penetration: largest depth in the ground, m.
+        overlap: largest overlap of two bodies, m.
+        pairs: pairs of bodies that are checked for overlap; None if no bodies can touch.
     """
 
     speed: Number | None = None
@@ -38,14 +38,14 @@ class Rules(eqx.Module):
 def keeps(
     rules: Rules, world: World, state: State, energy: Float[Array, " *n"], duration: Number
 ) -> Bool[Array, " *n"]:
-    """Whether every animal keeps the rules in a control step.
+    """Return whether every animal keeps the rules in a control step.
 
     Args:
         rules: the rules.
         world: the animals and their surroundings.
-        state: at the end of the control step.
-        energy: spent by all motors in it, J.
-        duration: of a control step, s.
+        state: state at the end of the control step.
+        energy: energy spent by all motors in the step, J.
+        duration: duration of a control step, s.
     """
     valid = jnp.ones(energy.shape, bool)
     if rules.speed is not None:
@@ -58,7 +58,7 @@ def keeps(
         valid &= (clearance(world.contact_model, kin) >= -rules.penetration).all(0)
     if rules.overlap is not None and rules.pairs is not None:
         gap = separations(rules.pairs, kin).gap
-        # Pairs without stiffness are those of other bodies of a plan.
+        # Pairs without stiffness belong to other bodies of a plan.
         passes = expand_dims_like(rules.pairs.stiffness, gap) == 0
         valid &= ((gap >= -rules.overlap) | passes).all(0)
     return valid

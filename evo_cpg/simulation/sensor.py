@@ -1,7 +1,7 @@
-"""A sensor that a creature has beside its eyes, pressure sensors and depth gauges.
+"""Interface of sensors beside eyes, pressure sensors and depth gauges.
 
-A kind of sensor is a class; the config names it in ``creature.sensors``, by the name of a kind that
-comes along or as ``my_module:MySensor``. What it reads goes into `Observation.custom`.
+A kind of sensor is a class. The config names it in ``creature.sensors``, as a built-in kind or as
+``my_module:MySensor``. Its readings go into `Observation.custom`.
 """
 
 import abc
@@ -13,18 +13,18 @@ from evo_cpg.simulation.snapshot import Forces, Snapshot
 
 
 class Sensor(eqx.Module):
-    """Numbers that the animal senses at the beginning of every control step.
+    """Readings that the animal senses at the start of every control step.
 
-    Subclass it to write one of your own: say how many numbers it gives, and how they come from the
-    animal. It is built with the keyword arguments in the config's ``options`` and, where its
-    constructor takes them, ``tree`` and ``control_step`` (s). A neural network likes numbers from
-    -1 to 1.
+    Subclass it to write your own sensor: declare the number of readings, and compute them in
+    `sense`. The sensor is built with the keyword arguments in the config's ``options``. It also
+    gets ``tree`` and ``control_step`` (s) if its constructor takes them. Readings from -1 to 1 suit
+    a neural network best.
 
     Attributes:
-        count: numbers that it gives.
+        count: number of readings.
 
     Example:
-        How fast the animal rises::
+        Vertical speed of the animal::
 
             class Variometer(Sensor):
                 count: int = eqx.field(static=True, default=1)
@@ -38,11 +38,11 @@ class Sensor(eqx.Module):
 
     @abc.abstractmethod
     def sense(self, snapshot: Snapshot, forces: Forces) -> Float[Array, "count *n"]:
-        """The readings.
+        """Return the readings.
 
         Must be a pure JAX function of arrays whose trailing axes are individuals.
 
         Args:
-            snapshot: the animal as it is.
-            forces: of motors and ground in the control step before; none at the start.
+            snapshot: the animal at this instant.
+            forces: forces of motors and ground in the last control step; zero at the start.
         """

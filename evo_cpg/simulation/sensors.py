@@ -21,18 +21,18 @@ _DISTANCE_FLOOR = 1e-12
 
 
 class Sensors(NamedTuple):
-    """Where the sensors sit on the tree.
+    """Places of the sensors on the tree.
 
     Attributes:
         eye_bodies: index of the body that carries each light sensor.
-        eye_positions: ``(3, eyes)`` in the body's working frame, m.
+        eye_positions: ``(3, eyes)`` positions in the body's working frame, m.
         eye_axes: ``(3, eyes)`` unit vectors.
         fields_of_view: ``(eyes,)`` full opening angles, rad.
         pressure_bodies: index of the body behind each pressure sensor.
         depth_bodies: index of the body that carries each depth gauge.
-        depth_positions: ``(3, gauges)`` in the body's working frame, m.
-        depth_scales: ``(gauges,)`` depths at which they read 1, m.
-        blind: whether no eye sees any light.
+        depth_positions: ``(3, gauges)`` positions in the body's working frame, m.
+        depth_scales: ``(gauges,)`` depths at which the reading is 1, m.
+        blind: True if no eye sees any light.
     """
 
     eye_bodies: tuple[int, ...]
@@ -76,16 +76,16 @@ def pressure_readings(
 ) -> Float[Array, "s *n"]:
     """Return the pressure readings: 1 where the ground presses harder than the water, else 0.
 
-    The paper (2.1) compares the outer pressure with the water's. Here the pressure of the ground is
-    its normal force on the body over the body's mean cross-section, ``volume^(2/3)``, and that of
-    the water is hydrostatic, by the depth of the body's centre; it is 0 on land, and where water
-    has no surface to be deep under.
+    The paper (2.1) compares the outer pressure with the water's. Here the ground's pressure is its
+    normal force on the body divided by the body's mean cross-section, ``volume^(2/3)``. The water's
+    pressure is hydrostatic, at the depth of the body's centre. It is 0 on land, and in water
+    without a surface.
 
     Args:
-        sensors: where they sit.
+        sensors: places of the sensors.
         world: the animal's surroundings.
-        kin: its present pose.
-        force: of the ground on every contact point, contact frame, N; None without ground.
+        kin: present pose of the animal.
+        force: force of the ground on every contact point, contact frame, N; None without ground.
     """
     bodies = np.array(sensors.pressure_bodies, int)
     if force is None or world.contact_model is None or not len(bodies):
@@ -103,8 +103,8 @@ def pressure_readings(
 def depth_readings(sensors: Sensors, world: World, kin: Kinematics) -> Float[Array, "k *n"]:
     """Return the depth readings: 0 at the surface and above, 1 from full scale down.
 
-    That is the hydrostatic pressure in units of the one at full scale. They read 0 on land, and
-    where the water has no surface to be deep under.
+    This is the hydrostatic pressure relative to that at full scale. The readings are 0 on land, and
+    in water without a surface.
     """
     bodies = np.array(sensors.depth_bodies, int)
     if not len(bodies) or world.water is None or world.water.surface is None:
@@ -119,7 +119,7 @@ def _depth(
     bodies: np.ndarray,
     places: np.ndarray | Array | MixedArray,
 ) -> Float[Array, "k *n"]:
-    """Return the depth of places of bodies under the water's surface, m; negative above it."""
+    """Return the depth of points of bodies below the water's surface, m; negative above it."""
     own = take(kin.origin[2], bodies, 0)
     lever = take(kin.rotation[2], bodies) * expand_dims_like(places, own, own.ndim + 1)
     return jnp.asarray(surface - own - lever.sum(0))
@@ -143,9 +143,9 @@ def light_readings(
     """Return light strength, and cosine and sine of the eyes' angle to the vertical.
 
     Args:
-        sensors: where the eyes are.
-        kin: the animal's present pose.
-        light: place of the light, m; None where there is none, and no eye sees any.
+        sensors: places of the eyes.
+        kin: present pose of the animal.
+        light: place of the light, m; None without a light, which then no eye sees.
     """
     bodies = list(sensors.eye_bodies)
     if not bodies:

@@ -1,18 +1,18 @@
-"""The pose in which a creature rests: all forces on it vanish, and small pushes die away.
+"""Find the pose in which a creature rests: no net forces, and stable against small pushes.
 
-From the pose that it is given the creature goes downhill in its potential energy, as one would that
-moves so slowly that its inertia does not matter, and whose feet do not slip while friction can hold
-them. Each step is Newton's with the absolute values of the eigenvalues of the stiffness, so that it
-goes down where the energy is curved downwards, too, and is halved until the energy has not begun to
-rise again. `optimistix.fixed_point`, with the stiffness found
-last, makes the last digits exact (the chord method). Where the stiffness has a negative
-eigenvalue what was found is a saddle, such as a log of square section that floats on a flat
-side: it is tipped a little that way, and goes on.
+The search goes downhill in potential energy, like a motion so slow that inertia does not matter.
+Feet slip only where friction cannot hold them.
 
-Motors hold the neutral angle. Those with a spring, and passive joints, give way under the load;
-a motor without a spring would hold any angle, so its joint is kept where it is.
+1. *Descent.* Each step is a Newton step with the absolute eigenvalues of the stiffness, so it goes
+   down where the energy is concave, too. The step is shortened while the energy rises again.
+2. *Last digits.* `optimistix.fixed_point` solves with the stiffness found last (the chord method).
+3. *Saddles.* A negative eigenvalue of the stiffness marks a saddle, such as a square log that
+   floats on a flat side. Tip the creature in that direction and search again.
 
-All is done in float64, and nothing of that is left behind.
+Motors hold the neutral angle. Passive joints and motors with a spring yield under the load. A motor
+without a spring would hold any angle, so its joint stays fixed.
+
+All is computed in float64. The caller's JAX settings do not change.
 """
 
 import dataclasses
@@ -44,39 +44,39 @@ from evo_cpg.spatial.decisions import Undecidable, chosen, searched
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import axis_rotation, integrate_quaternion, quaternion_to_matrix
 
-# Steps downhill, and saddles that are left, before it is given up.
+# Largest number of steps of a descent, and of saddles.
 _STEPS, _SADDLES = 1000, 8
 
-# Tries to find how far a step goes, and steps that make the last digits exact.
+# Largest number of trial step lengths, and of steps of the chord method.
 _HALVINGS, _CHORDS = 60, 100
 
-# Times that the root is looked for anew because a foot has begun or ceased to slide.
+# Largest number of solves. A new solve is needed if a foot begins or ceases to slide.
 _ROUNDS = 20
 
-# Farthest step: of the root over ground and without, in radii of gyration; of angles, rad.
+# Largest step of the root over ground and without, in radii of gyration; of angles, rad.
 _FARTHEST_ON_GROUND, _FARTHEST, _LARGEST_TURN = 0.1, 10.0, 0.2
 
-# Forces in units of the weight at which the search hands over, and which the root may leave.
+# Forces in units of the weight at which the descent ends, and which the solution may leave.
 _NEARLY, _EXACT = 1e-6, 1e-9
 
-# Stiffnesses in units of weight over radius of gyration: a smaller one counts as none in a step,
-# and a direction that is softer than minus the second one is unstable (it would double in a
-# minute, for an animal of a metre).
+# Stiffnesses in units of weight over radius of gyration. One below the first counts as zero in a
+# step. A direction with less than minus the second is unstable: for an animal of 1 m it would
+# double in a minute.
 _SOFTEST, _UNSTABLE = 1e-6, 1e-4
 
-# Added to the stiffness of a step for the place in the plane and the heading, times the largest
-# force: of all ways down it takes one that leads straight down.
+# Added stiffness of a step for horizontal place and heading, in units of the largest force. It
+# selects the straight descent among equal ones.
 _STAY = 10.0
 
-# By which it is tipped at a saddle, rad.
+# Displacement from a saddle, rad.
 _KICK = 0.02
 
-# Of the root at most, rad: beyond it, an animal has fallen over and not settled.
+# Largest tilt of the root, rad. Beyond it, an animal has fallen over.
 _LARGEST_TILT = np.deg2rad(60.0)
 
 
 class NoRestError(ValueError):
-    """The creature does not come to rest."""
+    """Raised if the creature does not come to rest."""
 
 
 class Rest(NamedTuple):
@@ -84,12 +84,11 @@ class Rest(NamedTuple):
 
     Attributes:
         state: the pose, in float64.
-        normal_force: of the ground on every contact point, N.
+        normal_force: force of the ground on every contact point, N.
         stiffness: eigenvalues of the stiffness in units of weight over radius of gyration, the
-            smallest first; angles count by the radius of gyration.
-        friction: what friction remembers there.
-        give: how it gives way to forces in these units: the inverse of the stiffness, but for where
-            there is none.
+            smallest first. Angles are scaled by the radius of gyration.
+        friction: state of friction in the pose.
+        give: compliance in these units: inverse of the stiffness, 0 in directions without any.
     """
 
     state: State
@@ -100,13 +99,13 @@ class Rest(NamedTuple):
 
 
 class _Settled(NamedTuple):
-    """Where a search for rest has ended.
+    """Result of a search for rest.
 
     Attributes:
         state: the pose.
-        friction: what friction remembers there.
-        give: how all coordinates of the pose give way to forces on them, in m, rad, N and N m.
-        start: x and y (m) and heading (rad) with which it was let down.
+        friction: state of friction in the pose.
+        give: compliance of all coordinates of the pose, in m, rad, N and N m.
+        start: initial x and y (m) and heading (rad).
     """
 
     state: State
@@ -116,13 +115,13 @@ class _Settled(NamedTuple):
 
 
 class _Here(NamedTuple):
-    """What holds in a pose.
+    """Forces and stiffness in a pose.
 
     Attributes:
-        force: on the coordinates that are searched, in units of the weight.
-        total: on all, N and N m.
-        touch: what the ground does.
-        stiffness: the slope of ``force``, symmetric.
+        force: force on the free coordinates, in units of the weight.
+        total: force on all coordinates, N and N m.
+        touch: contact with the ground.
+        stiffness: negative derivative of ``force``, symmetric.
     """
 
     force: np.ndarray
@@ -132,7 +131,7 @@ class _Here(NamedTuple):
 
 
 class Settling:
-    """Finds the rest of one creature in one world; what it compiles serves all its starts.
+    """Solver for the rest of one creature in one world; its programs serve all starts.
 
     Args:
         world: the creature and its surroundings.
@@ -151,7 +150,7 @@ class Settling:
             np.concatenate([np.ones(root.ROOT_DOFS, bool), _is_compliant(tree)])
         )
         self.size = radius_of_gyration(tree)
-        # Without gravity nothing acts but springs that are at rest already.
+        # Without gravity only springs act, which are at rest already.
         self.weight = float(tree.mass.sum() * abs(world.gravity)) or 1.0
         self.scale = np.where(self.free < root.LENGTHS, self.size, 1.0)
         self.stay = np.where(np.isin(self.free, root.SYMMETRIES), _STAY, 0.0)
@@ -164,15 +163,15 @@ class Settling:
         self._chord = functools.partial(search.chord, given)
 
     def settle(self, situation: Situation) -> "_Settled":
-        """The pose in which the creature rests.
+        """Return the pose in which the creature rests.
 
-        Place and heading are kept, but for what an animal on uneven ground gives way.
+        Place and heading stay as they are, unless the creature gives way on uneven ground.
 
         Args:
-            situation: where it starts.
+            situation: initial pose of the creature.
 
         Raises:
-            NoRestError: it does not come to rest, or not as it stands.
+            NoRestError: the creature does not come to rest, or falls over.
         """
         with jax.enable_x64(True):
             start = resting_state(
@@ -189,13 +188,13 @@ class Settling:
             )
 
     def rest(self, start: State) -> Rest:
-        """Where the creature comes to rest when it is let down slowly; under float64.
+        """Return the rest of the creature after a slow release; call with float64 enabled.
 
         Args:
-            start: the pose that it begins with.
+            start: the initial pose.
 
         Raises:
-            NoRestError: it does not come to rest, or not as it stands.
+            NoRestError: the creature does not come to rest, or falls over.
         """
         state, friction = start, self._first_friction(start)
         for _ in range(_SADDLES):
@@ -221,13 +220,13 @@ class Settling:
         return Rest(state, np.asarray(here.touch.normal_force), values, friction, give)
 
     def _at(self, y: np.ndarray, state: State, friction: FrictionState) -> _Here:
-        """All about the pose with the coordinates y."""
+        """Return forces and stiffness in the pose with the coordinates y."""
         derivative, (force, total, touch) = self._evaluate(jnp.asarray(y), state, friction)
         derivative = np.asarray(derivative)
         return _Here(np.asarray(force), np.asarray(total), touch, -(derivative + derivative.T) / 2)
 
     def _first_friction(self, start: State) -> FrictionState:
-        """Of an animal none of whose places has touched anything yet."""
+        """Return the state of friction before any contact."""
         places = 0 if self.world.contact_model is None else len(self.world.contact_model.bodies)
         none, nothing = jnp.zeros((3, places)), jnp.zeros(places)
         touch = self._at(
@@ -238,11 +237,11 @@ class Settling:
     def _move(
         self, y: np.ndarray, state: State, friction: FrictionState
     ) -> tuple[State, FrictionState]:
-        """The pose with the coordinates y, and what friction remembers there."""
+        """Return the pose with the coordinates y, and the state of friction in it."""
         return self._go(jnp.asarray(y), state, friction, self._at(y, state, friction).touch)
 
     def _root(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
-        """A pose without forces, downhill."""
+        """Search downhill for a pose without forces."""
         for _ in range(_ROUNDS):
             state, friction = self._polish(*self._descend(state, friction))
             here = self._at(np.zeros(len(self.free)), state, friction)
@@ -251,7 +250,7 @@ class Settling:
         raise NoRestError("its feet keep sliding: the forces do not come to balance")
 
     def _descend(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
-        """Downhill until hardly any force is left."""
+        """Go downhill until the forces are small."""
         for _ in range(_STEPS):
             here = self._at(np.zeros(len(self.free)), state, friction)
             if not np.isfinite(here.force).all():
@@ -259,7 +258,7 @@ class Settling:
             if np.abs(here.force).max() < _NEARLY:
                 return state, friction
             values, modes = np.linalg.eigh(here.stiffness)
-            # What is soft follows the force, no farther than the size of the creature.
+            # Soft directions follow the force, at most by the size of the creature.
             largest = np.abs(here.force).max()
             stiff = np.maximum(np.abs(values), largest)
             stay = np.diag(largest * self.stay)
@@ -273,7 +272,7 @@ class Settling:
     def _step_length(
         self, y: np.ndarray, here: _Here, state: State, friction: FrictionState
     ) -> float:
-        """Of a step, at which the energy changes at most half as steeply as at first."""
+        """Return the fraction of a step with at most half the initial derivative of the energy."""
         low, high, fraction, steepest = 0.0, 1.0, 1.0, 0.5 * float(here.force @ y)
         for _ in range(_HALVINGS):
             ahead = float(self._at(fraction * y, state, friction).force @ y)
@@ -287,7 +286,7 @@ class Settling:
         return fraction
 
     def _polish(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
-        """The root near by, as exactly as the numbers allow."""
+        """Solve for the nearby root to rounding."""
         stiffness = self._at(np.zeros(len(self.free)), state, friction).stiffness
         values, modes = np.linalg.eigh(stiffness)
         values = np.where(values < 0, -1.0, 1.0) * np.maximum(np.abs(values), _SOFTEST)
@@ -306,11 +305,11 @@ class Settling:
 
 
 class _Search:
-    """The steps of a search for rest, compiled for all animals of a plan.
+    """Steps of a search for rest, compiled for all animals of a plan.
 
     Args:
-        plan: of the animals.
-        free: the coordinates that are searched.
+        plan: plan of the animals.
+        free: indices of the free coordinates.
         h: step of the simulation, s.
     """
 
@@ -356,19 +355,19 @@ _searches = Programs(_Search)
 def settled(
     settling: Callable[[], Settling], world: World, h: float, situation: Situation
 ) -> Situation:
-    """The same situation with the pose in which the creature rests.
+    """Return the situation with the pose in which the creature rests.
 
-    Where numbers are traced the search for the pose is not; from where it ended a step of Newton's
-    follows them, with what friction remembers there (the implicit function theorem).
+    The search itself is not traced. Traced numbers get one Newton step from its result, with the
+    state of friction found there (the implicit function theorem).
 
     Args:
-        settling: finds the pose, from known numbers.
+        settling: solver that finds the pose, from known numbers.
         world: the creature and its surroundings.
         h: step of the simulation, s.
-        situation: where it starts.
+        situation: initial pose of the creature.
 
     Raises:
-        NoRestError: it does not come to rest, or not as it stands.
+        NoRestError: the creature does not come to rest, or falls over.
     """
     found = searched(lambda: settling().settle(situation), lambda _: _is_known(world, situation))
     alike_everywhere = chosen(lambda: _is_alike_everywhere(world))
@@ -396,10 +395,10 @@ def settled(
 
 
 def _is_known(*values: Any) -> bool:
-    """Whether no number is traced: a step from another rest may end where no search would.
+    """Return True if no number is traced. A step from another rest may end elsewhere.
 
     Raises:
-        Undecidable: one is.
+        Undecidable: a number is traced.
     """
     if is_traced(values):
         raise Undecidable("the start is searched: start_pose is 'settled'")
@@ -407,7 +406,7 @@ def _is_known(*values: Any) -> bool:
 
 
 def _is_compliant(tree: Tree) -> np.ndarray:
-    """Degrees of freedom that have an angle of rest under a load."""
+    """Return which degrees of freedom have an angle of rest under a load."""
     return (tree.stiffness > 0) | (tree.servo_stiffness > 0) | (tree.servo_gain == 0)
 
 
@@ -415,11 +414,11 @@ def _require_support(world: World) -> None:
     """Check that something can carry the creature.
 
     Raises:
-        NoRestError: nothing can.
+        NoRestError: nothing can carry it.
     """
     tree, water = world.tree, world.water
     if not world.gravity or not all(law.of_water for law in world.forces):
-        # A force law of the user's own may carry it.
+        # A user's force law may carry it.
         return
     if water is None:
         if world.contact_model is None:
@@ -436,12 +435,12 @@ def _require_support(world: World) -> None:
 
 
 def _is_alike_everywhere(world: World) -> bool:
-    """Whether no place or heading is different from another one."""
+    """Return whether all places and headings are equivalent."""
     return world.ground is None or world.ground.level is not None
 
 
 def _put_back(start: State, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
-    """To the place and heading of the start."""
+    """Move the pose back to the initial place and heading."""
     turn = _heading(start) - _heading(state)
     return _carried(state, friction, start.position[:2] - state.position[:2], turn)
 
@@ -449,13 +448,13 @@ def _put_back(start: State, state: State, friction: FrictionState) -> tuple[Stat
 def _carried(
     state: State, friction: FrictionState, displacement: Array, turn: Array
 ) -> tuple[State, FrictionState]:
-    """A pose, and what friction remembers, elsewhere on level ground.
+    """Move a pose and its state of friction on level ground.
 
     Args:
         state: the pose.
-        friction: what friction remembers.
+        friction: state of friction.
         displacement: displacement in the plane ``(2,)``, m.
-        turn: about the upright axis through the root's centre, rad.
+        turn: turn about the vertical through the root's centre, rad.
     """
     about_z = jnp.stack([jnp.zeros_like(turn), jnp.zeros_like(turn), turn])
     rotation = axis_rotation(np.array([0.0, 0.0, 1.0]), jnp.sin(turn), jnp.cos(turn))
@@ -471,12 +470,12 @@ def _carried(
 
 
 def _heading(state: State) -> Array:
-    """Of the root's x axis, rad."""
+    """Return the heading of the root's x axis, rad."""
     ahead = quaternion_to_matrix(state.orientation)[:, 0]
     return jnp.arctan2(ahead[1], ahead[0])
 
 
 def _tilt(start: State, state: State) -> float:
-    """By which what was up at the start has turned away from it, rad."""
+    """Return the angle between the initial up direction and its present direction, rad."""
     before, after = (np.asarray(quaternion_to_matrix(s.orientation)) for s in (start, state))
     return float(np.arccos(np.clip((after @ before.T)[2, 2], -1.0, 1.0)))

@@ -1,4 +1,4 @@
-"""All that a trial takes but the genes."""
+"""Everything that a trial needs except the genes."""
 
 import equinox as eqx
 
@@ -17,22 +17,22 @@ from evo_cpg.spatial.numerics import Number, Triple
 
 
 class Simulation(eqx.Module):
-    """Everything that a trial needs but the genes.
+    """Everything that a trial needs except the genes.
 
     Attributes:
         world: the creature in its surroundings.
-        sensors: where its sensors sit.
-        controller: its nervous system.
-        task: what it is judged by.
+        sensors: places of the creature's sensors.
+        controller: nervous system of the creature.
+        task: task that the trial is scored by.
         control_rate: control steps per second, 1/s.
         substeps: physics steps per control step.
         steps: control steps in a trial.
-        noise: how much is left to chance.
-        situations: what each trial of an individual begins with, or one for all of its trials.
-        engine: what computes it.
-        rules: what an animal is out for breaking; None where it may do anything.
-        extra_sensors: those of the creature's `sensors`, which give `Observation.custom`.
-        measures: of gait, beside the task's terms.
+        noise: sizes of the noise.
+        situations: initial situation of each trial of an individual, or one for all trials.
+        engine: engine that computes the trial.
+        rules: rules that disqualify an animal; None for no rules.
+        extra_sensors: sensors in the creature's `sensors`, which return `Observation.custom`.
+        measures: measures of gait, beside the task's terms.
     """
 
     world: World
@@ -56,7 +56,7 @@ class Simulation(eqx.Module):
 
     @property
     def duration(self) -> float:
-        """Of a trial, s."""
+        """Duration of a trial, s."""
         return self.steps / self.control_rate
 
     @property
@@ -66,5 +66,5 @@ class Simulation(eqx.Module):
 
     @property
     def lights(self) -> tuple[Triple | None, ...]:
-        """Where the light is in each situation, m; None for tasks in the dark."""
+        """Place of the light in each situation, m; None for tasks in the dark."""
         return tuple(situation.light or self.task.light for situation in self.situations)

@@ -1,8 +1,8 @@
-"""What a trial begins with: where the animal starts, and where the light is.
+"""Initial situation of a trial: pose of the animal, and place of the light.
 
-An individual may live through several situations, one in each of its trials. Which one a lane of
-the population axis lives in is told by the number of its trial. Where all trials have the same
-situation its numbers are constants of the compiled program.
+An individual may have several situations, one in each of its trials. The number of the trial
+selects the situation in each lane of the population axis. If all trials have one situation, its
+numbers are constants of the compiled program.
 """
 
 from typing import NamedTuple
@@ -19,14 +19,15 @@ from evo_cpg.spatial.numerics import Number, Triple
 
 
 class Situation(NamedTuple):
-    """Start and light of one trial.
+    """Initial pose and light of one trial.
 
     Attributes:
-        start_position: of the root's centre at the start, m.
-        start_heading: by which it is turned about z at the start, rad.
-        light: place of the light, m; None for where the task has it.
-        start_orientation: of the root at the start, unit quaternion (w, x, y, z); None for upright.
-        start_angles: of the joints at the start, rad; None for the neutral pose.
+        start_position: initial position of the root's centre, m.
+        start_heading: initial turn about z, rad.
+        light: place of the light, m; None for the task's.
+        start_orientation: initial orientation of the root, unit quaternion (w, x, y, z); None for
+            upright.
+        start_angles: initial joint angles, rad; None for the neutral pose.
     """
 
     start_position: Triple = (0.0, 0.0, 0.0)
@@ -37,7 +38,7 @@ class Situation(NamedTuple):
 
     @property
     def orientation(self) -> tuple[Number, Number, Number, Number]:
-        """Of the root at the start, quaternion (w, x, y, z): unless given, a turn about z alone."""
+        """Initial orientation of the root (w, x, y, z); by default, a turn about z alone."""
         if self.start_orientation is not None:
             return self.start_orientation
         half = self.start_heading / 2
@@ -52,10 +53,10 @@ def starting_state(
     batch: tuple[int, ...],
     dtype: jnp.dtype,
 ) -> State:
-    """The pose of each trial's start, at rest.
+    """Return the initial pose of each trial, at rest.
 
     Args:
-        situations: of the trials.
+        situations: situations of the trials.
         trial: number of each lane's trial; None for the first in all lanes.
         tree: the creature.
         batch: trailing axes.
@@ -86,12 +87,12 @@ def starting_state(
 def starting_pose(
     situation: Situation, tree: Tree, names: list[str]
 ) -> tuple[Float[np.ndarray, "b 3"], Float[np.ndarray, "b 3 3"]]:
-    """Centres (m) and rotations of the bodies at the start.
+    """Return the initial centres (m) and rotations of the bodies.
 
     Args:
-        situation: of the trial.
+        situation: situation of the trial.
         tree: the creature.
-        names: of the bodies, in the order wanted.
+        names: names of the bodies, in the order of the result.
     """
     order = [tree.names.index(name) for name in names]
     kin = kinematics(tree, starting_state((situation,), None, tree, (), jnp.dtype(jnp.float32)))
@@ -103,10 +104,10 @@ def starting_pose(
 def light_places(
     lights: tuple[Triple | None, ...], trial: Int[Array, " *n"] | None, dtype: jnp.dtype
 ) -> Float[np.ndarray, "3"] | Float[Array, "3 *#n"] | None:
-    """Where the light is in each lane, m: a constant where that is the same in all.
+    """Return the place of the light in each lane, m; a constant if it is equal in all.
 
     Args:
-        lights: of the trials; None for those in the dark, which are all or none.
+        lights: place of the light in each trial; None in the dark. Either all or none are None.
         trial: number of each lane's trial; None for the first in all lanes.
         dtype: floating-point type.
     """
@@ -122,5 +123,5 @@ def _chosen(
     trial: Int[Array, " *n"],
     dtype: jnp.dtype,
 ) -> Float[Array, "k *n"]:
-    """The row that belongs to the trial of each lane, as columns."""
+    """Return the rows that the trials of the lanes select, as columns."""
     return jnp.asarray(rows.T, dtype)[:, trial]

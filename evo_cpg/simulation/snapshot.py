@@ -1,9 +1,8 @@
-"""The whole animal at an instant, as tasks and sensors see it.
+"""The whole animal at an instant, for tasks and sensors.
 
-What follows from the state is computed when it is asked for, and what nobody asks for costs
-nothing. Bodies and degrees of freedom are in the order of the tree (`Snapshot.body`,
-`Snapshot.dof` find them by name), contact points in that of the contact model; trailing axes are
-individuals.
+Derived quantities are computed on access only, so unused ones cost nothing. Bodies and degrees of
+freedom are in the order of the tree (`Snapshot.body` and `Snapshot.dof` find them by name). Contact
+points are in the order of the contact model. Trailing axes are individuals.
 """
 
 import dataclasses
@@ -23,14 +22,14 @@ from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 
 
 class Forces(NamedTuple):
-    """What motors and ground did in a control step, means over its physics steps.
+    """Forces of motors and ground, means over the physics steps of a control step.
 
     Attributes:
-        torque: of the motors, N m.
-        contact_force: of the ground on every contact point, world axes, N; no points where there
-            is no ground.
-        pair_force: with which limbs that meet push each other, at every point of the pairs in
-            ``world.pairs`` (`Pairs.owners`), N; no points where none can meet.
+        torque: torque of the motors, N m.
+        contact_force: force of the ground on every contact point, world axes, N; no points without
+            ground.
+        pair_force: force between touching limbs, at every point of the pairs in ``world.pairs``
+            (`Pairs.owners`), N; no points if no limbs can touch.
     """
 
     torque: Float[Array, "d *n"]
@@ -62,7 +61,7 @@ class Snapshot:
 
     @property
     def rotation(self) -> Float[Array, "3 3 b *n"]:
-        """Body to world."""
+        """Rotations from body to world axes."""
         return self.kinematics.rotation
 
     @functools.cached_property
@@ -72,22 +71,22 @@ class Snapshot:
 
     @functools.cached_property
     def velocity(self) -> Float[Array, "3 b *n"]:
-        """Of the bodies' centres of mass, m/s."""
+        """Velocities of the bodies' centres of mass, m/s."""
         return self.kinematics.linear + cross(self.kinematics.angular, self._lever)
 
     @property
     def angular_velocity(self) -> Float[Array, "3 b *n"]:
-        """Of the bodies, world axes, rad/s."""
+        """Angular velocities of the bodies, world axes, rad/s."""
         return self.kinematics.angular
 
     @functools.cached_property
     def centre_of_mass(self) -> Float[Array, "3 *n"]:
-        """Of the whole animal, m."""
+        """Centre of mass of the whole animal, m."""
         return self._mean(self.position)
 
     @functools.cached_property
     def centre_of_mass_velocity(self) -> Float[Array, "3 *n"]:
-        """Of the whole animal, m/s."""
+        """Velocity of the whole animal's centre of mass, m/s."""
         return self._mean(self.velocity)
 
     @property
@@ -98,13 +97,13 @@ class Snapshot:
 
     @property
     def contact_position(self) -> Float[Array, "3 p *n"]:
-        """The point of each place that is nearest to the ground, m."""
+        """Contact points: the nearest point to the ground at each place, m."""
         offset, _ = self._lowest
         return take(self.kinematics.origin, self.contact_bodies) + offset
 
     @property
     def contact_velocity(self) -> Float[Array, "3 p *n"]:
-        """Of the material that is at this point, m/s."""
+        """Velocities of the material at the contact points, m/s."""
         offset, _ = self._lowest
         linear, angular = (
             take(x, self.contact_bodies) for x in (self.kinematics.linear, self.angular_velocity)
@@ -113,41 +112,41 @@ class Snapshot:
 
     @property
     def clearance(self) -> Float[Array, "p *n"]:
-        """Of each place above the ground, m; negative where it is pressed in."""
+        """Heights of the contact points above the ground, m; negative where they penetrate."""
         return self._lowest[1]
 
     def body(self, name: str) -> int:
-        """Index of a body.
+        """Return the index of a body.
 
         Raises:
-            ValueError: there is none of that name.
+            ValueError: no body has that name.
         """
         return _index(self.world.tree.names, name, "body")
 
     def dof(self, name: str) -> int:
-        """Index of a degree of freedom, ``body.axis``.
+        """Return the index of a degree of freedom, ``body.axis``.
 
         Raises:
-            ValueError: there is none of that name.
+            ValueError: no degree of freedom has that name.
         """
         return _index(self.world.tree.dof_names, name, "degree of freedom")
 
     def contacts_of(self, names: Sequence[str]) -> Int[np.ndarray, " k"]:
-        """Indices of the contact points of some bodies.
+        """Return the indices of the contact points of some bodies.
 
         Raises:
-            ValueError: there is no body of that name.
+            ValueError: no body has that name.
         """
         return np.flatnonzero(np.isin(self.contact_bodies, [self.body(name) for name in names]))
 
     @property
     def _lever(self) -> Array:
-        """From the bodies' origins to their centres of mass, world axes."""
+        """Vectors from the bodies' origins to their centres of mass, world axes."""
         return matvec(self.rotation, expand_dims_like(self.world.tree.com, self.kinematics.origin))
 
     @functools.cached_property
     def _lowest(self) -> tuple[Array, Array]:
-        """From the bodies' origins to the contact points, world axes, and their clearance."""
+        """Vectors from the bodies' origins to the contact points (world axes), and clearances."""
         if self.world.contact_model is None:
             origin = self.kinematics.origin
             return origin[:, :0], origin[0, :0]
@@ -155,7 +154,7 @@ class Snapshot:
         return offset, gap
 
     def _mean(self, of_bodies: Float[Array, "3 b *n"]) -> Float[Array, "3 *n"]:
-        """Over the mass."""
+        """Return the mean, weighted by mass."""
         mass = expand_dims_like(self.world.tree.mass, of_bodies[0])
         return (of_bodies * mass[None]).sum(1) / mass.sum()
 

@@ -1,9 +1,9 @@
-"""What the animals are evolved for: a task follows a trial and turns it into a fitness.
+"""Tasks that animals are evolved for: a task follows a trial and returns a fitness.
 
-A task is structure and settings, like a controller. During a trial its ``tally``, any pytree of
-arrays, is updated with every control step; at the end it becomes named terms, and the terms become
-one fitness, which is maximised. Terms may be measured against scales taken from the first
-generation (such as the most energy that an animal can spend), which then stay fixed.
+A task is structure and settings, like a controller. Every control step updates its ``tally``, any
+pytree of arrays. At the end of the trial the tally becomes named terms, and the terms become one
+fitness, which is maximised. Terms may be compared with scales measured on the first generation,
+such as the most energy that an animal can spend. The scales then stay fixed.
 """
 
 import abc
@@ -20,20 +20,19 @@ from evo_cpg.simulation.snapshot import Forces, Snapshot
 
 
 class Transition(NamedTuple):
-    """One control step as a task sees it: the animal before and after it, and what it did.
+    """One control step for a task: the animal before and after it, and its actions.
 
-    Every number of it is computed only where a task uses it.
+    Every number is computed only if a task uses it.
 
     Attributes:
         step: number of the control step, from 0.
-        before: the animal at its beginning.
-        after: the animal at its end.
-        observation: what the controller sensed.
-        command: what it asked of the motors.
-        forces: of motors and ground, means over the step.
-        energy: spent by all motors, J.
-        airborne: share of the step in which nothing of the animal touches the ground; 1 where
-            there is no ground.
+        before: the animal at the start of the step.
+        after: the animal at the end of the step.
+        observation: readings of the senses.
+        command: command of the controller to the motors.
+        forces: forces of motors and ground, means over the step.
+        energy: energy spent by all motors, J.
+        airborne: fraction of the step in which nothing touches the ground; 1 without ground.
     """
 
     step: Array
@@ -47,15 +46,15 @@ class Transition(NamedTuple):
 
 
 class Task(eqx.Module):
-    """What a trial is judged by. Subclass it to write a task of your own.
+    """Score of a trial. Subclass it to write your own task.
 
     The methods must be pure JAX functions of arrays whose trailing axes are individuals. A task
     is built with the keyword arguments in the config's ``task.options``.
 
     Attributes:
-        light: place of the point light, m, where a situation does not have its own; None for a
-            task in the dark. `Snapshot.light_position` is where it is.
-        heading: ``forward`` where only the way along the world's x counts, else ``any``.
+        light: place of the point light, m, for situations without their own; None for a task in
+            the dark. `Snapshot.light_position` is the place in the trial.
+        heading: ``forward`` if only displacement along the world's x counts, else ``any``.
 
     Example:
         A race along x::
@@ -82,18 +81,18 @@ class Task(eqx.Module):
 
     @abc.abstractmethod
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> PyTree:
-        """The tally before a trial of so many control steps."""
+        """Return the tally before a trial of this many control steps."""
 
     @abc.abstractmethod
     def update(self, tally: PyTree, transition: Transition, steps: int) -> PyTree:
-        """The tally after one more control step: same structure, shapes and types."""
+        """Return the tally after one more control step: same structure, shapes and types."""
 
     @abc.abstractmethod
     def terms(self, tally: PyTree, steps: int) -> dict[str, Float[Array, " *n"]]:
-        """What the finished trial amounted to, by name."""
+        """Return the terms of the finished trial, by name."""
 
     def scales(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Float[Array, ""]]:
-        """Yardsticks measured on the first generation, all finite; none unless overridden.
+        """Return scales measured on the first generation, all finite; none unless overridden.
 
         Terms of individuals that diverged are NaN.
         """
@@ -101,17 +100,17 @@ class Task(eqx.Module):
         return {}
 
     def descriptors(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Array]:
-        """Of the terms, those that say how an animal behaves rather than how well, by name.
+        """Return the terms that describe behaviour rather than success, by name.
 
-        They are for searches that look for variety; none unless overridden.
+        They serve searches for variety; none unless overridden.
         """
         del terms
         return {}
 
     def final_control_steps(self, control_rate: float) -> int:
-        """Return the control steps at the end over which a distance to a light is averaged.
+        """Return the number of final control steps over which a distance to a light is averaged.
 
-        Those of the last second unless overridden.
+        By default, the control steps of the last second.
 
         Args:
             control_rate: control steps per second, 1/s.
@@ -121,14 +120,14 @@ class Task(eqx.Module):
     def beyond_scales(
         self, terms: Mapping[str, float], scales: Mapping[str, float]
     ) -> dict[str, float]:
-        """Return terms that are larger than their scale, of which the excess is not judged.
+        """Return terms that exceed their scale; the excess does not affect the fitness.
 
         Args:
-            terms: of one individual.
-            scales: as `scales` measured them.
+            terms: terms of one individual.
+            scales: result of `scales`.
 
         Returns:
-            The excess relative to the scale, at least 0; for all terms that have such a limit.
+            Excess relative to the scale, at least 0, for all terms with such a limit.
         """
         del terms, scales
         return {}
@@ -137,11 +136,11 @@ class Task(eqx.Module):
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
-        """The score, which is maximised."""
+        """Return the fitness, which is maximised."""
 
 
 def term_names(task: Task) -> tuple[str, ...]:
-    """Names of a task's terms."""
+    """Return the names of a task's terms."""
     steps = 1
     terms = jax.eval_shape(lambda: task.terms(task.begin((1,), jnp.dtype("float32"), steps), steps))
     return tuple(terms)

@@ -1,4 +1,4 @@
-"""What a camera or a motion tracker sees of a trial, at times of its own choice."""
+"""Track of a trial: columns of its motion at given times, as from a camera or motion tracker."""
 
 from collections.abc import Sequence
 
@@ -12,24 +12,24 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.rotation import quaternion_to_matrix
 
-# Columns: place of the root's centre (m), and its attitude (rad) as yaw, then pitch, then roll
-# about its own axes; all others are the angles of joints (rad), by the names of their axes.
+# Columns: position of the root's centre (m), and its attitude (rad) as yaw, then pitch, then roll
+# about its own axes. All others are joint angles (rad), by the names of their axes.
 POSITION, ATTITUDE = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
-# What a trial may begin with beside the configuration, by the first part of its name.
+# Changes to the initial state beside the configuration, by the first part of their names.
 BEGINNINGS = ("velocity", "spin", "angle", "rate")
 
 
 def column_names(simulation: Simulation) -> tuple[str, ...]:
-    """All columns that there are."""
+    """Return the names of all columns."""
     return (*POSITION, *ATTITUDE, *simulation.world.tree.dof_names)
 
 
 def beginning_names(simulation: Simulation) -> tuple[str, ...]:
-    """Names of what a trial may begin with.
+    """Return the names of changes to the initial state.
 
     ``velocity.x`` (m/s), ``spin.x`` (rad/s, world axes), ``angle.DOF`` (rad) and ``rate.DOF``
-    (rad/s), on top of the configuration's.
+    (rad/s) are added to the configuration's state.
     """
     dofs = simulation.world.tree.dof_names
     axes = {"velocity": POSITION, "spin": POSITION, "angle": dofs, "rate": dofs}
@@ -43,17 +43,17 @@ def track(
     columns: Sequence[str],
     beginning: dict[str, Float[Array, ""]] | None = None,
 ) -> Float[Array, "t c"]:
-    """Columns of a trial at given times.
+    """Return columns of a trial at given times.
 
-    Between control steps positions and joint angles are cubic (Hermite), so that they are as exact
-    as the steps themselves, and orientations are interpolated linearly.
+    Positions and joint angles are interpolated by cubics (Hermite) between control steps, so they
+    are as exact as the steps themselves. Orientations are interpolated linearly.
 
     Args:
-        simulation: the trial; its situation is the first.
-        genes: of the animal.
-        times: s from its start, none after its end.
-        columns: see `column_names`.
-        beginning: by `beginning_names`.
+        simulation: the trial, in its first situation.
+        genes: genes of the animal.
+        times: times since the start of the trial, s, at most its duration.
+        columns: names from `column_names`.
+        beginning: changes to the initial state, by `beginning_names`.
     """
     dofs = simulation.world.tree.dof_names
     given = beginning or {}
@@ -90,7 +90,7 @@ def track(
 
     parts = [curve(states.position, states.velocity[:, 3:])]
     a, b = jnp.asarray(states.orientation)[first], states.orientation[first + 1]
-    # The nearer of the two quaternions of an orientation.
+    # q and -q are one orientation; take the nearer.
     b = b * jnp.where((a * b).sum(1, keepdims=True) < 0, -1.0, 1.0)
     turn = (1 - fraction) * a + fraction * b
     turn = turn / jnp.sqrt((turn * turn).sum(1, keepdims=True))

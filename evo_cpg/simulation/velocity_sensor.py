@@ -1,4 +1,4 @@
-"""How fast a body moves through the world, in its own axes: what a lateral line or an ear feels."""
+"""Sensor of a body's velocity in its own axes, like a lateral line or an ear."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -14,8 +14,8 @@ class VelocitySensor(Sensor):
     """Velocity of a body's centre of mass along its own x, y and z.
 
     Attributes:
-        body: that carries it.
-        full_scale: velocity at which it reads 1, m/s; beyond it stays there.
+        body: name of the body that carries the sensor.
+        full_scale: velocity at which the reading is 1, m/s. Readings are clipped to -1 and 1.
         count: 3.
     """
 

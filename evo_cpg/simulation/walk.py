@@ -1,25 +1,25 @@
 """Go far: as in Fukui 2003, or with a posture that makes the animal walk instead of run.
 
-The thesis scores the distance moved after 20 s and nothing else (3.4), so its agents run; to get a
-walk, it proposes in 4.3 to score the posture as well and does not say how. `Distance` is the first,
+The thesis scores only the distance moved after 20 s (3.4), so its agents run. To get a walk, it
+proposes in 4.3 to score the posture as well, without details. `Distance` scores the distance,
 
     f = D,
 
-and `Walk` takes from it what running has and walking has not, each term from the whole trial:
+and `Walk` subtracts terms that are typical of running, each from the whole trial:
 
     f = a D/l - b T - c H/l - d A,    T = mean(1 - cos(angle of the torso's up to the world's)).
 
-The thesis is silent on what "distance" is. Here D is the straight line over ground (heights do not
-count) from where the torso's centre was at the start to where it is at the last control step, and
-the torso is the root of the creature. Lengths are measured in torso lengths l, so a weight says how
-many torso lengths of displacement a term of 1 costs.
+The thesis does not define "distance". Here D is a straight line over ground, without height. It
+leads from the initial place of the torso's centre to its place at the last control step. The torso
+is the root of the creature. Lengths are measured in torso lengths l. A weight is the cost of a term
+of 1, in torso lengths of displacement.
 
 | symbol | name |
 |---|---|
 | D | ``distance`` or ``forward`` (m) |
 | T | ``tilt``: 0 upright, 1 on the side, 2 on the back |
 | H | ``bounce``: standard deviation of the height of the torso's centre (m) |
-| A | ``airborne``: share of the time in which nothing touches the ground |
+| A | ``airborne``: fraction of the time in which nothing touches the ground |
 | l | ``torso_length`` (m) |
 | a, b, c, d | ``distance_weight``, ``tilt_weight``, ``bounce_weight``, ``airborne_weight`` |
 """
@@ -35,8 +35,8 @@ from evo_cpg.simulation.measures import Displacement, no_displacement
 from evo_cpg.simulation.task import Task, Transition
 from evo_cpg.spatial.numerics import Number
 
-# ``any``: the displacement in any direction. ``forward``: its part along the world's +x,
-# which an animal faces at the start unless it is turned; backwards is negative.
+# ``any``: displacement in any direction. ``forward``: displacement along the world's +x, which an
+# animal faces at the start unless it is turned. Backwards is negative.
 Heading = Literal["any", "forward"]
 
 
@@ -44,12 +44,12 @@ class Gait(NamedTuple):
     """Displacement and sums over the trial so far.
 
     Attributes:
-        displacement: of the torso.
-        tilt: of 1 - cos(angle to the vertical).
-        rise: of the height above that at the start, m; it is small, so the variance keeps its
+        displacement: displacement of the torso.
+        tilt: sum of 1 - cos(angle to the vertical).
+        rise: sum of the height above the initial height, m. It is small, so the variance keeps its
             digits.
-        squared_rise: of its square, m^2.
-        airborne: of the share of each control step off the ground.
+        squared_rise: sum of the squared rise, m^2.
+        airborne: sum of the airborne fractions of the control steps.
     """
 
     displacement: Displacement
@@ -82,14 +82,14 @@ class Distance(Task):
         return tally.moved(transition.step, place, place)
 
     def terms(self, tally: Displacement, steps: int) -> dict[str, Float[Array, " *n"]]:
-        """``distance`` and, of it, what leads ``forward`` (m)."""
+        """Return ``distance`` and its ``forward`` part (m)."""
         del steps
         return _measured(tally)
 
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
-        """D, m."""
+        """Return D, m."""
         del scales
         return _headed(terms, self.heading)
 
@@ -138,7 +138,7 @@ class Walk(Task):
         )
 
     def terms(self, tally: Gait, steps: int) -> dict[str, Float[Array, " *n"]]:
-        """``distance`` and ``forward`` (m), ``tilt``, ``bounce`` (m) and ``airborne``."""
+        """Return ``distance``, ``forward`` (m), ``tilt``, ``bounce`` (m) and ``airborne``."""
         mean = tally.rise / steps
         return _measured(tally.displacement) | {
             "tilt": tally.tilt / steps,
@@ -149,7 +149,7 @@ class Walk(Task):
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
-        """Displacement less what the posture costs, in torso lengths."""
+        """Return the displacement less the costs of the posture, in torso lengths."""
         del scales
         return (
             self.distance_weight * _headed(terms, self.heading) / self.torso_length
