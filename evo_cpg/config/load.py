@@ -32,7 +32,7 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
         overrides: texts ``key.path=value`` with a YAML value, applied in order.
 
     Raises:
-        ConfigError: anything that is wrong with it, in words for the user.
+        ConfigError: the configuration is invalid; the message is worded for the user.
     """
     path = Path(path)
     return complete_config(read_yaml(path), path, overrides)
@@ -49,7 +49,7 @@ def complete_config(
         overrides: texts ``key.path=value`` with a YAML value, applied in order.
 
     Raises:
-        ConfigError: anything that is wrong with it, in words for the user.
+        ConfigError: the configuration is invalid; the message is worded for the user.
     """
     data = copy.deepcopy(data)
     with located(source, data):
