@@ -1,1 +1,1 @@
-"""YAML files to validated settings to creatures, worlds, controllers and tasks."""
+"""Creatures, worlds, controllers and tasks from validated YAML files."""

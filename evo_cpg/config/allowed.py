@@ -1,4 +1,4 @@
-"""What a place of a configuration takes, in words, from its JSON Schema."""
+"""Allowed values of a key of a configuration, in words, from its JSON Schema."""
 
 import difflib
 import functools
@@ -11,7 +11,7 @@ from evo_cpg.config.keys import follow, put, value_at
 Schema = dict[str, Any]
 Place = tuple[str | int, ...]
 
-# The last part of pydantic's location of a key that is not of the right kind.
+# Pydantic ends the location of a key of the wrong type with this part.
 _OF_KEY = "[key]"
 
 _SIMPLE = {
@@ -24,12 +24,12 @@ _SIMPLE = {
 
 
 class Allowed:
-    """The JSON Schema of a configuration, read at the places of a given one.
+    """The JSON Schema of a configuration, looked up at the keys of a given configuration.
 
     Args:
-        model: of the whole configuration.
-        data: the given configuration, whose ``type`` keys choose among the kinds of a section.
-        tags: the kinds that pydantic took sections for which give no ``type``.
+        model: model of the whole configuration.
+        data: the given configuration, whose ``type`` keys select the kinds of sections.
+        tags: kinds that pydantic assumed for sections without ``type``.
     """
 
     def __init__(self, model: type[pydantic.BaseModel], data: Any, tags: frozenset[str]):
@@ -37,19 +37,19 @@ class Allowed:
         self._data, self._tags = data, tags
 
     def keys(self, place: Place) -> list[str]:
-        """Return the keys that are valid in the section at a place."""
+        """Return the valid keys of the section at a place."""
         options = self._at(place)
         return sorted({key for option in options for key in option.get("properties", {})})
 
     def words(self, place: Place) -> str:
-        """Return what the place takes: ``a number``, ``a list of 3 numbers``."""
+        """Return the allowed values in words: ``a number``, ``a list of 3 numbers``."""
         return self._words(self._at(place))
 
     def hint(self, place: Place, given: Any) -> str:
-        """Return how to write what was probably meant; empty if that is unknown."""
+        """Return how to write the probably intended value; empty if it is unknown."""
         options = self._at(place)
         if place and isinstance(place[-1], int) and not isinstance(given, (list, dict)):
-            # A flat list where a list of lists is expected.
+            # A flat list is given, but a list of lists is expected.
             whole = value_at(self._data, place[:-1])
             if isinstance(whole, list) and self._fits(place[:-1], [whole]):
                 return f"write {as_written([whole])}"
@@ -72,7 +72,7 @@ class Allowed:
         return ""
 
     def _fits(self, place: Place, value: Any) -> bool:
-        """Return whether a place takes a value, whatever is wrong elsewhere."""
+        """Return whether a place accepts a value, regardless of errors elsewhere."""
         data = put(self._data, place, value)
         try:
             self._model.model_validate(data)
@@ -81,7 +81,7 @@ class Allowed:
         return True
 
     def _at(self, place: Place) -> list[Schema]:
-        """Return the schemas that a place may follow, references resolved."""
+        """Return the schemas that a place may match, with references resolved."""
         options, here = self._options(self._root, self._data), self._data
         for part in place:
             here = value_at(here, (part,))
@@ -94,7 +94,7 @@ class Allowed:
         return options
 
     def _options(self, schema: Schema, given: Any) -> list[Schema]:
-        """Return the alternatives of a schema that the given ``type`` chooses, or all of them."""
+        """Return the alternatives of a schema that the given ``type`` selects, or all."""
         if "$ref" in schema:
             return self._options(self._root["$defs"][schema["$ref"].rsplit("/", 1)[-1]], given)
         union = schema.get("oneOf") or schema.get("anyOf")
@@ -112,7 +112,7 @@ class Allowed:
         return exact or [o for o, kind in zip(options, kinds, strict=True) if kind is None]
 
     def _kind(self, option: Schema) -> str | None:
-        """Return the ``type`` that an alternative stands for; None if it may be any, or none."""
+        """Return the ``type`` of an alternative; None if it may be any, or does not exist."""
         return option.get("properties", {}).get("type", {}).get("const")
 
     def _words(self, options: list[Schema]) -> str:
@@ -142,7 +142,7 @@ class Allowed:
         return "of keys and values"
 
     def _entries(self, schema: Schema) -> str:
-        """Return what a list takes, in the plural."""
+        """Return the allowed entries of a list, in the plural."""
         items = schema.get("prefixItems") or [schema.get("items", {})]
         options = self._options(items[0], None)
         least, most = schema.get("minItems"), schema.get("maxItems")
@@ -174,7 +174,7 @@ def as_written(value: Any) -> str:
 
 
 def _readings(given: Any) -> list[Any]:
-    """Return what else a value may have been meant as."""
+    """Return other values that the user may have intended."""
     found: list[Any] = [[given]]
     if isinstance(given, str):
         if given.lower() in ("none", "nil"):
@@ -185,7 +185,7 @@ def _readings(given: Any) -> list[Any]:
     elif isinstance(given, list) and len(given) == 1:
         found.append(given[0])
     elif isinstance(given, dict) and len(given) == 1 and list(given.values()) == [None]:
-        # A placeholder, which YAML takes for a mapping.
+        # YAML reads a placeholder as a mapping.
         found.append(f"{{{next(iter(given))}}}")
     elif isinstance(given, bool):
         found.append({} if given else None)
@@ -195,7 +195,7 @@ def _readings(given: Any) -> list[Any]:
 
 
 def _simple_kind(option: Schema) -> str | None:
-    """Return the type of a single value, if a schema asks for one of any value."""
+    """Return the type of a single value, if a schema accepts any value of one type."""
     named = "enum" in option or "const" in option
     return None if named or option.get("type") not in _SIMPLE else option["type"]
 
@@ -213,7 +213,7 @@ def _number_or_text(text: str) -> Any:
 
 
 def _entries(schema: Schema, part: str | int) -> list[Schema]:
-    """Return the schema of an entry of a list or a section, if it can have one."""
+    """Return the schema of an entry of a list or a section, in a list; empty if there is none."""
     if isinstance(part, int):
         first = schema.get("prefixItems", [])
         found = first[part] if part < len(first) else schema.get("items")
@@ -230,11 +230,11 @@ def _listed(words: list[str]) -> str:
 def key_of(problem: Any, data: Any) -> tuple[str | int, ...]:
     """Return the key of a problem.
 
-    A pydantic location also has the names of union members, which are no keys of the file.
+    A pydantic location also contains the names of union members, which are not keys of the file.
     """
     location, missing = problem["loc"], problem["type"] == "missing"
     if is_of_key(problem):
-        # Without the key itself, which pydantic has as text.
+        # Leave out the key itself, which pydantic converts to text.
         location = location[: -2 if location[-1] == _OF_KEY else -1]
     key: list[str | int] = []
     place: Any = data
@@ -247,5 +247,5 @@ def key_of(problem: Any, data: Any) -> tuple[str | int, ...]:
 
 
 def is_of_key(problem: Any) -> bool:
-    """Return whether it is about a key, and not its value."""
+    """Return whether a problem concerns a key, and not its value."""
     return problem["type"] == "invalid_key" or problem["loc"][-1:] == (_OF_KEY,)

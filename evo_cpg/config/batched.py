@@ -1,7 +1,7 @@
-"""Different bodies from one configuration: the same but for some numbers.
+"""Batches of bodies from one configuration that differ in some numbers only.
 
-One program builds them all (`BodyPlan`). It is planned by some of them, which are built one by one
-in NumPy (`build_batch`), and so are those that do not fit the plan.
+One program builds all bodies (`BodyPlan`). Its plan comes from a few bodies, which NumPy builds
+one by one (`build_batch`). NumPy also builds the bodies that do not fit the plan.
 """
 
 import dataclasses
@@ -29,11 +29,11 @@ from evo_cpg.spatial.decisions import Condition, Undecidable, all_hold
 
 
 class BodyPlan:
-    """What bodies that differ in some numbers have in common, and the program that builds them.
+    """The common part of bodies that differ in some numbers, and the program that builds them.
 
     Attributes:
-        batched: the bodies by which it was planned.
-        hindrance: why no program can build them; empty where one can.
+        batched: bodies that the plan was made from.
+        hindrance: reason why no program can build bodies; empty if a program can.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class BodyPlan:
         numbers: Mapping[str, Float[np.ndarray, " n"]],
         task: Task | None = None,
     ):
-        """Plan by some bodies; see `build_batch` for the arguments, and what it raises."""
+        """Make a plan from some bodies; see `build_batch` for the arguments and errors."""
         self._config, self._keys = config, tuple(numbers)
         self.batched, layout = _build(config, source, numbers, (), None, task)
         self._building = Building(config, layout, _pairs(self.batched.common), task)
@@ -55,14 +55,14 @@ class BodyPlan:
     def build(
         self, numbers: Mapping[str, Float[np.ndarray, " n"]]
     ) -> tuple[list[Float[np.ndarray, "_ n"]], Bool[np.ndarray, " n"]]:
-        """Build bodies as the plan has them, in float64.
+        """Build bodies that follow the plan, in float64.
 
         Args:
-            numbers: as many values of each, in the order of the plan.
+            numbers: values of each key of the plan, equally many.
 
         Returns:
-            The values of `BatchedSimulation`, and which bodies fit the plan. The values of the
-            others mean nothing.
+            The values of `BatchedSimulation`, and whether each body fits the plan. The values of
+            bodies that do not fit are undefined.
         """
         columns = np.stack([np.asarray(numbers[key], float) for key in self._keys])
         none = np.zeros(columns.shape[1], bool)
@@ -78,7 +78,7 @@ class BodyPlan:
         return list(map(np.array, values)), fits
 
     def _one(self, numbers: Float[Array, " k"]) -> tuple[list[Array], Condition]:
-        """Build one body, and tell whether it fits the plan."""
+        """Build one body, and return its values and whether it fits the plan."""
         conditions: list[Condition] = []
         given = dict(zip(self._keys, numbers, strict=True))
         inputs = self.batched.inputs
@@ -95,23 +95,23 @@ def build_batch(
     like: BatchedSimulation | None = None,
     task: Task | None = None,
 ) -> BatchedSimulation:
-    """What a configuration describes with some of its numbers different for each individual.
+    """Build simulations from a configuration, with some numbers different for each individual.
 
-    Each is built alone, in NumPy, as if it were the only one. What they have in common is the
-    simulation that the configuration describes as it stands.
+    Each simulation is built separately, in NumPy. The common part is the simulation of the
+    unchanged configuration.
 
     Args:
         config: the configuration.
-        source: file it came from.
-        numbers: their values by key, such as ``creature.bodies.1.shape.size.0``.
+        source: file of the configuration.
+        numbers: values by key, such as ``creature.bodies.1.shape.size.0``.
         folders: see `evo_cpg.config.build.build_experiment`.
         like: see `evo_cpg.simulation.batched.batch`.
-        task: instead of the configuration's.
+        task: task that replaces the configuration's task.
 
     Raises:
-        ConfigError: a key that does not exist or is no real number, a value that is not allowed,
-            numbers that change how the simulation is laid out, or nothing.
-        ValueError: not one value for each individual.
+        ConfigError: a key does not exist or is not a real number, a value is not allowed, or the
+            numbers change the layout of the simulation, or nothing.
+        ValueError: a key does not have one value for each individual.
     """
     return _build(config, source, numbers, folders, like, task)[0]
 
@@ -124,7 +124,7 @@ def _build(
     like: BatchedSimulation | None,
     task: Task | None,
 ) -> tuple[BatchedSimulation, PointLayout]:
-    """See `build_batch`; also return the layout of the surface points."""
+    """Return the result of `build_batch`, and the layout of the surface points."""
     folders = tuple(folders)
     for key in numbers:
         number_at(config, key, source)
@@ -137,7 +137,7 @@ def _build(
         for row in zip(*columns, strict=True)
     ]
     problem, pairs = "", None
-    # Bodies with surfaces that are alike may come to differ, and others may cover other points.
+    # Equal surfaces may become different, and bodies may cover other points.
     layouts: tuple[PointLayout, ...] = "merged", "separate", "complete"
     for layout in layouts:
 
@@ -154,7 +154,7 @@ def _build(
             problem = "limbs can meet that never do in the others"
             break
         if len(set(sets)) > 1:
-            # Longer limbs meet others. All look at the same pairs.
+            # Longer limbs may touch more bodies. All simulations check the same pairs.
             pairs = every
             common, *simulations = build(pairs)
         try:
@@ -168,7 +168,7 @@ def _build(
 
 
 def _pairs(simulation: Simulation) -> PlanPairs:
-    """Pairs of bodies that a simulation looks at."""
+    """Return the pairs of bodies that a simulation checks."""
     rules, names = simulation.rules, simulation.world.tree.names
 
     def named(pairs: Pairs | None) -> PairNames:

@@ -1,4 +1,4 @@
-"""From a checked configuration to an experiment."""
+"""Experiments built from checked configurations."""
 
 import dataclasses
 import sys
@@ -48,7 +48,7 @@ from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.system import resolved, with_working_folder
 from evo_cpg.training.experiment import Experiment
 
-# Random surface points are drawn from a quadrature this fine.
+# Resolution of the quadrature that random surface points are drawn from.
 _DENSE_RESOLUTION = 24
 
 
@@ -59,19 +59,19 @@ def build_experiment(
     layout: PointLayout = "merged",
     pairs: PlanPairs | None = None,
 ) -> Experiment:
-    """Build what a configuration describes.
+    """Build the experiment that a configuration describes.
 
     Args:
         config: the configuration.
-        source: file it came from, for messages; a user's own classes are looked for beside it,
-            where it is trusted (`evo_cpg.config.trust`).
-        folders: where else to look for them then, before the working folder.
-        layout: of the surface points, in which bodies of a batch agree.
-        pairs: of bodies that are looked at in all creatures of a plan; None for what the creature's
-            own numbers make of it.
+        source: file of the configuration, for messages. If it is trusted
+            (`evo_cpg.config.trust`), its folder is searched for a user's own classes.
+        folders: further folders to search if trusted, before the working folder.
+        layout: layout of the surface points, common to the bodies of a batch.
+        pairs: pairs of bodies to check in all creatures of a plan; None to derive the pairs from
+            the creature's own numbers.
 
     Raises:
-        ConfigError: parts that do not fit together.
+        ConfigError: parts do not fit together.
     """
     with located(source, config.model_dump(mode="json")):
         return _build_experiment(config, (Path(source).parent, *folders), layout, pairs)
@@ -107,7 +107,7 @@ def _build_experiment(
 
 
 def _build_strategy(config: ExperimentConfig, simulation: Simulation) -> Strategy:
-    """The search, on its islands and with its map."""
+    """Build the search, on its islands and with its map."""
     given = config.evolution
     islands = getattr(given, "islands", None)
     population = given.population // (islands.count if islands else 1)
@@ -124,11 +124,11 @@ def _build_strategy(config: ExperimentConfig, simulation: Simulation) -> Strateg
 
 
 def require_genes(experiment: Experiment, source: Path | str) -> None:
-    """Check that there is something to evolve.
+    """Check that the controller has genes.
 
     Args:
-        experiment: built from a configuration.
-        source: file it came from, for messages.
+        experiment: experiment built from a configuration.
+        source: file of the configuration, for messages.
 
     Raises:
         ConfigError: the controller has no genes.
@@ -146,18 +146,18 @@ def require_genes(experiment: Experiment, source: Path | str) -> None:
 def build_simulation(
     config: ExperimentConfig, layout: PointLayout = "merged", pairs: PlanPairs | None = None
 ) -> tuple[Creature, Simulation]:
-    """The creature that a configuration describes, and what its trials are made of.
+    """Build the creature of a configuration, and the simulation of its trials.
 
-    The numbers of the configuration may be traced (see `evo_cpg.config.keys.put`) where what is
-    chosen by them is known (`evo_cpg.spatial.decisions.replaying_decisions`).
+    The numbers may be traced (see `evo_cpg.config.keys.put`) if the decisions that depend on them
+    are known (`evo_cpg.spatial.decisions.replaying_decisions`).
 
     Args:
         config: the configuration; a user's own classes can be imported.
-        layout: see `build_experiment`.
-        pairs: likewise.
+        layout: layout of the surface points, see `build_experiment`.
+        pairs: pairs of bodies to check, see `build_experiment`.
 
     Raises:
-        KeyProblem: parts that do not fit together.
+        KeyProblem: parts do not fit together.
     """
     engine = _choose_engine(config)
     creature = _build_creature(config)
@@ -200,17 +200,17 @@ def build_simulation(
 
 
 def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measures:
-    """What is measured of the gait: what is requested for, and the axes of a map.
+    """Build the measures of gait: the requested measures, and the axes of a map.
 
     Raises:
-        KeyProblem: there is no such measure, or not in this world.
+        KeyProblem: a measure does not exist, or not in this world.
     """
     if not config.measures and not config.evolution.axes:
         return Measures()
     try:
         own = term_names(task)
     except Exception:
-        # A task of the user's own that fails; `check_own_returns` will say so.
+        # The user's own task fails. `check_own_returns` reports the error.
         own = ()
     axes = [axis.name for axis in config.evolution.axes]
     requested: list[tuple[Key, str]] = [
@@ -236,10 +236,10 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
 def _build_rules(
     config: ExperimentConfig, creature: Creature, world: World, pairs: PlanPairs | None
 ) -> Rules | None:
-    """What an individual is out for breaking.
+    """Build the rules that disqualify an individual; return None if there are none.
 
     Raises:
-        KeyProblem: a rule whose limit is not given, or that cannot be broken.
+        KeyProblem: the limit of a rule is missing, or the rule cannot be broken.
     """
     names = config.audit.disqualify
     if not names:
@@ -265,10 +265,10 @@ def _build_rules(
 
 
 def _choose_engine(config: ExperimentConfig) -> Engine:
-    """What computes the trials.
+    """Return the engine that computes the trials.
 
     Raises:
-        KeyProblem: the configuration insists on what this machine does not have.
+        KeyProblem: the configuration requires an engine that this machine does not have.
     """
     engine = Engine(config.engine, config.instruction_set)
     if engine.name == "native":
@@ -282,7 +282,7 @@ def _choose_engine(config: ExperimentConfig) -> Engine:
 
 
 def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
-    """The creature alone.
+    """Build the creature alone.
 
     Raises:
         ConfigError: its bodies do not form one tree.
@@ -350,13 +350,13 @@ def _surface_points(
 
 
 def _build_part(given: Any, kind: type, key: Key, **about: Any) -> Any:
-    """Build a part of which there may be one of the user's own.
+    """Build a part, possibly of a user's own class.
 
     Args:
-        given: its section.
-        kind: class of such parts.
-        key: of the section.
-        about: what the part may need to know.
+        given: section of the part.
+        kind: base class of such parts.
+        key: key of the section.
+        about: keyword arguments that the part may use.
     """
     with under(*key):
         if isinstance(given, CustomConfig):

@@ -1,4 +1,4 @@
-"""Errors about what the user wrote: file, key, value, what is allowed, the nearest valid key."""
+"""Errors in the user's input: file, key, value, allowed values, nearest valid key."""
 
 import contextlib
 import copyreg
@@ -13,13 +13,13 @@ Key = Sequence[str | int]
 
 
 class KeyProblem(UserError):
-    """A problem with the value of a key, raised where the file is not known.
+    """A problem with the value of a key, raised in code that does not know the file.
 
-    Outside of this package it is a `ConfigError`, which has the file (`evo_cpg.config.lines`).
+    Outside this package it becomes a `ConfigError`, which has the file (`evo_cpg.config.lines`).
 
     Attributes:
-        key: of the value; within a section it begins there (`under`).
-        problem: what is wrong with it.
+        key: key of the value, relative to the section that is being read (`under`).
+        problem: description of the problem.
     """
 
     def __init__(self, key: Key, problem: str):
@@ -27,24 +27,24 @@ class KeyProblem(UserError):
         super().__init__(f"{'.'.join(map(str, key))}: {problem}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the message and what it is made of, as a pool of processes does."""
+        """Pickle the message and its parts, as a pool of processes requires."""
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class ConfigError(KeyProblem):
-    """A configuration that cannot be used; the message is for the user as it stands.
+    """An invalid configuration; the message is worded for the user.
 
     Attributes:
-        source: file, or what else the value came from.
-        key: of the value.
-        problem: what is wrong with it.
-        line: of the file in which the value stands; None if that is unknown.
+        source: file, or another origin of the value.
+        key: key of the value.
+        problem: description of the problem.
+        line: line of the value in the file; None if it is unknown.
     """
 
     def __init__(self, source: str | Path, key: Key, problem: str, line: int | None = None):
         super().__init__(key, problem)
         self.source, self.line = source, line
-        # What a stranger wrote may be of any length.
+        # Text from a stranger may have any length.
         where = [_clipped(str(source)), *([] if line is None else [f"line {line}"])]
         where += [_clipped(".".join(map(str, key)))] if key else []
         self.args = (": ".join([*where, _clipped(problem, 700)]),)
@@ -52,7 +52,7 @@ class ConfigError(KeyProblem):
 
 @contextlib.contextmanager
 def under(*key: str | int) -> Iterator[None]:
-    """Put the key of a section before the keys of problems that are raised within."""
+    """Prefix the keys of problems that are raised within by the key of a section."""
     try:
         yield
     except ConfigError:
@@ -62,7 +62,7 @@ def under(*key: str | int) -> Iterator[None]:
 
 
 def _clipped(text: str, most: int = 150) -> str:
-    """The beginning and the end of a long text."""
+    """Return a text, shortened to its beginning and end if it is long."""
     if len(text) <= most:
         return text
     return f"{text[: most // 2]}...{text[-(most // 2) :]}"

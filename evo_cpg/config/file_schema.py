@@ -1,8 +1,8 @@
-"""The JSON Schema of a configuration file: for editors, and for the reference in the docs.
+"""The JSON Schema of a configuration file, for editors and for the reference in the docs.
 
-It says of every key what kind of value it takes, within which range, what it is if left out, and
-what it means. What several values must have in common is checked when a file is read, and is not in
-it. That a key is described is tested.
+The schema gives the type, range, default and meaning of every key. Constraints between several
+values are not in the schema; they are checked when a file is read. A test requires a description
+of every key.
 """
 
 import copy
@@ -21,7 +21,7 @@ Schema = dict[str, Any]
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
-# Where what a section inherits is described.
+# Classes whose docstrings describe inherited keys.
 _INHERITED = (MapSection, Limits)
 
 _CREATURE_FILE = {
@@ -31,8 +31,8 @@ _CREATURE_FILE = {
 
 
 def file_schema() -> Schema:
-    """The schema of a whole configuration file, as JSON Schema (draft 2020-12)."""
-    # Apart from the source: pydantic may hand out parts of what it keeps.
+    """Return the schema of a whole configuration file, as JSON Schema (draft 2020-12)."""
+    # Copied, because pydantic may return parts of its own cache.
     schema = copy.deepcopy(ExperimentConfig.model_json_schema())
     kinds = schema["$defs"]
     for kind in (schema, *kinds.values()):
@@ -61,7 +61,7 @@ def file_schema() -> Schema:
 
 
 def documented_attributes(text: str) -> tuple[str, dict[str, str]]:
-    """A docstring in Google's style: what comes before its first section, and its attributes."""
+    """Return the text before the first section of a Google-style docstring, and its attributes."""
     about, *sections = re.split(r"^(?=\w+:$)", inspect.cleandoc(text), flags=re.MULTILINE)
     attributes: dict[str, str] = {}
     for section in sections:
@@ -72,14 +72,14 @@ def documented_attributes(text: str) -> tuple[str, dict[str, str]]:
 
 
 def _describe(kind: Schema) -> None:
-    """Move what a docstring says of its attributes to these."""
+    """Move the descriptions of attributes from a docstring to the properties."""
     about, own = documented_attributes(kind.get("description", ""))
     inherited: dict[str, str] = {}
     for other in _INHERITED:
         inherited |= documented_attributes(other.__doc__ or "")[1]
     kind["description"] = about
     for name, value in kind.get("properties", {}).items():
-        # The key as words, which tells nobody more than the key.
+        # The title repeats the key in words.
         value.pop("title", None)
         if name in own or name in inherited:
             value["description"] = own.get(name) or inherited[name]
@@ -88,7 +88,7 @@ def _describe(kind: Schema) -> None:
 
 
 def _tell_apart(value: Schema, kinds: Schema) -> None:
-    """Ask for the type of every kind but that which is meant where none is given."""
+    """Require the ``type`` of every kind except the default kind."""
     meant = value.get("default")
     for option in value.get("oneOf") or value.get("items", {}).get("oneOf", ()):
         if "$ref" not in option:
@@ -100,7 +100,7 @@ def _tell_apart(value: Schema, kinds: Schema) -> None:
 
 
 def _read_from_file(kind: Schema, file: type[Section], instead_of: tuple[str, ...]) -> None:
-    """Let keys that name a file stand in the place of those that are read from it."""
+    """Allow the key of a file instead of the keys that are read from it."""
     named = file.model_json_schema()
     _describe(named)
     kind["properties"] = named["properties"] | kind["properties"]

@@ -1,16 +1,16 @@
-"""Files of strangers: not larger than any that is meant."""
+"""Size limits for files of strangers."""
 
 from pathlib import Path
 
-# What is read at all: the finest mesh that can be a body has a tenth of it.
+# Largest file that is read. The finest mesh of a body has a tenth of this size.
 LARGEST = 32 * 2**20
 
 
 def require_small(path: Path) -> None:
-    """Check that a file is not larger than any that is meant.
+    """Check that a file does not exceed the size limit.
 
     Raises:
-        OSError: it is, or cannot be looked at.
+        OSError: it does, or its size cannot be read.
     """
     size = path.stat().st_size
     if size > LARGEST:
@@ -20,7 +20,7 @@ def require_small(path: Path) -> None:
 
 
 def read_small(path: Path) -> str:
-    """The text of a file that is not larger than any that is meant.
+    """Return the text of a file that does not exceed the size limit.
 
     Raises:
         OSError: it is larger, or cannot be read.
@@ -28,6 +28,6 @@ def read_small(path: Path) -> str:
     """
     require_small(path)
     if not (path.is_file() or path.is_dir()):
-        # A pipe or a device need not end.
+        # A pipe or a device may be endless.
         raise OSError(None, "is no ordinary file")
     return path.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What a run was made with, in digests, and what has changed since."""
+"""Digests of the configuration and code of a run, and their changes."""
 
 import ast
 import hashlib
@@ -14,7 +14,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 
 
 def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
-    """SHA-256 of every part of a configuration, and of the user's own code, once it is built.
+    """Return SHA-256 digests of a configuration and of the user's own code, once it is built.
 
     Returns:
         ``config``, by keys of one or two parts (``seed``, ``evolution.population``), and ``code``,
@@ -30,11 +30,11 @@ def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
 
 
 def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
-    """Names of what differs between two fingerprints: config keys, then modules.
+    """Return the differences between two fingerprints: configuration keys, then modules.
 
     Args:
-        before: as it was read; nothing is known of what it lacks.
-        now: the present one.
+        before: earlier fingerprint; a missing kind is not compared.
+        now: current fingerprint.
     """
     found = []
     for kind, said in (("config", "{}"), ("code", "the source of {}")):
@@ -49,9 +49,9 @@ def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
 
 
 def _code_digests(config: ExperimentConfig) -> dict[str, str]:
-    """SHA-256 of the source of the user's own classes, by module, once they are built.
+    """Return SHA-256 digests of the source of the user's own classes, by module, once built.
 
-    Modules that these import count as well where they lie in the same folder or below it.
+    Imported modules are included if they are in the same folder or below it.
     """
     digests: dict[str, str] = {}
     for part in own_parts(config).values():
@@ -63,7 +63,7 @@ def _code_digests(config: ExperimentConfig) -> dict[str, str]:
 
 
 def _digest(module: ModuleType, path: Path, folder: Path, digests: dict[str, str]) -> None:
-    """Add the digests of a module and of what it imports from a folder."""
+    """Add the digests of a module and of the modules that it imports from a folder."""
     if module.__name__ in digests:
         return
     text = path.read_bytes()
@@ -76,7 +76,7 @@ def _digest(module: ModuleType, path: Path, folder: Path, digests: dict[str, str
 
 
 def _imported(tree: ast.AST, module: ModuleType) -> Iterable[str]:
-    """Names of the modules that a module's source imports, and some that are none."""
+    """Yield the names that a module's source imports; some are not modules."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

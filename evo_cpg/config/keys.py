@@ -1,7 +1,7 @@
-"""Values by their keys: in mappings, lists, sections of a configuration and frozen dataclasses.
+"""Access by key to mappings, lists, sections of a configuration and frozen dataclasses.
 
-The parts of a key are names, and numbers of entries of lists; either may be text, as the parts of
-``creature.bodies.1.joint`` are.
+The parts of a key are names, and indices of lists. Both may be text, as in
+``creature.bodies.1.joint``.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ _T = TypeVar("_T")
 
 
 def follow(place: Any, key: Key) -> tuple[Any, int]:
-    """Return the value at a key, or where that ends, and how much of the key there is."""
+    """Return the value at the longest existing part of a key, and the number of its parts."""
     for known, part in enumerate(key):
         try:
             place = inside(place, part)
@@ -26,16 +26,16 @@ def follow(place: Any, key: Key) -> tuple[Any, int]:
 
 
 def value_at(place: Any, key: Key) -> Any:
-    """Return the value at a key; None if there is none."""
+    """Return the value at a key; None if the key does not exist."""
     value, known = follow(place, key)
     return value if known == len(key) else None
 
 
 def inside(place: Any, part: str | int) -> Any:
-    """Return what one part of a key stands for.
+    """Return the value at one part of a key.
 
     Raises:
-        LookupError: there is none.
+        LookupError: there is no such value.
     """
     if isinstance(place, BaseModel) or dataclasses.is_dataclass(place):
         return getattr(place, str(part))
@@ -47,7 +47,7 @@ def inside(place: Any, part: str | int) -> Any:
 
 
 def put(place: Any, key: Key, value: Any) -> Any:
-    """Return a copy with another value at a key, which is there; nothing is checked."""
+    """Return an unchecked copy with another value at an existing key."""
     if not key:
         return value
     name, *rest = key
@@ -63,7 +63,7 @@ def put(place: Any, key: Key, value: Any) -> Any:
 
 
 def unchecked(settings: type[_T], fields: Mapping[str, Any]) -> _T:
-    """Return a frozen dataclass whose fields were checked when they were known."""
+    """Build a frozen dataclass without the checks of its constructor."""
     made = object.__new__(settings)
     for name, value in fields.items():
         object.__setattr__(made, name, value)
@@ -71,6 +71,6 @@ def unchecked(settings: type[_T], fields: Mapping[str, Any]) -> _T:
 
 
 def is_index(part: str | int, place: list | tuple) -> bool:
-    """Return whether a part of a key is the number of an entry of a list."""
+    """Return whether a part of a key is an index of a list."""
     text = str(part)
     return text.isascii() and text.isdigit() and int(text) < len(place)

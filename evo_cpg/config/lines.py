@@ -1,4 +1,4 @@
-"""In which line of which file a value of a configuration stands."""
+"""Files and lines of the values of a configuration."""
 
 import contextlib
 from collections.abc import Iterator
@@ -15,11 +15,11 @@ from evo_cpg.config.yaml_text import compose_yaml, parse_yaml
 
 @contextlib.contextmanager
 def located(source: Path | str, data: Any = None) -> Iterator[None]:
-    """Raise a `KeyProblem` as a `ConfigError`, with the file and the line of its key.
+    """Convert a `KeyProblem` into a `ConfigError`, with the file and line of its key.
 
     Args:
-        source: file that the configuration came from.
-        data: the contents with overrides: what these changed stands in no line. None for no lines.
+        source: file of the configuration.
+        data: contents with overrides; overridden values have no line. None for no lines.
     """
     try:
         yield
@@ -41,7 +41,7 @@ def _with_line(source: Path | str, error: KeyProblem, data: Any) -> ConfigError:
 
 
 def _places(path: Path, key: Key) -> list[tuple[Path, Key]]:
-    """Return the files and the keys in them at which a value may stand."""
+    """Return the files, and the keys in them, that may contain a value."""
     places: list[tuple[Path, Key]] = [(path, key)]
     if key[:1] == ("creature",):
         for name in (("creature", "file"), ("creature",)):
@@ -52,9 +52,9 @@ def _places(path: Path, key: Key) -> list[tuple[Path, Key]]:
 
 
 def _find(path: Path, key: Key) -> tuple[int, Any, int] | None:
-    """Return the line of a key, the value there, and how many parts of the key are missing.
+    """Return the line of a key, its value, and the number of missing parts of the key.
 
-    Of a key that is missing it is the line of the section that lacks it.
+    For a missing key the line is that of the enclosing section.
     """
     try:
         text = read_small(path)

@@ -1,4 +1,4 @@
-"""From a YAML file and overrides to a checked configuration."""
+"""Checked configurations from YAML files and overrides."""
 
 import contextlib
 import copy
@@ -28,11 +28,11 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
     """Read and check a configuration file.
 
     Args:
-        path: the YAML file.
-        overrides: ``key.path=value`` with a YAML value, applied in order.
+        path: YAML file.
+        overrides: texts ``key.path=value`` with a YAML value, applied in order.
 
     Raises:
-        ConfigError: anything that is wrong with it, in words for the user.
+        ConfigError: the configuration is invalid; the message is worded for the user.
     """
     path = Path(path)
     return complete_config(read_yaml(path), path, overrides)
@@ -41,15 +41,15 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
 def complete_config(
     data: dict[str, Any], source: Path, overrides: Sequence[str] = ()
 ) -> ExperimentConfig:
-    """Check the contents of a configuration file, with those of the files that it names.
+    """Check the contents of a configuration file and of the files that it names.
 
     Args:
-        data: the contents.
-        source: the file; others are looked for beside it.
-        overrides: ``key.path=value`` with a YAML value, applied in order.
+        data: contents of the file.
+        source: path of the file; other files are relative to its folder.
+        overrides: texts ``key.path=value`` with a YAML value, applied in order.
 
     Raises:
-        ConfigError: anything that is wrong with it, in words for the user.
+        ConfigError: the configuration is invalid; the message is worded for the user.
     """
     data = copy.deepcopy(data)
     with located(source, data):
@@ -60,7 +60,7 @@ def complete_config(
                     beside(source, entry["shape"]["file"])
         for override in overrides:
             _apply(data, override)
-            # What the command line names may lie anywhere.
+            # Files named on the command line may be anywhere.
             with trusting():
                 _read_files(data, source)
         with trusting():
@@ -72,7 +72,7 @@ def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
     """Check the contents of a configuration file.
 
     Raises:
-        ConfigError: anything that is wrong with it.
+        ConfigError: the configuration is invalid.
     """
     with located(source):
         return _check(data)
@@ -88,25 +88,25 @@ def _check(data: dict[str, Any]) -> ExperimentConfig:
 
 
 def dump_config(config: ExperimentConfig) -> str:
-    """The complete configuration as YAML, from which `load_config` makes an equal one."""
+    """Return the complete configuration as YAML, which `load_config` reads back unchanged."""
     return to_yaml(config.model_dump(mode="json"))
 
 
 def dump_creature(config: CreatureConfig) -> str:
-    """A creature's own file, without what has its default, from which an equal one is read."""
+    """Return a creature as YAML without defaults, which is read back unchanged."""
     return to_yaml(config.model_dump(mode="json", exclude_defaults=True), flow=None)
 
 
 def as_overrides(values: Mapping[str, Any]) -> list[str]:
-    """Settings as they stand on the command line, ``key=value``."""
+    """Return settings in the form of the command line, ``key=value``."""
     return [f"{key}={to_yaml([value], flow=True).strip()[1:-1]}" for key, value in values.items()]
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The contents of a YAML file.
+    """Return the contents of a YAML file.
 
     Raises:
-        ConfigError: it cannot be read, or holds something else than keys and values.
+        ConfigError: it cannot be read, or is not a mapping.
     """
     try:
         text = read_small(path)
@@ -138,7 +138,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def _read_files(data: dict[str, Any], path: Path) -> None:
-    """Put the contents of other files in the place of their names, so that one file holds all."""
+    """Replace the names of other files by their contents, so that one file contains everything."""
     creature = data.get("creature")
     if isinstance(creature, str):
         creature = {"file": creature}
@@ -161,7 +161,7 @@ def _read_files(data: dict[str, Any], path: Path) -> None:
 
 
 def _read_meshes(data: dict[str, Any], path: Path) -> None:
-    """Put the vertices and faces of mesh files in the place of their names, each file once."""
+    """Replace the names of mesh files by their vertices and faces; read each file once."""
     found: dict[str, dict[str, Any]] = {}
     for key, entry in _mesh_entries(data):
         shape = entry["shape"]
@@ -172,9 +172,9 @@ def _read_meshes(data: dict[str, Any], path: Path) -> None:
 
 
 def _mesh_entries(data: dict[str, Any]) -> Iterator[tuple[Key, dict[str, Any]]]:
-    """The bodies whose shape is the mesh of a file, and the keys of their shapes.
+    """Yield the bodies whose shape is a mesh file, with the keys of their shapes.
 
-    What has neither vertices nor faces is meant to have a file.
+    A mesh with neither vertices nor faces counts as a mesh file.
     """
     creature = data.get("creature")
     bodies = creature.get("bodies") if isinstance(creature, dict) else None
@@ -187,7 +187,7 @@ def _mesh_entries(data: dict[str, Any]) -> Iterator[tuple[Key, dict[str, Any]]]:
 
 
 def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:
-    """Values that were taken for numbers but are none: booleans, quoted text, infinities."""
+    """Yield values that were wrongly read as numbers: booleans, quoted text, infinities."""
     if isinstance(given, dict) and isinstance(made, Mapping):
         inner = [(name, value, made[name]) for name, value in given.items() if name in made]
     elif isinstance(given, list) and isinstance(made, (list, tuple)):
@@ -207,18 +207,18 @@ def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any
 
 
 def _elsewhere(path: Path) -> str:
-    """Where a file that is missing may be instead: among those that are shipped, or near it."""
+    """Return a hint for a missing file: a shipped configuration, or a similar name nearby."""
     if path.stem in shipped_names():
         return f"; that which comes with evo-cpg is called {path.stem}"
     names = []
-    # There may be no such folder, or none that may be read.
+    # The folder may be missing or unreadable.
     with contextlib.suppress(OSError):
         names = [other.name for other in path.parent.iterdir() if other.suffix in (".yaml", ".yml")]
     return f"; {nearest(path.name, names)}" if names else ""
 
 
 def _apply(data: dict[str, Any], override: str) -> None:
-    """Set one value of the raw configuration, in sections that are made where there are none."""
+    """Set one value of the raw configuration; create missing sections."""
     key, separator, text = override.partition("=")
 
     def refused(problem: str) -> ConfigError:

@@ -1,4 +1,4 @@
-"""Files that a configuration names in the place of numbers: meshes of bodies, heights of ground."""
+"""Files that replace numbers in a configuration: meshes of bodies, heights of ground."""
 
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,14 @@ _ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg
 
 
 def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
-    """A shape with the vertices (m) and faces of a file in the place of its name.
+    """Return a shape with the vertices (m) and faces of its file.
 
     Args:
-        source: the configuration file, beside which the file is looked for.
+        source: configuration file, whose folder the file's path is relative to.
         given: keys and values of the shape.
 
     Raises:
-        KeyProblem: a key is wrong, there is no such file, it does not hold a mesh, or the mesh
+        KeyProblem: a key is wrong, the file does not exist or contains no mesh, or the mesh
             cannot be a body.
     """
     shape = checked(MeshFileConfig, given)
@@ -33,7 +33,7 @@ def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
         try:
             vertices, faces = _triangles(path)
         except Exception as error:
-            # Whatever the reader raises is about the file.
+            # Any error of the reader concerns the file.
             problem = " ".join(str(error).split()) or type(error).__name__
             problem = f"{shape.file}: cannot be read as a mesh ({problem})"
             raise KeyProblem((), problem) from None
@@ -47,13 +47,13 @@ def read_mesh(source: Path, given: dict[str, Any]) -> dict[str, Any]:
 
 
 def _triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices, each once, and triangles."""
+    """Return the vertices without duplicates, and the triangles."""
     import trimesh
 
     mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("a coordinate of a vertex is not a finite number")
-    # Merging takes places for whole numbers; those that are too large are refused later.
+    # Merging rounds positions to integers. Positions that overflow are refused later.
     with np.errstate(all="ignore"):
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
     if not len(mesh.faces):
@@ -62,15 +62,15 @@ def _triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
-    """Heights from an array (.npy), a table (.csv, .txt) or an image, m.
+    """Return heights from an array (.npy), a table (.csv, .txt) or an image, m.
 
     Args:
-        source: the configuration file, beside which the file is looked for.
-        given: keys of `ReliefFileConfig`. The first axis of an array, and a line of a table, is x;
-            an image is seen from above, its right edge straight ahead.
+        source: configuration file, whose folder the file's path is relative to.
+        given: keys of `ReliefFileConfig`. The first axis of an array, and a line of a table, is x.
+            An image is seen from above, with its right edge straight ahead.
 
     Raises:
-        KeyProblem: a key is wrong, there is no such file, or it does not hold a grid of numbers.
+        KeyProblem: a key is wrong, or the file does not exist or contains no grid of numbers.
     """
     relief = checked(ReliefFileConfig, given)
     with under("file"):
@@ -78,7 +78,7 @@ def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
         suffix = path.suffix.lower()
         try:
             if suffix in _ARRAYS:
-                # Mapped, so that a header that promises more than the file holds is found out.
+                # Memory mapping detects a header that promises more than the file contains.
                 heights = np.load(path, mmap_mode="r", allow_pickle=False)
             elif suffix in _TABLES:
                 heights = np.loadtxt(path, delimiter="," if suffix == ".csv" else None)
@@ -87,7 +87,7 @@ def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
             if heights.ndim == 2 and max(heights.shape) <= MOST_HEIGHTS:
                 heights = np.asarray(heights, float)
         except Exception as error:
-            # Whatever the readers raise is about the file.
+            # Any error of the readers concerns the file.
             raise KeyProblem((), f"{relief.file}: cannot be read ({error})") from None
         problem = None
         if heights.ndim != 2 or not np.isfinite(heights[:MOST_HEIGHTS, :MOST_HEIGHTS]).all():
@@ -111,5 +111,5 @@ def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
     pixels = np.asarray(imread(path))
     full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
     grey = pixels if pixels.ndim == 2 else pixels[..., :3].mean(-1)
-    # Rows go down in the picture, which is to the right on the ground.
+    # Rows run downwards in the image, which is to the right on the ground.
     return lowest + (highest - lowest) / full * grey[::-1].T

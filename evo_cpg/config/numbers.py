@@ -1,4 +1,4 @@
-"""The real numbers of a configuration by their keys, such as ``world.water.form_drag``."""
+"""Access to the real numbers of a configuration by key, such as ``world.water.form_drag``."""
 
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,22 +17,22 @@ from evo_cpg.config.load import check_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.spatial.numerics import Number
 
-# Sections that a trial does not depend on, and lists too long to be parameters one by one.
+# Sections without influence on a trial, and lists too long for single parameters.
 _OUTSIDE = ("audit", "evolution", "noise")
 _LONG = ("vertices", "faces", "heights")
 
 
 def number_keys(config: ExperimentConfig) -> tuple[str, ...]:
-    """The keys of all real numbers that a trial may depend on."""
+    """Return the keys of all real numbers that a trial may depend on."""
     data = config.model_dump(mode="json", exclude=set(_OUTSIDE))
     return tuple(".".join(key) for key, _ in _numbers(data, ()))
 
 
 def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> float:
-    """The real number of a configuration that has this key.
+    """Return the real number of a configuration at a key.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is no real number.
     """
     parts = key.split(".")
     place, known = follow(config.model_dump(mode="json"), parts)
@@ -52,15 +52,15 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
 def with_numbers(
     config: ExperimentConfig, numbers: Mapping[str, float], source: Path | str
 ) -> ExperimentConfig:
-    """A configuration with other numbers.
+    """Return a configuration with other numbers.
 
     Args:
         config: the configuration.
-        numbers: by key.
-        source: file it came from.
+        numbers: values by key.
+        source: file of the configuration.
 
     Raises:
-        ConfigError: numbers that are not allowed.
+        ConfigError: the numbers are not allowed.
     """
     data = config.model_dump(mode="json")
     for key, number in numbers.items():
@@ -69,13 +69,12 @@ def with_numbers(
 
 
 def are_allowed(config: ExperimentConfig, columns: Mapping[str, Float[np.ndarray, " n"]]) -> bool:
-    """Whether values lie in the ranges of their fields.
+    """Return whether values lie in the ranges of their fields.
 
-    Each range is one interval, so the least and the largest value of a key are looked at.
+    Each range is one interval, so only the least and the largest value of a key are checked.
 
     Args:
-        config: the configuration; no number is checked together with another one
-            (`are_checked_alone`).
+        config: the configuration, in which each number is checked alone (`are_checked_alone`).
         columns: values by key.
     """
     for key, values in columns.items():
@@ -90,13 +89,13 @@ def are_allowed(config: ExperimentConfig, columns: Mapping[str, Float[np.ndarray
 
 
 def are_checked_alone(config: ExperimentConfig, keys: Sequence[str]) -> bool:
-    """Whether no check of a section looks at one of some numbers, apart from the field's own.
+    """Return whether only the fields' own checks, and no section's check, use some numbers.
 
-    Checks are run with traced numbers, of which they can decide nothing.
+    The checks run with traced numbers: a check that uses one fails.
 
     Args:
         config: a checked configuration.
-        keys: of the numbers.
+        keys: keys of the numbers.
     """
 
     def check(numbers: list[Array]) -> None:
@@ -114,11 +113,11 @@ def are_checked_alone(config: ExperimentConfig, keys: Sequence[str]) -> bool:
 
 
 def put_numbers(config: ExperimentConfig, numbers: Mapping[str, Number]) -> ExperimentConfig:
-    """A configuration with other numbers, unchecked, which may be traced.
+    """Return a configuration with other, unchecked numbers, which may be traced.
 
     Args:
         config: the configuration.
-        numbers: by key.
+        numbers: values by key.
     """
     for key, number in numbers.items():
         config = put(config, key.split("."), number)
@@ -126,7 +125,7 @@ def put_numbers(config: ExperimentConfig, numbers: Mapping[str, Number]) -> Expe
 
 
 def _sections(place: Any, key: str) -> Iterator[tuple[BaseModel, list[str]]]:
-    """The sections around a number, from the outermost one, and the rest of the key in each."""
+    """Yield the sections around a number, outermost first, with the rest of the key in each."""
     names = key.split(".")
     for i, name in enumerate(names):
         if isinstance(place, BaseModel):
@@ -145,7 +144,7 @@ def _numbers(place: Any, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...]
 
 
 def _hint(config: ExperimentConfig, key: str) -> str:
-    """The numbers whose keys are most like this one: below it, or by their letters."""
+    """Return a hint with the most similar keys of numbers: below this key, or by spelling."""
     keys = number_keys(config)
     near = [other for other in keys if other.startswith(f"{key}.")]
     last = key.rsplit(".", 1)[-1]

@@ -1,4 +1,4 @@
-"""Checks of a user's own classes: what their methods return, on a trial of shapes alone."""
+"""Checks of the values that a user's own classes return, in a trial of shapes only."""
 
 import inspect
 import traceback
@@ -33,19 +33,19 @@ from evo_cpg.simulation.task import term_names
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
 
-# As many as two individuals are updated from one, and from what a creature has two of.
+# Number of individuals: an unusual number, unlikely to equal another axis by chance.
 _INDIVIDUALS = 7
 _BATCH = (_INDIVIDUALS,)
 
-# Returns what is wrong with a value, after the name of the method; None if it is right.
+# Returns the problem of a value, to follow the name of the method; None if the value is valid.
 Test = Callable[[Any], str | None]
 
 
 def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
-    """Let the user's own classes take part in one control step, of which only shapes are computed.
+    """Check the user's own classes in one control step, with shapes only.
 
     Raises:
-        KeyProblem: one of them fails, or gives something of another kind or shape than it must.
+        KeyProblem: a class fails, or returns a wrong type or shape.
     """
     own = own_parts(config)
     if not own:
@@ -106,11 +106,11 @@ def _check_task(task: "_Methods", simulation: Simulation, seen: Any) -> None:
 
 
 def check_own_forces(config: ExperimentConfig, world: World) -> None:
-    """Let the user's own force laws act on the creature, which is at rest.
+    """Check the user's own force laws on the creature at rest.
 
     Raises:
-        KeyProblem: one of them fails, gives something of another kind or shape than it must, or is
-            infinite or NaN at rest.
+        KeyProblem: a force law fails, returns a wrong type or shape, or is infinite or NaN at
+            rest.
     """
     count = len(config.world.forces)
     if not count:
@@ -145,18 +145,18 @@ def check_own_strategy(
     metrics: tuple[str, ...],
     where: str,
 ) -> None:
-    """Let a strategy of the user's own take part in two generations, of which only shapes matter.
+    """Check a user's own strategy in two generations, with shapes only.
 
     Args:
-        strategy: on one island.
-        population: that it was updated to have.
-        simulation: the trial.
-        trials: of each individual.
-        metrics: names of those that a map adds to metrics.csv.
-        where: ``on each island``, if there are several.
+        strategy: strategy on one island.
+        population: population that it was requested to have.
+        simulation: simulation of a trial.
+        trials: number of trials of each individual.
+        metrics: names of the metrics that a map adds to metrics.csv.
+        where: ``on each island`` if there are several islands.
 
     Raises:
-        KeyProblem: it fails, or gives something of another kind or shape than it must.
+        KeyProblem: the strategy fails, or returns a wrong type or shape.
     """
     own = _Methods(strategy, ())
     if strategy.population != population:
@@ -199,7 +199,7 @@ def check_own_strategy(
         worth = Evaluation(fitness, terms, descriptors(simulation, terms), in_trials)
         updated = own.call("tell", draw, kept, random, worth)
         _, kept = own.call("ask", draw, updated, test=is_generation)
-        # Of a state after trials, as in a run.
+        # Metrics are computed from a state after trials, as in a run.
         own.call("metrics", kept, test=are_declared)
 
     given = (jax.ShapeDtypeStruct(x, jnp.float32) for x in (shape, shape[1:]))
@@ -207,22 +207,22 @@ def check_own_strategy(
 
 
 class _Methods:
-    """Methods of a part of the simulation; if it is the user's own, they may fail.
+    """Methods of a part of the simulation, which may fail if the part is the user's own.
 
     Args:
-        part: the object.
-        key: of its section.
-        own: whether it is the user's own.
+        part: the part.
+        key: key of its section.
+        own: whether the part is the user's own.
     """
 
     def __init__(self, part: Any, key: Key, own: bool = True):
         self._part, self._key, self._own = part, key, own
 
     def call(self, method: str, *given: Any, test: Test | None = None) -> Any:
-        """Return what a method returns, or the value of an attribute.
+        """Return the result of a method, or the value of an attribute.
 
         Raises:
-            KeyProblem: the method of the user's own fails, or the test does.
+            KeyProblem: the user's own method fails, or its result fails the test.
         """
         try:
             found = getattr(self._part, method)
@@ -238,13 +238,13 @@ class _Methods:
         return found
 
     def require(self, method: str, test: Test, value: Any) -> None:
-        """Raise a KeyProblem if what a method returned does not pass a test."""
+        """Raise a KeyProblem if the result of a method fails a test."""
         problem = test(value)
         if problem:
             self._refuse(method, problem)
 
     def _place(self, error: Exception) -> str:
-        """Return where an error was raised, in the user's own file."""
+        """Return the line of the user's own file that raised an error, in words."""
         file = inspect.getsourcefile(type(self._part))
         frames = traceback.extract_tb(error.__traceback__)
         lines = [frame.lineno for frame in frames if frame.filename == file]
@@ -256,7 +256,7 @@ class _Methods:
 
 
 def _is_array(shape: tuple[int, ...], what: str = "") -> Test:
-    """Test for an array of real numbers of a shape."""
+    """Return a test for an array of real numbers with a given shape."""
     what = f" for {what}" if what else ""
 
     def test(value: Any) -> str | None:
@@ -271,7 +271,7 @@ def _is_array(shape: tuple[int, ...], what: str = "") -> Test:
 
 
 def _is_finite_at_rest(value: Any) -> str | None:
-    """Test for numbers; a creature may begin at rest."""
+    """Test that numbers are finite, since a creature may begin at rest."""
     if np.isfinite(value).all():
         return None
     return (
@@ -281,7 +281,7 @@ def _is_finite_at_rest(value: Any) -> str | None:
 
 
 def _is_dict(kind: str, shape: tuple[int, ...]) -> Test:
-    """Test for a dict of arrays of a shape by name."""
+    """Return a test for a dict from names to arrays with a given shape."""
 
     def test(value: Any) -> str | None:
         if not isinstance(value, dict) or not all(isinstance(name, str) for name in value):
@@ -294,7 +294,7 @@ def _is_dict(kind: str, shape: tuple[int, ...]) -> Test:
 
 
 def _is_like(what: str, model: Any) -> Test:
-    """Test for a pytree of the same structure, shapes and types as another one."""
+    """Return a test for a pytree with the structure, shapes and types of a model."""
 
     def kinds(tree: Any) -> Any:
         return jax.tree.map(lambda x: (getattr(x, "shape", ()), _type_of(x)), tree)
@@ -317,19 +317,19 @@ def _is_pair(value: Any) -> bool:
 
 
 def _first(problems: Iterable[str | None]) -> str | None:
-    """The first problem, if there is one."""
+    """Return the first problem; None if there is none."""
     return next(filter(None, problems), None)
 
 
 def is_real(value: Any) -> bool:
-    """Whether an array, or a number, is of integers, real numbers or truth values."""
+    """Return whether a value is an array or number of integer, real or boolean type."""
     kinds = jnp.bool_, jnp.integer, jnp.floating
     found = _type_of(value)
     return found is not None and any(jnp.issubdtype(found, kind) for kind in kinds)
 
 
 def _type_of(value: Any) -> Any:
-    """Of the numbers of an array; None where it is none."""
+    """Return the type of the numbers of an array; None if the value is not an array."""
     try:
         return jnp.result_type(value)
     except TypeError:
@@ -337,7 +337,7 @@ def _type_of(value: Any) -> Any:
 
 
 def described(value: Any) -> str:
-    """What somebody's method returned, for messages: kinds and shapes of arrays."""
+    """Return a description of a returned value for messages: types and shapes of arrays."""
     if hasattr(value, "shape"):
         return f"{_type_of(value)}{list(value.shape)}"
     if jax.tree.structure(value) == jax.tree.structure(0):

@@ -1,4 +1,4 @@
-"""Classes of the user's own: which there are, and where their code is found."""
+"""The user's own classes in a configuration, and the files of their code."""
 
 import importlib.util
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ from evo_cpg.system import with_working_folder
 
 
 def own_parts(config: ExperimentConfig) -> dict[Key, CustomConfig]:
-    """The parts of a configuration that are classes of the user's own, by their keys."""
+    """Return the parts of a configuration that are the user's own classes, by their keys."""
     parts: dict[Key, Any] = {
         **{("creature", "sensors", i): part for i, part in enumerate(config.creature.sensors)},
         **{("world", "forces", i): part for i, part in enumerate(config.world.forces)},
@@ -23,21 +23,21 @@ def own_parts(config: ExperimentConfig) -> dict[Key, CustomConfig]:
 
 
 def require_code(config: ExperimentConfig, folders: Iterable[Path]) -> None:
-    """Check that the modules of a user's own classes can be found; none is imported.
+    """Check that the modules of a user's own classes can be found, without importing them.
 
     Args:
-        config: which names them.
-        folders: where they may lie, but are not looked for unless they are trusted.
+        config: configuration that names the classes.
+        folders: folders that may contain the modules, searched only if they are trusted.
 
     Raises:
-        KeyProblem: one cannot, or another one of its name would be taken.
+        KeyProblem: a module cannot be found, or another module of its name would be imported.
     """
     folders = tuple(folders)
     for key, part in own_parts(config).items():
         module = part.type.partition(":")[0]
         top = module.partition(".")[0]
         if not top:
-            # One of a package that there is none of, as importing it says.
+            # A relative name without a package; the import itself reports the error.
             continue
         there, found = _found(top)
         if not there:
@@ -53,18 +53,18 @@ def require_code(config: ExperimentConfig, folders: Iterable[Path]) -> None:
 
 
 def _found(top: str) -> tuple[bool, Path | None]:
-    """Whether there is such a module or package, and the file that importing it takes, if any."""
+    """Return whether a module or package exists, and the file that its import uses, if any."""
     try:
         spec = importlib.util.find_spec(top)
     except ValueError:
-        # Loaded, by something that does not say from where.
+        # The module is loaded, without a record of its origin.
         return True, None
     file = None if spec is None else spec.origin
     return spec is not None, Path(file).resolve() if file else None
 
 
 def _file_in(folders: Iterable[Path], top: str) -> Path | None:
-    """The file of a module or package in the first folder that has one."""
+    """Return the file of a module or package in the first folder that contains it."""
     for folder in folders:
         for file in (folder / top / "__init__.py", folder / f"{top}.py"):
             if file.is_file():

@@ -1,11 +1,11 @@
-"""Numbers of a configuration as parameters by which a trial can be differentiated.
+"""Numbers of a configuration as differentiable parameters of a trial.
 
-What a configuration describes is built of traced numbers (see `evo_cpg.config.traced_build`). The
-result is exact wherever they are, as long as the choices stay. What no parameter changes remains a
-constant of the compiled program (see `Inputs`).
+The simulation is built from traced numbers (see `evo_cpg.config.traced_build`). The result is
+exact at all values with unchanged decisions. Elements that no parameter changes remain constants
+of the compiled program (see `Inputs`).
 
-Which elements those are, and whether choices or kinks are near, is found by building at values
-near by.
+Building at neighbouring values shows which elements change, and whether decisions or kinks are
+near.
 """
 
 import dataclasses
@@ -32,26 +32,26 @@ from evo_cpg.spatial.decisions import all_hold
 from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
 from evo_cpg.training.experiment import Experiment
 
-# Distance of neighbouring values, as a share of the value; of 0 it is that itself.
+# Distance of neighbouring values, as a fraction of the value; absolute if the value is 0.
 _STEP = 1e-4
 
-# Shares of the step at which is built: on both sides, or on one where the other is not allowed.
+# Fractions of the step to build at: on both sides, or on one if the other is not allowed.
 _BOTH_SIDES, _ONE_SIDE = (-1.0, -0.5, 0.5, 1.0), (0.5, 1.0)
 
-# What is even in the step goes with its square, but for a kink: what does not, as a share of the
-# largest change in the same array.
+# The even part of a smooth change is quadratic in the step. A larger deviation is a kink. This is
+# its threshold, as a fraction of the largest change in the same array.
 _KINK = 1e-3
 
-# Accuracy of poses that are searched, m and rad.
+# Accuracy of poses that are found by a search, m and rad.
 _SEARCHED = 1e-7
 
-# Differences of so many units in the last place are rounding.
+# Differences up to this fraction count as rounding.
 _ROUNDING = 16 * np.finfo(float).eps
 
-# Where force laws have the surfaces that meet the water.
+# Attribute of force laws that contains the wetted surfaces.
 _PATCHES = jax.tree_util.GetAttrKey("patches")
 
-# Which elements of which leaves follow a number.
+# Elements that depend on a number, by the index of their leaf.
 Change = dict[int, np.ndarray]
 
 
@@ -60,14 +60,14 @@ class Parameters:
     """A simulation as a function of some numbers of its configuration.
 
     Attributes:
-        keys: of the numbers, as in ``KEY=VALUE`` overrides.
-        experiment: at the configuration's own values.
+        keys: keys of the numbers, as in ``KEY=VALUE`` overrides.
+        experiment: experiment at the configuration's own values.
         config: the configuration.
-        source: the file that it came from.
-        folders: where else a user's own classes are looked for.
-        inputs: the numbers of the simulation that change.
-        building: how it is built.
-        kinks: why some of the keys have no derivative, if there are such keys.
+        source: file of the configuration.
+        folders: further folders with a user's own classes.
+        inputs: numbers of the simulation that change.
+        building: builder of the simulation.
+        kinks: reasons why keys have no derivative, by key.
     """
 
     keys: tuple[str, ...]
@@ -81,17 +81,17 @@ class Parameters:
 
     @property
     def values(self) -> Float[np.ndarray, " k"]:
-        """Those in the configuration."""
+        """Values of the parameters in the configuration."""
         return np.array([number_at(self.config, key) for key in self.keys])
 
     def simulation(self, values: Float[Array, " k"]) -> Simulation:
-        """The trial at some values, which may be traced.
+        """Return the simulation at some values, which may be traced.
 
         Args:
-            values: of the parameters, in the precision of the trial; see `require`.
+            values: values of the parameters, in the precision of the trial; see `require`.
 
         Raises:
-            ConfigError: it is differentiated by a value at a kink.
+            ConfigError: the simulation is differentiated with respect to a value at a kink.
         """
         given = {
             key: _undifferentiated(value, self._refusal(key)) if key in self.kinks else value
@@ -105,13 +105,13 @@ class Parameters:
         return ConfigError(self.source, key.split("."), self.kinks[key])
 
     def require(self, values: Float[np.ndarray, " k"]) -> None:
-        """Check that `simulation` is what a configuration with other values describes.
+        """Check that `simulation` is valid at other values.
 
         Args:
-            values: of the parameters.
+            values: values of the parameters.
 
         Raises:
-            ConfigError: the values are not allowed, or the simulation is laid out differently.
+            ConfigError: the values are not allowed, or change the layout of the simulation.
         """
         with located(self.source):
             other, own = self.building.known(self.config_at(values)), self.building.own
@@ -121,14 +121,14 @@ class Parameters:
                 raise KeyProblem((), f"at {place} the simulation is laid out differently")
 
     def checked(self, values: Float[Array, " k"]) -> Float[Array, " k"]:
-        """Return the values, and raise the error of `require` as soon as they are known.
+        """Return the values; raise the error of `require` as soon as the values are known.
 
-        In a compiled function that is when it runs. JAX then raises an error of its own, with the
-        words of this one.
+        Traced values are known when the compiled function runs. JAX then raises its own error,
+        with this message.
         """
 
         def check(given: Array) -> np.ndarray:
-            # In the precision of the trial the configuration's own values are rounded.
+            # The trial's precision rounds the configuration's own values.
             known = np.asarray(given)
             own = self.values.astype(known.dtype)
             self.require(np.where(known == own, self.values, known))
@@ -142,10 +142,10 @@ class Parameters:
         return values + zero.astype(values.dtype)
 
     def config_at(self, values: Float[np.ndarray, " k"]) -> ExperimentConfig:
-        """The configuration with other values.
+        """Return the configuration with other values.
 
         Raises:
-            ConfigError: values that are not allowed.
+            ConfigError: the values are not allowed.
         """
         pairs = dict(zip(self.keys, map(float, values), strict=True))
         return with_numbers(self.config, pairs, self.source)
@@ -158,17 +158,17 @@ def parametrise(
     folders: Iterable[Path] = (),
     smooth: bool = True,
 ) -> Parameters:
-    """The simulation of a configuration as a function of some of its numbers.
+    """Return the simulation of a configuration as a function of some of its numbers.
 
     Args:
         config: the configuration.
-        source: file it came from.
-        keys: such as ``world.water.form_drag`` or ``creature.bodies.1.shape.size.0``.
+        source: file of the configuration.
+        keys: keys such as ``world.water.form_drag`` or ``creature.bodies.1.shape.size.0``.
         folders: see `evo_cpg.config.build.build_experiment`.
-        smooth: refuse a value at a kink at once, and not only where it is differentiated by.
+        smooth: whether a value at a kink is refused at once, and not only when differentiated.
 
     Raises:
-        ConfigError: a key that does not exist, is no real number, changes nothing or more than
+        ConfigError: a key does not exist, is not a real number, changes nothing or more than
             numbers, or has a value at a kink.
     """
     folders = tuple(folders)
@@ -176,7 +176,7 @@ def parametrise(
         if key in keys[:i]:
             raise ConfigError(source, key.split("."), "is given twice")
         number_at(config, key, source)
-    # A user's own classes can be imported from here on.
+    # This also makes a user's own classes importable.
     experiment = build_experiment(config, source, folders)
     kinks: dict[str, str] = {}
 
@@ -189,7 +189,7 @@ def parametrise(
         try:
             found = changes()
         except KeyProblem:
-            # Grouped surfaces may part, and their points change places.
+            # Merged surfaces may separate, which reorders their points.
             building = Building(config, layout="separate")
             found = changes()
             experiment = build_experiment(config, source, folders, layout="separate")
@@ -211,14 +211,14 @@ def all_parameters(
     folders: Iterable[Path] = (),
     surfaces: bool = True,
 ) -> tuple[str, ...]:
-    """The keys of all numbers for which `parametrise` works, in the order of the file.
+    """Return the keys of all numbers that `parametrise` accepts, in the order of the file.
 
     Args:
         config: the configuration.
-        source: file it came from.
+        source: file of the configuration.
         folders: see `evo_cpg.config.build.build_experiment`.
-        surfaces: with those that change the surfaces which meet the water; they make programs
-            large, and slow to compile.
+        surfaces: whether to include numbers that change the wetted surfaces, which make programs
+            large and slow to compile.
     """
     found = []
     experiment = build_experiment(config, source, folders)
@@ -244,16 +244,16 @@ def all_parameters(
 def _change(
     building: Building, config: ExperimentConfig, key: str, kinks: dict[str, str] | None = None
 ) -> Change:
-    """Which elements of which leaves follow one number.
+    """Return the elements of leaves that depend on one number.
 
     Args:
-        building: how simulations are built.
+        building: builder of simulations.
         config: the configuration.
-        key: of the number.
-        kinks: to which it is added why there is no derivative at a kink; None to raise that.
+        key: key of the number.
+        kinks: dict that gets the reason why there is no derivative at a kink; None to raise it.
 
     Raises:
-        KeyProblem: more than leaves change, none does, or there is no derivative.
+        KeyProblem: more than leaves change, no leaf changes, or there is no derivative.
     """
     value, where = number_at(config, key), key.split(".")
     others, both = _neighbours(building, config, key, value)
@@ -291,10 +291,10 @@ def _change(
 def _neighbours(
     building: Building, config: ExperimentConfig, key: str, value: float
 ) -> tuple[list[Built], bool]:
-    """Build at values near one, on both sides, or on one if the other is not allowed.
+    """Build at neighbouring values on both sides, or on one side if the other is not allowed.
 
     Returns:
-        What is built, in the order of the values, and whether they lie on both sides.
+        The simulations in the order of the values, and whether the values lie on both sides.
 
     Raises:
         KeyProblem: there are no allowed values on either side.
@@ -305,7 +305,7 @@ def _neighbours(
             near = [with_numbers(config, {key: value + x * step}, "") for x in fractions]
             return [building.known(each) for each in near], fractions is _BOTH_SIDES
         except KeyProblem:
-            # At the end of what is allowed: from the other side.
+            # The value is at the end of the allowed range, so try the other side.
             continue
     raise KeyProblem(key.split("."), f"has no allowed values on either side of {value:g}")
 
@@ -313,7 +313,7 @@ def _neighbours(
 def _followed(
     building: Building, config: ExperimentConfig, changes: dict[str, Change]
 ) -> list[str]:
-    """The keys of those numbers that the traced building follows wherever the known one does."""
+    """Return the keys of the numbers on which traced and known leaves depend equally."""
     if not changes or not _hindrance(building, config, changes):
         return list(changes)
     if len(changes) == 1:
@@ -324,7 +324,7 @@ def _followed(
 
 
 def _hindrance(building: Building, config: ExperimentConfig, changes: dict[str, Change]) -> str:
-    """Why the traced building does not follow some numbers; nothing where it does."""
+    """Return why traced leaves do not depend on some numbers; empty if they do."""
     places = sorted({place for change in changes.values() for place in change})
     constant: list[int] = []
 
@@ -343,13 +343,13 @@ def _hindrance(building: Building, config: ExperimentConfig, changes: dict[str, 
 
 
 def _is_searched(building: Building, place: int) -> bool:
-    """Whether a search takes part in a leaf."""
+    """Return whether a leaf depends on a search."""
     begins = getattr(building.own.paths[place][0], "name", None) == "situations"
     return begins and bool(building.own.choices.searched)
 
 
 def _undifferentiated(value: Array, refusal: ConfigError) -> Array:
-    """Return the value; raise the refusal where it is differentiated."""
+    """Return the value; raise the refusal if the value is differentiated."""
 
     @jax.custom_jvp
     def same(value: Array) -> Array:
@@ -363,13 +363,13 @@ def _undifferentiated(value: Array, refusal: ConfigError) -> Array:
 
 
 def _moves(leaf: Any, others: list[Any], both: bool, accuracy: float) -> tuple[np.ndarray, bool]:
-    """Which elements of a leaf move, and whether they do so smoothly.
+    """Return which elements of a leaf change, and whether they change smoothly.
 
     Args:
-        leaf: as it is.
-        others: at neighbouring values.
-        both: whether these lie on both sides, so that there may be a kink.
-        accuracy: of what is built.
+        leaf: leaf at the configuration's own value.
+        others: leaves at neighbouring values.
+        both: whether these values lie on both sides, so that a kink can be detected.
+        accuracy: accuracy of the leaf.
     """
     finite = np.isfinite(leaf)
     centre = np.where(finite, leaf, 0.0)

@@ -1,4 +1,4 @@
-"""Settings of a sweep: which keys of a configuration take which values, and what each is called."""
+"""Settings of a sweep: values for keys of a configuration, and the name of each setting."""
 
 import itertools
 import re
@@ -9,21 +9,21 @@ from typing import Any, NamedTuple
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import as_overrides, read_yaml
 
-# More settings than anybody compares.
+# Largest number of settings: more than a user would compare.
 _MOST = 1000
 
-# Longest name of a folder.
+# Longest name of a folder, in characters.
 _LONGEST = 80
 
 Values = Mapping[str, Any]
 
 
 class Setting(NamedTuple):
-    """One of the configurations that are compared.
+    """One of the compared configurations.
 
     Attributes:
-        name: of it, and of its run folder.
-        values: that it changes, by key.
+        name: name of the setting and of its run folder.
+        values: changed values by key.
     """
 
     name: str
@@ -31,15 +31,15 @@ class Setting(NamedTuple):
 
     @property
     def overrides(self) -> list[str]:
-        """The values as on the command line."""
+        """The values in the form of the command line."""
         return as_overrides(self.values)
 
 
 def read_settings(path: Path) -> dict[str, Values]:
-    """Named settings from a YAML file, ``name: {key: value, ...}``.
+    """Read named settings from a YAML file, ``name: {key: value, ...}``.
 
     Raises:
-        ConfigError: the file cannot be read, or is something else.
+        ConfigError: the file cannot be read, or contains something else.
     """
     read = read_yaml(path)
     for name, values in read.items():
@@ -49,14 +49,14 @@ def read_settings(path: Path) -> dict[str, Values]:
 
 
 def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> list[Setting]:
-    """All settings: every combination of the grid, with each of those that have names.
+    """Return all combinations of the grid with each of the named settings.
 
     Args:
         grid: values of each key.
-        named: settings by name; none stands for one that changes nothing.
+        named: settings by name; if empty, the grid is used alone.
 
     Raises:
-        ValueError: there are too many, or two have the same name.
+        ValueError: there are too many settings, or two have the same name.
     """
     short = _short_names(grid)
     count = max(1, len(named))
@@ -79,19 +79,19 @@ def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> l
 
 
 def is_folder_name(text: str) -> bool:
-    """Whether a text can be the name of a setting's run folder, as `combine` makes them."""
+    """Return whether a text can be the name of a setting's run folder, as in `combine`."""
     return re.fullmatch(r"[\w=+][\w.,=+-]*", text) is not None
 
 
 def _short_names(keys: Mapping[str, object]) -> dict[str, str]:
-    """The last parts of keys, as many as it takes to tell them apart."""
+    """Return the last part of each key, or the whole key if last parts coincide."""
     names = {key: key.rsplit(".", 1)[-1] for key in keys}
     alike = [name for name in names.values() if list(names.values()).count(name) > 1]
     return {key: key if name in alike else name for key, name in names.items()}
 
 
 def _word(value: Any) -> str:
-    """A value as a part of a name: of a section its type is enough, if it has one."""
+    """Return a value as part of a name; a section is named by its algorithm or type."""
     if isinstance(value, dict):
         known = [value[key] for key in ("algorithm", "type") if key in value]
         value = known[0] if known else value

@@ -1,6 +1,6 @@
-"""The configurations that come with the program, which go by their names.
+"""The configurations that come with the program, and are known by name.
 
-In a checkout they are the files of its ``configs/``; a wheel holds these beside the modules.
+In a checkout they are the files in ``configs/``. A wheel contains them next to the modules.
 """
 
 import filecmp
@@ -15,7 +15,7 @@ from evo_cpg.system import resolved
 
 _PACKAGE = Path(__file__).parents[1]
 
-# "Iwadate, Suzuki, Yamamoto and Furukawa 2010", "Fukui 2003".
+# Matches "Iwadate, Suzuki, Yamamoto and Furukawa 2010" and "Fukui 2003".
 _STUDY = re.compile(r"\b([A-Z][a-z]+)(?:, [A-Za-z, ]+)? ((?:19|20)\d\d)\b")
 
 
@@ -23,11 +23,11 @@ class Shipped(NamedTuple):
     """A configuration that comes with the program.
 
     Attributes:
-        name: that it goes by.
-        path: its file.
-        about: the comment at the top of the file, on one line.
-        summary: what it is, the first sentence of that.
-        study: that it repeats or starts from, as "Fukui 2003"; empty where it is ours alone.
+        name: name of the configuration.
+        path: path of its file.
+        about: comment at the top of the file, on one line.
+        summary: first sentence of that comment.
+        study: study that it repeats or starts from, as "Fukui 2003"; empty if there is none.
     """
 
     name: str
@@ -38,27 +38,27 @@ class Shipped(NamedTuple):
 
 
 def shipped_folder() -> Path | None:
-    """Where they lie; None where a part of the program is missing."""
+    """Return the folder of the shipped configurations; None if it is missing."""
     if (_PACKAGE / "configs").is_dir():
         return _PACKAGE / "configs"
     checkout = _PACKAGE.parent
-    # Beside an installed package may lie anybody's `configs`.
+    # A `configs` folder next to an installed package may belong to another program.
     if (checkout / "pyproject.toml").is_file() and (checkout / "configs").is_dir():
         return checkout / "configs"
     return None
 
 
 def shipped_names() -> list[str]:
-    """The names of all, in the order of the alphabet."""
+    """Return the names of all shipped configurations, sorted."""
     folder = shipped_folder()
     return [] if folder is None else sorted(path.stem for path in folder.glob("*.yaml"))
 
 
 def shipped(name: str) -> Shipped:
-    """The one of a name.
+    """Return the shipped configuration with a given name.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is no such configuration.
     """
     folder = shipped_folder()
     if folder is None or name not in shipped_names():
@@ -75,17 +75,17 @@ def shipped(name: str) -> Shipped:
 
 
 def find_config(given: Path | str, folders: bool = False) -> Path:
-    """The file of a configuration: one that is there, or else the shipped one of that name.
+    """Return the file of a configuration: an existing file, or else the shipped one by name.
 
     Args:
-        given: a path, or a name without a folder and a suffix.
-        folders: whether a folder is meant as well, a run or a sweep.
+        given: path, or name without a folder and a suffix.
+        folders: whether the path may also be a folder, of a run or a sweep.
 
     Raises:
-        ConfigError: it is a name, of nothing in the working folder and of none that is shipped.
+        ConfigError: a name exists neither in the working folder nor among the shipped names.
     """
     path = Path(given)
-    # Unlike a path's own methods these do not complain of names that no file can have.
+    # Unlike the methods of `Path`, these functions accept names that no file can have.
     there = os.path.exists(path)
     if os.path.isfile(path) or (folders and there) or path.suffix or len(path.parts) != 1:
         return path
@@ -104,26 +104,26 @@ def find_config(given: Path | str, folders: bool = False) -> Path:
 
 
 def shipped_name(source: Path) -> str | None:
-    """The name that a file goes by; None where it is none of those that come with the program."""
+    """Return the name of a shipped file; None if the file is not shipped."""
     folder = shipped_folder()
     own = folder is not None and resolved(source).parent == resolved(folder)
     return source.stem if own and source.stem in shipped_names() else None
 
 
 def copy_shipped(name: str, folder: Path) -> Path:
-    """Copy a configuration, with the files that it names, and replace nothing.
+    """Copy a configuration with the files that it names, without replacing any file.
 
     Args:
-        name: of the configuration.
-        folder: where to; it is made where it is missing.
+        name: name of the configuration.
+        folder: destination, created if missing.
 
     Returns:
-        The copy. A file that is there already and has the same contents stays as it is.
+        Path of the copy. An existing file with the same contents is kept.
 
     Raises:
-        ConfigError: there is none of this name, or a file that is there already has other contents;
-            then nothing was copied.
-        OSError: a folder cannot be made.
+        ConfigError: the name does not exist, or an existing file has other contents. Nothing is
+            copied then.
+        OSError: a folder cannot be created.
         RunFolderError: a file cannot be written.
     """
     from evo_cpg.config.load import load_config
@@ -151,7 +151,7 @@ def copy_shipped(name: str, folder: Path) -> Path:
 
 
 def _head(text: str) -> str:
-    """The comment that a file begins with, up to its first empty line, on one line."""
+    """Return the comment at the top of a file, up to its first empty line, on one line."""
     words: list[str] = []
     for line in text.splitlines():
         if not line.startswith("# "):

@@ -1,4 +1,4 @@
-"""What each trial begins with, from what the configuration says of start and light."""
+"""Initial situations of the trials, from the configuration's start and light."""
 
 import functools
 from collections.abc import Callable
@@ -28,20 +28,20 @@ from evo_cpg.spatial.decisions import Condition, chosen, searched
 from evo_cpg.spatial.numerics import Number, Triple, is_traced, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
-# Tries to find the height at which an animal stands, and how exact it is to be, m.
+# Largest number of steps to find the height at which an animal stands, and its accuracy, m.
 _START_STEPS, _START_ACCURACY = 200, 1e-5
 
-# Nothing swims or walks so many times its own length in a trial.
+# Largest distance of a light, in lengths of the creature. No creature moves that far in a trial.
 _FARTHEST_LIGHT = 1000.0
 
 
 def build_situations(
     config: ExperimentConfig, creature: Creature, world: World
 ) -> tuple[Situation, ...]:
-    """The situations of the trials, or the one that all trials have.
+    """Build the situations of the trials, or the one situation of all trials.
 
     Raises:
-        KeyProblem: there is no place to stand or no rest, or a light that cannot be reached.
+        KeyProblem: the creature cannot stand or come to rest, or a light cannot be reached.
     """
     settings = config.simulation
     common = config.task.goal
@@ -84,7 +84,7 @@ def build_situations(
 
 
 def _same_start(begins: list[Situation], x: float, y: float, heading: float) -> int | None:
-    """Which of some situations begins here, or None."""
+    """Return the index of the situation with this start, or None."""
     for i, begin in enumerate(begins):
         if (*begin.start_position[:2], begin.start_heading) == (x, y, heading):
             return i
@@ -94,10 +94,10 @@ def _same_start(begins: list[Situation], x: float, y: float, heading: float) -> 
 def _settled(
     settling: Callable[[], Settling], world: World, h: float, situation: Situation
 ) -> Situation:
-    """The situation with the creature at rest.
+    """Return the situation with the creature at rest.
 
     Raises:
-        KeyProblem: it does not come to rest.
+        KeyProblem: the creature does not come to rest.
     """
     try:
         return settled(settling, world, h, situation)
@@ -114,7 +114,7 @@ def require_light(config: ExperimentConfig, task: Task) -> None:
     """Check that no trial moves a light that the task does not have.
 
     Raises:
-        KeyProblem: one does.
+        KeyProblem: a trial moves such a light.
     """
     for i, entry in enumerate(config.simulation.situations):
         if entry.light is not None and task.light is None:
@@ -125,7 +125,7 @@ def require_light(config: ExperimentConfig, task: Task) -> None:
 def _is_still_within_reach(
     creature: Creature, world: World, start: Triple, light: Triple, problem: str | None
 ) -> Condition:
-    """Whether `out_of_reach` has nothing to say of other numbers either."""
+    """Return whether `out_of_reach` finds no problem with other numbers either."""
     holds = not problem
     if world.ground is not None:
         solid = (world.ground.floor, *world.ground.obstacles)
@@ -135,20 +135,20 @@ def _is_still_within_reach(
 
 
 def _length(creature: Creature) -> Number:
-    """Of the creature in its neutral pose, m, no less than it is."""
+    """Return an upper bound of the creature's length in its neutral pose, m."""
     centres, _ = neutral_pose(creature)
     reach = xp.max(xp.array([body.shape.reach for body in creature.bodies]))
     return xp.ptp(centres, axis=0).max() + 2 * reach
 
 
 def out_of_reach(creature: Creature, world: World, start: Triple, light: Triple) -> str | None:
-    """Why a light cannot be reached; None where it may be.
+    """Return why a light cannot be reached; None if it may be reached.
 
     Args:
-        creature: the animal.
-        world: its surroundings.
-        start: place of its root at the start, m.
-        light: place of the light, m.
+        creature: the creature.
+        world: the world around it.
+        start: position of its root at the start, m.
+        light: position of the light, m.
     """
     where = "({:g}, {:g}, {:g})".format(*light)
     if world.ground is not None:
@@ -171,9 +171,9 @@ def out_of_reach(creature: Creature, world: World, start: Triple, light: Triple)
 def _start_height(
     creature: Creature, world: World, x: Number, y: Number, heading: Number, start_clearance: Number
 ) -> Number | None:
-    """Of the root's centre, m: where the animal stands on the ground, or height 0.
+    """Return the height of the root's centre at which the animal stands on the ground, m.
 
-    None where there is no place to stand.
+    Return 0 without ground, and None if there is no height to stand at.
     """
     contact_model = world.contact_model
     if contact_model is None:
@@ -192,7 +192,7 @@ def _start_height(
     def search() -> float | None:
         gap, numbers = _gaps.of(world)
         here = height
-        # Raising it by its missing clearance raises it less than enough, but for level ground.
+        # Except on level ground, raising the creature by the missing clearance is too little.
         for _ in range(_START_STEPS):
             reached, rise = gap(numbers, x, y, heading, here)
             missing = start_clearance - float(reached)
@@ -225,7 +225,7 @@ def _start_height(
         clearance = jax.lax.stop_gradient(jnp.asarray(start_clearance, float))
         missing = clearance - stopped_gap(begin)[0]
         _, here, _ = jax.lax.while_loop(is_apart, step, (jnp.asarray(0), begin, missing))
-        # A step of Newton's that follows the numbers.
+        # This Newton step makes the height depend on the traced numbers.
         reached, rise = _gap(world, x, y, heading, here)
         return here + (start_clearance - reached) / jax.lax.stop_gradient(rise)
 
@@ -243,7 +243,7 @@ def _start_height(
 def _gap(
     world: World, x: Number, y: Number, heading: Number, height: Number
 ) -> tuple[Array, Array]:
-    """Of an animal in its neutral pose over the ground, m, and its slope by the height."""
+    """Return the clearance of the neutral pose above the ground, m, and its height derivative."""
     contact_model = world.contact_model
     assert contact_model is not None
 

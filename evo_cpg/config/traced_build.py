@@ -1,8 +1,8 @@
-"""Simulations that differ in numbers alone: built of known numbers, or of traced ones.
+"""Simulations that differ only in numbers, built from known or traced numbers.
 
-What a configuration describes is built of its numbers twice. With known ones NumPy makes constants,
-and notes what was chosen by them (see `evo_cpg.spatial.decisions`). With traced ones JAX makes the
-same functions of the numbers, exactly and wherever they are, as long as the choices hold.
+A simulation is built twice. With known numbers NumPy computes constants, and records the decisions
+that depend on the numbers (see `evo_cpg.spatial.decisions`). With traced numbers JAX computes the
+constants as exact functions of the numbers, valid as long as the decisions hold.
 """
 
 import dataclasses
@@ -31,18 +31,18 @@ from evo_cpg.spatial.decisions import (
 )
 from evo_cpg.spatial.numerics import is_number, is_traced, xp
 
-# What no number changes may differ by this fraction of the largest number in its array: rounding.
+# Allowed rounding of unchanged elements, as a fraction of the largest number in their array.
 _ROUNDING = 1e-9
 
 
 class Built(NamedTuple):
-    """A simulation of known numbers.
+    """A simulation built from known numbers.
 
     Attributes:
-        paths: of its leaves.
-        leaves: its leaves.
-        structure: the rest.
-        choices: by which it came about.
+        paths: paths of the leaves.
+        leaves: leaves of the simulation.
+        structure: tree structure without the leaves.
+        choices: decisions that the build depends on.
     """
 
     paths: list[Any]
@@ -51,7 +51,7 @@ class Built(NamedTuple):
     choices: StaticDecisions
 
     def has_layout_of(self, other: "Built") -> bool:
-        """Whether nothing but numbers is different in the other one."""
+        """Return whether the other simulation differs only in numbers."""
         return (
             self.structure == other.structure
             and self.choices == other.choices
@@ -64,7 +64,7 @@ class Built(NamedTuple):
         )
 
     def agrees(self, leaves: list[Any], inputs: Inputs) -> list[Condition]:
-        """Whether each leaf of another one is the same, but for the inputs.
+        """Return whether each leaf of another simulation is equal, except at the inputs.
 
         Raises:
             Undecidable: a traced leaf has another shape.
@@ -77,13 +77,13 @@ class Built(NamedTuple):
 
 
 class Building:
-    """How simulations are built that differ from that of a configuration in numbers alone.
+    """Builder of simulations that differ from a configuration's simulation only in numbers.
 
     Attributes:
-        layout: of the surface points (`evo_cpg.creature.surface`).
-        pairs: see `evo_cpg.config.build.build_experiment`.
-        task: instead of the configuration's.
-        own: the simulation of the configuration itself.
+        layout: layout of the surface points (`evo_cpg.creature.surface`).
+        pairs: pairs of bodies to check, see `evo_cpg.config.build.build_experiment`.
+        task: task that replaces the configuration's task.
+        own: simulation of the configuration itself.
     """
 
     def __init__(
@@ -98,10 +98,10 @@ class Building:
         self.own = self.known(config)
 
     def known(self, config: ExperimentConfig) -> Built:
-        """Of known numbers.
+        """Build a simulation from known numbers.
 
         Raises:
-            KeyProblem: parts that do not fit together.
+            KeyProblem: parts do not fit together.
         """
         with recording_decisions() as choices:
             simulation = self._build(config)
@@ -119,11 +119,11 @@ class Building:
 
         Args:
             config: the configuration.
-            numbers: by key.
-            conditions: a list to which is added whether this is what `known` would build.
+            numbers: values by key.
+            conditions: list that gets conditions under which `known` would build the same.
 
         Raises:
-            Undecidable: the numbers are traced in a way that no condition can be computed.
+            Undecidable: a condition cannot be computed from the traced numbers.
         """
         with replaying_decisions(self.own.choices, conditions), jax.numpy_rank_promotion("allow"):
             leaves, structure = jax.tree.flatten(self._build(put_numbers(config, numbers)))
@@ -141,7 +141,7 @@ class Building:
 
 
 def values_of(leaves: list[Any], inputs: Inputs, dtype: jnp.dtype) -> list[Array]:
-    """The inputs among the leaves of a simulation, which may be traced."""
+    """Return the inputs among the leaves of a simulation, which may be traced."""
     return [
         jnp.asarray(leaves[place], dtype).reshape(-1)[elements]
         for place, elements in zip(inputs.places, inputs.elements, strict=True)
@@ -149,7 +149,7 @@ def values_of(leaves: list[Any], inputs: Inputs, dtype: jnp.dtype) -> list[Array
 
 
 def _is_same(leaf: Any, own: Any, moving: np.ndarray) -> Condition:
-    """Whether a leaf has the same numbers as another one, but for elements that may differ."""
+    """Return whether a leaf equals another one, except at elements that may differ."""
     if not (is_traced(leaf) or is_number(leaf)):
         return np.array_equal(leaf, own)
     if np.shape(leaf) != np.shape(own):
@@ -158,6 +158,6 @@ def _is_same(leaf: Any, own: Any, moving: np.ndarray) -> Condition:
     found, known = xp.ravel(leaf)[rest], np.ravel(own)[rest]
     slack = np.abs(own, where=np.isfinite(own), out=np.zeros(np.shape(own)))
     slack = _ROUNDING * slack.max(initial=0.0)
-    # Infinities are equal, and their difference is no number.
+    # Infinities are equal, but their difference is NaN.
     with np.errstate(invalid="ignore"):
         return ((found == known) | (abs(found - known) <= slack)).all()

@@ -1,7 +1,7 @@
-"""What a configuration or a run folder may reach beyond itself.
+"""Limits on the files and code that a configuration or a run folder may use.
 
-It may come from a stranger. Unless the user says that it is theirs, it names no files outside of
-its own folder, and no code but what Python finds without it: in the working folder, or installed.
+A configuration may come from a stranger. Unless the user trusts it, files must lie in its own
+folder. Code must be installed or lie in the working folder.
 """
 
 import contextlib
@@ -14,22 +14,22 @@ from evo_cpg.config.errors import KeyProblem
 from evo_cpg.config.files import require_small
 from evo_cpg.system import named, resolved, working_folder
 
-# Says in the environment what `--trust` says on the command line; for clusters and scripts.
+# Environment variable with the effect of `--trust`, for clusters and scripts.
 VARIABLE = "EVO_CPG_TRUST"
 
 _trusted = contextvars.ContextVar("trusted", default=False)
-# Where the files that configurations name are noted.
+# List that records the files that configurations name.
 _noted: contextvars.ContextVar[list[Path] | None] = contextvars.ContextVar("noted", default=None)
 
 
 def trust() -> None:
-    """From here on, configurations are the user's own."""
+    """Trust all configurations from now on."""
     _trusted.set(True)
 
 
 @contextlib.contextmanager
 def trusting(own: bool = True) -> Iterator[None]:
-    """Within it, configurations are the user's own; nothing changes where ``own`` is False."""
+    """Trust configurations within the context; change nothing if ``own`` is False."""
     token = _trusted.set(own or _trusted.get())
     try:
         yield
@@ -39,7 +39,7 @@ def trusting(own: bool = True) -> Iterator[None]:
 
 @contextlib.contextmanager
 def recording_files() -> Iterator[list[Path]]:
-    """Within it, the files that configurations name are added to a list, each once."""
+    """Yield a list that records the files that configurations name within, each once."""
     files: list[Path] = []
     token = _noted.set(files)
     try:
@@ -49,19 +49,19 @@ def recording_files() -> Iterator[list[Path]]:
 
 
 def is_trusted() -> bool:
-    """Whether configurations are the user's own."""
+    """Return whether configurations are trusted."""
     return _trusted.get() or os.environ.get(VARIABLE) == "1"
 
 
 def beside(source: Path, name: str) -> Path:
-    """The file of this name, seen from a configuration file.
+    """Return the path of a file that a configuration names.
 
     Args:
         source: the configuration file.
-        name: as it stands there.
+        name: name of the file in the configuration.
 
     Raises:
-        KeyProblem: it lies outside of the configuration's folder, and that is not trusted.
+        KeyProblem: the file lies outside the configuration's folder, and is not trusted.
     """
     path = source.parent / named(name)
     noted = _noted.get()
@@ -72,7 +72,7 @@ def beside(source: Path, name: str) -> Path:
     try:
         inside = path.resolve().is_relative_to(source.parent.resolve())
     except (OSError, RuntimeError, ValueError):
-        # A name that is none, or links that go round in circles.
+        # The name is invalid, or its links form a cycle. Reading the file reports the error.
         inside = True
     if not inside:
         raise KeyProblem(
@@ -84,12 +84,12 @@ def beside(source: Path, name: str) -> Path:
 
 
 def named_file(source: Path, name: str, suffixes: Sequence[str]) -> Path:
-    """Return the file of this name beside a configuration file, if it can be read.
+    """Return the path of a file that a configuration names, if it can be read.
 
     Args:
         source: the configuration file.
-        name: as it stands there.
-        suffixes: that are known.
+        name: name of the file in the configuration.
+        suffixes: allowed suffixes.
 
     Raises:
         KeyProblem: the file has another suffix, is missing, too large, a folder or not trusted.
@@ -111,13 +111,13 @@ def named_file(source: Path, name: str, suffixes: Sequence[str]) -> Path:
 
 
 def code_folders(folders: Iterable[Path]) -> list[Path]:
-    """In which of some folders a user's own classes are looked for."""
+    """Return the folders that are searched for a user's own classes."""
     here = working_folder()
     return [folder for folder in folders if is_trusted() or (here and resolved(folder) == here)]
 
 
 def distrusted(module: str, folders: Iterable[Path]) -> str:
-    """Says that a module is there, but not trusted; empty where it is not there."""
+    """Return a note that a module exists but is not trusted; empty if it does not exist."""
     top = module.partition(".")[0]
     for folder in folders:
         if (folder / f"{top}.py").is_file() or (folder / top).is_dir():

@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with a configuration, in words: key, value, what is allowed."""
+"""Pydantic's errors in a configuration, in words: key, value, allowed values."""
 
 from typing import Any, TypeVar
 
@@ -10,7 +10,7 @@ from evo_cpg.config.keys import value_at
 
 _Section = TypeVar("_Section", bound=pydantic.BaseModel)
 
-# What pydantic calls an unknown key, in models and in dataclasses.
+# Pydantic's error types for an unknown key, in models and in dataclasses.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 _LENGTH = ("too_short", "too_long")
 
@@ -22,11 +22,11 @@ def worded(
 ) -> KeyProblem:
     """Return the first problem, in words.
 
-    A key that is no text and an unknown key go first: a typo explains what is missing.
+    Keys that are not text and unknown keys come first, because a typo explains a missing key.
 
     Args:
-        error: what pydantic found.
-        model: of the whole configuration.
+        error: pydantic's error.
+        model: model of the whole configuration.
         data: the given configuration.
     """
     problems = sorted(error.errors(), key=lambda p: not (is_of_key(p) or p["type"] in _UNKNOWN_KEY))
@@ -69,10 +69,10 @@ def worded(
 
 
 def checked(model: type[_Section], data: Any) -> _Section:
-    """Return a section with these contents.
+    """Build a section from its contents.
 
     Raises:
-        KeyProblem: something in it is wrong.
+        KeyProblem: the contents are invalid.
     """
     try:
         return model.model_validate(data)
@@ -81,13 +81,13 @@ def checked(model: type[_Section], data: Any) -> _Section:
 
 
 def short(value: Any) -> str:
-    """Return a value as a message shows it, at most 60 characters long."""
+    """Return a value in the form of messages, at most 60 characters long."""
     text = "null" if value is None else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _about_kind(allowed: Allowed, key: tuple[str | int, ...], given: Any) -> str:
-    """Return what a place takes that was given another kind of value, and how to write it."""
+    """Return the allowed values of a place with a wrong type, and how to write the value."""
     words = allowed.words(key)
     problem = f"must be {words}"
     if isinstance(given, bool) and words.startswith("text"):
@@ -97,7 +97,7 @@ def _about_kind(allowed: Allowed, key: tuple[str | int, ...], given: Any) -> str
 
 
 def _about_key(given: Any, value: Any) -> str:
-    """Return what is wrong with a key that is no text."""
+    """Return the problem with a key that is not text."""
     if isinstance(given, bool):
         return f"the key {given} must be text; {_TRUTHS}"
     if value is None:
@@ -106,13 +106,13 @@ def _about_key(given: Any, value: Any) -> str:
 
 
 def _is_wrong_kind(problem: Any) -> bool:
-    """Return whether a value is of another kind than its place takes."""
+    """Return whether a problem is a value of the wrong type."""
     named = ("literal_error", "int_from_float")
     return problem["type"].endswith(("_type", "_parsing")) or problem["type"] in named
 
 
 def _near_key(allowed: Allowed, key: tuple[str | int, ...]) -> str:
-    """Return the valid keys beside an unknown one, or the sections that have one of its name."""
+    """Return valid keys similar to an unknown key, or sections that have a key of its name."""
     valid = allowed.keys(key[:-1])
     inner = []
     if len(key) == 1:
@@ -121,9 +121,9 @@ def _near_key(allowed: Allowed, key: tuple[str | int, ...]) -> str:
 
 
 def _closest(problems: list[Any], data: dict[str, Any]) -> Any:
-    """Return the first problem, or one within the same list or section that is more exact.
+    """Return the first problem, or a more exact one within the same list or section.
 
-    Where a place takes several kinds, pydantic reports what is wrong with each of them.
+    If a place accepts several types, pydantic reports the problem with each type.
     """
     first = problems[0]
     if not _is_wrong_kind(first) or not isinstance(first.get("input"), (dict, list)):

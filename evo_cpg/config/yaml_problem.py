@@ -1,31 +1,31 @@
-"""What is wrong with a text that is no YAML: the line, what the parser says, and how to mend it."""
+"""Descriptions of invalid YAML: the line, the parser's message, and a hint for the fix."""
 
 import re
 from typing import Any
 
 import yaml
 
-# What YAML reserves at the beginning of a value: anchors, references to them, tags and directives.
+# Characters reserved at the beginning of a value: for anchors, aliases, tags and directives.
 _RESERVED = "*&!%@`"
 
-# Text around braces, such as {side}_fin.
+# Matches text with braces, such as {side}_fin.
 _BRACES = re.compile(r"[^\s,:\[\]{}'\"]*\{\w+\}[^\s,:\[\]{}'\"]*(?:\{\w+\}[^\s,:\[\]{}'\"]*)*")
 
-# A colour without quotes: the rest of the line is a comment.
+# Matches a colour without quotes, which YAML reads as a comment.
 _COLOUR = re.compile(r"\bcolor:[ \t]+(#[0-9a-fA-F]{6})\b", re.MULTILINE)
 
 _KEY = re.compile(r"(?:- +)*[\w-]+:(?=\s|$)")
 
 
 def syntax_problem(text: str, error: yaml.YAMLError) -> tuple[str, str]:
-    """Return the place of an error, and what the parser says with how to mend it.
+    """Return the place of an error, and the parser's message with a hint for the fix.
 
     Args:
-        text: that is no YAML.
-        error: that the parser raised.
+        text: invalid YAML.
+        error: error that the parser raised.
 
     Returns:
-        ``line 3, column 7``, empty if that is unknown, and the problem, on one line.
+        ``line 3, column 7``, empty if it is unknown, and the problem on one line.
     """
     mark = getattr(error, "problem_mark", None)
     row, column = (mark.line, mark.column) if mark else _place_of(error, text)
@@ -37,7 +37,7 @@ def syntax_problem(text: str, error: yaml.YAMLError) -> tuple[str, str]:
 
 
 def lost_colour(text: str) -> str | None:
-    """Return what is wrong where a colour without quotes is a comment; None if there is none."""
+    """Return the problem of a colour without quotes, read as a comment; None if there is none."""
     for line, words in enumerate(text.splitlines()):
         found = _COLOUR.search(words)
         if found and "#" not in words[: found.start()]:
@@ -49,7 +49,7 @@ def lost_colour(text: str) -> str | None:
 
 
 def _place_of(error: Any, text: str) -> tuple[int | None, int]:
-    """Return line and column of a character that no YAML may have."""
+    """Return the line and column of a character that is not allowed in YAML."""
     position = getattr(error, "position", None)
     if not isinstance(position, int):
         return None, 0
@@ -64,7 +64,7 @@ def _code(error: Any) -> int:
 
 
 def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> str:
-    """Return what was probably meant; empty if that is unknown."""
+    """Return a hint for the fix; empty if there is none."""
     here = _line(lines, row)
     above = next((i for i in range(min(row, len(lines)) - 1, -1, -1) if lines[i].strip()), None)
     opened = getattr(error, "context_mark", None)
@@ -111,17 +111,17 @@ def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> 
 
 
 def _line(lines: list[str], number: int | None) -> str:
-    """Return a line; an empty one behind the last."""
+    """Return a line; an empty text if the line does not exist."""
     return "" if number is None or number >= len(lines) else lines[number]
 
 
 def _indent(line: str) -> int:
-    """Return how far a line is indented; the dash of an entry of a list counts as a space."""
+    """Return the indentation of a line; the dash of a list entry counts as a space."""
     return len(line) - len(re.sub(r"^[ -]*", "", line))
 
 
 def _unquoted_braces(line: str) -> str | None:
-    """Return a text with braces that stands in no quotes; None if there is none."""
+    """Return an unquoted text with braces; None if there is none."""
     plain = re.sub(r"'[^']*'|\"[^\"]*\"", lambda found: " " * len(found[0]), line)
     for found in _BRACES.finditer(plain.split(" #")[0]):
         if not re.fullmatch(r"\{\w+\}", found[0]):

@@ -1,4 +1,4 @@
-"""YAML as configurations are written in it: what is read is what was written, and back again."""
+"""Reading and writing of configurations as YAML, without loss."""
 
 import itertools
 import re
@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-# libyaml's, where PyYAML was built with it, is ten times faster.
+# The loader of libyaml is ten times faster, if PyYAML was built with it.
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
@@ -14,7 +14,7 @@ _TIMESTAMP = "tag:yaml.org,2002:timestamp"
 _MERGE, _VALUE, _TEXT = (f"tag:yaml.org,2002:{kind}" for kind in ("merge", "value", "str"))
 _DIGITS = list("-+.0123456789")
 _LINE_ENDS = "\x85\u2028\u2029"
-# YAML 1.1, which PyYAML reads, takes 1e-3, 1.0e5 and -.5 for text, 0200 for 128 and 1:40 for 100.
+# YAML 1.1 of PyYAML reads 1e-3, 1.0e5 and -.5 as text, 0200 as 128 and 1:40 as 100.
 _NUMBERS = {
     _INT: re.compile(r"[-+]?(0|[1-9][0-9_]*|0x[0-9a-fA-F_]+|0b[01_]+)$"),
     _FLOAT: re.compile(
@@ -24,23 +24,23 @@ _NUMBERS = {
     ),
 }
 
-# Sections of configurations lie at most ten deep.
+# Largest depth of nesting. Sections of configurations are nested at most ten deep.
 _DEEPEST = 50
 
-# Values, with aliases written out: seven times those of the largest relief.
+# Largest number of values, with aliases expanded: seven times that of the largest relief.
 _MOST_VALUES = 500_000
 
 
 class _Loader(_SafeLoader):
-    """Safe YAML with some of its traps closed.
+    """Loader of safe YAML without some of its traps.
 
-    These are keys given twice, values that PyYAML fails to make, numbers that it takes for text or
-    for other numbers, dates, which nothing in a configuration is, and merges (``<<``) of what is
-    merged itself, or of a list, of which PyYAML 6.0.4 takes other values than 6.0.3.
+    The traps are keys given twice, values that PyYAML fails to construct, and numbers that it reads
+    as text or as other numbers. Others are dates, which no configuration contains, and merges
+    (``<<``) of merged mappings or of lists, which PyYAML 6.0.4 and 6.0.3 read differently.
     """
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Merge: a mapping's own keys count before merged ones, and these in the order of a list.
+        """Merge mappings; own keys override merged keys, and earlier mappings later ones.
 
         See https://yaml.org/type/merge.html.
         """
@@ -65,7 +65,7 @@ class _Loader(_SafeLoader):
         node.value = list(pairs.values())
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """Refuse what is said to be a number or a truth and is none, such as ``!!int x``."""
+        """Refuse values tagged as a number or boolean that are not, such as ``!!int x``."""
         try:
             return super().construct_object(node, deep)
         except (ArithmeticError, AttributeError, LookupError, ValueError):
@@ -77,9 +77,9 @@ class _Loader(_SafeLoader):
             ) from None
 
     def construct_document(self, node: yaml.Node) -> Any:
-        """Refuse a key that stands twice, of which only the last would count.
+        """Refuse a key given twice, because only its last value would count.
 
-        That is looked for before ``<<`` puts the keys of one mapping into another.
+        The check runs before ``<<`` copies the keys of one mapping into another.
         """
         left, seen = [node], set()
         while left:
@@ -96,7 +96,7 @@ class _Loader(_SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Puts quotation marks around text that any YAML, or this one, would read as a number."""
+    """Dumper that quotes text which YAML 1.1 or this loader would read as a number."""
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -109,7 +109,7 @@ for _tag, _pattern in _NUMBERS.items():
 
 
 def _write_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    """Between double quotation marks where YAML would take a character for the end of a line."""
+    """Write text, in double quotation marks if YAML would read a character as a line end."""
     style = '"' if any(end in text for end in _LINE_ENDS) else None
     return dumper.represent_scalar(_TEXT, text, style=style)
 
@@ -118,31 +118,31 @@ _Dumper.add_representer(str, _write_text)
 
 
 def parse_yaml(text: str) -> Any:
-    """What a text in YAML says.
+    """Return the contents of a YAML text.
 
     Raises:
-        yaml.YAMLError: it is none, or larger than any that is meant.
+        yaml.YAMLError: the text is not YAML, or exceeds the size limits.
     """
     _require_shallow(text, _Loader)
     return yaml.load(text, _Loader)
 
 
 def compose_yaml(text: str) -> yaml.Node | None:
-    """Return the nodes of a text in YAML, which know their lines.
+    """Return the nodes of a YAML text, which contain their line numbers.
 
     Raises:
-        yaml.YAMLError: it is none, or larger than any that is meant.
+        yaml.YAMLError: the text is not YAML, or exceeds the size limits.
     """
     _require_shallow(text, _Loader)
     return yaml.compose(text, _Loader)
 
 
 def to_yaml(data: Any, flow: bool | None = False) -> str:
-    """A text in YAML that says this.
+    """Return data as a YAML text.
 
     Args:
         data: text, numbers, booleans, None, and lists and mappings of them.
-        flow: in brackets, on one line; None for the innermost alone.
+        flow: whether to write brackets, on one line; None for brackets at the innermost level.
     """
     return yaml.dump(
         data,
@@ -155,14 +155,14 @@ def to_yaml(data: Any, flow: bool | None = False) -> str:
 
 
 def _require_shallow(text: str, loader: type) -> None:
-    """Check that YAML is not nested deeper, and does not hold more, than any that is meant.
+    """Check that YAML does not exceed the limits for depth and number of values.
 
-    An alias counts as all that it stands for: a few lines of them would fill the memory.
+    An alias counts as all its values, because a few lines of aliases could fill the memory.
 
     Raises:
-        yaml.YAMLError: it is or does, an alias stands within what it names, or it is no YAML.
+        yaml.YAMLError: a limit is exceeded, an alias contains itself, or the text is not YAML.
     """
-    # Of every open collection: its anchor, and values in it so far.
+    # Anchor of every open collection, and number of values in it so far.
     opened: list[tuple[str | None, int]] = [(None, 0)]
     sizes: dict[str, int | None] = {}
     for event in yaml.parse(text, loader):

@@ -1,1 +1,1 @@
-"""What a configuration file may say: SI units, angles in degrees where ``_deg`` says so."""
+"""Schema of a configuration file: SI units; keys that end with ``_deg`` are in degrees."""

@@ -1,4 +1,4 @@
-"""What is asked of a champion, and what an animal is out for breaking."""
+"""Limits for the champion, and rules that disqualify an individual in training."""
 
 import dataclasses
 from typing import Annotated, Any, Literal
@@ -8,23 +8,23 @@ from pydantic import Field, create_model
 from evo_cpg.analysis.verdict import Limits
 from evo_cpg.config.schema.section import NotNegative, Section
 
-# Rules that can be looked at in every control step of training.
+# Rules that can be checked in every control step of training.
 RuleName = Literal["speed", "power", "penetration", "overlap"]
 
 
 class _AuditConfig(Section):
-    """What is asked of a champion, and two settings; shares of a way are of its own.
+    """Limits for a champion, and two settings. Fractions of a distance are of its own distance.
 
     Attributes:
-        disqualify: limits that an individual is out for breaking, as if it had diverged.
-        after_training: whether `train` replays the champion at half the step when it is done.
+        disqualify: limits that disqualify an individual, as if it had diverged.
+        after_training: whether `train` finally replays the champion at half the step.
     """
 
     disqualify: Annotated[list[RuleName], Field(max_length=4)] = Field(default_factory=list)
     after_training: bool = True
 
     def limits(self) -> Limits:
-        """What is asked of a champion."""
+        """Return the limits for a champion."""
         return Limits(**{each.name: getattr(self, each.name) for each in _FIELDS})
 
 

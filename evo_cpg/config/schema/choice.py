@@ -1,4 +1,4 @@
-"""Sections of which there are several kinds, told apart by their ``type``."""
+"""Sections of several kinds; the key ``type`` selects the kind."""
 
 import importlib
 import inspect
@@ -11,10 +11,10 @@ from evo_cpg.config.schema.section import Section, pattern
 
 
 def _as_read_again(options: dict[str, Any]) -> dict[str, Any]:
-    """As a run folder's ``config.yaml`` gives them: a run that goes on gets what it began with.
+    """Return options as a run folder's ``config.yaml`` stores them, so that a run can resume.
 
     Raises:
-        ValueError: there is something that comes back as something else.
+        ValueError: a value would not be read back unchanged.
     """
 
     def plain(value: Any, place: str) -> Any:
@@ -40,7 +40,7 @@ def _as_read_again(options: dict[str, Any]) -> dict[str, Any]:
     return {key: plain(value, key) for key, value in options.items()}
 
 
-# Of the constructor of a class of the user's own.
+# Constructor options of a user's own class.
 Options = Annotated[dict[str, Any], AfterValidator(_as_read_again)]
 
 
@@ -49,7 +49,7 @@ class CustomConfig(Section):
 
     Attributes:
         type: ``my_module:MyClass``.
-        options: of its constructor.
+        options: keyword arguments of its constructor.
     """
 
     type: Annotated[
@@ -57,7 +57,7 @@ class CustomConfig(Section):
     ]
     options: Options = Field(default_factory=dict)
 
-    # A configuration cannot tell what a class of one's own needs.
+    # The needs of a user's own class are unknown here.
     goal: ClassVar[None] = None
     needs_ground: ClassVar[bool] = False
     body_keys: ClassVar[tuple[str, ...]] = ()
@@ -65,20 +65,20 @@ class CustomConfig(Section):
     genome: ClassVar[None] = None
 
     def instance(self, kind: Any, **about: Any) -> Any:
-        """Import the class, and build it from its options and what its constructor takes.
+        """Import the class and build an instance from its options.
 
         Args:
-            kind: the class that it must derive from.
-            about: keyword arguments, of which the constructor gets those that it names.
+            kind: required base class.
+            about: keyword arguments; the constructor gets those that it names.
 
         Raises:
-            KeyProblem: there is no such class, or it cannot be built.
+            KeyProblem: the class does not exist, or cannot be built.
         """
         module, _, name = self.type.partition(":")
         try:
             made = getattr(importlib.import_module(module), name)
         except Exception as error:
-            # Whatever the user's module raises is about the user's module.
+            # Any error raised here comes from the user's module.
             problem = f"{self.type!r} cannot be imported ({type(error).__name__}: {error})"
             raise KeyProblem(("type",), problem) from None
         if not (isinstance(made, type) and issubclass(made, kind)):
@@ -88,7 +88,7 @@ class CustomConfig(Section):
         try:
             return made(**self.options, **{name: about[name] for name in about if name in taken})
         except Exception as error:
-            # Whatever the user's class raises is about the user's class; some messages are a key.
+            # Any error comes from the user's class. The message of a KeyError is only the key.
             known = isinstance(error, (TypeError, ValueError))
             words = f"{error}" if known else f"{type(error).__name__}: {error}"
             problem = f"{self.type} cannot be built with them ({words})"
@@ -96,10 +96,10 @@ class CustomConfig(Section):
 
 
 def by_type(default: str | None) -> Discriminator:
-    """What tells the kinds apart: the tag is ``type``, or ``custom`` for a class of your own.
+    """Return a discriminator by ``type``; the tag of a class of your own is ``custom``.
 
     Args:
-        default: the kind where no ``type`` is given; None where it has to be.
+        default: kind of a section without ``type``; None if ``type`` is required.
     """
 
     def kind(value: Any) -> str | None:

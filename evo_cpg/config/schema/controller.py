@@ -1,4 +1,4 @@
-"""The nervous system; its sections are the settings of the controllers themselves."""
+"""Sections of the nervous system, made from the settings classes of the controllers."""
 
 import dataclasses
 import typing
@@ -17,7 +17,7 @@ from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.decisions import chosen
 
-# TypicalRange values of settings, which know of no configuration.
+# Typical ranges stand here because settings classes do not depend on the configuration.
 _TYPICAL = {"max_rate": RATE, "rate_gain": RATE}
 
 
@@ -27,12 +27,12 @@ class _ControllerSection(Section):
 
     @property
     def genome(self) -> str | None:
-        """What genetic algorithm its genomes need, ``real`` or ``bits``; None for either."""
+        """Type of genetic algorithm for its genomes, ``real`` or ``bits``; None for either."""
         return "real"
 
     def _settings(self) -> Any:
         fields = {name: value for name, value in self if name != "type"}
-        # Traced numbers cannot be checked.
+        # Check concrete numbers only: traced numbers cannot be checked.
         chosen(lambda: self.settings(**fields) and None)
         return unchecked(self.settings, fields)
 
@@ -63,7 +63,7 @@ class _PosturesSection(_ControllerSection):
     @property
     @override
     def genome(self) -> str | None:
-        # Graded genes are numbers, and bits are numbers, too.
+        # Graded genes are numbers, so both genetic algorithms can evolve them.
         return None if self.graded else "bits"
 
     def build(self, tree: Tree, control_step: float, **_: Any) -> Controller:
@@ -72,7 +72,7 @@ class _PosturesSection(_ControllerSection):
 
 
 def _section_of(base: type[_ControllerSection], name: str, kind: str) -> type[Section]:
-    """The configuration section of a settings dataclass, which keeps keys and defaults."""
+    """Return the configuration section of a settings dataclass, with its keys and defaults."""
     hints = typing.get_type_hints(base.settings)
     fields: dict[str, Any] = {"type": (Literal[kind], kind)}
     for field in dataclasses.fields(base.settings):
@@ -90,7 +90,7 @@ def _section_of(base: type[_ControllerSection], name: str, kind: str) -> type[Se
 BrainCpgConfig = _section_of(_BrainCpgSection, "BrainCpgConfig", "brain_cpg")
 PosturesConfig = _section_of(_PosturesSection, "PosturesConfig", "postures")
 
-# Two of them are classes made while this file runs, which pyright cannot follow.
+# Pyright cannot follow the two classes that are created at import.
 ControllerConfig: TypeAlias = Annotated[
     Annotated[BrainCpgConfig, Tag("brain_cpg")]  # pyright: ignore[reportInvalidTypeForm]
     | Annotated[PosturesConfig, Tag("postures")]  # pyright: ignore[reportInvalidTypeForm]

@@ -1,12 +1,12 @@
-"""Bodies that are written once and stand in a creature several times: rows, stars and images.
+"""Copies of bodies that are written once: rows, stars and mirror images.
 
-| placeholder | in names of | is |
+| placeholder | in the names of | value |
 |---|---|---|
-| ``{i}`` | a row (``repeat``) | its place, from 1 |
-| ``{j}`` | what is turned about the parent's vertical axis (``radial``) | its place, from 1 |
-| ``{side}`` | what has a mirror image (``mirror``) | ``left`` and ``right``, or as `SIDES` says |
+| ``{i}`` | bodies in a row (``repeat``) | number in the row, from 1 |
+| ``{j}`` | rows about the parent's vertical axis (``radial``) | number of the row, from 1 |
+| ``{side}`` | mirrored bodies (``mirror``) | ``left`` and ``right``, or as in `SIDES` |
 
-What hangs on such bodies names its parent with the placeholder, and is copied with it.
+A child of such bodies names its parent with the placeholder, and is copied with the parent.
 """
 
 import re
@@ -15,28 +15,28 @@ from typing import Literal, NamedTuple
 
 MirrorAxis = Literal["x", "y", "z"]
 
-# What ``{side}`` is on the positive side of the plane, where limbs are written, and on the other.
+# Values of ``{side}`` on the positive side of the plane, where limbs are written, and opposite.
 SIDES: dict[MirrorAxis, tuple[str, str]] = {
     "x": ("front", "hind"),
     "y": ("left", "right"),
     "z": ("upper", "lower"),
 }
 
-# Bodies of a creature.
+# Largest number of bodies of a creature.
 _MOST = 1000
 
 _PLACEHOLDER = re.compile(r"\{(i|j|side)\}")
 
 
 class Entry(NamedTuple):
-    """An entry of a creature's ``bodies``, as far as it says which bodies there are.
+    """The part of an entry of a creature's ``bodies`` that determines its copies.
 
     Attributes:
-        name: with placeholders.
-        parent: likewise; None for the root.
-        repeat: bodies in a row.
-        radial: rows around the parent.
-        mirror: normal of the plane in which they are mirrored, or None.
+        name: name with placeholders.
+        parent: name of the parent with placeholders; None for the root.
+        repeat: number of bodies in a row.
+        radial: number of rows around the parent.
+        mirror: normal of the mirror plane, or None.
     """
 
     name: str
@@ -46,7 +46,7 @@ class Entry(NamedTuple):
     mirror: MirrorAxis | None = None
 
     def problem(self) -> str | None:
-        """What is wrong with it by itself, or None."""
+        """Return a description of what is wrong with this entry alone, or None."""
         own = {
             "i": ("repeat", self.repeat > 1, "repeated"),
             "j": ("radial", self.radial > 1, "radial"),
@@ -69,7 +69,7 @@ class Entry(NamedTuple):
                     f"name: is copied with its parent {self.parent!r}, and needs {{{mark}}} in "
                     f"its name too, got {self.name!r}"
                 )
-            # A row of one is a row.
+            # {i} is allowed without `repeat`: a row may have one body.
             if there and not copied and mark not in inherited and mark != "i":
                 return f"name: {{{mark}}} stands for nothing in {self.name!r} without `{key}`"
         return None
@@ -79,12 +79,12 @@ class Copy(NamedTuple):
     """One body of a creature.
 
     Attributes:
-        entry: place of what it is written as.
-        name: without placeholders.
-        parent: likewise; None for the root.
-        marks: what its entry's placeholders stand for.
-        turn_deg: by which its joint is turned about its parent's vertical axis, degrees.
-        mirror: normal of the plane in which it is mirrored; None if it is as written.
+        entry: index of its entry.
+        name: name without placeholders.
+        parent: name of the parent without placeholders; None for the root.
+        marks: values of the placeholders of its entry.
+        turn_deg: rotation of its joint about its parent's vertical axis, degrees.
+        mirror: normal of the mirror plane; None if it is not mirrored.
     """
 
     entry: int
@@ -96,13 +96,13 @@ class Copy(NamedTuple):
 
 
 def copies(entries: Sequence[Entry]) -> list[Copy]:
-    """All bodies, those of an entry side by side in the order of the entries.
+    """Return all bodies, entry by entry.
 
-    Those of an entry stand limb by limb: around the ring, left before right, and along the row.
-    An entry whose parent's name has placeholders that no body of another entry fills has none.
+    The bodies of an entry are sorted limb by limb: around the ring, left before right, and along
+    the row. An entry yields no body if no body matches its parent's name with placeholders.
 
     Raises:
-        ValueError: there are more than anybody simulates.
+        ValueError: there are more than 1000 bodies.
     """
     found: dict[int, list[Copy]] = {}
 
@@ -132,17 +132,17 @@ def copies(entries: Sequence[Entry]) -> list[Copy]:
 
 
 def copies_named(name: str, among: Sequence[Copy]) -> list[Copy]:
-    """The bodies that a name with placeholders, or without, stands for."""
+    """Return the bodies that a name, with or without placeholders, stands for."""
     return [copy for copy in among if fill(name, copy.marks) == copy.name]
 
 
 def fill(name: str, marks: dict[str, str]) -> str:
-    """A name with its placeholders filled; those without a meaning stay."""
+    """Return a name with its placeholders filled; placeholders without a value stay."""
     return _PLACEHOLDER.sub(lambda found: marks.get(found[1], found[0]), name)
 
 
 def _copies_on(number: int, entry: Entry, parent: Copy | None) -> Iterator[Copy]:
-    """The bodies of an entry that hang on one parent, which is None if it has no placeholders."""
+    """Yield the bodies of an entry on one parent (None if its name has no placeholders)."""
     inherited = set(_PLACEHOLDER.findall(entry.parent or ""))
     common = {mark: parent.marks[mark] for mark in inherited} if parent else {}
     inherited_mirror = parent.mirror if parent and "side" in inherited else None

@@ -1,4 +1,4 @@
-"""How a creature is written in YAML: lengths in m, angles in degrees, z up, facing +x."""
+"""Sections of a creature in YAML: lengths in m, angles in degrees, z up, facing +x."""
 
 import itertools
 import re
@@ -27,12 +27,12 @@ from evo_cpg.creature.creature import (
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.spatial.numerics import Triple, xp
 
-# Without those of ASCII, of Latin-1, between lines, and of the direction of writing.
+# Excludes control characters of ASCII and Latin-1, line separators and direction marks.
 _PRINTED = r"[^\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]"
 
 
 def _require_printed(name: str) -> str:
-    """Check that a name is on one line, and nothing that a terminal obeys."""
+    """Return a name; raise ValueError if it is empty or contains control characters."""
     if not name:
         raise ValueError("'': must not be empty")
     if not re.fullmatch(f"{_PRINTED}+", name):
@@ -53,13 +53,13 @@ Color = Annotated[
 
 
 class MaterialConfig(Section):
-    """What bodies are made of (Iwadate 2010, Table 1).
+    """Material of bodies (Iwadate 2010, Table 1).
 
     Attributes:
-        density: mass per volume, kg/m^3; that of water is 1000.
-        restitution: share of the speed that is left after an impact.
+        density: mass per volume (water: 1000), kg/m^3.
+        restitution: fraction of the speed that remains after an impact.
         static_friction: coefficient of friction at rest.
-        dynamic_friction: coefficient of friction while it slides.
+        dynamic_friction: coefficient of friction while sliding.
     """
 
     density: Annotated[Positive, SOLID]
@@ -69,21 +69,21 @@ class MaterialConfig(Section):
 
 
 class BodyConfig(Section):
-    """A rigid body, or several that are alike but for their place.
+    """A rigid body, or several that differ only in their position.
 
     Attributes:
-        name: unique; of bodies that stand for several it contains ``{i}``, ``{j}`` or ``{side}``
+        name: unique name; with copies it contains ``{i}``, ``{j}`` or ``{side}``
             (see "Limbs that are written once" in the guide).
-        shape: centred on the body's frame; a mesh lies in it as in its file.
+        shape: shape, centred on the body's frame (a mesh keeps the frame of its file).
         material: name of one of the creature's materials.
-        joint: how it hangs on its parent; the root has none.
-        repeat: number of equal bodies in a row; the first hangs on the joint's ``parent``, every
-            other one on the one before it. ``{i}`` counts them from 1.
-        radial: number of such rows, turned about the parent's vertical axis by equal angles;
-            ``{j}`` counts them from 1, counterclockwise from above.
-        mirror: normal of the parent's plane in which all that is mirrored once more: ``y`` for
-            limbs of which ``{side}`` is left, as written, and right.
-        color: in pictures, ``"#rrggbb"``.
+        joint: joint to the parent; the root has none.
+        repeat: number of equal bodies in a row, counted from 1 by ``{i}``: the first hangs on
+            the joint's ``parent``, each other one on its predecessor.
+        radial: number of such rows, at equal angles about the parent's vertical axis, which
+            ``{j}`` counts from 1, counterclockwise from above.
+        mirror: normal of the parent's plane in which the bodies are mirrored: ``y`` for limbs
+            whose ``{side}`` is left, as written, and right.
+        color: color in pictures, ``"#rrggbb"``.
     """
 
     name: PrintedName
@@ -111,20 +111,20 @@ class BodyConfig(Section):
 
     @property
     def entry(self) -> Entry:
-        """What says which bodies it stands for."""
+        """The part of this entry that determines its copies."""
         parent = self.joint.parent if self.joint else None
         return Entry(self.name, parent, self.repeat, self.radial, self.mirror)
 
 
 class SelfCollisionConfig(Section):
-    """What differs from the rule by which bodies of one creature are kept apart.
+    """Exceptions to the rule that keeps the bodies of one creature apart.
 
-    By the rule all are but neighbours at a joint and those that overlap in the neutral pose. A name
-    may have placeholders; ``all`` stands for every body.
+    The rule keeps all pairs apart except neighbours at a joint and bodies that overlap in the
+    neutral pose. A name may have placeholders. ``all`` stands for every body.
 
     Attributes:
         exclude: pairs of names of bodies that may pass through each other.
-        include: pairs of names of bodies that may not, although the rule would let them.
+        include: pairs of names of bodies that are kept apart although the rule exempts them.
     """
 
     exclude: list[tuple[str, str]] = Field(default_factory=list)
@@ -132,18 +132,18 @@ class SelfCollisionConfig(Section):
 
 
 class CreatureConfig(Section):
-    """A creature; it may stand in a file of its own that several configs name.
+    """A creature; a file of its own can be shared by several configurations.
 
     Attributes:
-        name: what you call it.
-        materials: what its bodies are made of, by a name of your own.
-        bodies: in any order; exactly one, the root, has no joint.
-        light_sensors: its eyes.
+        name: name of the creature.
+        materials: materials of its bodies, by a name of your own.
+        bodies: bodies in any order; exactly one, the root, has no joint.
+        light_sensors: eyes.
         pressure_sensors: ``all`` bodies, or a list of names.
-        depth_sensors: its depth gauges.
-        sensors: further ones, told apart by their ``type``.
-        self_collision: whether its bodies are kept from passing through each other, or in what that
-            differs from the rule; if left out, they are where there is ground.
+        depth_sensors: depth gauges.
+        sensors: further sensors; ``type`` selects the kind.
+        self_collision: whether its bodies are kept from passing through each other, or exceptions
+            to the rule; if left out, they are kept apart if there is ground.
     """
 
     name: PrintedName
@@ -161,7 +161,7 @@ class CreatureConfig(Section):
         return self
 
     def build(self) -> Creature:
-        """The creature.
+        """Build the creature.
 
         Raises:
             CreatureError: its parts do not fit together.
@@ -213,7 +213,7 @@ class CreatureConfig(Section):
         return creature
 
     def build_self_collision(self, on_ground: bool) -> SelfCollision | None:
-        """Which bodies are kept apart; None for none."""
+        """Build the rule that keeps bodies apart; return None if no bodies are kept apart."""
         given = self.self_collision
         if given is None or isinstance(given, bool):
             return SelfCollision() if (on_ground if given is None else given) else None
@@ -236,18 +236,18 @@ class CreatureConfig(Section):
         return SelfCollision(named(given.exclude), named(given.include))
 
     def copies(self) -> list[Copy]:
-        """All bodies that the entries stand for."""
+        """Return all bodies that the entries stand for."""
         return copies([entry.entry for entry in self.bodies])
 
     def entry_of(self, body: int) -> int:
-        """Which entry of ``bodies`` stands for the body of this number."""
+        """Return the index in ``bodies`` of the entry of a body, given the body's index."""
         return self.copies()[body].entry
 
     def require_names(self) -> None:
-        """Check that every body has a name of its own, and that every name used exists.
+        """Check that the names of bodies are unique, and that every name used exists.
 
         Raises:
-            KeyProblem: two bodies have one name, or a name is that of nothing.
+            KeyProblem: two bodies have one name, or a name does not exist.
         """
         everything = self.copies()
         owners: dict[str, int] = {}
@@ -261,7 +261,7 @@ class CreatureConfig(Section):
                 )
         for key, name in self._references():
             valid = list(self.materials) if key[-1] == "material" else list(owners)
-            # With placeholders it stands for bodies, and is not the name of one.
+            # A name with placeholders stands for bodies, and is in no list of names.
             if name in valid or (key[-1] != "material" and copies_named(name, everything)):
                 continue
             problem = f"{name!r} does not exist; {nearest(name, valid)}"
@@ -270,7 +270,7 @@ class CreatureConfig(Section):
             raise KeyProblem(key, problem)
 
     def _references(self) -> Iterator[tuple[Key, str]]:
-        """The names of bodies and materials that the creature refers to, with their keys."""
+        """Yield the names of bodies and materials that the creature refers to, with their keys."""
         for i, entry in enumerate(self.bodies):
             yield ("bodies", i, "material"), entry.material
             if entry.joint:
@@ -294,5 +294,5 @@ class CreatureConfig(Section):
 
 
 def _image(vector: Triple, copy: Copy) -> Triple:
-    """A place or a direction in the frame of a body, as written or in its mirror image."""
+    """Return a position or direction in the frame of a body, mirrored if the body is."""
     return reflected(vector, copy.mirror) if copy.mirror else vector

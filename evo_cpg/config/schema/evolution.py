@@ -21,23 +21,24 @@ from evo_cpg.installation import command_for
 from evo_cpg.simulation.genome import Genome
 from evo_cpg.training.experiment import Learning
 
-# Individuals that a generation may have.
+# Number of individuals of a generation.
 Population = Annotated[int, Field(ge=2, le=1_000_000)]
 
-# Elites that learn unless the configuration says how many: a full vector on one core.
+# Default number of elites that learn: a full vector on one core.
 _LEARNERS = 16
 
-# Cells of a map, each of which holds a genome.
+# Largest number of cells of a map. Each cell holds a genome.
 _MOST_CELLS = 100_000
 
 
 class IslandsConfig(Section):
-    """Sub-populations that evolve apart, between which a few of the best wander.
+    """Sub-populations that evolve apart; a few of the best individuals migrate.
 
     Attributes:
-        count: number of islands; they share the population equally.
-        every: so many generations the best of each take the places of the worst of the next.
-        migrants: how many go from each.
+        count: number of islands, among which the population is divided equally.
+        every: generations between migrations, in which the best of each island replace the worst
+            of the next.
+        migrants: number of individuals that leave each island.
     """
 
     count: Annotated[int, Field(ge=2, le=1000)]
@@ -45,10 +46,10 @@ class IslandsConfig(Section):
     migrants: Count = 1
 
     def require_room(self, population: int, elites: int = 0) -> None:
-        """Check that a population can live on them.
+        """Check that a population can be divided among the islands.
 
         Raises:
-            ValueError: it cannot be shared equally, or there is no room.
+            ValueError: it cannot be divided equally, or the islands are too small.
         """
         if population % self.count:
             raise ValueError(
@@ -72,9 +73,9 @@ class AxisConfig(Section):
     """An axis of a map of behaviour.
 
     Attributes:
-        name: of a descriptor: a measure of gait, or a term of the task.
-        range: where the first cell begins and the last one ends.
-        cells: into which it is cut.
+        name: name of a descriptor: a measure of gait, or a term of the task.
+        range: lower end of the first cell and upper end of the last cell.
+        cells: number of cells.
     """
 
     name: str
@@ -92,8 +93,8 @@ class MapSection(Section):
     """A search that keeps a map of behaviour.
 
     Attributes:
-        axes: of the map, on which the fittest of every kind who ever lived is kept; none if left
-            out, unless it is what is searched for.
+        axes: axes of the map, which keeps the fittest individual of every cell; no map if left
+            out, except in a search that requires a map.
     """
 
     axes: Annotated[tuple[AxisConfig, ...], Field(max_length=6)] = ()
@@ -110,17 +111,17 @@ class MapSection(Section):
 
     @model_validator(mode="after")
     def _check_islands(self) -> "MapSection":
-        """Check that the population can live on its islands, where the search has some."""
+        """Check that the population can be divided among the islands, if there are any."""
         islands: IslandsConfig | None = getattr(self, "islands", None)
         if islands:
             islands.require_room(getattr(self, "population", 0), getattr(self, "elites", 0))
         return self
 
     def require_axes(self) -> None:
-        """Check that there is a map to be filled.
+        """Check that the map has axes.
 
         Raises:
-            ValueError: there is none.
+            ValueError: the map has no axes.
         """
         if not self.axes:
             raise ValueError(
@@ -132,29 +133,29 @@ class MapSection(Section):
         """Build the search on one island.
 
         Args:
-            genome: what evolves.
-            population: of one island.
+            genome: layout of the genome.
+            population: number of individuals of one island.
 
         Raises:
             KeyProblem: the search is not installed, or does not fit the genome.
         """
 
     def build_learning(self) -> Learning | None:
-        """Which elites learn; None if none do."""
+        """Return the settings of the elites that learn; None if no elites learn."""
         return None
 
     def build_axes(self) -> tuple[Axis, ...]:
-        """The axes as the search has them."""
+        """Return the axes in the form that the search uses."""
         return tuple(Axis(axis.name, *axis.range, axis.cells) for axis in self.axes)
 
 
 class LearningConfig(Section):
-    """Elites climb along the slope of their fitness and pass on what they learn.
+    """Gradient ascent of elites, whose offspring inherit the result.
 
     Attributes:
-        every: so many generations.
-        elites: how many, the best first; 16 if left out, or all where there are fewer.
-        steps: moves of each.
+        every: generations between two rounds of learning.
+        elites: number of elites that learn, the best first; 16, or all if fewer, if left out.
+        steps: gradient steps of each elite.
     """
 
     every: Count = 5
@@ -167,19 +168,21 @@ class RealEvolutionConfig(MapSection):
 
     Attributes:
         type: ``real``.
-        generations: to evolve.
-        population: individuals.
-        elites: best individuals that pass on unchanged.
-        selection: how parents are drawn: by the rank of the mean over all trials, or by lexicase
-            selection, which looks at one trial after the other.
-        parent_fraction: best part of the population that may become parents; the chance falls
-            linearly with the rank; of no matter to lexicase selection.
-        crossover_probability: that two parents' genomes are cut at one place and rejoined.
+        generations: number of generations.
+        population: number of individuals.
+        elites: number of best individuals that pass on unchanged.
+        selection: selection of parents: by the rank of the mean over all trials, or by lexicase
+            selection, which compares one trial after the other.
+        parent_fraction: best fraction of the population that may become parents, with a
+            probability that falls linearly with the rank (unused by lexicase selection).
+        crossover_probability: probability that the genomes of two parents are crossed at one
+            point.
         mutation_rate: probability that a gene changes.
         mutation_sigma: standard deviation of a change.
         gene_bound: largest magnitude of a gene.
-        learning: steps uphill of some elites; none if left out.
-        islands: sub-populations; none if left out. All but the population holds on each.
+        learning: gradient ascent of some elites; none if left out.
+        islands: sub-populations, to each of which all keys but ``population`` apply; none if
+            left out.
     """
 
     type: Literal["real"] = "real"
@@ -226,15 +229,16 @@ class BitEvolutionConfig(MapSection):
 
     Attributes:
         type: ``bits``.
-        generations: to evolve.
-        population: individuals.
-        elites: best individuals that pass on unchanged; children fill the other places.
-        best_copies: how many of the kept places hold the best individual.
-        rank_probabilities: that a parent is of each rank, best first.
-        mutation_probability: that a child mutates.
+        generations: number of generations.
+        population: number of individuals.
+        elites: number of best individuals that pass on unchanged; children fill the other places.
+        best_copies: number of the elite places that hold the best individual.
+        rank_probabilities: probability that a parent has each rank, best first.
+        mutation_probability: probability that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes.
-        mutation: whether a changed gene is drawn anew or flipped.
-        islands: sub-populations; none if left out. All but the population holds on each.
+        mutation: whether a changed gene is redrawn or flipped.
+        islands: sub-populations, to each of which all keys but ``population`` apply; none if
+            left out.
     """
 
     type: Literal["bits"] = "bits"
@@ -265,16 +269,17 @@ class MapElitesConfig(MapSection):
 
     Attributes:
         type: ``map_elites``.
-        generations: to evolve.
-        population: children in each.
-        axes: of the map.
-        iso_sigma: of real-valued genes: standard deviation of what each gets.
-        line_sigma: likewise: of how far a child goes along the line between its parents.
-        gene_bound: likewise: largest magnitude.
-        crossover: of bits: probability that two parents are crossed.
-        mutation_probability: likewise: that a child mutates.
-        mutated_genes: likewise: fewest and most genes that a mutation changes.
-        mutation: likewise: whether a changed gene is drawn anew or flipped.
+        generations: number of generations.
+        population: number of children in each generation.
+        axes: axes of the map.
+        iso_sigma: standard deviation of the noise on each gene (real-valued genes).
+        line_sigma: standard deviation of a child's step along the line between its parents
+            (real-valued genes).
+        gene_bound: largest magnitude of a gene (real-valued genes).
+        crossover: probability that two parents are crossed (bits).
+        mutation_probability: probability that a child mutates (bits).
+        mutated_genes: fewest and most genes that a mutation changes (bits).
+        mutation: whether a changed gene is redrawn or flipped (bits).
     """
 
     type: Literal["map_elites"] = "map_elites"
@@ -309,18 +314,19 @@ class PyribsConfig(MapSection):
 
     Attributes:
         type: ``pyribs``.
-        generations: to evolve.
-        population: individuals.
-        axes: of the map.
-        emitters: distributions that are adapted side by side; they share the population equally.
-        es: how each is adapted, by pyribs' names. ``cma_es`` needs memory and time with the square
-            and the cube of the number of genes, and is for 100 of them, not for 3000.
+        generations: number of generations.
+        population: number of individuals.
+        axes: axes of the map.
+        emitters: number of distributions, among which the population is divided equally.
+        es: algorithm that adapts each distribution, by its name in pyribs (``cma_es`` takes memory
+            and time with the square and the cube of the genes: 100 genes, not 3000).
         sigma: standard deviation of the first sample.
-        learning_rate: how fast the threshold of a cell rises to what enters it: 0 never, 1 at once.
-        threshold_min: fitness that has to be exceeded to enter an empty cell; if left out, the
-            median of those who live through the first sample of the distributions.
+        learning_rate: rate at which the threshold of a cell rises to a new entry's fitness: 0
+            never, 1 at once.
+        threshold_min: fitness to exceed to enter an empty cell; if left out, the median of the
+            survivors of the first sample of the distributions.
         gene_bound: largest magnitude of a gene.
-        options: of the constructor of ``es``, such as ``{lr: 0.02}`` of ``openai_es``.
+        options: arguments of the constructor of ``es``, such as ``{lr: 0.02}`` of ``openai_es``.
     """
 
     type: Literal["pyribs"] = "pyribs"
@@ -375,15 +381,16 @@ class EvosaxConfig(MapSection):
 
     Attributes:
         type: ``evosax``.
-        algorithm: the name of its class, such as ``Sep_CMA_ES``.
-        generations: to evolve.
-        population: individuals.
-        sigma: standard deviation of the first sample, where the algorithm has one (``std_init``).
+        algorithm: name of its class, such as ``Sep_CMA_ES``.
+        generations: number of generations.
+        population: number of individuals.
+        sigma: standard deviation of the first sample, if the algorithm has one (``std_init``).
         gene_bound: largest magnitude of a gene.
-        learning_rate: of Adam, where the algorithm follows a gradient (``Open_ES``).
-        params: its parameters, by their names in evosax, where they are not its defaults.
-        options: of its constructor.
-        islands: sub-populations; none if left out. All but the population holds on each.
+        learning_rate: learning rate of Adam, if the algorithm follows a gradient (``Open_ES``).
+        params: parameters that differ from the defaults, by their names in evosax.
+        options: arguments of its constructor.
+        islands: sub-populations, to each of which all keys but ``population`` apply; none if
+            left out.
     """
 
     type: Literal["evosax"] = "evosax"
@@ -423,12 +430,12 @@ class EvosaxConfig(MapSection):
 
 
 class RandomSearchConfig(MapSection):
-    """Random search, which any other search has to beat.
+    """Random search, the baseline for every other search.
 
     Attributes:
         type: ``random``.
-        generations: to draw.
-        population: individuals in each.
+        generations: number of generations.
+        population: number of individuals in each generation.
     """
 
     type: Literal["random"] = "random"
@@ -445,10 +452,11 @@ class CustomEvolutionConfig(CustomConfig, MapSection):
 
     Attributes:
         type: ``my_module:MyStrategy``.
-        generations: to evolve.
-        population: individuals.
-        options: of its constructor.
-        islands: sub-populations; none if left out. All but the population holds on each.
+        generations: number of generations.
+        population: number of individuals.
+        options: keyword arguments of its constructor.
+        islands: sub-populations, to each of which all keys but ``population`` apply; none if
+            left out.
     """
 
     generations: Count = 50
@@ -462,7 +470,7 @@ class CustomEvolutionConfig(CustomConfig, MapSection):
 
 
 def _of_genome(genome: Genome, bound: float) -> dict[str, Any]:
-    """What strategies that compute with numbers need to know of genomes."""
+    """Return the properties of the genome that real-valued strategies require."""
     return {
         "gene_count": genome.count,
         "binary": genome.binary,
@@ -471,10 +479,10 @@ def _of_genome(genome: Genome, bound: float) -> dict[str, Any]:
 
 
 def _require_enough(genome: Genome, mutated: tuple[int, int]) -> None:
-    """Check that a mutation can change so many genes.
+    """Check that the genome has as many genes as a mutation may change.
 
     Raises:
-        KeyProblem: the genome has fewer.
+        KeyProblem: the genome has fewer genes.
     """
     if mutated[1] > genome.count:
         problem = f"at most {genome.count}, the bits in a genome of this creature, can change"
@@ -482,7 +490,7 @@ def _require_enough(genome: Genome, mutated: tuple[int, int]) -> None:
 
 
 def _missing(extra: str, error: ImportError) -> KeyProblem:
-    """Return what to say if the package of an extra cannot be imported."""
+    """Return the error for an extra whose package cannot be imported."""
     problem = f"'{extra}' is not installed here ({error}); `{command_for(extra)}` installs it"
     return KeyProblem(("type",), problem)
 

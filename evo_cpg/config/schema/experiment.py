@@ -1,4 +1,4 @@
-"""The whole file."""
+"""Schema of the whole file."""
 
 from typing import Annotated
 
@@ -19,23 +19,23 @@ class ExperimentConfig(Section):
     """A whole experiment; every section but the creature has defaults.
 
     Attributes:
-        name: of the run, and of its folder.
-        seed: of all randomness; of the first run where there are several.
-        runs: independent populations that evolve side by side, with the seeds ``seed``,
+        name: name of the run and of its folder.
+        seed: seed of all randomness; with several runs, the seed of the first.
+        runs: number of independent populations that evolve in parallel, with the seeds ``seed``,
             ``seed + 1`` and so on.
-        creature: the animal, or the path of its own file.
+        creature: creature, or the path of its own file.
         world: gravity, water and ground.
-        simulation: the trial.
-        noise: what is left to chance in it.
-        controller: the nervous system.
-        task: what the animals are judged by.
-        measures: of gait, to be had beside the task's terms, by their names, such as ``speed``.
-            Those of a map's axes need not be said here.
-        evolution: the search, by default a genetic algorithm.
-        audit: what is asked of the champion.
-        engine: what computes the trials: ``auto`` and ``native`` take machine code made on the
-            spot, the first only where it can be had; ``jax`` takes JAX alone, many times slower.
-        instruction_set: of the machine code; ``host`` is the largest that this processor has.
+        simulation: settings of the trial.
+        noise: random disturbances in the trial.
+        controller: nervous system.
+        task: task that determines fitness.
+        measures: names of measures of gait, such as ``speed``, that are recorded in addition to
+            the task's terms (measures on a map's axes are always included).
+        evolution: search, by default a genetic algorithm.
+        audit: limits for the champion.
+        engine: engine of the trials: ``native`` compiles machine code, ``auto`` does so if
+            possible, and ``jax`` uses JAX alone, many times slower.
+        instruction_set: instruction set of the machine code; ``host`` is the processor's largest.
     """
 
     name: Annotated[
@@ -61,7 +61,7 @@ class ExperimentConfig(Section):
 
     @property
     def trial_count(self) -> int:
-        """Trials of every individual; without noise, one in each situation."""
+        """Number of trials of every individual; without noise, one in each situation."""
         trials = self.simulation.trials
         if isinstance(trials, list):
             return len(trials)
@@ -75,7 +75,7 @@ class ExperimentConfig(Section):
                 f"{self.seed + self.runs - 1}"
             )
         genome, given = self.controller.genome, self.evolution.type
-        # Other strategies take whatever the genome is made of.
+        # Other strategies evolve both kinds of genome.
         if genome is not None and given in ("real", "bits") and given != genome:
             raise ValueError(
                 f"a controller of type {self.controller.type!r} has a genome of "

@@ -1,4 +1,4 @@
-"""What there is to stand on: the ground's material, its shape, and obstacles."""
+"""Sections of the ground: its material, its shape, and obstacles."""
 
 from typing import Annotated, Literal
 
@@ -13,7 +13,7 @@ from evo_cpg.physics.contact_model import Combination, Ground
 from evo_cpg.physics.terrain import Axis, Block, Boulder, Obstacle, Part, Plane, Relief, Shore
 from evo_cpg.spatial.numerics import Number, xp
 
-# Heights are written into the run folder's configuration, and every step looks them up.
+# The run folder's configuration stores all heights, and every step looks them up.
 MOST_HEIGHTS = 256
 
 Place = tuple[Finite, Finite]
@@ -24,7 +24,7 @@ class FloorSection(Section):
 
     @property
     def lowest(self) -> float | None:
-        """Height of its lowest place, m; None if that is unknown, or it has no end."""
+        """Height of its lowest point, m; None if unknown or unbounded."""
         return None
 
 
@@ -33,9 +33,9 @@ class PlaneConfig(FloorSection):
 
     Attributes:
         type: ``plane``.
-        slope_deg: by which it falls, degrees.
-        downhill_deg: direction in which it falls, to the left of straight ahead, degrees.
-        height: of the ground at the world's origin, m.
+        slope_deg: angle of the slope, degrees.
+        downhill_deg: downhill direction, to the left of straight ahead, degrees.
+        height: height of the ground at the world's origin, m.
     """
 
     type: Literal["plane"] = "plane"
@@ -49,7 +49,7 @@ class PlaneConfig(FloorSection):
         return None if self.slope_deg else self.height
 
     def build(self) -> Part:
-        """The floor."""
+        """Build the floor."""
         slope, downhill = xp.deg2rad(self.slope_deg), xp.deg2rad(self.downhill_deg)
         level = xp.sin(slope)
         normal = (level * xp.cos(downhill), level * xp.sin(downhill), xp.cos(slope))
@@ -61,11 +61,11 @@ class ShoreConfig(FloorSection):
 
     Attributes:
         type: ``shore``.
-        axis: along which the height changes.
-        start: where the slope begins, m.
-        stop: where it ends, m.
-        start_height: of the ground before the slope, m.
-        stop_height: of the ground behind it, m.
+        axis: axis along which the height changes.
+        start: coordinate at which the slope begins, m.
+        stop: coordinate at which the slope ends, m.
+        start_height: height of the ground before the slope, m.
+        stop_height: height of the ground behind the slope, m.
     """
 
     type: Literal["shore"]
@@ -76,7 +76,7 @@ class ShoreConfig(FloorSection):
     stop_height: Finite
 
     def build(self) -> Part:
-        """The floor."""
+        """Build the floor."""
         return self.into(Shore)
 
     @property
@@ -96,12 +96,12 @@ class HillsConfig(FloorSection):
 
     Attributes:
         type: ``hills``.
-        seed: another one gives other hills.
+        seed: seed of the random hills.
         height: standard deviation of the heights, m.
-        length: from hill to hill, roughly, m.
-        size: of the square around the origin that they cover, m.
-        spacing: of the grid of heights, m.
-        clearing: radius of the nearly level place around the origin, m.
+        length: approximate distance from hill to hill, m.
+        size: edge of the square of hills around the origin, m.
+        spacing: spacing of the grid of heights, m.
+        clearing: radius of the nearly level area around the origin, m.
     """
 
     type: Literal["hills"]
@@ -113,11 +113,11 @@ class HillsConfig(FloorSection):
     clearing: NotNegative = 1.0
 
     def build(self) -> Part:
-        """The floor: smoothed noise, 0 at the origin and nearly so around it."""
+        """Build the floor: smoothed noise, 0 at the origin and nearly 0 around it."""
         count = round(self.size / self.spacing) + 1
         place = (np.arange(count) - (count - 1) / 2) * self.spacing
         noise = np.random.default_rng(self.seed).normal(size=(count, count))
-        # A Gaussian in the frequencies; waves longer than `length` remain.
+        # The Gaussian filter in the frequency domain keeps waves longer than `length`.
         wave = 2 * np.pi * np.fft.fftfreq(count, self.spacing)
         width = self.length / 4
         soft = np.exp(-0.5 * width**2 * (wave[:, None] ** 2 + wave[None] ** 2))
@@ -139,13 +139,13 @@ class HillsConfig(FloorSection):
 
 
 class ReliefConfig(FloorSection):
-    """Heights of one's own on a regular grid.
+    """Heights of your own on a regular grid.
 
     Attributes:
         type: ``relief``.
-        heights: rows along x, m; with ``file`` they are read from there; at most 256 each way.
-        spacing: of the grid, m.
-        corner: x and y of the first height, m; the grid lies around the origin unless given.
+        heights: rows of heights along x, at most 256 each way, m; ``file`` can replace them.
+        spacing: spacing of the grid, m.
+        corner: x and y of the first height, m; if left out, the grid is centred on the origin.
     """
 
     type: Literal["relief"]
@@ -154,7 +154,7 @@ class ReliefConfig(FloorSection):
     corner: Place | None = None
 
     def build(self) -> Part:
-        """The floor."""
+        """Build the floor."""
         return _relief(np.array(self.heights), self.spacing, self.corner)
 
     @property
@@ -176,7 +176,7 @@ class ReliefConfig(FloorSection):
 
 
 def _relief(heights: np.ndarray, spacing: Number, corner: Place | None = None) -> Relief:
-    """Heights on a grid, around the origin unless a corner is given."""
+    """Return heights on a grid, centred on the origin unless a corner is given."""
     if corner is None:
         x, y = (-(count - 1) / 2 * spacing for count in heights.shape)
         corner = (x, y)
@@ -184,12 +184,12 @@ def _relief(heights: np.ndarray, spacing: Number, corner: Place | None = None) -
 
 
 class ReliefFileConfig(Section):
-    """Keys that name a file in the place of the heights of a relief.
+    """Keys for a file that contains the heights of a relief.
 
     Attributes:
-        file: array (.npy), table (.csv, .txt) or image that the heights are read from.
-        lowest: height of an image's black, m.
-        highest: height of an image's white, m.
+        file: array (.npy), table (.csv, .txt) or image with the heights.
+        lowest: height of black in an image, m.
+        highest: height of white in an image, m.
     """
 
     file: str
@@ -207,12 +207,12 @@ FloorConfig = Annotated[
 
 
 class BoulderConfig(Section):
-    """A sphere that lies about, sunk in or not.
+    """A fixed sphere, on or partly in the floor.
 
     Attributes:
         type: ``boulder``.
-        centre: its place in the world, m.
-        radius: from centre to surface, m.
+        centre: position in the world, m.
+        radius: distance from centre to surface, m.
     """
 
     type: Literal["boulder"]
@@ -220,7 +220,7 @@ class BoulderConfig(Section):
     radius: Positive
 
     def build(self) -> Obstacle:
-        """The obstacle."""
+        """Build the obstacle."""
         return self.into(Boulder)
 
 
@@ -229,9 +229,9 @@ class BlockConfig(Section):
 
     Attributes:
         type: ``block``.
-        centre: its place in the world, m.
-        size: edges along x, y and z before it is turned, m.
-        heading_deg: by which it is turned to the left, degrees.
+        centre: position in the world, m.
+        size: edges along x, y and z before the rotation, m.
+        heading_deg: rotation to the left, degrees.
     """
 
     type: Literal["block"]
@@ -240,7 +240,7 @@ class BlockConfig(Section):
     heading_deg: Annotated[Finite, Direction()] = 0.0
 
     def build(self) -> Obstacle:
-        """The obstacle."""
+        """Build the obstacle."""
         x, y, z = self.size
         return Block(self.centre, (x / 2, y / 2, z / 2), xp.deg2rad(self.heading_deg))
 
@@ -255,15 +255,15 @@ class GroundConfig(Section):
     """Ground: level at height 0 unless it has another ``floor``.
 
     Attributes:
-        restitution: of the ground's material.
-        static_friction: of the ground's material.
-        dynamic_friction: of the ground's material.
-        restitution_rule: how the body's and the ground's restitution become one.
-        friction_rule: how their frictions become one.
-        margin: points nearer than this are watched for an impact, m.
+        restitution: coefficient of restitution of the ground's material.
+        static_friction: coefficient of friction of the ground's material at rest.
+        dynamic_friction: coefficient of friction of the ground's material while sliding.
+        restitution_rule: rule that combines the restitution of body and ground.
+        friction_rule: rule that combines the friction coefficients of body and ground.
+        margin: distance below which points are checked for an impact, m.
         stribeck_speed: sliding speed at which friction is half-way from static to dynamic, m/s.
-        floor: its shape.
-        obstacles: that stand on it.
+        floor: shape of the ground.
+        obstacles: obstacles on the ground.
     """
 
     restitution: Fraction = 0.5
@@ -277,6 +277,6 @@ class GroundConfig(Section):
     obstacles: tuple[ObstacleConfig, ...] = ()
 
     def build(self) -> Ground:
-        """The ground."""
+        """Build the ground."""
         obstacles = tuple(obstacle.build() for obstacle in self.obstacles)
         return self.into(Ground, floor=self.floor.build(), obstacles=obstacles)

@@ -1,4 +1,4 @@
-"""How a body hangs on its parent, and what moves it there."""
+"""Sections of the joint between a body and its parent, and of its motors."""
 
 from typing import Annotated, Literal
 
@@ -13,8 +13,8 @@ from evo_cpg.creature.creature import Actuator, Joint
 from evo_cpg.spatial.numerics import as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
-# The middle one of three axes must keep this far from where the three lie in one plane; of axes at
-# right angles that is at 90 degrees, where the first and the last one coincide.
+# Distance of the middle one of three axes from the angle at which the axes lie in one plane.
+# Axes at right angles do so at 90 degrees, where the first and the last axis coincide.
 _SINGULARITY_MARGIN_DEG = 5.0
 
 AxisName = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -30,7 +30,7 @@ _AXES = {
 
 
 class ActuatorConfig(Section):
-    """Motor on each axis.
+    """A motor on each axis.
 
     Attributes:
         gain: torque per velocity error, N m s/rad.
@@ -44,17 +44,17 @@ class ActuatorConfig(Section):
 
 
 def _require_regular(directions: np.ndarray, lower: float, upper: float) -> None:
-    """Check that three axes stay independent while the middle one turns.
+    """Check that three axes stay independent while the middle axis turns.
 
-    The volume that they span is a cosine of its angle.
+    The volume that the axes span is a cosine of the angle of the middle axis.
 
     Args:
-        directions: of the axes ``(3, 3)``.
-        lower: limit of the middle one, degrees.
-        upper: likewise.
+        directions: directions of the axes ``(3, 3)``.
+        lower: lower limit of the middle axis, degrees.
+        upper: upper limit of the middle axis, degrees.
 
     Raises:
-        ValueError: they come into one plane, or nearly so.
+        ValueError: the axes reach a common plane, or nearly so.
     """
     first, middle, last = directions / np.linalg.norm(directions, axis=1)[:, None]
     across = np.cross(middle, last)
@@ -77,21 +77,21 @@ def _require_regular(directions: np.ndarray, lower: float, upper: float) -> None
 
 
 class JointConfig(Section):
-    """How a body hangs on its parent.
+    """The joint between a body and its parent.
 
     Attributes:
         parent: name of the parent body.
-        at: place of the joint in the parent's frame, m.
-        child_at: place of the joint in this body's frame, m.
-        axes: 1 to 3 axes that turn one after the other: x, y, z, -x, -y, -z or a vector.
+        at: position of the joint in the parent's frame, m.
+        child_at: position of the joint in this body's frame, m.
+        axes: 1 to 3 axes, which turn in this order: x, y, z, -x, -y, -z or a vector.
         limits_deg: lower and upper limit, for all axes or one pair for each, degrees; the middle
             one of three axes at right angles turns by at most 85.
-        rotation_deg: roll, pitch and yaw of this body against its parent at rest, degrees; about
-            the parent's x, then y, then z.
-        stiffness: passive spring, N m/rad.
+        rotation_deg: roll, pitch and yaw of this body relative to its parent at rest, degrees,
+            about the parent's x, then y, then z.
+        stiffness: stiffness of the passive spring, N m/rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
-        actuator: the motors; a joint without is passive.
+        actuator: motors; if left out, the joint is passive.
     """
 
     parent: str
@@ -125,7 +125,7 @@ class JointConfig(Section):
 
     @property
     def limits(self) -> list[tuple[float, float]]:
-        """One pair of limits for each axis, degrees."""
+        """Limits of each axis, as pairs, degrees."""
         if isinstance(self.limits_deg, tuple):
             return [self.limits_deg] * len(self.axes)
         return self.limits_deg
@@ -136,7 +136,7 @@ class JointConfig(Section):
         return [_AXES[axis] if isinstance(axis, str) else axis for axis in self.axes]
 
     def turned(self, angle_deg: float) -> "JointConfig":
-        """The joint and all that hangs on it, turned about the parent's vertical axis."""
+        """Return the joint with its limb, turned about the parent's vertical axis."""
         if not angle_deg:
             return self
         roll, pitch, yaw = self.rotation_deg
@@ -145,9 +145,9 @@ class JointConfig(Section):
         return self.model_copy(update=update)
 
     def mirrored(self, axis: MirrorAxis) -> "JointConfig":
-        """The joint's image, parent and child being mirrored in planes of their frames.
+        """Return the mirror image of the joint, with parent and child mirrored in their frames.
 
-        The same angle is then the mirrored pose, so limits stay as they are.
+        Equal angles then give mirrored poses, so the limits do not change.
         """
         return self.model_copy(
             update={
@@ -159,12 +159,12 @@ class JointConfig(Section):
         )
 
     def build(self, parent: str, parent_centre: np.ndarray, centre: np.ndarray) -> Joint:
-        """The joint, on the given parent, in frames moved to the bodies' centres of mass.
+        """Build the joint on the given parent, in frames at the bodies' centres of mass.
 
         Args:
-            parent: its name.
-            parent_centre: its centre of mass in the frame that ``at`` is given in, m.
-            centre: that of the body itself, in the frame of ``child_at``, m.
+            parent: name of the parent.
+            parent_centre: centre of mass of the parent in the frame of ``at``, m.
+            centre: centre of mass of the body in the frame of ``child_at``, m.
         """
         rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
         limits = xp.deg2rad(xp.array(self.limits))

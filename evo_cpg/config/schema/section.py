@@ -1,4 +1,4 @@
-"""What every section is made of: its base class and the kinds of numbers."""
+"""Base class of every section, and the kinds of numbers."""
 
 import inspect
 import re
@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 
 _T = TypeVar("_T")
 
-# Of no quantity in SI units that animals have to do with; powers of it are still numbers.
+# Larger than any quantity of an animal in SI units. Its powers are still finite.
 LARGEST = 1e12
 
 Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
@@ -18,16 +18,16 @@ NotNegative = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
-# Far beyond what anybody waits for, and within 32 bits.
+# The limit is far above any practical count, and fits into 32 bits.
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 
 
-# Entries of a list that are shown where a section is printed.
+# Longer lists are printed as their number of entries.
 _SHOWN = 3
 
 
 def pattern(expression: str, words: str) -> tuple[AfterValidator, Any]:
-    """Return what restricts a text to a regular expression, and says in words what is allowed."""
+    """Return annotations that restrict a text to a regular expression; ``words`` is the error."""
 
     def check(text: str) -> str:
         if not re.fullmatch(expression, text):
@@ -43,7 +43,7 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def into(self, kind: Callable[..., _T], **others: Any) -> _T:
-        """Build an object from the fields that its constructor names, and others."""
+        """Build an object from the fields that its constructor names, and from ``others``."""
         names = inspect.signature(kind).parameters
         return kind(**{name: value for name, value in self if name in names} | others)
 
@@ -51,7 +51,7 @@ class Section(BaseModel):
         return repr(self)
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        """Give what differs from its default, and of long lists how long they are."""
+        """Yield the fields that differ from their defaults; a long list yields its length."""
         for name, value in self:
             default = type(self).model_fields[name].get_default(call_default_factory=True)
             if value != default:
@@ -60,14 +60,14 @@ class Section(BaseModel):
 
 
 class _Count(int):
-    """The length of a list, in the place of the list."""
+    """The length of a list, printed instead of the list."""
 
     def __repr__(self) -> str:
         return f"[{int(self)} entries]"
 
 
 class OpenSection(Section):
-    """A part of which anything may be left open, as null; what is open is not written."""
+    """A section whose keys may all be null; keys that are null are not written."""
 
     @model_serializer(mode="wrap")
     def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:

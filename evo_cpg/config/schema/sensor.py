@@ -1,4 +1,4 @@
-"""Sensors: eyes, depth gauges, and further ones that are told apart by their ``type``."""
+"""Sections of sensors: eyes, depth gauges, and other sensors with a ``type``."""
 
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -15,9 +15,9 @@ class LightSensorConfig(Section):
     """A directional eye (Iwadate 2010, eq. 1).
 
     Attributes:
-        body: that carries it; a name with placeholders has one on each body that it stands for.
-        position: in the frame of the body, m.
-        axis: where it looks, in the frame of the body.
+        body: name of the body that carries it; a name with placeholders puts one on each copy.
+        position: position in the frame of the body, m.
+        axis: viewing direction in the frame of the body.
         field_of_view_deg: full opening angle, degrees.
     """
 
@@ -26,7 +26,7 @@ class LightSensorConfig(Section):
     axis: Vector = (1.0, 0.0, 0.0)
     field_of_view_deg: Annotated[float, Field(gt=0, le=360), VIEW] = 180.0
 
-    # Keys whose values are names of bodies, here and below.
+    # Keys whose values are names of bodies.
     body_keys: ClassVar[tuple[str, ...]] = ("body",)
 
     @model_validator(mode="after")
@@ -37,12 +37,12 @@ class LightSensorConfig(Section):
 
 
 class DepthSensorConfig(Section):
-    """A depth gauge: reads 0 at the water's surface and above it, and 1 deep down.
+    """A depth gauge, which reads 0 at the water's surface and above, and 1 at depth.
 
     Attributes:
-        body: that carries it; a name with placeholders has one on each body that it stands for.
-        position: in the frame of the body, m.
-        full_scale: depth from which down it reads 1, m.
+        body: name of the body that carries it; a name with placeholders puts one on each copy.
+        position: position in the frame of the body, m.
+        full_scale: depth at which and below which it reads 1, m.
     """
 
     body: str
@@ -57,7 +57,7 @@ class VelocitySensorConfig(Section):
 
     Attributes:
         type: ``velocity``.
-        body: that carries it.
+        body: name of the body that carries it.
         full_scale: velocity at which it reads 1, m/s.
     """
 

@@ -1,4 +1,4 @@
-"""How the shapes of bodies are written: lengths in m, in the frame of the body."""
+"""Sections of the shapes of bodies: lengths in m, in the frame of the body."""
 
 from collections.abc import Callable
 from typing import Annotated, ClassVar, Literal, Self
@@ -14,7 +14,7 @@ from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 
 Size = tuple[Positive, Positive, Positive]
-# Of a vertex; larger ones do not fit into arrays.
+# Index of a vertex. Larger numbers do not fit into arrays.
 Index = Annotated[int, Field(ge=0, lt=2**31)]
 
 
@@ -22,20 +22,20 @@ class SolidConfig(Section):
     """A kind of shape."""
 
     kind: ClassVar[Callable[..., Shape]]
-    # The key that says how large it is; None if there is none.
+    # Key of its size; None if there is none.
     size_key: ClassVar[str | None] = None
 
     def build(self) -> Shape:
-        """The shape, centred on its own frame."""
+        """Build the shape, centred on its own frame."""
         return self.into(self.kind)
 
     @property
     def centre(self) -> np.ndarray:
-        """Centre of mass ``(3,)`` in the body's frame, m; a mesh's alone is not at 0."""
+        """Centre of mass ``(3,)`` in the body's frame, m; nonzero only for a mesh."""
         return np.zeros(3)
 
     def mirrored(self, axis: MirrorAxis) -> Self:
-        """Return the image in the plane of the frame with this normal; most are their own."""
+        """Return the mirror image in the frame's plane with this normal; most shapes are equal."""
         del axis
         return self
 
@@ -59,7 +59,7 @@ class SphereConfig(SolidConfig):
 
     Attributes:
         type: ``sphere``.
-        radius: from centre to surface, m.
+        radius: distance from centre to surface, m.
     """
 
     type: Literal["sphere"]
@@ -87,8 +87,8 @@ class CapsuleConfig(SolidConfig):
 
     Attributes:
         type: ``capsule``.
-        radius: of the cylinder and its ends, m.
-        length: of the cylinder, without its ends, m.
+        radius: radius of the cylinder and its ends, m.
+        length: length of the cylinder, without its ends, m.
     """
 
     type: Literal["capsule"]
@@ -99,11 +99,11 @@ class CapsuleConfig(SolidConfig):
 
 
 class MeshConfig(SolidConfig):
-    """Convex polyhedron, in a frame of its own choice.
+    """Convex polyhedron, in any frame.
 
     Attributes:
         type: ``mesh``.
-        vertices: places of the corners, m; with ``file`` they are read from there.
+        vertices: positions of the corners, m; ``file`` can replace vertices and faces.
         faces: triangles of three vertices, counted from 0, counterclockwise seen from outside.
     """
 
@@ -136,17 +136,17 @@ class MeshConfig(SolidConfig):
         return convex_mesh(np.array(self.vertices).reshape(-1, 3), faces)
 
 
-# Larger ones belong to no unit that anything is drawn in.
+# No unit of drawings requires a larger scale.
 Scale = Annotated[float, Field(gt=0, lt=1e9, strict=True)]
 
 
 class MeshFileConfig(Section):
-    """Keys that name a file in the place of the vertices and faces of a mesh.
+    """Keys for a file that contains the vertices and faces of a mesh.
 
     Attributes:
         type: ``mesh``.
-        file: file (.stl, .obj) that vertices and faces are read from.
-        scale: by which places in the file are multiplied, all alike or along x, y and z.
+        file: file (.stl, .obj) with vertices and faces.
+        scale: factor for positions in the file, for all or along x, y and z.
     """
 
     type: Literal["mesh"]

@@ -1,4 +1,4 @@
-"""What the animals are judged by."""
+"""Sections of the task that determines fitness."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -24,13 +24,14 @@ from evo_cpg.spatial.numerics import Number, Triple, xp
 
 
 class LightConfig(OpenSection):
-    """Where the light is: as seen from the root at the start, or anywhere in the world.
+    """Position of the light, relative to the root at the start or in the world.
 
     Attributes:
-        distance: from the root at the start, m; the default of `reach_light` is 8.
-        bearing_deg: to the left of straight ahead, degrees; likewise 30.
-        elevation_deg: above the horizon, degrees; likewise 0.
-        at: its place in the world, m, instead of the other three.
+        distance: distance from the root at the start, m; the default of `reach_light` is 8.
+        bearing_deg: angle to the left of straight ahead, degrees; the default of `reach_light`
+            is 30.
+        elevation_deg: angle above the horizon, degrees; the default of `reach_light` is 0.
+        at: position in the world, m, instead of the other three keys.
     """
 
     distance: Positive | None = None
@@ -47,7 +48,10 @@ class LightConfig(OpenSection):
         return self
 
     def over(self, other: "LightConfig") -> "LightConfig":
-        """This light; what it leaves open is that of another one, or, beside `at`, the default."""
+        """Return this light with its open keys filled from another light.
+
+        If the other light has `at`, the open keys are filled from the default light.
+        """
         given = {name: value for name, value in self if value is not None}
         if self.at is not None or not given:
             return self if given else other
@@ -55,11 +59,11 @@ class LightConfig(OpenSection):
         return seen.model_copy(update=given)
 
     def position(self, start: Triple, heading: Number) -> Triple:
-        """Place of the light, m; NaN where something is left open.
+        """Return the position of the light, m; open keys give NaN.
 
         Args:
-            start: place of the root at the start, m.
-            heading: by which it is turned to the left there, rad.
+            start: position of the root at the start, m.
+            heading: rotation of the root to the left at the start, rad.
         """
         if self.at is not None:
             return self.at
@@ -81,12 +85,12 @@ DEFAULT_LIGHT = LightConfig(distance=8.0, bearing_deg=30.0, elevation_deg=0.0)
 
 
 class _TaskSection(Section):
-    # What others need to know of a task.
+    # Whether the task requires ground.
     needs_ground: ClassVar[bool] = False
 
     @property
     def goal(self) -> LightConfig | None:
-        """The light that the task is about, where a trial does not have its own; None for none."""
+        """Light that is the goal, in trials without their own light; None if there is no goal."""
         return None
 
 
@@ -95,13 +99,13 @@ class ReachLightConfig(_TaskSection):
 
     Attributes:
         type: ``reach_light``.
-        light: the goal.
-        distance_weight: a, of the distance that is left.
-        light_weight: c, of the light in sight; less than ``distance_weight``.
-        energy_weight: b, of the energy spent; less than ``light_weight``.
-        energy_max: E_max, J; what is spent beyond it is free. The 95th percentile of the first
-            generation if left out.
-        final_seconds: time at the end over which the distance is averaged, s.
+        light: position of the goal.
+        distance_weight: a, weight of the remaining distance.
+        light_weight: c, weight of the light in sight, less than ``distance_weight``.
+        energy_weight: b, weight of the energy spent, less than ``light_weight``.
+        energy_max: E_max, J, above which energy costs nothing more; the 95th percentile of the
+            first generation if left out.
+        final_seconds: final time over which the distance is averaged, s.
     """
 
     type: Literal["reach_light"] = "reach_light"
@@ -128,15 +132,15 @@ class ReachLightConfig(_TaskSection):
 
     @property
     def goal(self) -> LightConfig:
-        """The light."""
+        """Light that is the goal."""
         return self.light
 
     def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
         """Build the task.
 
         Args:
-            creature: the animal.
-            light: its place, m.
+            creature: creature to evaluate.
+            light: position of the light, m.
             control_rate: control steps per second, 1/s.
         """
         del creature
@@ -146,7 +150,7 @@ class ReachLightConfig(_TaskSection):
 
 
 class DistanceConfig(_TaskSection):
-    """Fukui 2003: distance moved, whatever the posture.
+    """Fukui 2003: distance moved, in any posture.
 
     Attributes:
         type: ``distance``.
@@ -163,15 +167,15 @@ class DistanceConfig(_TaskSection):
 
 
 class WalkConfig(_TaskSection):
-    """Distance, less what running has and walking has not; weights in torso lengths of way.
+    """Distance minus penalties for tilting, bouncing and flight; weights in torso lengths.
 
     Attributes:
         type: ``walk``.
         heading: ``any`` direction, or ``forward``.
-        distance_weight: of the distance, in torso lengths.
-        tilt_weight: of the torso's tilt: 0 upright, 1 on the side, 2 on the back.
-        bounce_weight: of the standard deviation of its height, in torso lengths.
-        airborne_weight: of the share of time in which nothing touches the ground.
+        distance_weight: weight of the distance, in torso lengths.
+        tilt_weight: weight of the torso's tilt: 0 upright, 1 on the side, 2 on the back.
+        bounce_weight: weight of the standard deviation of the torso's height, in torso lengths.
+        airborne_weight: weight of the fraction of time without ground contact.
     """
 
     type: Literal["walk"] = "walk"

@@ -1,4 +1,4 @@
-"""How long a trial takes, in which steps, and what is left to chance in it."""
+"""Sections of a trial: its duration, its steps, and its noise."""
 
 from typing import Annotated, Any, Literal
 
@@ -19,12 +19,12 @@ _MOST_TRIALS = 10_000
 
 
 class SituationConfig(OpenSection):
-    """What one trial begins with; what is left open is as for all trials.
+    """Initial situation of one trial; open keys keep the values for all trials.
 
     Attributes:
         start: x and y of the root's centre at the start, m.
-        start_heading_deg: by which it is turned to the left at the start, degrees.
-        light: keys that differ from those of the task's light.
+        start_heading_deg: rotation to the left at the start, degrees.
+        light: keys that differ from the task's light.
     """
 
     start: tuple[Finite, Finite] | None = None
@@ -48,14 +48,14 @@ class SimulationConfig(Section):
 
     Attributes:
         control_rate_hz: control steps per second, 1/s.
-        substeps: physics steps in a control step.
-        steps: control steps.
+        substeps: number of physics steps in a control step.
+        steps: number of control steps.
         start: x and y of the root's centre at the start, m.
-        start_heading_deg: by which it is turned to the left at the start, degrees.
-        start_clearance: of the creature above the ground at the start, m.
-        start_pose: ``neutral``, or ``settled``: as it comes to rest when let down from there.
-        trials: of every individual, over which its fitness is averaged: how many, which without
-            noise is one, or a list of situations.
+        start_heading_deg: rotation to the left at the start, degrees.
+        start_clearance: height of the creature above the ground at the start, m.
+        start_pose: ``neutral``, or ``settled``: the pose at rest after it is let down.
+        trials: trials over which fitness is averaged: their number, which without noise is one,
+            or a list of situations.
     """
 
     control_rate_hz: Positive = 60.0
@@ -69,7 +69,7 @@ class SimulationConfig(Section):
 
     @property
     def situations(self) -> list[SituationConfig]:
-        """The trials that are listed one by one; none if there is but their number."""
+        """Situations of the trials; empty if only a number of trials is given."""
         return self.trials if isinstance(self.trials, list) else []
 
     @field_validator("trials", mode="before")
@@ -81,14 +81,14 @@ class SimulationConfig(Section):
 
 
 class NoiseConfig(Section):
-    """What is left to chance in a trial; nothing unless given.
+    """Random disturbances in a trial; none by default.
 
     Attributes:
         joint_angle_deg: standard deviation of every joint angle at the start, degrees.
         tilt_deg: standard deviation of the root's roll and of its pitch at the start, degrees.
         push: random walk of the root's velocity in each direction, m/s per square root of a
             second.
-        friction: by up to such a share the friction of the ground differs from trial to trial.
+        friction: largest fraction by which the ground's friction differs between trials.
     """
 
     joint_angle_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
@@ -98,5 +98,5 @@ class NoiseConfig(Section):
 
     @property
     def silent(self) -> bool:
-        """Whether nothing is left to chance."""
+        """Whether all disturbances are 0."""
         return not any(self.model_dump().values())

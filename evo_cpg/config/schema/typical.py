@@ -1,7 +1,7 @@
-"""Metadata of fields: the values that people mean, which are fewer than those that are allowed.
+"""Typical values of fields, a narrower range than the allowed values.
 
-A field carries it in its annotation: ``gravity: Annotated[NotNegative, TypicalRange(0, 30, ...)]``.
-`evo_cpg.config.lint` reads it, and warns of other values.
+The range is part of a field's annotation: ``Annotated[NotNegative, TypicalRange(0, 30, ...)]``.
+`evo_cpg.config.lint` warns of values outside it.
 """
 
 from collections.abc import Mapping
@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-# A full turn, degrees; what is farther was converted once too often.
+# A full turn, degrees. Larger angles were probably converted twice.
 TURN = 360.0
 
-# Angles that people choose are multiples of this, degrees. In radians they are crooked numbers,
-# of which at least two decimals are written.
+# Common angles are multiples of this, degrees. In radians they are not round, and are usually
+# written with at least two decimals.
 _COMMON, ROUNDING = 15.0, 0.006
 
 
@@ -23,9 +23,9 @@ class TypicalRange(NamedTuple):
     Attributes:
         low: smallest typical value.
         high: largest typical value.
-        unit: of both.
-        units: other units that may have been meant, and what a number in them is multiplied by.
-        about: a value to compare with; said if no other unit fits.
+        unit: unit of both limits.
+        units: other likely units, with their factors to ``unit``.
+        about: a value to compare with, reported if no other unit fits.
     """
 
     low: float
@@ -35,7 +35,7 @@ class TypicalRange(NamedTuple):
     about: str = ""
 
     def problem(self, value: float) -> str | None:
-        """Return what is wrong with a value; None if it is plausible."""
+        """Return a description of what is wrong with a value; None if it is plausible."""
         if self.low <= value <= self.high:
             return None
         likely = self.about
@@ -49,10 +49,10 @@ class TypicalRange(NamedTuple):
 
 
 class Direction(NamedTuple):
-    """Mark of angles in degrees that are directions, any of which is allowed."""
+    """Mark for angles in degrees that are directions, without allowed limits."""
 
     def problem(self, value: float | tuple[float, ...]) -> str | None:
-        """Return what is wrong with angles that all look like radians, or exceed a full turn."""
+        """Return a description if all angles look like radians, or one exceeds a full turn."""
         given = np.array([angle for angle in np.ravel(value) if angle])
         if not len(given):
             return None
@@ -72,15 +72,15 @@ class Direction(NamedTuple):
         return None
 
 
-# Solids from foam to osmium, and liquids from petrol to the Dead Sea.
+# The ranges cover solids from foam to osmium, and liquids from petrol to the Dead Sea.
 _DENSITIES = {"g/cm^3": 1000.0, "g/m^3": 1e-3}
 SOLID = TypicalRange(20.0, 23_000.0, "kg/m^3", _DENSITIES, "water has 1000")
 LIQUID = TypicalRange(500.0, 2000.0, "kg/m^3", _DENSITIES, "water has 1000")
 
-# The strongest gravity of a planet of the sun is 24.8 m/s^2.
+# The strongest gravity of a planet of the sun is 24.8 m/s^2 (Jupiter).
 GRAVITY = TypicalRange(0.0, 30.0, "m/s^2", {"cm/s^2": 0.01}, "the earth has 9.81")
 
-# An eye that sees less than this sees a slit of the world.
+# A narrower field of view is a slit, and is probably given in radians.
 VIEW = TypicalRange(
     2 * np.pi + ROUNDING, TURN, "degrees", {"radians": np.rad2deg(1.0)}, "a slit sees no light"
 )

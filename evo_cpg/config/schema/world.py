@@ -1,4 +1,4 @@
-"""Gravity, water and ground."""
+"""Sections of gravity, water and ground."""
 
 from typing import Annotated, Literal
 
@@ -11,16 +11,16 @@ from evo_cpg.config.schema.typical import GRAVITY, LIQUID
 from evo_cpg.physics.fluid import DragLaw
 from evo_cpg.physics.water import Current, Vortex, Water
 
-# Relative to the largest element of a gradient: what typing decimals leaves.
+# Rounding error of decimals, relative to the largest element of a gradient.
 _TRACE_TOLERANCE = 1e-6
 
 
 class VortexConfig(Section):
-    """Water that circles an upright axis.
+    """A vortex about a vertical axis.
 
     Attributes:
         centre: x and y of the axis, m.
-        circulation: far from the axis, counterclockwise seen from above, m^2/s.
+        circulation: circulation far from the axis, counterclockwise seen from above, m^2/s.
         core: distance from the axis at which the water is fastest, m.
     """
 
@@ -34,20 +34,20 @@ class WaterConfig(Section):
 
     Attributes:
         density: mass per volume, kg/m^3.
-        form_drag: C_d of the normal velocity at every surface point.
-        skin_drag: C_f of the tangential velocity.
-        surface: height of its surface, m; ``null`` for water everywhere.
-        added_mass: bodies set the water around them in motion, as in ideal fluid.
+        form_drag: coefficient C_d for the normal velocity at every surface point.
+        skin_drag: coefficient C_f for the tangential velocity at every surface point.
+        surface: height of the water's surface, m; ``null`` for water everywhere.
+        added_mass: whether bodies accelerate the water around them, as in ideal fluid.
         current: velocity of the water, m/s; with a gradient, at the origin.
-        current_gradient: how the current's components (rows) change along x, y and z, 1/s.
-        vortices: that circle, on top of the current.
-        law: ``normal`` splits the drag as above; ``isotropic`` is eq. 8 to the letter.
-        sheltered: leave out faces that other bodies cover at rest.
-        points: ``quadrature`` places the points evenly; ``random`` draws them once, as the paper
-            says, from ``points_seed``.
-        form_resolution: points for form drag: its square on each face of a box.
-        skin_resolution: points for skin friction, likewise.
-        random_points: points on each body when they are random.
+        current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
+        vortices: vortices that are added to the current.
+        law: drag law: ``normal`` splits the drag as above, ``isotropic`` is exactly eq. 8.
+        sheltered: whether faces that other bodies cover at rest have no drag.
+        points: ``quadrature`` distributes the points evenly, ``random`` draws them once, as in the
+            paper, from ``points_seed``.
+        form_resolution: resolution of points for form drag: its square on each face of a box.
+        skin_resolution: resolution of points for skin friction: its square on each face of a box.
+        random_points: number of random points on each body.
         points_seed: seed of random points.
     """
 
@@ -68,7 +68,7 @@ class WaterConfig(Section):
     points_seed: Annotated[int, Field(ge=0)] = 0
 
     def build(self) -> Water:
-        """The water, without the forces that it exerts."""
+        """Build the water, without its forces."""
         vortices = (vortex.into(Vortex) for vortex in self.vortices)
         current = Current(self.current, self.current_gradient)
         return Water(self.density, self.surface, (current, *vortices))
@@ -90,10 +90,10 @@ class WorldConfig(Section):
     """Gravity, water, ground, and further forces.
 
     Attributes:
-        gravity: downwards, m/s^2.
-        water: in which they are; ``null`` for none.
-        ground: on which they are; none unless given.
-        forces: force laws of your own, which act beside those of the water.
+        gravity: downward acceleration, m/s^2.
+        water: water around the creature; ``null`` for none.
+        ground: ground below the creature; none if left out.
+        forces: force laws of your own, in addition to the forces of the water.
     """
 
     gravity: Annotated[NotNegative, GRAVITY] = 9.81
