@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Disagreement(UserError):
-    """Processes have different configurations or versions. The message names the differences."""
+    """Processes have different configurations. The message names the differences."""
 
 
 class Distribution(NamedTuple):
