@@ -23,7 +23,7 @@ def cannot_write(path: Path, error: OSError) -> OutputError:
 
 
 def require_place(path: Path) -> Path:
-    """Check, before any work, that a file can be written here; an existing one may be replaced.
+    """Check, before any work, that a file can be written or replaced, and return its path.
 
     Raises:
         OutputError: the parent folder does not exist, the path is a folder, or permission is

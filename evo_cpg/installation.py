@@ -39,7 +39,7 @@ def command_for(extra: str) -> str:
 
 
 def _editable() -> str | None:
-    """Return the source folder of an editable installation; None for another installation."""
+    """Return the source folder of an editable installation, or None for another installation."""
     try:
         text = metadata.distribution(_NAME).read_text("direct_url.json") or ""
         origin = json.loads(text)

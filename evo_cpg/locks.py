@@ -188,7 +188,7 @@ if sys.platform == "win32":
     _PLACE = 1 << 20
 
     def _lock_alone(descriptor: int) -> bool:
-        """Lock a file; return False if another process has locked it."""
+        """Lock a file, or return False if another process has locked it."""
         os.lseek(descriptor, _PLACE, os.SEEK_SET)
         try:
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
@@ -211,7 +211,7 @@ else:
     import fcntl
 
     def _lock_alone(descriptor: int) -> bool:
-        """Lock a file; return False if another process has locked it."""
+        """Lock a file, or return False if another process has locked it."""
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

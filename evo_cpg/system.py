@@ -15,7 +15,7 @@ from typing import IO
 
 
 def home_folder() -> Path | None:
-    """Return the user's home folder; None if the system has none."""
+    """Return the user's home folder, or None if the system has none."""
     try:
         return Path.home()
     except RuntimeError:
@@ -23,7 +23,7 @@ def home_folder() -> Path | None:
 
 
 def working_folder() -> Path | None:
-    """Return the working folder; None if it was deleted."""
+    """Return the working folder, or None if it was deleted."""
     try:
         return Path.cwd()
     except OSError:
@@ -55,7 +55,7 @@ def named(text: str) -> Path:
 
 
 def name_of(path: Path) -> str:
-    """Return the text that stores a path in a file; `named` is the inverse."""
+    """Return the text that stores a path in a file, the inverse of `named`."""
     return os.fsencode(path).decode("utf-8", "surrogateescape")
 
 

@@ -122,11 +122,11 @@ def warn_of_cost(path: Path, simulation: Simulation) -> None:
 
 
 def expected_to_compile(simulation: Simulation, animal: str | None = None) -> float | None:
-    """Estimate the time to compile a trial, s; None if nothing was measured on this machine.
+    """Estimate the time to compile a trial, s, or None if nothing was measured on this machine.
 
     Args:
         simulation: simulation of the trial.
-        animal: digest from `animal_digest`; None to assume that no compiled code is kept.
+        animal: digest from `animal_digest`, or None to assume that no compiled code is kept.
     """
     return expected_seconds(estimate_operations(simulation).total, animal)
 
@@ -142,7 +142,7 @@ def animal_digest(config: ExperimentConfig) -> str:
 
 
 def _line(operations: Operations) -> str:
-    """Return the cost, its main cause and the cure; empty for an animal with a low cost."""
+    """Return the cost, its main cause and the cure, or "" for an animal with a low cost."""
     total = operations.total
     if total < _MANY:
         return ""

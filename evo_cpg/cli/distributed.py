@@ -32,12 +32,12 @@ class Distribution(NamedTuple):
 
     Attributes:
         distributed: evolve with several processes.
-        hosts: list of hosts, or the name of a file with hosts; None to use the scheduler's list.
-        process: index of this process; None to find the index by the name of the host.
+        hosts: list of hosts, or the name of a file with hosts, or None to use the scheduler's list.
+        process: index of this process, or None to find the index by the name of the host.
         local: number of processes to start on this machine, if any.
         join_timeout: longest time until all processes have joined, s.
         patience: time that each process waits for the others, beyond twice the duration of its own
-            trials, s; None for the default.
+            trials, s, or None for the default.
     """
 
     distributed: Annotated[
@@ -78,10 +78,10 @@ class Distribution(NamedTuple):
     ] = None
 
     def begin(self, cores: int | None, check: Callable[[], object]) -> None:
-        """Check the options; with `--local`, start the processes and exit when they are done.
+        """Check the options. With `--local`, start the processes and exit when they are done.
 
         Args:
-            cores: cores of all processes of `--local` together; None for all of this machine.
+            cores: cores of all processes of `--local` together, or None for all of this machine.
             check: function that raises an error once, before every local process would raise it.
 
         Raises:

@@ -9,7 +9,7 @@ from evo_cpg.errors import UserError
 
 
 class ExitCode(IntEnum):
-    """Exit codes other than 0; docs/cli.md lists them for users."""
+    """Exit codes other than 0. The users' list is in docs/cli.md."""
 
     FAULT = 1
     """A fault of the program; or a job of a sweep, or the search for a rhythm, failed."""
@@ -48,7 +48,7 @@ def require_free(output: Path, overwrite: bool) -> None:
 
 
 def message_for(error: Exception) -> str | None:
-    """Return the message for an error that is not a fault of the program; None for a fault.
+    """Return the message for an error that is not a fault of the program, or None for a fault.
 
     Args:
         error: error that ended a command.

@@ -70,7 +70,7 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
 
     Args:
         opened: run with its final champion.
-        generations: chosen generations; None for a selection of the lineage.
+        generations: chosen generations, or None for a selection of the lineage.
     """
     folder, champion, run = opened.folder, opened.champion, opened.champion.run
     lineage = [each for each in folder.load_lineage() if each.run == run]

@@ -56,8 +56,8 @@ class Problem(NamedTuple):
         start: value of each parameter at the start of the search.
         positive: whether each parameter is positive and must stay positive.
         initial: initial values that are set, by name.
-        genes: genes of the champion that moves the joints; None for the recorded commands.
-        noise: standard deviation by kind of column, m or rad; empty to estimate it.
+        genes: genes of the champion that moves the joints, or None for the recorded commands.
+        noise: standard deviation by kind of column, m or rad, or empty to estimate it.
     """
 
     recording: MeasuredMotion
@@ -97,7 +97,7 @@ def fit_motion(
         data: path of the table with the recorded motion.
         keys: keys of the parameters, each optionally with ``=START``.
         settings: other values, ``key=value``.
-        run: run folder of the champion that moves the joints; None for the recorded commands.
+        run: run folder of the champion that moves the joints, or None for the recorded commands.
         noise: standard deviations by kind of column, ``kind=value``.
         out: file for the fitted configuration, if any.
         plot: file for a picture of data and fit, if any.

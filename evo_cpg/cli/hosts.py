@@ -19,7 +19,7 @@ def place_in(text: str, process: int | None = None) -> Place:
 
     Args:
         text: ``HOST[:PORT],HOST,...``, or a file with a host on each line. The first host leads.
-        process: number of this process; None to find the number by the name of the host.
+        process: number of this process, or None to find the number by the name of the host.
 
     Raises:
         UsageError: the list is malformed, or does not determine the number of this process.

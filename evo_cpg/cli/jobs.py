@@ -68,7 +68,7 @@ class Jobs(NamedTuple):
     """Jobs that the command line requests.
 
     Attributes:
-        count: number of local processes at a time; None for SLURM.
+        count: number of local processes at a time, or None for SLURM.
         options: options of submitit for SLURM.
     """
 
@@ -82,7 +82,7 @@ class Job(NamedTuple):
     Attributes:
         sweep: folder of the sweep.
         settings: names of the settings.
-        cores: number of cores to use; None for all cores of the job.
+        cores: number of cores to use, or None for all cores of the job.
         trusted: whether configurations are the user's own.
         locks: whether the job shares the lock of the sweep, as local jobs do.
     """
@@ -113,7 +113,7 @@ class Job(NamedTuple):
 
 
 def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
-    """Read ``--jobs`` and ``--job-option``; return None without ``--jobs``.
+    """Return the jobs of ``--jobs`` and ``--job-option``, or None without ``--jobs``.
 
     Raises:
         UsageError: a value is wrong, or submitit or SLURM is missing here.
@@ -185,8 +185,8 @@ def run_jobs(
         folder: folder of the sweep.
         found: groups of settings.
         jobs: requested jobs.
-        cores: cores of all local jobs together, or of each SLURM job; None for all of this machine,
-            or for SLURM's default.
+        cores: cores of all local jobs together, or of each SLURM job. None selects all cores of
+            this machine, or SLURM's default.
 
     Returns:
         Names of settings that did not reach their last generation.
@@ -268,7 +268,7 @@ class _Slurm:
         folder: folder of the sweep.
         logs: folder for the files of new jobs.
         jobs: requested jobs.
-        cores: number of cores of each job; None for SLURM's default.
+        cores: number of cores of each job, or None for SLURM's default.
 
     Raises:
         UsageError: submitit rejects the options.

@@ -30,7 +30,7 @@ def run_local(
     Args:
         count: number of processes.
         arguments: arguments of this command, without its name.
-        cores: cores of all processes together; None for all of this machine.
+        cores: cores of all processes together, or None for all of this machine.
 
     Returns:
         The exit code of the lead if it failed, else of the first failed process, else 0.
@@ -92,7 +92,7 @@ def _wait(processes: Sequence[subprocess.Popen]) -> None:
 
 
 def _codes(processes: Sequence[subprocess.Popen]) -> list[int | None]:
-    """Return the exit code of each process; None for a running process."""
+    """Return the exit code of each process, or None for a running process."""
     return [process.poll() for process in processes]
 
 

@@ -1,4 +1,4 @@
-"""A measured motion: read it from a CSV file, and replay the commands that drove it."""
+"""Measured motion: read it from a CSV file, and replay the commands that drove it."""
 
 import csv
 import math
@@ -39,7 +39,7 @@ class MeasuredMotion(NamedTuple):
     Attributes:
         time: time of each row, s.
         columns: names of the measured quantities.
-        data: value in each row and column; NaN if nothing was measured.
+        data: value in each row and column, or NaN if nothing was measured.
         targets: commanded rates of joint axes by name, rad/s.
     """
 
@@ -96,7 +96,7 @@ def read_motion(path: Path) -> MeasuredMotion:
 
 
 def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
-    """Return the size of a column's unit, in SI units; 1 if the column has none or is unused.
+    """Return the size of a column's unit, in SI units, or 1 if the column has no unit or use.
 
     An exported motion has a root, and only some of its columns are used.
 
@@ -170,7 +170,11 @@ def late_commands(recording: MeasuredMotion, simulation: "Simulation") -> int:
 
 
 def _measured(cell: str, where: str) -> float:
-    """Return the number in a cell; NaN if the cell is empty."""
+    """Return the number in a cell, or NaN if the cell is empty.
+
+    Raises:
+        UsageError: the cell is not a finite number.
+    """
     try:
         value = float(cell) if cell.strip() else math.nan
     except ValueError:

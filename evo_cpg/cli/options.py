@@ -84,9 +84,9 @@ class Which(NamedTuple):
     """Options: a champion or elite of a run, and one of its trials.
 
     Attributes:
-        number: number of one of several runs; None for the best.
+        number: number of one of several runs, or None for the best.
         trial: number of the trial, from 0.
-        cell: cell of the run's map, such as ``3,0,7``; None for the champion.
+        cell: cell of the run's map, such as ``3,0,7``, or None for the champion.
     """
 
     number: Number = None

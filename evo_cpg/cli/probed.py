@@ -117,7 +117,7 @@ def _numbers(option: str, text: str) -> list[float]:
 
 
 def missed(found: Probe, reach: float) -> str:
-    """Return a warning if an animal misses most of its lights; else an empty text."""
+    """Return a warning if an animal misses most of its lights, else an empty text."""
     reached, turned = found.reached(reach), [seen_from_start(s)[1] for s in found.situations]
     count, sides = int(reached.sum()), np.sign(np.round(turned, 9))
     if count >= len(reached) / 2:
@@ -130,7 +130,7 @@ def missed(found: Probe, reach: float) -> str:
 
 
 def unseeing(seeing: Probe, blind: Probe) -> str:
-    """Return a warning if an animal does not use its eyes; else an empty text."""
+    """Return a warning if an animal does not use its eyes, else an empty text."""
     if not seeing.displacement > 0:
         return "it comes no nearer to the lights with its eyes, so there is nothing to compare"
     kept = max(0.0, blind.displacement) / seeing.displacement

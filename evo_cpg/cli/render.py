@@ -124,7 +124,7 @@ def render(
 
 
 def _generations(lineage: str) -> list[int] | None:
-    """Return the requested generations; None for ``auto``.
+    """Return the requested generations, or None for ``auto``.
 
     Raises:
         UsageError: the text has another form, or names too many generations.

@@ -55,8 +55,8 @@ def show_rhythm(
     Args:
         path: path of the configuration.
         overrides: settings to change, ``key=value``.
-        gain: adaptation gain b; None for the middle of its range.
-        tonic_input: tonic input u; None for the largest.
+        gain: adaptation gain b, or None for the middle of its range.
+        tonic_input: tonic input u, or None for the largest.
 
     Raises:
         SystemExit: with `ExitCode.FAULT`, if the search failed for some oscillators.
@@ -145,11 +145,11 @@ def find_rhythm(
     Args:
         path: path of the configuration.
         overrides: settings to change, ``key=value``.
-        gain: adaptation gain b to hold; None to let the search change it.
-        tonic_input: tonic input u; None for the default.
+        gain: adaptation gain b to hold, or None to let the search change it.
+        tonic_input: tonic input u, or None for the default.
         frequency: requested frequency, Hz, if any.
         lag: requested mean lag along the chain, degrees, if any.
-        joint: oscillator that the chain must contain; None for the longest chain.
+        joint: oscillator that the chain must contain, or None for the longest chain.
 
     Raises:
         UsageError: an option is wrong, the oscillators rest, or the rhythm is out of reach.

@@ -19,7 +19,7 @@ class _Raw(io.FileIO):
     """Descriptor that keeps the first write error and raises none.
 
     Attributes:
-        error: first write error; None before.
+        error: first write error, or None before.
     """
 
     error: OSError | None = None
@@ -48,7 +48,7 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
 
     Args:
         descriptor: descriptor to write to.
-        like: stream to replace, for its encoding; None if the stream was closed.
+        like: stream to replace, for its encoding, or None if the stream was closed.
     """
     # Python makes standard error unbuffered rather than line-buffered if PYTHONUNBUFFERED is set.
     by_line = getattr(like, "line_buffering", True) or getattr(like, "write_through", False)
@@ -61,7 +61,7 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
 
 
 def output_error() -> OSError | None:
-    """Return the write error of standard output; None without an error, or for a closed pipe."""
+    """Return the write error of standard output, or None without an error, or for a closed pipe."""
     error = _error()
     return None if error is None or error.errno == errno.EPIPE else error
 

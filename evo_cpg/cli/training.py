@@ -56,7 +56,7 @@ def train_run(
         config: configuration of the run.
         run: folder of the run.
         devices: number of devices of this process.
-        earlier: run folder to start from, and the genomes to take; None for random genomes.
+        earlier: run folder to start from, and the genomes to take, or None for random genomes.
         distribution: options of the processes.
         tensorboard: write scalars.
     """
@@ -135,7 +135,7 @@ def goes_on_with_scalars(run: Path, expected: bool) -> bool:
 
 
 def _require_alike(opened: Opened) -> Checkpoint | None:
-    """Check that a run can be continued with its configuration; return the newest checkpoint.
+    """Check that a run fits its configuration, and return the newest checkpoint, if any.
 
     Raises:
         UsageError: more generations are done than requested.
@@ -218,7 +218,7 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
 
     Args:
         opened: run to evolve.
-        team: team of processes; None for this process alone.
+        team: team of processes, or None for this process alone.
         tensorboard: write scalars.
     """
     experiment, folder = opened.experiment, opened.folder

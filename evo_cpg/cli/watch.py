@@ -38,7 +38,7 @@ class Standing(NamedTuple):
     """State of a run.
 
     Attributes:
-        checkpoint: newest checkpoint; None before the first generation is done.
+        checkpoint: newest checkpoint, or None before the first generation is done.
         generations: requested number of generations in all.
         choosing: whether the champion is chosen with fresh noise after the last generation.
         changed: time when the checkpoint was written, s since the epoch; None without a checkpoint.
@@ -110,7 +110,7 @@ def lower_priority() -> None:
 
 
 def standing(folder: "RunFolder", before: Standing | None = None) -> Standing:
-    """Return the state of a run; return ``before`` if nothing is new.
+    """Return the state of a run, or ``before`` if nothing is new.
 
     Args:
         folder: folder of the run.
@@ -195,7 +195,7 @@ class _Pictures:
         self._built: Any = None
 
     def draw(self, champion: "Champion", now: Standing) -> Path | None:
-        """Draw a new champion if a picture is due; return the path of the picture, or None."""
+        """Draw a new champion if a picture is due, and return the path of the picture, if any."""
         which = (champion.run, champion.generation, champion.fitness)
         began = time.monotonic()
         if which == self._drawn or (began < self._next and not now.finished):

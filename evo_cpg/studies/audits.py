@@ -39,7 +39,7 @@ def audit_part(title: str, shown: Mapping[str, str], *, medians: bool = False) -
 
 
 def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
-    """Return a row for the audit of each champion of a run; only for the first if quick."""
+    """Return a row for the audit of each champion of a run, or only of the first if quick."""
 
     def measure() -> list[dict[str, Any]]:
         from evo_cpg.api.audit import audits

@@ -17,7 +17,7 @@ _MOVING = ("swimmer", "salamander-water", "salamander-land", "quadruped")
 
 
 class SuiteError(UserError):
-    """The suite of benchmarks, or a package that it needs, is missing."""
+    """Error: the suite of benchmarks, or a package that it needs, is missing."""
 
 
 def bench_suite() -> ModuleType:

@@ -184,7 +184,7 @@ def random(workshop: Workshop) -> list[Table]:
 
 
 def walk(workshop: Workshop) -> list[Table]:
-    """Compare the three models with a fitness that includes posture, as section 4.3 proposes."""
+    """Compare models evolved for distance with models evolved for posture, too (section 4.3)."""
     from evo_cpg.view.search_plots import champions_figure
 
     rows, dots = [], {}
@@ -210,7 +210,7 @@ def walk(workshop: Workshop) -> list[Table]:
 
 
 def noise(workshop: Workshop) -> list[Table]:
-    """Compare the loss of lineages with noise, without noise and with the thesis's remedies."""
+    """Compare the loss of lineages without noise, with noise, and with the thesis's remedies."""
     from evo_cpg.view.search_plots import generations_figure
 
     curves = {title: _best(workshop, name) for name, title in _NOISES.items()}
@@ -304,7 +304,7 @@ def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float
     """Evaluate the champions of the runs ``name`` in the simulation of the runs ``world``.
 
     Returns:
-        Distance, m, tilt and score of each champion; 0 for a champion that diverged.
+        Distance, m, tilt and score of each champion. They are 0 for a champion that diverged.
     """
 
     def measure() -> dict[str, list[float]]:

@@ -86,7 +86,7 @@ def evaluate(simulation: Simulation, genes: np.ndarray) -> dict[str, np.ndarray]
     """Evaluate animals ``(genes, n)`` in each situation without noise.
 
     Returns:
-        Terms of the task by name, shape ``(n, situations)``; NaN for an animal that diverged.
+        Terms of the task by name, shape ``(n, situations)``. They are NaN for diverged animals.
     """
     simulation = dataclasses.replace(simulation, noise=Noise())
     count = len(simulation.situations)

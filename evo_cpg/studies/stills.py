@@ -37,7 +37,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
     Args:
         workshop: maker of the study, with the runs.
         shown: names of the runs, by their captions in the picture.
-        picture: name of the picture within the part; empty for the part's own name.
+        picture: name of the picture within the part, or empty for the part's own name.
     """
     from evo_cpg.training.replay import compile_replay
     from evo_cpg.view.film import side_by_side

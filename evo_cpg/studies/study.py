@@ -29,7 +29,7 @@ class Table(NamedTuple):
     """Table of results.
 
     Attributes:
-        title: title above the table; empty for none.
+        title: title above the table, if any.
         head: head of each column.
         rows: cells of each row.
     """
@@ -50,7 +50,7 @@ class Part(NamedTuple):
 
     Attributes:
         title: subject of the part, for a list.
-        runs: names of the study's runs that the part uses; empty if the part uses no runs.
+        runs: names of the study's runs that the part uses, if any.
         report: function that returns the tables, and draws pictures to `Workshop.picture`.
     """
 
@@ -81,7 +81,7 @@ def percent(fraction: float) -> str:
 
 
 def middle(values: Sequence[float] | np.ndarray, digits: int = 2) -> str:
-    """Return median and range of the finite values as text; "none" if no value is finite."""
+    """Return median and range of the finite values as text, or "none" without finite values."""
     known = np.asarray(values, float)
     known = known[np.isfinite(known)]
     if not known.size:
@@ -106,7 +106,7 @@ def beside(values: Mapping[str, Sequence[float]], first: str) -> dict[str, str]:
         first: name of the setting that the other settings are compared with.
 
     Returns:
-        Text for each setting; empty for the first, and if there is nothing to test.
+        Text for each setting, which is empty for the first and if there is nothing to test.
     """
     found = {
         name: compare({name: own, first: values[first]})
