@@ -1,1 +1,1 @@
-"""Command line, the only place that prints."""
+"""Command line of the program, `evo-cpg`."""

@@ -173,7 +173,7 @@ def _measured(cell: str, where: str) -> float:
     """Return the number in a cell, or NaN if the cell is empty.
 
     Raises:
-        UsageError: the cell is not a finite number.
+        UsageError: the cell is not a number, or is infinite.
     """
     try:
         value = float(cell) if cell.strip() else math.nan

@@ -146,9 +146,9 @@ def find_rhythm(
         path: path of the configuration.
         overrides: settings to change, ``key=value``.
         gain: adaptation gain b to hold, or None to let the search change it.
-        tonic_input: tonic input u, or None for the default.
+        tonic_input: tonic input u, or None for the largest.
         frequency: requested frequency, Hz, if any.
-        lag: requested mean lag along the chain, degrees, if any.
+        lag: requested mean lag along the chain, degrees, or None for the present lag.
         joint: oscillator that the chain must contain, or None for the longest chain.
 
     Raises:
@@ -233,7 +233,7 @@ def _chain(tree: Tree, settings: CpgSettings, joint: str | None) -> Chain:
 
 
 def _changes(settings: CpgSettings, found: Rhythm) -> dict[str, float]:
-    """Return changed keys of `controller.cpg`, with the range of b scaled to the middle b."""
+    """Return changed keys of `controller.cpg`. The middle of the new range of b is b itself."""
     low, high = settings.min_adaptation_gain, settings.max_adaptation_gain
     factor = 2 * found.adaptation_gain / (low + high)
     then = {key: getattr(found.settings, key) for key in _WEIGHTS}

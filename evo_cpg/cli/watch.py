@@ -41,7 +41,7 @@ class Standing(NamedTuple):
         checkpoint: newest checkpoint, or None before the first generation is done.
         generations: requested number of generations in all.
         choosing: whether the champion is chosen with fresh noise after the last generation.
-        changed: time when the checkpoint was written, s since the epoch; None without a checkpoint.
+        changed: time of the last change to metrics.csv, s since the epoch, or None if unknown.
     """
 
     checkpoint: "Checkpoint | None"
@@ -182,7 +182,7 @@ def _newest(now: Standing, draw: "Callable[[Champion, Standing], Any]") -> Path 
 
 
 class _Pictures:
-    """Drawer of champions that limits how often it draws.
+    """Picture of the newest champion, drawn at a limited rate.
 
     Args:
         folder: folder of the run.

@@ -17,7 +17,7 @@ _MOVING = ("swimmer", "salamander-water", "salamander-land", "quadruped")
 
 
 class SuiteError(UserError):
-    """Error: the suite of benchmarks, or a package that it needs, is missing."""
+    """Missing suite of benchmarks, or missing package that the suite needs."""
 
 
 def bench_suite() -> ModuleType:

@@ -18,7 +18,7 @@ def digest(path: Path) -> str:
 
 
 def read(folder: Path) -> dict[str, Any]:
-    """Return the provenance of each part of a folder, by name, or nothing without a file.
+    """Return the provenance of each part of a folder, by name, or {} without a file.
 
     Raises:
         RunFolderError: the file is damaged.
