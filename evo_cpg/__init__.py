@@ -1,7 +1,7 @@
 """Evolve the motion of virtual creatures: ``import evo_cpg as evo``.
 
-What stands here is stable (see docs/api.md). It is imported when it is first asked for, so
-importing the package takes little time and starts nothing.
+The names in `__all__` are stable (see docs/api.md). Each is imported at its first use, so importing
+the package takes little time and starts nothing.
 """
 
 import contextlib
@@ -79,9 +79,9 @@ __all__ = [  # noqa: RUF022 - as the reference has them
 ]
 
 
-# On CPUs jaxlib 0.10.2 computes some sums of products wrongly, such as those of 3000 products of
-# matrices, without a word; neither 0.10.1 nor 0.11 does. XLA reads this when JAX first computes
-# anything.
+# On CPUs, jaxlib 0.10.2 computes some sums of products wrongly and without an error, for instance
+# sums of 3000 matrix products. Versions 0.10.1 and 0.11 are correct. XLA reads this flag at the
+# first computation of JAX.
 _WRONG, _WITHOUT = "0.10.2", "--xla_cpu_experimental_ynn_fusion_type="
 with contextlib.suppress(metadata.PackageNotFoundError):
     if metadata.version("jaxlib") == _WRONG and _WITHOUT not in os.environ.get("XLA_FLAGS", ""):

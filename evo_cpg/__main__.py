@@ -1,4 +1,4 @@
-"""The command line, as ``python -m evo_cpg``."""
+"""Entry point of ``python -m evo_cpg``, the command line."""
 
 from evo_cpg.cli.main import program
 

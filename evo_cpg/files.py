@@ -14,21 +14,22 @@ from evo_cpg.errors import UserError
 
 
 class OutputError(UserError, OSError):
-    """A file or folder that cannot be written where it is wanted."""
+    """File or folder that cannot be written at the requested place."""
 
 
 def cannot_write(path: Path, error: OSError) -> OutputError:
-    """What to raise where the system has refused to write."""
+    """Return the error to raise if the system refused to write."""
     return OutputError(f"cannot write {path} ({error.strerror or error})")
 
 
 def require_place(path: Path) -> Path:
-    """Check, before any work, that a file can be written here; an existing one may be replaced.
+    """Check, before any work, that a file can be written or replaced, and return its path.
 
     Raises:
-        OutputError: a folder that does not exist, a folder in the file's place, or no permission.
+        OutputError: the parent folder does not exist, the path is a folder, or permission is
+            missing.
     """
-    # Unlike a path's own methods these do not complain of names that no file can have.
+    # Unlike methods of Path, these functions raise no error for names that no file can have.
     if not os.path.isdir(path.parent):
         raise OutputError(f"cannot write {path}: there is no folder {path.parent}; create it first")
     if os.path.isdir(path):
@@ -41,19 +42,19 @@ def require_place(path: Path) -> Path:
 
 @contextlib.contextmanager
 def in_one_piece(path: Path) -> Iterator[Path]:
-    """Write to a neighbour of a file that takes its place at the end, whole or not at all.
+    """Write to a temporary neighbour of a file, which replaces the file after the block.
 
     Args:
-        path: of the file; one that is there is replaced.
+        path: path of the file. An existing file is replaced.
 
     Yields:
         The neighbour, an empty file with the same suffix.
 
     Raises:
-        OutputError: it cannot be written, for instance because the disk is full.
+        OutputError: the file cannot be written, for instance because the disk is full.
     """
     try:
-        # Two programs that write the same file do not meet.
+        # A unique name keeps programs apart that write the same file.
         handle, name = tempfile.mkstemp(
             dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix.lower()
         )
@@ -72,14 +73,14 @@ def in_one_piece(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file beside its place, flush it to the disk, and move it there.
+    """Write a file beside its place, flush it to the disk, and move it to its place.
 
     Args:
-        path: of the file; one that is there is replaced.
-        write: writes its contents to an open file.
+        path: path of the file. An existing file is replaced.
+        write: function that writes the contents to an open file.
 
     Raises:
-        OutputError: it cannot be written.
+        OutputError: the file cannot be written.
     """
     with in_one_piece(path) as partial, partial.open("wb") as file:
         write(file)
@@ -88,7 +89,7 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """`write_whole` of a text, in UTF-8; bytes of names that are not UTF-8 stay as they are."""
+    """Write a text whole, in UTF-8. Bytes of file names that are not UTF-8 stay unchanged."""
     write_whole(path, lambda file: file.write(text.encode(errors="surrogateescape")))
 
 
@@ -97,11 +98,11 @@ def read_json(path: Path, kind: Any) -> Any:
 
     Args:
         path: path of the file.
-        kind: the type that the contents must have, for a `pydantic.TypeAdapter`.
+        kind: required type of the contents, for a `pydantic.TypeAdapter`.
 
     Raises:
         OSError: the file cannot be read.
-        ValueError: it is no JSON, or has another type; the message is one line.
+        ValueError: the contents are not JSON or have another type. The message is one line.
     """
     from pydantic import TypeAdapter, ValidationError
 
@@ -121,12 +122,12 @@ def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write a .csv file whole.
 
     Args:
-        path: of the file.
-        rows: cells by the names of their columns, which come in the order in which they are first
-            named; a cell that a row lacks is empty.
+        path: path of the file.
+        rows: cells by column name. The columns keep the order of their first appearance. A cell
+            that a row lacks is empty.
 
     Raises:
-        OutputError: it cannot be written.
+        OutputError: the file cannot be written.
     """
     text = io.StringIO()
     columns = list(dict.fromkeys(column for row in rows for column in row))
@@ -137,10 +138,10 @@ def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder, and those above it, where it is not there.
+    """Make a folder and its missing parents, and return its path.
 
     Raises:
-        OutputError: it cannot be made.
+        OutputError: the folder cannot be made.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)

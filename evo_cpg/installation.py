@@ -1,4 +1,4 @@
-"""How this program and the packages beside it are installed."""
+"""Installed versions of packages, and the command that installs an extra."""
 
 import json
 import os
@@ -15,7 +15,7 @@ _NAME = "evo-cpg"
 
 
 def version_of(package: str) -> str:
-    """Return the version of a package; "unknown" where it was installed without saying so."""
+    """Return the version of a package, or "unknown" if it has no metadata."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -23,10 +23,10 @@ def version_of(package: str) -> str:
 
 
 def command_for(extra: str) -> str:
-    """Return the command that adds an extra, and leaves the program installed as it is.
+    """Return the command that adds an extra and keeps the kind of installation.
 
     Args:
-        extra: its name in ``pyproject.toml``, such as ``mujoco``.
+        extra: name of the extra in ``pyproject.toml``, such as ``mujoco``.
     """
     pip = f"{_quoted(_shown(sys.executable or 'python'))} -m pip install"
     checkout = _editable()
@@ -39,7 +39,7 @@ def command_for(extra: str) -> str:
 
 
 def _editable() -> str | None:
-    """The folder that an editable installation imports from; None for another installation."""
+    """Return the source folder of an editable installation, or None for another installation."""
     try:
         text = metadata.distribution(_NAME).read_text("direct_url.json") or ""
         origin = json.loads(text)
@@ -51,12 +51,12 @@ def _editable() -> str | None:
 
 
 def _quoted(word: str) -> str:
-    """A word as the shell of this system takes it."""
+    """Return a word quoted for the shell of this system."""
     return f'"{word}"' if os.name == "nt" else shlex.quote(word)
 
 
 def _shown(path: str) -> str:
-    """A path as short as it can be written in the working folder."""
+    """Return a path, relative if it lies in the working folder."""
     here = working_folder()
     if here is None or not Path(path).is_relative_to(here):
         return path

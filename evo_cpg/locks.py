@@ -1,10 +1,10 @@
 """Locks on folders: one process at a time changes what a folder holds.
 
-The lock belongs to an open file, so the system releases it when its process ends, even when that is
-killed. The file, ``.lock``, names its holder for others. It goes when the lock is released. A file
-that a killed process left behind locks nothing.
+The lock belongs to an open file, so the system releases the lock when its process ends or is
+killed. The file, ``.lock``, names the holder of the lock. The holder deletes the file when it
+releases the lock. A file that a killed process left behind locks nothing.
 
-File systems without locks keep nobody off.
+On a file system without locks, a lock has no effect.
 """
 
 import contextlib
@@ -23,9 +23,9 @@ from evo_cpg.files import OutputError, cannot_write, make_folder
 FILE = ".lock"
 """Name of the file, in the folder that it locks."""
 
-# Of a command line that a message shows, characters.
+# Characters of a command line that a message shows.
 _LONGEST = 120
-# Of the file, bytes.
+# Bytes of the file that are read.
 _MOST = 1 << 14
 
 # Folders that this process has locked, by their real paths.
@@ -33,31 +33,31 @@ _held: set[str] = set()
 
 
 class LockedError(UserError):
-    """Another process works on a folder; the message names the process."""
+    """Another process has locked a folder. The message names the process."""
 
 
 class Lock:
-    """A lock that this process holds.
+    """Lock that this process holds.
 
     Args:
-        descriptor: of the open file.
+        descriptor: descriptor of the open file.
     """
 
     def __init__(self, descriptor: int):
         self._descriptor = descriptor
 
     def share(self) -> None:
-        """Let others `join`. The folder stays locked until the last of them has ended."""
+        """Share the lock with processes that call `joined`, until the last of them has ended."""
         _lock_shared(self._descriptor)
 
 
 @contextlib.contextmanager
 def locked(folder: Path, make: bool = False) -> Iterator[Lock]:
-    """Keep other processes off a folder for as long as the block lasts.
+    """Lock a folder against other processes during the block.
 
     Args:
-        folder: to lock.
-        make: make the folder where it is missing; it goes again if nothing is written into it.
+        folder: folder to lock.
+        make: make a missing folder, and remove it after the block if it is empty.
 
     Raises:
         LockedError: another process holds the lock.
@@ -79,7 +79,7 @@ def joined(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder together with the process that shares it.
 
     Args:
-        folder: locked by a process that called `Lock.share`.
+        folder: folder locked by a process that called `Lock.share`.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -95,7 +95,7 @@ def holds(folder: Path) -> bool:
 
 @contextlib.contextmanager
 def _made(folder: Path) -> Iterator[None]:
-    # Unlike a path's own methods these do not complain of names that no folder can have.
+    # Unlike methods of Path, these functions raise no error for names that no folder can have.
     if os.path.exists(folder) and not os.path.isdir(folder):
         raise OutputError(f"{folder} is a file; choose another --out")
     missing = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
@@ -110,7 +110,7 @@ def _made(folder: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _taken(folder: Path, shared: bool = False) -> Iterator[int]:
-    """Open the file and lock it."""
+    """Open the lock file and lock it, and release the lock after the block."""
     path = folder / FILE
     while True:
         descriptor = _open(path)
@@ -122,7 +122,7 @@ def _taken(folder: Path, shared: bool = False) -> Iterator[int]:
             raise LockedError(
                 f"{folder} is in use by {holder}; wait until that has ended, or end it"
             )
-        # Whoever held the lock before may have deleted the file meanwhile.
+        # The previous holder may have deleted the file meanwhile.
         if _is_file(descriptor, path):
             break
         os.close(descriptor)
@@ -136,7 +136,7 @@ def _open(path: Path) -> int:
     try:
         return os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     except OSError as error:
-        # Another user's, which can be locked nevertheless.
+        # A read-only file of another user can be locked nevertheless.
         with contextlib.suppress(OSError):
             return os.open(path, os.O_RDONLY)
         raise cannot_write(path.parent, error) from None
@@ -159,7 +159,7 @@ def _name_holder(descriptor: int) -> None:
         "command": shlex.join(command)[:_LONGEST],
         "since": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
-    # On a full disk the lock holds all the same.
+    # The lock does not need the text, which a full disk cannot store.
     with contextlib.suppress(OSError):
         os.ftruncate(descriptor, 0)
         os.lseek(descriptor, 0, os.SEEK_SET)
@@ -167,7 +167,7 @@ def _name_holder(descriptor: int) -> None:
 
 
 def _holder(descriptor: int) -> str:
-    """Who holds a lock, in words."""
+    """Return a description of the holder of a lock."""
     try:
         os.lseek(descriptor, 0, os.SEEK_SET)
         holder = json.loads(os.read(descriptor, _MOST))
@@ -177,18 +177,18 @@ def _holder(descriptor: int) -> str:
         )
     except (KeyError, OSError, RecursionError, TypeError, ValueError):
         return "another process"
-    # Others can write the file: it stays one line of moderate length.
+    # Other users can write the file, so limit the description to one line of moderate length.
     return "".join(each if each.isprintable() else "?" for each in words[: 3 * _LONGEST])
 
 
 if sys.platform == "win32":
     import msvcrt
 
-    # Nobody can read a byte that is locked, so it lies beyond the text.
+    # No process can read a locked byte, so this byte lies beyond the text.
     _PLACE = 1 << 20
 
     def _lock_alone(descriptor: int) -> bool:
-        """Lock a file; return False where another process has."""
+        """Lock a file, or return False if another process has locked it."""
         os.lseek(descriptor, _PLACE, os.SEEK_SET)
         try:
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
@@ -199,10 +199,10 @@ if sys.platform == "win32":
         return True
 
     def _lock_shared(descriptor: int) -> None:
-        """Do nothing: Windows shares no locks, and there are no jobs that would share one."""
+        """Do nothing: Windows has no shared locks, and no jobs run there."""
 
     def _release(descriptor: int, path: Path) -> None:
-        # Windows deletes no file that anybody has open.
+        # Windows does not delete an open file.
         os.close(descriptor)
         with contextlib.suppress(OSError):
             path.unlink()
@@ -211,13 +211,13 @@ else:
     import fcntl
 
     def _lock_alone(descriptor: int) -> bool:
-        """Lock a file; return False where another process has."""
+        """Lock a file, or return False if another process has locked it."""
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             return False
         except OSError:
-            # The file system knows no locks.
+            # The file system has no locks.
             return True
         return True
 
@@ -226,7 +226,7 @@ else:
             fcntl.flock(descriptor, fcntl.LOCK_SH)
 
     def _release(descriptor: int, path: Path) -> None:
-        # The last one deletes the file, while nobody else can lock it.
+        # The last holder deletes the file while no other process can lock it.
         if _lock_alone(descriptor):
             with contextlib.suppress(OSError):
                 path.unlink()

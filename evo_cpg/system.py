@@ -1,7 +1,7 @@
-"""What the operating system may not tell or give, and what stands for it then.
+"""Access to folders and files of the system that may be missing, with replacements.
 
 A process in a container or a job may have no home folder, no folder for temporary files, and no
-working folder. The program goes on without what it does not need.
+working folder. The program continues without the folders that it does not need.
 """
 
 import atexit
@@ -15,7 +15,7 @@ from typing import IO
 
 
 def home_folder() -> Path | None:
-    """Return the user's home folder; None where the system knows none."""
+    """Return the user's home folder, or None if the system has none."""
     try:
         return Path.home()
     except RuntimeError:
@@ -23,7 +23,7 @@ def home_folder() -> Path | None:
 
 
 def working_folder() -> Path | None:
-    """Return the working folder; None where it was deleted."""
+    """Return the working folder, or None if it was deleted."""
     try:
         return Path.cwd()
     except OSError:
@@ -31,13 +31,13 @@ def working_folder() -> Path | None:
 
 
 def with_working_folder(folders: Iterable[Path]) -> list[Path]:
-    """Return some folders, then the working folder where there is one."""
+    """Return the given folders, followed by the working folder if it exists."""
     here = working_folder()
     return [*folders, here] if here else [*folders]
 
 
 def resolved(path: Path) -> Path:
-    """Return a path without links and relative parts; the same where the system cannot tell."""
+    """Return a path without links and relative parts, or unchanged if it cannot be resolved."""
     try:
         return path.resolve()
     except (OSError, RuntimeError):
@@ -46,21 +46,21 @@ def resolved(path: Path) -> Path:
 
 
 def named(text: str) -> Path:
-    """Return the path that a text in a file names. Such names are UTF-8, whatever the locale."""
+    """Return the path for a name that is stored in a file, in UTF-8 whatever the locale."""
     try:
         return Path(os.fsdecode(text.encode("utf-8", "surrogateescape")))
     except UnicodeError:
-        # No file can have this name, as whoever opens it finds.
+        # No file can have this name, so opening the path will fail.
         return Path(text)
 
 
 def name_of(path: Path) -> str:
-    """Return the text by which a file names a path; see `named`."""
+    """Return the text that stores a path in a file, the inverse of `named`."""
     return os.fsencode(path).decode("utf-8", "surrogateescape")
 
 
 def as_utf8(argument: str) -> str:
-    """Return an argument of the command line with the UTF-8 in it read, whatever the locale."""
+    """Return an argument of the command line, decoded as UTF-8 whatever the locale."""
     return argument.encode("utf-8", "surrogateescape").decode("utf-8", "surrogateescape")
 
 
@@ -70,7 +70,7 @@ def is_writable(folder: Path) -> bool:
 
 
 def scratch_file() -> IO[bytes]:
-    """Open a temporary file; where none can be made, one that is always empty."""
+    """Open a temporary file, or the null device if no file can be made."""
     try:
         return tempfile.TemporaryFile()
     except OSError:
@@ -78,7 +78,7 @@ def scratch_file() -> IO[bytes]:
 
 
 def lend_matplotlib_a_folder() -> None:
-    """Let Matplotlib keep its files elsewhere if the home folder is missing or read-only.
+    """Set a temporary folder for Matplotlib if the home folder is missing or read-only.
 
     Matplotlib cannot be imported without a home folder. Call this before importing Matplotlib.
     """
@@ -92,7 +92,7 @@ def lend_matplotlib_a_folder() -> None:
 
 
 def described_by(file: Path) -> str:
-    """Return what a file of the system says, such as those in ``/proc``; "" where it cannot."""
+    """Return the text of a system file, such as one in ``/proc``, or "" if it cannot be read."""
     try:
         return file.read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -1,4 +1,4 @@
-"""Advice on an animal before it evolves: oscillators that do nothing, and high costs."""
+"""Warnings about an animal before it evolves: idle oscillators and high costs."""
 
 import hashlib
 import json
@@ -14,19 +14,19 @@ from evo_cpg.simulation.operations import Operations, estimate_operations
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.compile_times import expected_seconds
 
-# Operations below which there is no warning. No shipped configuration has more.
+# Operations below which no warning is printed. No shipped configuration has more.
 _MANY = 200_000
 
-# Operations of the shipped swimmer, to compare with.
+# Operations of the shipped swimmer, for comparison.
 _SWIMMER = 18_000
 
-# The estimate may be off by this fraction.
+# Largest relative error of the estimate.
 _ERROR = 0.15
 
-# Sections of a configuration that make no difference to the program of a trial.
+# Sections of a configuration that do not change the program of a trial.
 _NO_CODE = ("name", "seed", "evolution", "audit")
 
-# Parts of a trial: a name, and changes that lower its cost.
+# Name of each part of a trial, and changes that lower its cost.
 _CAUSES = {
     "bodies": ("bodies and joints", "fewer creature.bodies and joint axes"),
     "ground": (
@@ -52,28 +52,28 @@ _CAUSES = {
 
 
 def advise(path: Path, simulation: Simulation) -> None:
-    """Warn of oscillators that do nothing, and of an animal that costs much.
+    """Warn of idle oscillators, and of an animal with a high cost.
 
     Args:
-        path: the configuration.
-        simulation: that it describes.
+        path: path of the configuration.
+        simulation: simulation of the configuration.
     """
     warn_of_oscillators(path, simulation)
     warn_of_cost(path, simulation)
 
 
 def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
-    """Warn of oscillators that are coupled to nothing or come to rest, and name keys to change.
+    """Warn of oscillators that are uncoupled or come to rest, and name keys to change.
 
     Args:
-        path: the configuration.
-        simulation: that it describes.
+        path: path of the configuration.
+        simulation: simulation of the configuration.
     """
     oscillators, tree = simulation.controller.rhythm_generator, simulation.world.tree
     if oscillators is None:
         return
     cpg, network, rate_gain = oscillators
-    # The other oscillators move nothing.
+    # The other oscillators drive no joint.
     driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
     driven = driven & (rate_gain != 0)
     gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain
@@ -111,8 +111,8 @@ def warn_of_cost(path: Path, simulation: Simulation) -> None:
     """Warn of an animal that takes long to compile, or is too large for native code.
 
     Args:
-        path: the configuration.
-        simulation: that it describes.
+        path: path of the configuration.
+        simulation: simulation of the configuration.
     """
     if simulation.engine.name == "jax":
         return
@@ -122,17 +122,17 @@ def warn_of_cost(path: Path, simulation: Simulation) -> None:
 
 
 def expected_to_compile(simulation: Simulation, animal: str | None = None) -> float | None:
-    """Estimate the time to compile a trial, s; None where nothing was measured on this machine.
+    """Estimate the time to compile a trial, s, or None if nothing was measured on this machine.
 
     Args:
-        simulation: the trial.
-        animal: from `animal_digest`; None as if its code were not kept.
+        simulation: simulation of the trial.
+        animal: digest from `animal_digest`, or None to assume that no compiled code is kept.
     """
     return expected_seconds(estimate_operations(simulation).total, animal)
 
 
 def animal_digest(config: ExperimentConfig) -> str:
-    """Return a digest of all that the program of a trial depends on."""
+    """Return a digest of all settings and code that the program of a trial depends on."""
     found = fingerprint(config)
     parts = {
         key: value for key, value in found["config"].items() if key.split(".")[0] not in _NO_CODE
@@ -142,13 +142,13 @@ def animal_digest(config: ExperimentConfig) -> str:
 
 
 def _line(operations: Operations) -> str:
-    """Return the cost, its main cause and the cure; empty for an animal that costs little."""
+    """Return the cost, its main cause and the cure, or "" for an animal with a low cost."""
     total = operations.total
     if total < _MANY:
         return ""
     limit = f"native code ends at {MOST_OPERATIONS:,}"
     seconds = expected_seconds(total)
-    # Two digits: more would promise too much.
+    # The estimate is not accurate to more than two digits.
     rounded = float(f"{total:.2g}")
     times = f"{total / _SWIMMER:.0f} times those of iwadate2010_swimmer"
     words = f"a trial has about {rounded:,.0f} operations, {times}"

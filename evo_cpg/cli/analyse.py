@@ -1,4 +1,4 @@
-"""`evo-cpg analyse`: a page about a run."""
+"""`evo-cpg analyse`: write a page about a run."""
 
 from pathlib import Path
 from typing import Annotated

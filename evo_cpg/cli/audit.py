@@ -26,7 +26,7 @@ def audit(
     from evo_cpg.analysis.verdict import limits_from
     from evo_cpg.cli.audited import audit_champions
 
-    # Before anything that takes long.
+    # Check the limits before the slow steps.
     limits_from(limits or [])
     for option, value in (("--run", number), ("--cell", cell)):
         if every and value is not None:

@@ -1,4 +1,4 @@
-"""An audit in tables, files and words, for the command `audit`."""
+"""Tables, files and messages of the command `audit`."""
 
 import math
 import sys
@@ -21,7 +21,7 @@ from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.probe import UNSEEING
 from evo_cpg.training.run_folder import RunFolder
 
-# Columns of the summary, by the key of the check.
+# Column of the summary for each key of a check.
 _KEPT = {
     "half_step": "half",
     "quarter_step": "quarter",
@@ -38,12 +38,12 @@ _WORDS = {True: "passed", False: "FAILED", None: ""}
 
 
 def audit_champions(run: Path, limits: Sequence[str], which: Which, every: bool) -> None:
-    """Audit one champion or all, and write, draw and print what was found.
+    """Audit one champion or all, and write, draw and print the results.
 
     Args:
-        run: the run folder.
-        limits: changed ones, ``key=value``.
-        which: the champion or elite.
+        run: path of the run folder.
+        limits: changed limits, ``key=value``.
+        which: champion or elite to audit.
         every: audit the champions of all runs side by side instead.
 
     Raises:
@@ -87,7 +87,7 @@ def champions_of(folder: RunFolder) -> list[Champion]:
     """Return the champions of all runs, and print which runs have none.
 
     Raises:
-        UsageError: no run has one.
+        UsageError: no run has a champion.
     """
     checkpoint = folder.load()
     champions = checkpoint.champions if checkpoint else ()
@@ -179,8 +179,8 @@ def show_checks(checks: tuple[Check, ...]) -> None:
 
 
 def show_opinions(opinions: Sequence[Opinion]) -> None:
-    """Print the trial as it came out in two programs with the same commands."""
-    # Nothing flies without ground, or with water everywhere.
+    """Print the results of several programs for the trial with the same commands."""
+    # The time in the air is not measured without ground, or with water everywhere.
     flight = [] if opinions[0].airborne is None else ["airborne"]
     rows = []
     for one in opinions:

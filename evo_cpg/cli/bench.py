@@ -1,4 +1,4 @@
-"""`evo-cpg bench`: measure. The suite itself is in the checkout's benchmarks/."""
+"""`evo-cpg bench`: measure speed with the suite in the checkout's benchmarks/."""
 
 from pathlib import Path
 from typing import Annotated, Any

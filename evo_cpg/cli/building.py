@@ -18,14 +18,14 @@ def read_config(
     """Read a configuration, and warn of unlikely values.
 
     Args:
-        path: the file.
-        overrides: ``key=value`` settings.
+        path: path of the file.
+        overrides: settings to change, ``key=value``.
         strict: refuse unlikely values.
-        warned: print the warnings. Of several processes only one does.
+        warned: print the warnings. Only one of several processes prints them.
 
     Raises:
-        ConfigError: it is wrong.
-        UsageError: a value is unlikely, and that is refused.
+        ConfigError: the configuration is wrong.
+        UsageError: a value is unlikely, and ``strict`` is set.
     """
     config = load_config(path, overrides)
     found = [f"{path}: {warning}" for warning in lint(config, path)]
@@ -37,15 +37,15 @@ def read_config(
 
 
 def build(config: ExperimentConfig, source: Path, folders: Iterable[Path] = ()) -> Experiment:
-    """`build_experiment`, with a line if it takes long.
+    """Build an experiment, with a progress line if the build takes long.
 
     Args:
-        config: the configuration.
-        source: file it came from.
+        config: configuration of the experiment.
+        source: file that the configuration came from.
         folders: further folders with a user's own classes.
 
     Raises:
-        ConfigError: parts that do not fit together.
+        ConfigError: parts of the configuration do not fit together.
     """
     what = f"building {config.name}"
     if config.simulation.start_pose == "settled":

@@ -1,4 +1,4 @@
-"""Open a run and choose one of its champions or elites, as the options of a command say."""
+"""Open a run and choose one of its champions or elites by the options of a command."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +15,13 @@ from evo_cpg.training.run_folder import RunFolder
 if TYPE_CHECKING:
     from evo_cpg.api.record import Record
 
-# The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
-# machine of the training run they are equal; another processor rounds differently.
+# The replayed fitness and terms must agree with the recorded values to this tolerance. They are
+# equal on the machine of the training run. Another processor rounds differently.
 REPLAY_TOLERANCE = 1e-3
 
 
 def open_and_build(run: Path) -> Opened:
-    """`open_run`, with a line about what takes long."""
+    """Open a run and build its experiment, with a progress line if the build takes long."""
     return open_run(run, build)
 
 
@@ -48,14 +48,14 @@ def open_champion(run: Path, which: Which = BEST) -> OpenedChampion:
 def champion_motion(run: Path, which: Which = BEST) -> tuple[OpenedChampion, Any]:
     """Open a run with a champion and the motion of a trial, which is replayed if not recorded."""
     opened = open_champion(run, which)
-    # The folder keeps the motion in the first.
+    # The folder keeps only the motion of the first trial.
     if opened.recording is None or which.trial > 0:
         return opened, replayed(opened, opened.champion, which.trial)[2]
     return opened, opened.recording
 
 
 def champion_record(run: Path, which: Which = BEST) -> "Record":
-    """Replay a champion's trial and record everything."""
+    """Replay a champion's trial and return its full record."""
     opened = open_champion(run, which)
     from evo_cpg.api.record import as_record
 
@@ -77,19 +77,19 @@ def champion_of(folder: RunFolder, number: int) -> Champion:
 
 
 def use_cores_of(run: Path, cores: int | None = None) -> int:
-    """Use as many cores as the run was trained on, unless told otherwise.
+    """Use the given number of cores, or as many as the run was trained on, and return the number.
 
     Call this before the run is built: finding a place to stand on uneven ground starts JAX.
     """
     meta = RunFolder(run).read_meta()
-    # If several processes trained it, the cores of one say nothing.
+    # If several processes trained the run, the cores of one process do not apply here.
     noted = meta.get("devices") if meta.get("processes", 1) == 1 else None
     return use_cores(cores or noted)
 
 
 def replayed(opened: Opened, champion: Champion, trial: int = 0) -> Any:
-    """Return fitness, terms and motion of a champion, replayed."""
-    # Importing the loop starts nothing, but it takes JAX a second.
+    """Replay a champion and return its fitness, terms and motion."""
+    # This import takes a second, because it imports JAX.
     from evo_cpg.training.replay import replay_champion
 
     with working("replaying the champion"):

@@ -7,26 +7,26 @@ _CONFIGS = (".yaml", ".yml")
 
 
 def complete_config(incomplete: str) -> list[str]:
-    """Names of shipped configurations, configuration files, and folders on the way to some."""
+    """Return names of shipped configurations, configuration files and folders that match."""
     names = complete_shipped(incomplete)
     found = [path for path in _matching(incomplete) if path.suffix in _CONFIGS or path.is_dir()]
     return [*names, *map(_shown, found)]
 
 
 def complete_shipped(incomplete: str) -> list[str]:
-    """Names of shipped configurations."""
+    """Return names of shipped configurations that match."""
     from evo_cpg.config.shipped import shipped_names
 
     return [name for name in shipped_names() if name.startswith(incomplete)]
 
 
 def complete_folder(incomplete: str) -> list[str]:
-    """Run folders, and folders on the way to some."""
+    """Return run folders and other folders that match."""
     return [_shown(path) for path in _matching(incomplete) if path.is_dir()]
 
 
 def _matching(incomplete: str) -> Iterator[Path]:
-    """Yield paths that begin as typed; hidden ones only if a point is typed."""
+    """Yield paths that begin with the typed text. A hidden path needs a typed point."""
     folder, slash, start = incomplete.rpartition("/")
     try:
         found = sorted(Path(folder + slash or ".").iterdir())
@@ -38,6 +38,6 @@ def _matching(incomplete: str) -> Iterator[Path]:
 
 
 def _shown(path: Path) -> str:
-    """Return the name of a run, or of another folder with a slash, to type on."""
+    """Return a path as text. A folder that is not a run ends with a slash, to continue typing."""
     onward = path.is_dir() and not (path / "config.yaml").is_file()
     return f"{path}/" if onward else str(path)

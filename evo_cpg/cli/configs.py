@@ -1,4 +1,4 @@
-"""The commands about configurations: configs, configs copy, configs schema."""
+"""Commands about configurations: configs, configs copy, configs schema."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`evo-cpg cpg`: the rhythm of a configuration's oscillators."""
+"""`evo-cpg cpg`: show or find the rhythm of a configuration's oscillators."""
 
 from typing import Annotated
 

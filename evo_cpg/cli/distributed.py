@@ -1,7 +1,7 @@
 """`--distributed`: `train` and `resume` by several processes.
 
-A lost process ends all others, each with one line. `resume` continues the run from its newest
-checkpoint.
+If a process is lost, every other process prints one line and ends. `resume` continues the run from
+its newest checkpoint.
 """
 
 import contextlib
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 
 
 class Disagreement(UserError):
-    """Processes with different configurations; the message says what differs."""
+    """Processes have different configurations. The message names the differences."""
 
 
 class Distribution(NamedTuple):
     """Options: the processes that evolve a run together.
 
     Attributes:
-        distributed: whether there are several.
-        hosts: a list of hosts or the name of a file; None to ask the scheduler.
-        process: index of this process; None to find it by the name of the host.
+        distributed: evolve with several processes.
+        hosts: list of hosts, or the name of a file with hosts, or None to use the scheduler's list.
+        process: index of this process, or None to find the index by the name of the host.
         local: number of processes to start on this machine, if any.
-        join_timeout: longest time until all have joined, s.
-        patience: time beyond twice its own trials that each waits for the others, s; None for the
-            default.
+        join_timeout: longest time until all processes have joined, s.
+        patience: time that each process waits for the others, beyond twice the duration of its own
+            trials, s, or None for the default.
     """
 
     distributed: Annotated[
@@ -78,11 +78,11 @@ class Distribution(NamedTuple):
     ] = None
 
     def begin(self, cores: int | None, check: Callable[[], object]) -> None:
-        """Check the options; with `--local`, start the processes and exit when they are done.
+        """Check the options. With `--local`, start the processes and exit when they are done.
 
         Args:
-            cores: of all processes of `--local` together; None for all of this machine.
-            check: raises what all these processes would otherwise complain of, one by one.
+            cores: cores of all processes of `--local` together, or None for all of this machine.
+            check: function that raises an error once, before every local process would raise it.
 
         Raises:
             UsageError: the options contradict each other.
@@ -107,10 +107,10 @@ class Distribution(NamedTuple):
 
     @property
     def leads(self) -> bool:
-        """Whether this process is the lead, or the only one.
+        """Return whether this process is the lead, or the only process.
 
         Raises:
-            UsageError: the options do not tell.
+            UsageError: the options do not determine the index of this process.
         """
         return not self.distributed or _place(self).index == 0
 
@@ -120,13 +120,13 @@ ONE_PROCESS = Distribution()
 
 @contextlib.contextmanager
 def together(distribution: Distribution, run: Path) -> Iterator["Team"]:
-    """Become one of the processes of a team, and leave it after the block.
+    """Join the team of processes, and leave the team after the block.
 
-    If another process is lost, this one ends at once, also in the middle of a generation.
+    If another process is lost, this process ends at once, also in the middle of a generation.
 
     Args:
-        distribution: the options of the command line.
-        run: folder of the run, for the line that says how to continue.
+        distribution: options of the command line.
+        run: folder of the run, for the message about how to continue.
     """
     from evo_cpg.training import processes
 
@@ -146,7 +146,7 @@ def together(distribution: Distribution, run: Path) -> Iterator["Team"]:
     except processes.TeamError as error:
         end(str(error))
     except Disagreement:
-        # All processes raise it, and none may report that it lost another one.
+        # All processes raise this error, so none may report another process as lost.
         team.leave()
         raise
     else:
@@ -154,14 +154,14 @@ def together(distribution: Distribution, run: Path) -> Iterator["Team"]:
 
 
 def require_same(team: "Team", own: Mapping[str, Mapping[str, str]]) -> None:
-    """Make sure that all processes evolve the same.
+    """Check that all processes evolve the same configuration.
 
     Args:
-        team: the processes.
-        own: `fingerprint` of this one's configuration.
+        team: processes of the run.
+        own: `fingerprint` of the configuration of this process.
 
     Raises:
-        Disagreement: in all processes, where one evolves something else.
+        Disagreement: the configuration of any process differs. All processes raise this error.
     """
     from evo_cpg.config.fingerprint import changes
     from evo_cpg.training.processes import difference

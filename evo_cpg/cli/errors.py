@@ -1,4 +1,4 @@
-"""Errors of the command line itself, what to print of others, and the exit codes."""
+"""Errors of the command line, messages for other errors, and exit codes."""
 
 import os
 import sys
@@ -9,7 +9,7 @@ from evo_cpg.errors import UserError
 
 
 class ExitCode(IntEnum):
-    """Exit codes other than 0; docs/cli.md lists them for users."""
+    """Exit codes other than 0. The users' list is in docs/cli.md."""
 
     FAULT = 1
     """A fault of the program; or a job of a sweep, or the search for a rhythm, failed."""
@@ -28,7 +28,7 @@ class ExitCode(IntEnum):
 
 
 class UsageError(UserError):
-    """Input that no other part of the program is responsible for."""
+    """Wrong input that the command line itself detects."""
 
 
 def warn(words: object) -> None:
@@ -40,7 +40,7 @@ def require_free(output: Path, overwrite: bool) -> None:
     """Check that no file of the user is replaced without `--overwrite`.
 
     Raises:
-        UsageError: it is there.
+        UsageError: the file exists, and ``overwrite`` is not set.
     """
     # Path.exists raises an error for names that no file can have.
     if os.path.exists(output) and not overwrite:
@@ -48,10 +48,10 @@ def require_free(output: Path, overwrite: bool) -> None:
 
 
 def message_for(error: Exception) -> str | None:
-    """Return the message for an error that is not a fault of the program; None for a fault.
+    """Return the message for an error that is not a fault of the program, or None for a fault.
 
     Args:
-        error: that a command ended with.
+        error: error that ended a command.
     """
     if isinstance(error, UserError):
         return str(error)

@@ -1,4 +1,4 @@
-"""`evo-cpg export`: a creature as a MuJoCo model, or a motion for other programs."""
+"""`evo-cpg export`: write a creature as a MuJoCo model, or a motion for other programs."""
 
 import os
 import sys
@@ -55,7 +55,7 @@ def export(
 
 
 def _export_scene(run: Path, output: Path, which: Which) -> None:
-    """Write an animated scene."""
+    """Write the motion as an animated scene, a .glb file."""
     from evo_cpg.api.display import working
     from evo_cpg.cli.champions import champion_motion
     from evo_cpg.files import write_whole
@@ -71,7 +71,7 @@ def _export_scene(run: Path, output: Path, which: Which) -> None:
 
 
 def _export_model(source: Path, output: Path) -> None:
-    """Write a MuJoCo model."""
+    """Write a MuJoCo model, and print the parts that are left out."""
     from evo_cpg.cli.building import build
     from evo_cpg.cli.champions import open_and_build
     from evo_cpg.config.load import load_config

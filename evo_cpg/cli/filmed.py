@@ -1,4 +1,4 @@
-"""The animals of a film, for the command `render`."""
+"""Animals of a film, for the command `render`."""
 
 import math
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ from evo_cpg.view.scene import Panel, panel_of
 from evo_cpg.view.signals import Signals, signals_of
 from evo_cpg.view.units import terms_text
 
-# Champions of a lineage that are shown if no generations are given.
+# Number of champions of a lineage that are shown if no generations are given.
 _SHOWN = 4
 
 
 def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
-    """Return the champion of a run, or the elite of a cell."""
+    """Return a panel with the champion of a run, or with the elite of a cell."""
     strip = None
     if signals:
         opened = open_champion(run, which)
@@ -33,7 +33,7 @@ def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
     experiment = opened.experiment
     if which.cell is None:
         return panel_of(experiment, recording, experiment.name, strip)
-    # The map keeps the terms of an elite that are its axes, and nothing else.
+    # The map keeps only those terms of an elite that are axes of the map.
     title = f"{experiment.name}, cell {which.cell}"
     return panel_of(experiment, recording, title, strip, terms_text(opened.champion.terms))
 
@@ -41,7 +41,7 @@ def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
 def lineage_panels(
     run: Path, generations: list[int] | None, which: Which, signals: bool
 ) -> list[Panel]:
-    """Return champions of a lineage, each with its generation and fitness."""
+    """Return panels with champions of a lineage, each with its generation and fitness."""
     opened = open_champion(run, which)
     chosen, panels = _chosen(opened, generations), []
     for one in chosen:
@@ -69,8 +69,8 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
     """Return champions of a run in the order of generations, each once.
 
     Args:
-        opened: the run, with its final champion.
-        generations: generations; None for some that show how it came to the champion.
+        opened: run with its final champion.
+        generations: chosen generations, or None for a selection of the lineage.
     """
     folder, champion, run = opened.folder, opened.champion, opened.champion.run
     lineage = [each for each in folder.load_lineage() if each.run == run]
@@ -79,7 +79,7 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
     if generations is None:
         if champion.expected is None:
             return representatives(lineage, _SHOWN)
-        # The best score on the way may be another individual than the final champion.
+        # The individual with the best recorded score may differ from the final champion.
         places = (champion.generation, champion.index)
         others = [each for each in lineage if (each.generation, each.index) != places]
         return [*representatives(others, _SHOWN - 1), champion]
@@ -107,7 +107,7 @@ def _replayed(opened: OpenedChampion, champions: Sequence[Champion], trial: int)
 
 
 def _signals(opened: OpenedChampion, replay: Replay) -> Signals:
-    """Return the signals of an individual's controller, and the contacts of its feet."""
+    """Return the controller signals of an individual, and the contacts of its feet."""
     experiment, simulation = opened.experiment, opened.experiment.simulation
     word, _, unit = simulation.controller.signal_label.partition(" (")
     feet = gait_numbers(simulation, experiment.creature, replay.frames, replay.recording).feet

@@ -1,4 +1,4 @@
-"""The estimation of parameters from a recorded motion, for the command `fit`."""
+"""Estimation of parameters from a recorded motion, for the command `fit`."""
 
 import math
 from collections.abc import Sequence
@@ -36,27 +36,28 @@ from evo_cpg.view.parameter_plots import fit_figure
 INITIAL = "initial."
 UNITS = {"position": "m", "attitude": "rad", "angle": "rad"}
 
-# If columns of several kinds have noise of their own, each kind needs so many more numbers than
-# there are parameters. Then intervals hold the truth in at least 92 % of cases. With one number
-# less than there are parameters, they hold it in 78 % (docs/models/gradients.md).
+# Measured numbers that each kind of column needs beyond the number of parameters, if the noise of
+# several kinds is estimated. The intervals then hold the truth in at least 92 % of cases. With one
+# number less than there are parameters, they hold it in 78 % (docs/models/gradients.md).
 _OF_A_KIND = 5
 
-# The search is repeated from its result until that moves by less than this fraction of its error.
+# The search restarts from its result until the result changes by less than this fraction of its
+# standard error.
 _STILL, _MOST_SEARCHES = 0.05, 6
 
 
 class Problem(NamedTuple):
-    """An estimation problem.
+    """Estimation problem.
 
     Attributes:
-        recording: the recorded motion.
-        parameters: the simulation as a function of the numbers of its configuration.
-        names: of all parameters: the numbers of the configuration, then initial values.
-        start: value of each at the start of the search.
-        positive: whether each is positive and must be.
-        initial: initial values that are set.
-        genes: of the champion that moves the joints; None for the recorded commands.
-        noise: standard deviation by kind of column; empty to estimate it.
+        recording: recorded motion.
+        parameters: simulation as a function of the numbers of its configuration.
+        names: names of all parameters: numbers of the configuration, then initial values.
+        start: value of each parameter at the start of the search.
+        positive: whether each parameter is positive and must stay positive.
+        initial: initial values that are set, by name.
+        genes: genes of the champion that moves the joints, or None for the recorded commands.
+        noise: standard deviation by kind of column, m or rad, or empty to estimate it.
     """
 
     recording: MeasuredMotion
@@ -70,12 +71,12 @@ class Problem(NamedTuple):
 
     @property
     def kinds(self) -> list[str]:
-        """Kind of each column."""
+        """Kind of each column of the recording."""
         return [_kind(name) for name in self.recording.columns]
 
     @property
     def present(self) -> list[str]:
-        """Kinds of which there are columns."""
+        """Kinds that occur among the columns."""
         return [kind for kind in UNITS if kind in self.kinds]
 
 
@@ -89,14 +90,14 @@ def fit_motion(
     out: Path | None,
     plot: Path | None,
 ) -> None:
-    """Estimate parameters, print them, and write what is requested.
+    """Estimate parameters, print them, and write the requested files.
 
     Args:
-        config: the configuration.
-        data: table with the recorded motion.
-        keys: of the parameters, each perhaps with ``=START``.
+        config: path of the configuration.
+        data: path of the table with the recorded motion.
+        keys: keys of the parameters, each optionally with ``=START``.
         settings: other values, ``key=value``.
-        run: whose champion moves the joints; None for the recorded commands.
+        run: run folder of the champion that moves the joints, or None for the recorded commands.
         noise: standard deviations by kind of column, ``kind=value``.
         out: file for the fitted configuration, if any.
         plot: file for a picture of data and fit, if any.
@@ -121,7 +122,7 @@ def fit_motion(
     if run is not None:
         if recording.targets:
             raise UsageError("--run: the champion moves the joints; leave out the target columns")
-        # Before anything starts JAX.
+        # Opening the run sets the number of cores, which must precede the start of JAX.
         genes = np.asarray(open_champion(run).champion.genes, float)
     begins = with_numbers(whole, {k: v for k, v in start.items() if k in inner}, config)
     parameters = parametrise(_trial_of(recording, begins), config, inner)
@@ -165,7 +166,7 @@ def _number_in(text: str) -> float:
     """Return the number in ``KEY=VALUE``.
 
     Raises:
-        UsageError: the value is no finite number.
+        UsageError: the value is not a finite number.
     """
     key, _, value = text.partition("=")
     try:
@@ -206,7 +207,7 @@ def _check_names(
     """Check the names of columns and of initial values against the creature.
 
     Raises:
-        UsageError: one does not exist.
+        UsageError: a name does not exist.
     """
     dofs = simulation.world.tree.dof_names
     for valid, given, prefix in (
@@ -224,7 +225,7 @@ def _check_names(
 
 
 def _is_positive(parameters: Parameters, name: str) -> bool:
-    """Return whether a number of the configuration is positive and must be."""
+    """Return whether a number of the configuration is positive and must stay positive."""
     if name not in parameters.keys:
         return False
     value = number_at(parameters.config, name)
@@ -236,7 +237,7 @@ def _is_positive(parameters: Parameters, name: str) -> bool:
 
 
 def _require_numbers(problem: Problem, path: Path) -> None:
-    """Check that there are enough numbers in all, and of each kind to tell how noisy it is."""
+    """Check that there are enough numbers in all, and enough of each kind to estimate its noise."""
     present, parameters = problem.present, len(problem.names)
     counts = dict.fromkeys(present, 0)
     measured = np.isfinite(problem.recording.data).sum(0)
@@ -269,10 +270,10 @@ def _noise(problem: Problem) -> np.ndarray | None:
 
 
 def search(problem: Problem, work: Work) -> tuple[Fit, np.ndarray]:
-    """Return the estimate, and the motion that it gives.
+    """Return the estimate, and the motion simulated with the estimate.
 
     Raises:
-        UsageError: there is no estimate, or it is not allowed.
+        UsageError: there is no estimate, or the configuration does not allow it.
     """
     recording, parameters, names = problem.recording, problem.parameters, problem.names
     positive, values, inner = problem.positive, problem.start, len(problem.parameters.keys)
@@ -346,7 +347,7 @@ def _kind(name: str) -> str:
 
 
 def _report(problem: Problem, result: Fit) -> None:
-    """Print the estimates with their intervals, the noise and what is doubtful."""
+    """Print the estimates with their intervals, the noise and the warnings."""
     columns = problem.names, problem.start, result.values, result.lower, result.upper
     rows = [
         (name, f"{first:.4g}", f"{value:.5g}", f"{low:.5g} to {high:.5g}")

@@ -1,4 +1,4 @@
-"""Lists of hosts: read `--hosts`, and find this machine among them."""
+"""Lists of hosts: read `--hosts`, and find this machine in the list."""
 
 import re
 import socket
@@ -18,11 +18,11 @@ def place_in(text: str, process: int | None = None) -> Place:
     """Return the place of this process in a list of hosts.
 
     Args:
-        text: ``HOST[:PORT],HOST,...``, or a file with a host on each line; the first leads.
-        process: the number of this process, where the name of its host does not tell.
+        text: ``HOST[:PORT],HOST,...``, or a file with a host on each line. The first host leads.
+        process: number of this process, or None to find the number by the name of the host.
 
     Raises:
-        UsageError: the list is malformed, or does not tell which process this is.
+        UsageError: the list is malformed, or does not determine the number of this process.
     """
     words = _words(text)
     host, port = _parted(words[0])
@@ -55,7 +55,7 @@ def _words(text: str) -> list[str]:
 
 
 def _parted(word: str) -> tuple[str, int]:
-    """Return host and port of the lead; an IPv6 address with a port stands in brackets."""
+    """Return host and port of the lead. An IPv6 address with a port needs brackets."""
     bracketed = word.startswith("[")
     form = r"\[([^]]*)\](?::(.*))?" if bracketed else r"([^:]*)(?::([^:]*))?"
     match = re.fullmatch(form, word)
@@ -80,7 +80,7 @@ def _name(word: str, number: int) -> str:
 
 
 def _own(names: Sequence[str]) -> int:
-    """Return the index of the one host that is this machine."""
+    """Return the index of the only host that is this machine."""
     found = [index for index, name in enumerate(names) if _is_here(name)]
     if len(found) == 1:
         return found[0]
@@ -96,7 +96,7 @@ def _own(names: Sequence[str]) -> int:
 
 
 def _is_here(name: str) -> bool:
-    """Return whether an address of a host belongs to this machine: a socket can be bound to it."""
+    """Return whether a host is this machine: a socket can be bound to one of its addresses."""
     if name == socket.gethostname():
         return True
     try:

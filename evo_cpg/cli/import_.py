@@ -1,4 +1,4 @@
-"""`evo-cpg import`: a creature from a MuJoCo model."""
+"""`evo-cpg import`: read a creature from a MuJoCo model."""
 
 import sys
 from pathlib import Path

@@ -1,9 +1,9 @@
-"""Control-C: a KeyboardInterrupt that is neither lost nor ends the process in a crash.
+"""Control-C: deliver a KeyboardInterrupt without losing it and without a crash.
 
 JAX calls Python from places that no exception may leave. An exception in a callback of the garbage
-collector, which is frequent, is printed and dropped, and the program continues. An exception while
-a cache of C++ hashes or compares its keys ends the process. In these places the interrupt waits for
-a moment.
+collector is printed and dropped, and the program continues. This is frequent. An exception while a
+C++ cache hashes or compares its keys ends the process. Interrupts in these places are delayed for a
+moment.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ _MOMENT = 0.01  # s
 
 @contextlib.contextmanager
 def interrupts_delivered() -> Iterator[None]:
-    """Deliver interrupts during the block; ignored interrupts stay ignored."""
+    """Deliver interrupts during the block. If interrupts are ignored, they stay ignored."""
     ours = threading.current_thread() is threading.main_thread()
     ours &= hasattr(signal, "pthread_kill")  # Windows has none
     if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
@@ -56,25 +56,25 @@ _waits = True
 
 
 def wait_for_no_thread() -> None:
-    """Have the process leave its threads alone when it ends, of which one may compile for long."""
+    """Let the process end without waiting for its threads, one of which may compile for long."""
     global _waits
     _waits = False
 
 
 def waits_for_threads() -> bool:
-    """Return whether the process is to wait for its threads when it ends."""
+    """Return whether the process must wait for its threads when it ends."""
     return _waits
 
 
 def leave_at_once(code: int) -> NoReturn:
-    """End the process without waiting for its threads, of which one may compile for long."""
+    """End the process without waiting for its threads, one of which may compile for long."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
 
 
 class _Again:
-    """A request for one more interrupt in a moment; further requests until then change nothing."""
+    """Request for one more interrupt in a moment. Further requests until then have no effect."""
 
     def __init__(self) -> None:
         self._timer: threading.Timer | None = None
@@ -84,19 +84,19 @@ class _Again:
         if self._requested:
             return
         self._requested = True
-        # To this thread, so that it wakes up should it sleep by then.
+        # Send the signal to the main thread, to wake it up if it sleeps.
         main = threading.main_thread().ident
         self._timer = threading.Timer(_MOMENT, self._interrupt, [main])
         self._timer.daemon = True
         self._timer.start()
 
     def _interrupt(self, main: int) -> None:
-        # First: the interrupt may ask for another one while this thread has not ended yet.
+        # Reset this first: the interrupt may request another one before this thread has ended.
         self._requested = False
         signal.pthread_kill(main, signal.SIGINT)
 
     def cancel(self) -> None:
-        """Cancel the interrupt, if there is still time."""
+        """Cancel the interrupt if it was not sent yet."""
         if self._timer is not None:
             self._timer.cancel()
 

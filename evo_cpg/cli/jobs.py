@@ -1,14 +1,14 @@
-"""`evo-cpg sweep --jobs`: settings that share no program as jobs, by submitit.
+"""`evo-cpg sweep --jobs`: run settings that share no program as jobs, by submitit.
 
-    SWEEP/.lock              held by the processes that work on the sweep, see `claimed`
+    SWEEP/.lock              lock of the processes that work on the sweep (`claimed`)
     SWEEP/.jobs/slurm.json   jobs of SLURM that have not been seen to end
-    SWEEP/.jobs/TIME_.../    files of submitit for the jobs of one command, with their output;
+    SWEEP/.jobs/TIME_.../    files of submitit for the jobs of one command, with their output,
                              deleted when all jobs have succeeded
 
-A job evolves a group of settings (`evo_cpg.api.sweep.groups`) as the sweep does without jobs, so
-the results are the same, and a stopped job can be continued. The checkpoints show how far a job is
-and whether it is done. No result is handed back, and only the job itself reads its pickle.
-submitit is installed with the extra ``jobs``, and imported when there are jobs.
+A job evolves a group of settings (`evo_cpg.api.sweep.groups`) as the sweep does without jobs. The
+results are the same, and a stopped job can be continued. The checkpoints show the progress of a job
+and whether it is done. A job returns no result, and only the job itself reads its pickle. submitit
+is installed with the extra ``jobs``, and imported when there are jobs.
 """
 
 import contextlib
@@ -35,41 +35,41 @@ from evo_cpg.training.run_folder import RunFolderError, read_checked
 
 _HIDDEN, _SLURM = ".jobs", "slurm.json"
 
-# Interval between two looks at local jobs, and at jobs of SLURM, s.
+# Interval between two checks of local jobs, and of jobs of SLURM, s.
 _LOOK, _LOOK_AT_SLURM = 0.25, 5.0
 
-# Time that interrupted local jobs have to end, s. submitit kills them after one.
+# Time that interrupted local jobs have to end, s. submitit kills them after one second.
 _GRACE = 10.0
 
-# submitit ends local jobs after two minutes unless told otherwise, min. A year.
+# Time limit of a local job, min: a year. The default of submitit is two minutes.
 _LONGEST = 60 * 24 * 365
 
-# Default time limit of a job of SLURM, min. When it is over, the job is queued again and continues
-# from its checkpoints, at most so many times.
+# Default time limit of a job of SLURM, min, and number of times that a job is queued again. Such a
+# job continues from its checkpoints.
 _TIMEOUT, _TIMES = 60, 1000
 
-# Lines of the standard error of a failed job that are shown.
+# Number of last lines of a failed job's standard error that are shown.
 _LAST_LINES = 5
 
 
 class _Entry(TypedDict):
-    """A job of SLURM in the list."""
+    """Entry of the list of SLURM jobs."""
 
     id: str
     logs: str
     settings: list
 
 
-# A job of submitit, and its settings.
+# Job of submitit, and its settings.
 Running = tuple[Any, list[Member]]
 
 
 class Jobs(NamedTuple):
-    """The jobs that the command line requests.
+    """Jobs that the command line requests.
 
     Attributes:
-        count: local processes at a time; None for SLURM.
-        options: of submitit for SLURM.
+        count: number of local processes at a time, or None for SLURM.
+        options: options of submitit for SLURM.
     """
 
     count: int | None
@@ -77,14 +77,14 @@ class Jobs(NamedTuple):
 
 
 class Job(NamedTuple):
-    """A group of settings, for another process: submitit calls it there.
+    """Group of settings that submitit evolves in another process.
 
     Attributes:
-        sweep: its folder.
-        settings: their names.
-        cores: to use; None for all that it is given.
+        sweep: folder of the sweep.
+        settings: names of the settings.
+        cores: number of cores to use, or None for all cores of the job.
         trusted: whether configurations are the user's own.
-        locks: whether it keeps others off the sweep, as local ones do.
+        locks: whether the job shares the lock of the sweep, as local jobs do.
     """
 
     sweep: str
@@ -94,7 +94,7 @@ class Job(NamedTuple):
     locks: bool
 
     def __call__(self) -> None:
-        """Evolve them, from where they stand to their ends."""
+        """Evolve the settings from their checkpoints to their last generations."""
         folder = Path(self.sweep)
         devices = use_cores(self.cores)
         with contextlib.ExitStack() as stack:
@@ -108,15 +108,15 @@ class Job(NamedTuple):
                 run_group(group, named(plan["config"]), devices, lambda member, rows: None)
 
     def checkpoint(self) -> Any:
-        """Return the same job, for submitit to queue if SLURM preempts it or its time is over."""
+        """Return this job for submitit to queue again, after a preemption or at the time limit."""
         return importlib.import_module("submitit").helpers.DelayedSubmission(self)
 
 
 def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
-    """Read ``--jobs`` and ``--job-option``; return None without them.
+    """Return the jobs of ``--jobs`` and ``--job-option``, or None without ``--jobs``.
 
     Raises:
-        UsageError: it cannot be had here, or is no such thing.
+        UsageError: a value is wrong, or submitit or SLURM is missing here.
     """
     given = dict(_option(text) for text in options)
     if given and word != "slurm":
@@ -143,19 +143,19 @@ def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
 
 @contextlib.contextmanager
 def claimed(folder: Path, jobs: Jobs | None) -> Iterator[None]:
-    """Keep other commands off a sweep: they would overwrite each other's checkpoints.
+    """Lock a sweep: two commands would overwrite each other's checkpoints.
 
     Local jobs share the lock, so it is held until the last job has ended, even if this command ends
     first. Jobs of SLURM are on a list.
 
     Args:
-        folder: of the sweep.
-        jobs: the requested jobs. `--jobs slurm` may continue a sweep that has jobs with SLURM.
+        folder: folder of the sweep.
+        jobs: requested jobs. `--jobs slurm` may continue a sweep that has jobs in SLURM.
 
     Raises:
-        LockedError: another command is at work, or a job that it has started.
+        LockedError: another command, or a job of another command, works on the sweep.
         OutputError: the folder cannot be written.
-        RunFolderError: jobs of the sweep are with SLURM.
+        RunFolderError: SLURM has jobs of the sweep, and ``jobs`` are not SLURM jobs.
     """
     with contextlib.ExitStack() as stack:
         try:
@@ -179,20 +179,21 @@ def claimed(folder: Path, jobs: Jobs | None) -> Iterator[None]:
 def run_jobs(
     folder: Path, found: Sequence[list[Member]], jobs: Jobs, cores: int | None
 ) -> list[str]:
-    """Evolve groups of settings as jobs, until all have ended.
+    """Evolve groups of settings as jobs, until all jobs have ended.
 
     Args:
-        folder: of the sweep.
-        found: the groups.
-        jobs: the requested jobs.
-        cores: of all local jobs together, None for all of this machine; on SLURM, of each.
+        folder: folder of the sweep.
+        found: groups of settings.
+        jobs: requested jobs.
+        cores: cores of all local jobs together, or of each SLURM job. None selects all cores of
+            this machine, or SLURM's default.
 
     Returns:
-        Names of settings that did not come to their ends.
+        Names of settings that did not reach their last generation.
 
     Raises:
-        UsageError: submitit does not take the options.
-        KeyboardInterrupt: local jobs have ended, those of SLURM go on.
+        UsageError: submitit rejects the options, or SLURM rejects a job.
+        KeyboardInterrupt: local jobs have ended. Jobs of SLURM continue.
     """
     waiting = [group for group in found if not all(member.finished for member in group)]
     if not waiting:
@@ -230,11 +231,11 @@ def run_jobs(
 
 
 class _Local:
-    """Processes on this machine.
+    """Queue of processes on this machine.
 
     Args:
-        folder: of the sweep.
-        logs: of the jobs.
+        folder: folder of the sweep.
+        logs: folder for the files of the jobs.
     """
 
     look = _LOOK
@@ -245,14 +246,14 @@ class _Local:
         self._executor.update_parameters(timeout_min=_LONGEST)
 
     def start(self, group: list[Member], cores: int | None) -> Any:
-        """Give a group to a process of its own."""
+        """Start a process that evolves a group, and return its job."""
         return self._executor.submit(_job(self._folder, group, cores, True))
 
     def ended(self, job: Any) -> None:
         """Do nothing: a local process leaves nothing behind."""
 
     def leave(self, running: Sequence[Any]) -> None:
-        """End all jobs."""
+        """End all running jobs."""
         for job in running:
             job.cancel()
         end = time.monotonic() + _GRACE
@@ -261,16 +262,16 @@ class _Local:
 
 
 class _Slurm:
-    """Jobs of SLURM, also those that a command before has left there.
+    """Queue of SLURM jobs, including jobs that an earlier command has left there.
 
     Args:
-        folder: of the sweep.
-        logs: of new jobs.
-        jobs: the requested jobs.
-        cores: of each.
+        folder: folder of the sweep.
+        logs: folder for the files of new jobs.
+        jobs: requested jobs.
+        cores: number of cores of each job, or None for SLURM's default.
 
     Raises:
-        UsageError: submitit does not take the options.
+        UsageError: submitit rejects the options.
     """
 
     look = _LOOK_AT_SLURM
@@ -292,7 +293,7 @@ class _Slurm:
             raise UsageError(f"--job-option: {str(error).splitlines()[0]}") from None
 
     def start(self, group: list[Member], cores: int | None) -> Any:
-        """Return the job that a group has, or give the group to SLURM."""
+        """Return the existing job of a group, or submit the group to SLURM."""
         names = _names(group)
         for entry in self._entries:
             shared = set(names) & set(entry["settings"])
@@ -321,11 +322,11 @@ class _Slurm:
         return job
 
     def ended(self, job: Any) -> None:
-        """Take a job from the list."""
+        """Remove a job from the list."""
         self._forget(job.job_id)
 
     def leave(self, running: Sequence[Any]) -> None:
-        """Let the jobs go on, and say so."""
+        """Let the jobs continue, and print how to follow or end them."""
         if not running:
             return
         ids = [job.job_id for job in running]
@@ -353,7 +354,7 @@ def _job(folder: Path, group: Sequence[Member], cores: int | None, locks: bool) 
 
 
 def _failed(job: Any, group: Sequence[Member], work: Work) -> list[str]:
-    """Return settings of a job that has ended and that are not done, and say why."""
+    """Return unfinished settings of a job that has ended, and print the end of its errors."""
     left = _names([member for member in group if not member.finished])
     if left:
         path = Path(job.paths.stderr)
@@ -393,14 +394,14 @@ def _of_slurm(entry: _Entry) -> Any:
 
 
 def _new_folder(folder: Path) -> Path:
-    """Make a folder for one command: submitit would reuse files with the number of its process."""
+    """Make a folder for one command: submitit would reuse files with the same process number."""
     (folder / _HIDDEN).mkdir(exist_ok=True)
     prefix = time.strftime("%Y%m%d_%H%M%S_")
     return Path(tempfile.mkdtemp(prefix=prefix, dir=folder / _HIDDEN)).resolve()
 
 
 def _option(text: str) -> tuple[str, Any]:
-    """A key and its value: as in JSON, or a word."""
+    """Return a key and its value, read as JSON or else as a word."""
     key, equals, word = text.partition("=")
     if not (key and equals and word):
         raise UsageError(f"--job-option: {text!r} is not KEY=VALUE")

@@ -1,4 +1,4 @@
-"""`--local N`: a command that starts N processes of itself and watches them."""
+"""`--local N`: start N processes of this command and wait for them."""
 
 import contextlib
 import signal
@@ -10,10 +10,10 @@ from collections.abc import Iterator, Sequence
 
 from evo_cpg.training.devices import available_cores
 
-# Interval between two looks at the processes, s.
+# Interval between two checks of the processes, s.
 _LOOK = 0.05
 
-# Time that the others have to end by themselves after one has failed or was interrupted, s.
+# Time that the other processes have to end after a failure or an interrupt, s.
 _GRACE = 10.0
 
 # A shell adds this to the number of the signal that ended a program.
@@ -28,12 +28,12 @@ def run_local(
     """Start the processes, and wait until they have ended.
 
     Args:
-        count: of the processes.
-        arguments: of this command, without its name.
-        cores: of all together; None for all of this machine.
+        count: number of processes.
+        arguments: arguments of this command, without its name.
+        cores: cores of all processes together, or None for all of this machine.
 
     Returns:
-        The exit code: the lead's where that failed, else of the first other that did.
+        The exit code of the lead if it failed, else of the first failed process, else 0.
     """
     own = max(1, (cores or available_cores()) // count)
     with socket.create_server(("", 0)) as server:
@@ -44,7 +44,8 @@ def run_local(
     processes: list[subprocess.Popen] = []
     with _ended(processes):
         for index in range(count):
-            # A process group of its own: the terminal interrupts this command, which passes it on.
+            # In its own process group, a process gets interrupts from this command only, and not
+            # from the terminal, too.
             processes.append(
                 subprocess.Popen([*command, str(index)], stdin=subprocess.DEVNULL, process_group=0)
             )
@@ -56,7 +57,7 @@ def run_local(
 
 @contextlib.contextmanager
 def _ended(processes: list[subprocess.Popen]) -> Iterator[None]:
-    """End all processes after the block, and report which ones were ended by somebody else."""
+    """End all processes after the block, and report which of them a signal had ended."""
 
     def stop(number: int, frame: object) -> None:
         del frame
@@ -78,25 +79,25 @@ def _ended(processes: list[subprocess.Popen]) -> Iterator[None]:
                 name = signal.Signals(-code).name
                 print(f"evo-cpg: process {index} was ended by {name}", file=sys.stderr, flush=True)
         for process in processes:
-            # A stopped process hears nothing else.
+            # A stopped process reacts to no other signal.
             process.kill()
             process.wait()
 
 
 def _wait(processes: Sequence[subprocess.Popen]) -> None:
-    """Give all processes `_GRACE` to end by themselves."""
+    """Wait until all processes have ended, at most for `_GRACE`."""
     end = time.monotonic() + _GRACE
     while time.monotonic() < end and None in _codes(processes):
         time.sleep(_LOOK)
 
 
 def _codes(processes: Sequence[subprocess.Popen]) -> list[int | None]:
-    """Return how each has ended; None for those that run."""
+    """Return the exit code of each process, or None for a running process."""
     return [process.poll() for process in processes]
 
 
 def _code(codes: Sequence[int]) -> int:
-    """Return the exit code of the lead if it failed, else of the first process that did."""
+    """Return the exit code of the lead if it failed, else of the first failed process, else 0."""
     ends = [code for code in codes if code > 0]
     if codes[0] > 0 or not ends:
         ends = [code for code in codes if code] or [0]

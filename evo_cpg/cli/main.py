@@ -1,7 +1,8 @@
-"""`evo-cpg`: its commands, and how its process handles errors and interrupts.
+"""`evo-cpg`: commands, errors and interrupts of the program.
 
-A command is a function of its own name in a file of that name, which declares the options. The file
-is imported when the command is called, and JAX and VTK when it runs: `--help` must be quick.
+A command is a function in a file, both with the command's name. Its signature declares the options.
+The file is imported when the command is called. JAX and VTK are imported when the command runs,
+because `--help` must be quick.
 """
 
 import functools
@@ -43,7 +44,7 @@ COMMANDS = (
     "configs",
 )
 
-# These write their results to a folder, so a lost standard output is no failure.
+# These commands write their results to a folder, so a lost standard output is no failure.
 _EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
 
 _PLAIN: dict[str, Any] = {"pretty_exceptions_enable": False, "rich_markup_mode": None}
@@ -53,8 +54,8 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
     """Return a command that takes the fields of a group of options in place of the group.
 
     Args:
-        function: a command. The annotation of a parameter that is a group is a named tuple, whose
-            fields are annotated as options.
+        function: function of a command. A parameter that is a group is annotated with a named
+            tuple, whose fields are annotated as options.
     """
     signature = inspect.signature(function)
     groups = {
@@ -80,7 +81,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
 
 
 class _Files(Mapping[str, Any]):
-    """The commands by name; each is imported when it is looked up."""
+    """Mapping from names to commands, which imports a command at its look-up."""
 
     def __getitem__(self, name: str) -> Any:
         if name not in COMMANDS:
@@ -102,7 +103,7 @@ class _Files(Mapping[str, Any]):
 
 
 class _Commands(TyperGroup):
-    """The group of all commands."""
+    """Group of all commands."""
 
     def __init__(self, **settings: Any):
         super().__init__(**settings)
@@ -171,7 +172,7 @@ def _command() -> str:
 def main() -> None:
     """Run the command line.
 
-    Errors that are the user's or the system's become one or two lines and exit code 2.
+    For an error of the user or the system, print a short message and exit with code 2.
     """
     try:
         with interrupts_delivered():
@@ -187,7 +188,7 @@ def main() -> None:
 
 
 def program() -> None:
-    """Run `main` as a process, which after an interrupt does not wait for compilations."""
+    """Run `main` as a process that does not wait for compilations after an interrupt."""
     streams.protect()
     try:
         main()

@@ -1,4 +1,4 @@
-"""A measured motion: read it from a CSV file, and replay the commands that drove it."""
+"""Measured motion: read it from a CSV file, and replay the commands that drove it."""
 
 import csv
 import math
@@ -17,28 +17,29 @@ if TYPE_CHECKING:
 # Columns of commands begin with this.
 TARGET = "target."
 
-# A command that is stamped later than a control step by less than this share of it is the step's:
-# stamps are rounded, to milliseconds or microseconds.
+# A command belongs to a control step if its time stamp is late by less than this fraction of a
+# step. Time stamps are rounded to milliseconds or microseconds.
 _ON_TIME = 0.05
 
 _UNIT = re.compile(r"\s*\[([^]]*)\]$")
-# Units, in SI.
+# Size of each unit, in SI units.
 _TIMES = {"s": 1.0, "ms": 1e-3}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
 _RATES = {f"{angle}/s": size for angle, size in _ANGLES.items()}
-# A column with this suffix shows that `evo-cpg export` wrote the file. The root's comes first.
+# A column with this suffix shows that `evo-cpg export` wrote the file. The column of the root comes
+# first.
 _EXPORTED = ".rotation_xx"
 _ATTITUDE = ("xx", "yx", "zx", "zy", "zz")
 
 
 class MeasuredMotion(NamedTuple):
-    """A measured motion.
+    """Measured motion.
 
     Attributes:
-        time: s.
+        time: time of each row, s.
         columns: names of the measured quantities.
-        data: a column of each; NaN where nothing was measured.
+        data: value in each row and column, or NaN if nothing was measured.
         targets: commanded rates of joint axes by name, rad/s.
     """
 
@@ -52,7 +53,7 @@ def read_motion(path: Path) -> MeasuredMotion:
     """Read a recorded motion from a CSV file.
 
     Raises:
-        UsageError: it cannot be read, or is not one.
+        UsageError: the file cannot be read, or is not a recorded motion.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
@@ -62,7 +63,7 @@ def read_motion(path: Path) -> MeasuredMotion:
         raise UsageError(f"{path}: cannot be read ({error})") from None
     if len(lines) < 2:
         raise UsageError(f"{path}: has no numbers; give a line of names and lines of numbers")
-    # A unit may stand behind a name: `time [s]`.
+    # A unit may follow a name: `time [s]`.
     heads = [name.strip() for name in lines[0][1]]
     names = [_UNIT.sub("", head) for head in heads]
     units = [match[1].strip() if (match := _UNIT.search(head)) else None for head in heads]
@@ -95,9 +96,12 @@ def read_motion(path: Path) -> MeasuredMotion:
 
 
 def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
-    """Return the unit of a column, in the default unit of its kind.
+    """Return the size of a column's unit, in SI units, or 1 if the column has no unit or use.
 
     An exported motion has a root, and only some of its columns are used.
+
+    Raises:
+        UsageError: the unit does not fit the kind of the column.
     """
     from evo_cpg.simulation.track import POSITION
 
@@ -120,9 +124,9 @@ def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
 
 
 def _of_export(columns: dict[str, np.ndarray], root: str, path: Path) -> dict[str, np.ndarray]:
-    """Return an exported motion as a motion tracker would see it.
+    """Convert an exported motion to the columns of a motion tracker.
 
-    The attitude is yaw, then pitch, then roll about the root's own axes.
+    The attitude is yaw, then pitch, then roll about the axes of the root.
     """
     needed = [*(f"{root}.rotation_{axes}" for axes in _ATTITUDE), *(f"{root}.{x}" for x in "xyz")]
     lacking = [name for name in needed if name not in columns]
@@ -145,7 +149,7 @@ def _of_export(columns: dict[str, np.ndarray], root: str, path: Path) -> dict[st
 
 
 def commands(recording: MeasuredMotion, simulation: "Simulation") -> Commanded:
-    """Return the recorded commands as a controller: each is held from its row to the next."""
+    """Return a controller that holds each recorded command from its row to the next."""
     tree, rate = simulation.world.tree, float(simulation.control_rate)
     step = (np.arange(simulation.steps) + _ON_TIME) / rate
     row = np.searchsorted(recording.time, step, side="right") - 1
@@ -166,7 +170,11 @@ def late_commands(recording: MeasuredMotion, simulation: "Simulation") -> int:
 
 
 def _measured(cell: str, where: str) -> float:
-    """Return the number in a cell; NaN if the cell is empty."""
+    """Return the number in a cell, or NaN if the cell is empty.
+
+    Raises:
+        UsageError: the cell is not a number, or is infinite.
+    """
     try:
         value = float(cell) if cell.strip() else math.nan
     except ValueError:

@@ -12,7 +12,7 @@ from evo_cpg.cli.errors import UsageError
 
 
 class What(enum.StrEnum):
-    """Genomes that a run begins with."""
+    """Choice of the genomes that a run begins with."""
 
     CHAMPION = "champion"
     POPULATION = "population"
@@ -84,9 +84,9 @@ class Which(NamedTuple):
     """Options: a champion or elite of a run, and one of its trials.
 
     Attributes:
-        number: of one of several runs; None for the best.
-        trial: from 0.
-        cell: of the run's map, as ``3,0,7``; None for the champion.
+        number: number of one of several runs, or None for the best.
+        trial: number of the trial, from 0.
+        cell: cell of the run's map, such as ``3,0,7``, or None for the champion.
     """
 
     number: Number = None
@@ -95,17 +95,17 @@ class Which(NamedTuple):
 
     @property
     def of_run(self) -> str:
-        """End of the names of files about the run: ``_run1``."""
+        """Suffix for names of files about the run: ``_run1``."""
         return "" if self.number is None else f"_run{self.number}"
 
     @property
     def of_trial(self) -> str:
-        """End of the names of files about the trial: ``_run1_trial2``."""
+        """Suffix for names of files about the trial: ``_run1_trial2``."""
         return self.of_run + (f"_trial{self.trial}" if self.trial else "")
 
     @property
     def of_cell(self) -> str:
-        """End of the names of files about the elite: ``_cell_3_0_7``."""
+        """Suffix for names of files about the elite: ``_cell_3_0_7``."""
         return "" if self.cell is None else f"_cell_{self.cell.replace(',', '_')}"
 
 
@@ -125,7 +125,7 @@ Folder = Annotated[
 
 
 def pixels_of(size: str) -> tuple[int, int]:
-    """Return width and height from ``WIDTHxHEIGHT``.
+    """Return width and height, pixels, from ``WIDTHxHEIGHT``.
 
     Raises:
         UsageError: the text has another form.

@@ -1,4 +1,4 @@
-"""`evo-cpg plot`: pictures of a run."""
+"""`evo-cpg plot`: draw pictures of a run."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`evo-cpg preview`: a picture of a creature at rest."""
+"""`evo-cpg preview`: draw a picture of a creature at rest."""
 
 import math
 from pathlib import Path
@@ -40,7 +40,7 @@ def preview(
     on_shore = surface is not None and math.isfinite(surface)
     shaped = land is not None and (on_shore or bool(land.obstacles) or land.floor != PlaneConfig())
     if given.simulation.start_pose == "settled" or shaped:
-        # As it starts, among what stands around.
+        # Draw the initial pose, with obstacles and shore.
         names = [body.name for body in creature.bodies]
         with working("finding how it starts"):
             simulation = build_experiment(given, config).simulation

@@ -1,4 +1,4 @@
-"""The probe of a champion, its rows and its warnings, for the command `probe`."""
+"""Tables, files and warnings of the command `probe`."""
 
 import time
 from pathlib import Path
@@ -31,12 +31,13 @@ def probe_champion(
     reach: float,
     place: Path,
 ) -> None:
-    """Probe a champion, and print, write and draw what became of it.
+    """Probe a champion, and print, write and draw the results.
 
     Args:
-        run: the run folder.
-        which: the champion.
-        lights: their bearings and distances, as on the command line; None for the configuration's.
+        run: path of the run folder.
+        which: champion to probe.
+        lights: bearings and distances of the lights, as on the command line; None for the lights of
+            the configuration.
         blind: set all light sensors to 0.
         reach: fraction of the distance that may be left to a light that counts as reached.
         place: folder for the files.
@@ -82,7 +83,10 @@ def probe_champion(
 
 
 def _places(bearings: str | None, distances: str | None) -> tuple[np.ndarray, list[float]]:
-    """Return bearings (rad) and distances (m) of lights; no distance for the configuration's."""
+    """Return bearings, rad, and distances, m, of lights.
+
+    The list of distances is empty if the configuration's distance applies.
+    """
     turned = _numbers("--bearings", _BEARINGS if bearings is None else bearings)
     away = [] if distances is None else _numbers("--distances", distances)
     lights = len(turned) * max(len(away), 1)
@@ -94,7 +98,7 @@ def _places(bearings: str | None, distances: str | None) -> tuple[np.ndarray, li
 
 
 def _numbers(option: str, text: str) -> list[float]:
-    """Return the numbers of START:STOP:COUNT or a list."""
+    """Return the numbers of START:STOP:COUNT or of a list."""
     try:
         if ":" not in text:
             numbers = [float(part) for part in text.split(",")]
@@ -113,7 +117,7 @@ def _numbers(option: str, text: str) -> list[float]:
 
 
 def missed(found: Probe, reach: float) -> str:
-    """Return a warning of an animal that misses most of its lights; empty if it does not."""
+    """Return a warning if an animal misses most of its lights, else an empty text."""
     reached, turned = found.reached(reach), [seen_from_start(s)[1] for s in found.situations]
     count, sides = int(reached.sum()), np.sign(np.round(turned, 9))
     if count >= len(reached) / 2:
@@ -126,7 +130,7 @@ def missed(found: Probe, reach: float) -> str:
 
 
 def unseeing(seeing: Probe, blind: Probe) -> str:
-    """Return a warning of an animal that does not use its eyes; empty if it does."""
+    """Return a warning if an animal does not use its eyes, else an empty text."""
     if not seeing.displacement > 0:
         return "it comes no nearer to the lights with its eyes, so there is nothing to compare"
     kept = max(0.0, blind.displacement) / seeing.displacement
@@ -139,7 +143,7 @@ def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:
     """Return the rows of probe.csv, one for each situation.
 
     Args:
-        found: what became of the animal.
+        found: results of the probe.
         reach: fraction of the distance that may be left to a light that counts as reached.
     """
     reached = found.reached(reach)
@@ -166,7 +170,11 @@ def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:
 
 
 def own_situations(opened: Opened) -> tuple[Situation, ...]:
-    """Return the situations that the animal evolved in, with their lights."""
+    """Return the situations that the animal evolved in, with their lights.
+
+    Raises:
+        UsageError: the task has no light.
+    """
     simulation = opened.experiment.simulation
     if None in simulation.lights:
         raise UsageError(
@@ -182,7 +190,7 @@ def require_reachable(experiment: Experiment, situations: tuple[Situation, ...])
     """Check that every light can be reached.
 
     Raises:
-        UsageError: one cannot.
+        UsageError: a light cannot be reached.
     """
     world = experiment.simulation.world
     for situation in situations:
@@ -199,7 +207,7 @@ def require_reachable(experiment: Experiment, situations: tuple[Situation, ...])
 
 
 def show_probe(rows: list[dict[str, float | int]]) -> None:
-    """Print the rows of probe.csv for a reader."""
+    """Print the rows of probe.csv as a table."""
     cells = []
     for row in rows:
         lost = bool(row["diverged"])
@@ -217,5 +225,5 @@ def show_probe(rows: list[dict[str, float | int]]) -> None:
 
 
 def _degrees(angle: float) -> float:
-    """Return degrees, rounded: 60 and not 59.99999999999999; never -0."""
+    """Convert rad to degrees, rounded to 9 decimals and without -0."""
     return round(float(np.rad2deg(angle)), 9) + 0.0

@@ -158,7 +158,7 @@ def _free(parameters: "Parameters") -> "Free":
             parameters.require(values)
             return experiment
         except ConfigError:
-            # The values are not allowed, or give a simulation of another layout.
+            # The values are not allowed, or they change the layout of the simulation.
             return None
 
     return Free(parameters.values, parameters.simulation, rebuild)

@@ -1,4 +1,4 @@
-"""`evo-cpg render`: films of champions."""
+"""`evo-cpg render`: film champions."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,7 @@ from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.options import BEST, Cores, Run, View, Which, pixels_of
 from evo_cpg.cli.writing import writes_to_run
 
-# Animals side by side at most.
+# Largest number of animals side by side.
 _MOST = 9
 
 
@@ -105,7 +105,7 @@ def render(
 
     film = Film(pixels, fps, seconds, speed, camera.value, moments)
     RunFolder(run).require()
-    # Check the path first: the folder of films is made only for a film.
+    # Check the path before making the folder of films.
     film_path(output or run / name, film, signals)
     if lineage is not None:
         panels = lineage_panels(run, generations, which, signals)
@@ -124,7 +124,11 @@ def render(
 
 
 def _generations(lineage: str) -> list[int] | None:
-    """Return the requested generations; None to choose them here."""
+    """Return the requested generations, or None for ``auto``.
+
+    Raises:
+        UsageError: the text has another form, or names too many generations.
+    """
     if lineage == "auto":
         return None
     if not re.fullmatch(r"\d{1,9}(,\d{1,9})*", lineage):

@@ -1,4 +1,4 @@
-"""`evo-cpg reproduce`: the tables and pictures of a study, computed anew."""
+"""`evo-cpg reproduce`: recompute the tables and pictures of a study."""
 
 import sys
 from collections.abc import Sequence
@@ -72,7 +72,7 @@ def reproduce(
 def make(
     chosen: "Study", parts: Sequence[str], folder: Path, quick: bool, fresh: bool, devices: int
 ) -> None:
-    """Make some parts of a study, one after the other, each written when it is done."""
+    """Make parts of a study one after the other, and write each part when it is done."""
     from evo_cpg.locks import locked
     from evo_cpg.studies.workshop import Workshop
 
@@ -101,7 +101,7 @@ def make(
 
 
 def default_folder(name: str, quick: bool) -> Path:
-    """Return the folder of a study: in a checkout beside its page, else in the working folder."""
+    """Return the folder of a study: beside its page in a checkout, else in the working folder."""
     if quick:
         return Path("reproduction") / f"{name}_quick"
     from evo_cpg.api.version import checkout

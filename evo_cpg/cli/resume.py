@@ -31,7 +31,7 @@ def resume(
     from evo_cpg.training.devices import use_cores
 
     tensorboard = goes_on_with_scalars(run, tensorboard)
-    # Several processes need not be on the machine that the run was last on.
+    # Several processes may run on other machines than before, so ignore the recorded cores.
     devices = use_cores(cores) if distribution.distributed else use_cores_of(run, cores)
     with contextlib.ExitStack() as lock:
         if distribution.leads:

@@ -1,4 +1,4 @@
-"""The rhythm of a config's oscillators, and the search for settings that give another one."""
+"""Rhythm of a configuration's oscillators, and search for settings with a requested rhythm."""
 
 import shlex
 import sys
@@ -33,7 +33,7 @@ _COLUMNS = ("joints", "Hz", "lag, deg", "amplitude", "multiplier", "recovery")
 
 
 def read_oscillators(path: Path, overrides: Sequence[str]) -> tuple[Simulation, Oscillators]:
-    """Return a config's simulation and its oscillators.
+    """Return the simulation of a configuration, and its oscillators.
 
     Raises:
         UsageError: the controller has no oscillators.
@@ -50,10 +50,16 @@ def read_oscillators(path: Path, overrides: Sequence[str]) -> tuple[Simulation, 
 def show_rhythm(
     path: Path, overrides: Sequence[str], gain: float | None, tonic_input: float | None
 ) -> None:
-    """`evo-cpg cpg`.
+    """Print the rhythm of each group of oscillators, for `evo-cpg cpg`.
+
+    Args:
+        path: path of the configuration.
+        overrides: settings to change, ``key=value``.
+        gain: adaptation gain b, or None for the middle of its range.
+        tonic_input: tonic input u, or None for the largest.
 
     Raises:
-        SystemExit: with `ExitCode.FAULT`, where the search failed for some oscillators.
+        SystemExit: with `ExitCode.FAULT`, if the search failed for some oscillators.
     """
     simulation, (cpg, network, _) = read_oscillators(path, overrides)
     tree = simulation.world.tree
@@ -95,8 +101,8 @@ def show_rhythm(
 
 
 def _words(cycle: LimitCycle) -> tuple[str, ...]:
-    """Return a row of the table."""
-    # An oscillator beside one at rest has no lag.
+    """Return the cells of a rhythm in the table."""
+    # An oscillator has no lag to an oscillator at rest.
     lags = cycle.lag[np.isfinite(cycle.lag)]
     lag = f"{lags.min():.1f} to {lags.max():.1f}" if len(lags) else ""
     return (
@@ -108,12 +114,12 @@ def _words(cycle: LimitCycle) -> tuple[str, ...]:
 
 
 def hertz(cycle: LimitCycle) -> str:
-    """Return the frequency with four or five significant digits."""
+    """Return the frequency, Hz, with four or five significant digits."""
     return f"{cycle.frequency:#.5g}" if cycle.frequency >= 1 else f"{cycle.frequency:#.4g}"
 
 
 def stability(cycle: LimitCycle, unit: str) -> tuple[str, str]:
-    """Return the largest multiplier, and the time of recovery with its unit."""
+    """Return the size of the largest multiplier, and the recovery time with its unit."""
     size = np.abs(cycle.multipliers[0])
     if np.isnan(size):
         return "unknown", "unknown"
@@ -121,7 +127,7 @@ def stability(cycle: LimitCycle, unit: str) -> tuple[str, str]:
     return f"{size:.3g}", recovery
 
 
-# Keys that the search may change, besides the range of b.
+# Keys that the search may change, in addition to the range of b.
 _WEIGHTS = ("time_scale", "parent_weight", "child_weight")
 
 
@@ -134,11 +140,20 @@ def find_rhythm(
     lag: float | None,
     joint: str | None,
 ) -> None:
-    """`evo-cpg cpg` with `--frequency` or `--lag`.
+    """Find and print settings for a rhythm, for `evo-cpg cpg` with `--frequency` or `--lag`.
+
+    Args:
+        path: path of the configuration.
+        overrides: settings to change, ``key=value``.
+        gain: adaptation gain b to hold, or None to let the search change it.
+        tonic_input: tonic input u, or None for the largest.
+        frequency: requested frequency, Hz, if any.
+        lag: requested mean lag along the chain, degrees, or None for the present lag.
+        joint: oscillator that the chain must contain, or None for the longest chain.
 
     Raises:
         UsageError: an option is wrong, the oscillators rest, or the rhythm is out of reach.
-        SystemExit: with `ExitCode.FAULT`, where the search failed.
+        SystemExit: with `ExitCode.FAULT`, if the search failed.
     """
     _check(frequency, lag, gain, tonic_input)
     keep_compiled_programs()
@@ -208,7 +223,7 @@ def _check(
 
 
 def _chain(tree: Tree, settings: CpgSettings, joint: str | None) -> Chain:
-    """Return the longest chain, or the longest through an oscillator."""
+    """Return the longest chain, or the longest chain through an oscillator."""
     if joint is None:
         return chains(tree, settings)[0]
     if joint not in tree.dof_names:
@@ -218,7 +233,7 @@ def _chain(tree: Tree, settings: CpgSettings, joint: str | None) -> Chain:
 
 
 def _changes(settings: CpgSettings, found: Rhythm) -> dict[str, float]:
-    """Return keys of `controller.cpg` with new values; the range of b is scaled about b."""
+    """Return changed keys of `controller.cpg`. The middle of the new range of b is b itself."""
     low, high = settings.min_adaptation_gain, settings.max_adaptation_gain
     factor = 2 * found.adaptation_gain / (low + high)
     then = {key: getattr(found.settings, key) for key in _WEIGHTS}

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from evo_cpg.config.parameters import Parameters
     from evo_cpg.training.checkpoint import Champion
 
-# Rows for the terminal and bars of the picture; the table file has all.
+# Number of rows on the terminal and of bars in the picture. The table file has all rows.
 _SHOWN = 25
 
-# Not a key of the configuration: a factor of all genes.
+# Pseudo-key for a factor of all genes. It is not a key of the configuration.
 GENES = "genes"
 
 
@@ -63,7 +63,7 @@ def sensitivity(
     rate, steps = experiment.simulation.control_rate, experiment.simulation.steps
     if seconds is not None:
         control_steps = seconds * rate
-        # A displacement takes two steps. Neither infinity nor nan can be rounded.
+        # A displacement needs two steps. The comparison also rejects infinity and NaN.
         if not 1.5 < control_steps < steps + 0.5:
             raise UsageError(
                 f"--seconds: {seconds:g}; a trial of {run} has {steps / rate:g} s, of which "
@@ -176,14 +176,14 @@ def _row(speed: "Sensitivity", fitness: "Sensitivity") -> dict[str, str | float 
 
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
-    """Return a line of the table on the terminal."""
+    """Return the cells of a row of the table on the terminal."""
     words = []
     for name in ("speed", "fitness"):
         sure = row[f"{name}_confirmed"]
         size = row[f"{name}_elasticity" if sure else f"{name}_found"]
         unit = " %/%" if row["relative"] else " %/unit"
         size = size if row["relative"] else 100 * size
-        # A measure of 0 has no percentage.
+        # A change relative to a measure of 0 is not finite.
         text = f"{size:+.3g}{unit}" if math.isfinite(size) else "\N{EN DASH}"
         words.append(f"{'' if sure else '? '}{text}")
     return row["key"], f"{row['value']:.4g}", *words

@@ -1,4 +1,4 @@
-"""Standard output and error that never end a command.
+"""Standard output and error streams that never end a command.
 
 If a disk is full or a pipe is closed, output is lost and the work continues. Characters that the
 locale lacks are escaped.
@@ -16,10 +16,10 @@ _ESCAPE = "evo_cpg.escape"
 
 
 class _Raw(io.FileIO):
-    """A descriptor that keeps the first error of a write, and raises none.
+    """Descriptor that keeps the first write error and raises none.
 
     Attributes:
-        error: the first; None before.
+        error: first write error, or None before.
     """
 
     error: OSError | None = None
@@ -33,7 +33,7 @@ class _Raw(io.FileIO):
 
 
 def protect() -> None:
-    """Replace the standard streams of this process by such that never raise."""
+    """Replace the standard output and error of this process by streams that never raise."""
     for descriptor in (0, 1, 2):
         _occupy(descriptor)
     for name, descriptor in (("stdout", 1), ("stderr", 2)):
@@ -47,8 +47,8 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
     """Open a descriptor for text, as a stream that never raises.
 
     Args:
-        descriptor: to write to.
-        like: the stream that it replaces, for its encoding; None if that was closed.
+        descriptor: descriptor to write to.
+        like: stream to replace, for its encoding, or None if the stream was closed.
     """
     # Python makes standard error unbuffered rather than line-buffered if PYTHONUNBUFFERED is set.
     by_line = getattr(like, "line_buffering", True) or getattr(like, "write_through", False)
@@ -61,13 +61,13 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
 
 
 def output_error() -> OSError | None:
-    """Return why standard output was lost; None if it was not, or if its reader has left."""
+    """Return the write error of standard output, or None without an error, or for a closed pipe."""
     error = _error()
     return None if error is None or error.errno == errno.EPIPE else error
 
 
 def is_read() -> bool:
-    """Return whether standard output may still have a reader; only writing shows it."""
+    """Return whether standard output may still have a reader. Only a write detects a loss."""
     error = _error()
     return error is None or error.errno != errno.EPIPE
 
@@ -79,9 +79,10 @@ def _error() -> OSError | None:
 
 
 def _occupy(descriptor: int) -> None:
-    """Make sure that no file of ours gets the number of a stream that was closed.
+    """Open the null device at the number of a closed stream.
 
-    Libraries print to these numbers, which would write into the file.
+    Otherwise a file of ours could get the number, and libraries that print to it would write into
+    the file.
     """
     try:
         os.fstat(descriptor)
@@ -94,7 +95,7 @@ def _occupy(descriptor: int) -> None:
 
 
 def _escape(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Write a byte of a file's name as it is, and escape other characters."""
+    """Return a byte of a file name unchanged, and escape other characters."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     code = ord(error.object[error.start])

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
     from evo_cpg.cli.jobs import Jobs
     from evo_cpg.config.settings import Setting
 
-# Most rows of a table on a terminal; the file has all.
+# Largest number of rows of a table on a terminal. The file has all rows.
 _MOST_ROWS = 30
 
-# Level of significance that is marked.
+# Results below this p value are marked.
 _SURE = 0.05
 
 

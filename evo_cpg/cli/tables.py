@@ -14,11 +14,11 @@ def show_table(
     """Print a table.
 
     Args:
-        heads: of the columns.
-        rows: cells.
-        left: number of columns with text, which folds; the others hold numbers.
-        title: above the table.
-        width: characters at least, however narrow the terminal is.
+        heads: head of each column.
+        rows: cells of each row.
+        left: number of first columns with text, which folds. The other columns hold numbers.
+        title: title above the table.
+        width: least width, characters, even on a narrower terminal.
     """
     from rich import box
     from rich.console import Console

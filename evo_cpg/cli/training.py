@@ -49,15 +49,15 @@ def train_run(
     distribution: Distribution,
     tensorboard: bool,
 ) -> None:
-    """Start a run, as one of the processes that were requested.
+    """Start a run as one of the requested processes.
 
     Args:
         source: file that the configuration came from.
-        config: of the run.
-        run: its folder.
-        devices: of this process.
-        earlier: run folder to start from, and what of it; None for random genomes.
-        distribution: the processes.
+        config: configuration of the run.
+        run: folder of the run.
+        devices: number of devices of this process.
+        earlier: run folder to start from, and the genomes to take, or None for random genomes.
+        distribution: options of the processes.
         tensorboard: write scalars.
     """
     folder = RunFolder(run)
@@ -79,7 +79,7 @@ def train_run(
 def resume_run(
     run: Path, generations: int | None, devices: int, distribution: Distribution, tensorboard: bool
 ) -> None:
-    """Continue a run, as one of the processes that were requested."""
+    """Continue a run as one of the requested processes."""
     with together(distribution, run) as team:
         opened = open_and_build(run)
         opened.require_configured()
@@ -97,7 +97,7 @@ def resume_run(
         require_same(team, fingerprint(config))
         if team.leads:
             done = _require_alike(opened)
-            # Several processes leave the team after the loop.
+            # Several processes must enter the loop, after which they leave the team.
             by_itself = team.count == 1 and not tensorboard
             if by_itself and _finished(folder, done, experiment):
                 _say_finished(folder, experiment.generations)
@@ -108,10 +108,10 @@ def resume_run(
 
 
 def require_scalars() -> None:
-    """Check that `--tensorboard` can be had.
+    """Check that the packages for `--tensorboard` are installed.
 
     Raises:
-        UsageError: it cannot.
+        UsageError: a package is missing.
     """
     try:
         require_writer()
@@ -120,7 +120,7 @@ def require_scalars() -> None:
 
 
 def goes_on_with_scalars(run: Path, expected: bool) -> bool:
-    """Return whether to write scalars: they are requested, or the run has some already."""
+    """Return whether to write scalars: they are requested, or the run already has scalars."""
     if expected:
         require_scalars()
         return True
@@ -135,7 +135,12 @@ def goes_on_with_scalars(run: Path, expected: bool) -> bool:
 
 
 def _require_alike(opened: Opened) -> Checkpoint | None:
-    """Check that a run can be continued so, and return its newest checkpoint."""
+    """Check that a run fits its configuration, and return the newest checkpoint, if any.
+
+    Raises:
+        UsageError: more generations are done than requested.
+        RunFolderError: the checkpoint does not fit the configuration.
+    """
     folder, config, experiment = opened.folder, opened.config, opened.experiment
     run, done = folder.path, folder.load()
     if done is not None and done.generation > config.evolution.generations:
@@ -158,10 +163,10 @@ def _require_alike(opened: Opened) -> Checkpoint | None:
 
 
 def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Experiment) -> None:
-    """Check that the next rows of metrics.csv have the columns of those before.
+    """Check that the next rows of metrics.csv will have the columns of the earlier rows.
 
     Raises:
-        RunFolderError: task, measures or strategy tell other numbers than those before.
+        RunFolderError: task, measures or strategy give other columns than before.
     """
     simulation = experiment.simulation
     measured = term_names(simulation.task) + simulation.measures.names
@@ -180,7 +185,7 @@ def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Exper
 
 
 def _finished(folder: RunFolder, done: Checkpoint | None, experiment: Experiment) -> bool:
-    """Return whether nothing is left to do, and no file of the run was lost or changed since."""
+    """Return whether a run is finished, and none of its files was lost or changed since."""
     if done is None or not is_finished(experiment, done):
         return False
     try:
@@ -209,11 +214,11 @@ def _say_finished(folder: RunFolder, done: int) -> None:
 
 
 def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = False) -> None:
-    """Evolve, show how it goes, record the champion and report it.
+    """Evolve, show the progress, record the champion and report it.
 
     Args:
-        opened: the run.
-        team: of processes; None for this one alone.
+        opened: run to evolve.
+        team: team of processes, or None for this process alone.
         tensorboard: write scalars.
     """
     experiment, folder = opened.experiment, opened.folder
@@ -262,7 +267,7 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
 
 
 def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
-    """Record the champion and take the first look at it, which an interrupt skips."""
+    """Record the champion, and try it at half the physics step unless interrupted."""
     expected = recorder.expected_to_record()
     with working("recording the champion's motion", expected=expected):
         recorder.record(champion)
@@ -292,7 +297,7 @@ def _say_first_look(seen: Check, folder: RunFolder) -> None:
 
 
 def _standing(rows: list[dict[str, float]]) -> str:
-    """Return a line about the runs after a generation."""
+    """Return a progress line about the runs after a generation."""
     # A run in which every individual diverged has no best.
     best = [row["best"] for row in rows if math.isfinite(row["best"])] or [math.nan]
     if len(rows) > 1:

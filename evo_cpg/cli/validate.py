@@ -57,7 +57,7 @@ def validate(
 
 
 def _exists(word: str) -> bool:
-    """Return whether a word is the name of a file."""
+    """Return whether a word is the path of an existing file or folder."""
     try:
         return Path(word).exists()
     except (OSError, ValueError):

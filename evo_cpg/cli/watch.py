@@ -1,7 +1,8 @@
 """`evo-cpg watch`: follow a run while it evolves.
 
-It reads what the trainer writes after every generation, and requests nothing of the trainer. It
-writes one file to the run folder, the picture of the newest champion, at the lowest priority.
+The command reads the files that the trainer writes after every generation, and requests nothing of
+the trainer. It runs at the lowest priority. It writes one file to the run folder, the picture of
+the newest champion.
 """
 
 import contextlib
@@ -25,11 +26,11 @@ if TYPE_CHECKING:
     from evo_cpg.training.run_folder import RunFolder
 
 PICTURE = "watch.png"
-# Between two looks at the folder, s.
+# Interval between two checks of the folder, s.
 LOOK = 1.0
-# Least time between two pictures, s, and largest fraction of the time that they take.
+# Least time between two pictures, s, and largest fraction of the time spent on pictures.
 _SELDOM, _LARGEST_FRACTION = 10.0, 0.2
-# The trainer has the first claim on the cores.
+# Niceness of this process: the trainer has priority on the cores.
 _NICE = 15
 
 
@@ -37,10 +38,10 @@ class Standing(NamedTuple):
     """State of a run.
 
     Attributes:
-        checkpoint: the newest; None before the first generation is done.
-        generations: that are wanted in all.
-        choosing: whether the champion is chosen in fresh draws of chance when they are done.
-        changed: when the checkpoint was written, s since the epoch; None without one.
+        checkpoint: newest checkpoint, or None before the first generation is done.
+        generations: requested number of generations in all.
+        choosing: whether the champion is chosen with fresh noise after the last generation.
+        changed: time of the last change to metrics.csv, s since the epoch, or None if unknown.
     """
 
     checkpoint: "Checkpoint | None"
@@ -50,7 +51,7 @@ class Standing(NamedTuple):
 
     @property
     def finished(self) -> bool:
-        """Whether all generations are done, and the champion known."""
+        """Return whether all generations are done and the champion is chosen."""
         if self.checkpoint is None or self.checkpoint.generation < self.generations:
             return False
         return not self.choosing or bool(self.checkpoint.chosen)
@@ -71,7 +72,7 @@ def watch(
     from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
     folder = RunFolder(run)
-    # `require` would put in order what was interrupted, which is for the trainer to do.
+    # `require` would finish interrupted writes, which only the trainer may do.
     if not folder.config.is_file():
         raise RunFolderError(f"{run} is not a run folder (it has no config.yaml)")
     lower_priority()
@@ -95,9 +96,10 @@ def watch(
 
 
 def lower_priority() -> None:
-    """Give the cores to all other processes first, above all to the trainer.
+    """Lower the priority of this process below all others, above all the trainer.
 
-    If the system has a class for idle cores, join it: a nice process still takes a share.
+    If the system has a scheduling class for idle cores, use it: a nice process still takes some
+    time of busy cores.
     """
     if hasattr(os, "nice"):
         with contextlib.suppress(OSError):
@@ -108,11 +110,11 @@ def lower_priority() -> None:
 
 
 def standing(folder: "RunFolder", before: Standing | None = None) -> Standing:
-    """Return how the run stands; return ``before`` if nothing is new.
+    """Return the state of a run, or ``before`` if nothing is new.
 
     Args:
-        folder: of the run.
-        before: the last that was seen.
+        folder: folder of the run.
+        before: state that was seen last, if any.
     """
     done = folder.newest
     if before is not None and before.checkpoint:
@@ -120,7 +122,7 @@ def standing(folder: "RunFolder", before: Standing | None = None) -> Standing:
         # The last generation has a second checkpoint, with the chosen champion.
         if same and (done < before.generations or before.finished):
             return before
-    # The trainer may take a checkpoint away while it is read, and then there is a newer one.
+    # The trainer may delete a checkpoint during the read. Then a newer checkpoint exists.
     checkpoint = folder.load()
     changed = None
     if checkpoint is not None:
@@ -130,7 +132,10 @@ def standing(folder: "RunFolder", before: Standing | None = None) -> Standing:
 
 
 def _plan(folder: "RunFolder") -> tuple[int, bool]:
-    """Return generations and noise of the configuration, which `resume` may change."""
+    """Return the number of generations, and whether there is noise.
+
+    Both are read anew each time, because `resume` may change the configuration.
+    """
     from evo_cpg.config.load import load_config
 
     config = load_config(folder.config)
@@ -177,10 +182,10 @@ def _newest(now: Standing, draw: "Callable[[Champion, Standing], Any]") -> Path 
 
 
 class _Pictures:
-    """Pictures of champions, one after the other, not too often.
+    """Picture of the newest champion, drawn at a limited rate.
 
     Args:
-        folder: of the run.
+        folder: folder of the run.
     """
 
     def __init__(self, folder: "RunFolder"):
@@ -190,7 +195,7 @@ class _Pictures:
         self._built: Any = None
 
     def draw(self, champion: "Champion", now: Standing) -> Path | None:
-        """Draw a new champion, if it is time, and return the path of the picture."""
+        """Draw a new champion if a picture is due, and return the path of the picture, if any."""
         which = (champion.run, champion.generation, champion.fitness)
         began = time.monotonic()
         if which == self._drawn or (began < self._next and not now.finished):
@@ -199,7 +204,7 @@ class _Pictures:
         try:
             made = self._make(champion, now)
         except OSError as error:
-            # An onlooker may have no permission to write there.
+            # A user who only watches may have no permission to write there.
             warn(f"no picture: {message_for(error)}")
             self._next = math.inf
             return None

@@ -1,4 +1,4 @@
-"""The display of `watch` on a terminal: numbers, and curves of Braille dots, 2 by 4 a character."""
+"""Display of `watch` on a terminal: numbers, and curves of 2 by 4 Braille dots per character."""
 
 import math
 import time
@@ -20,12 +20,12 @@ _HEIGHT, _MARGIN = 9, 16
 _COLORS = (("champion", "bright_blue"), ("mean", "grey58"))
 
 _BLANK = 0x2800
-# Bits of the dots of a character, by column and by row from above.
+# Bit of each dot of a character, by column and by row from above.
 _BITS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
 
 def panel(folder: RunFolder, now: "Standing", width: int) -> RenderableType:
-    """Return the numbers and curves of a run."""
+    """Return a panel with the numbers and curves of a run."""
     checkpoint = now.checkpoint
     name = Text(str(folder.path))
     if checkpoint is None or not checkpoint.history:
@@ -39,7 +39,7 @@ def panel(folder: RunFolder, now: "Standing", width: int) -> RenderableType:
 
 
 def _over_generations(history: list[dict[str, float]]) -> dict[str, np.ndarray]:
-    """Return the best champion and the mean of the means of each generation, over several runs."""
+    """Return the best champion and the mean of the means over runs, for each generation."""
     instants = np.array([row["generation"] for row in history])
     found = {}
     for key, over in (("champion", np.nanmax), ("mean", np.nanmean)):
@@ -54,7 +54,7 @@ def _over_generations(history: list[dict[str, float]]) -> dict[str, np.ndarray]:
 
 
 def _plot(key: str, values: np.ndarray, width: int, color: str) -> list[Text]:
-    """Return a curve with its highest and lowest value beside it."""
+    """Return lines of a curve, labelled with its highest and lowest value."""
     lines = curve(values.tolist(), max(width, 10), _HEIGHT // (1 if key == "champion" else 2))
     finite = values[np.isfinite(values)]
     marks = [""] * len(lines)
@@ -106,12 +106,12 @@ def curve(values: Sequence[float], width: int, height: int) -> list[str]:
     """Return lines of text in which a curve runs from left to right.
 
     Args:
-        values: at equal steps; those that are not finite are gaps.
-        width: characters.
-        height: lines.
+        values: values at equal steps. A value that is not finite leaves a gap.
+        width: number of characters of a line.
+        height: number of lines.
 
     Returns:
-        Lines, from above; blank where no value is finite.
+        Lines from top to bottom, all blank if no value is finite.
     """
     given = np.asarray(values, float)
     cells = np.zeros((height, width), int)
@@ -127,7 +127,7 @@ def curve(values: Sequence[float], width: int, height: int) -> list[str]:
         value = float(given[round(at)])
         if math.isfinite(value):
             row = down - 1 - round((value - low) * scale)
-            # A steep step is drawn through.
+            # Fill the dots between two values, so that a steep curve stays connected.
             start = row if math.isnan(before) else int(before)
             for dot in range(min(start, row), max(start, row) + 1):
                 cells[dot // 4, column // 2] |= _BITS[column % 2][dot % 4]

@@ -1,4 +1,4 @@
-"""Keep other processes off a run folder while a command writes to it."""
+"""Lock a run folder against other processes while a command writes to it."""
 
 import contextlib
 import functools
@@ -9,11 +9,11 @@ from pathlib import Path
 
 
 def writes_to_run(parameter: str = "", option: str = "") -> Callable[[Callable], Callable]:
-    """Return a decorator that locks `run` for as long as a command lasts, if it writes there.
+    """Return a decorator that locks the folder `run` while a command writes there.
 
     Args:
-        parameter: of the command: another place to write to, unless it is None.
-        option: of the command line for that parameter, for messages.
+        parameter: parameter of the command that names another place to write to, if any.
+        option: option of the command line for that parameter, for messages.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
@@ -45,7 +45,7 @@ def _locked(run: Path, output: Path | None, option: str) -> Iterator[None]:
     elsewhere = output is not None and not Path(os.path.abspath(output)).is_relative_to(
         os.path.abspath(run)
     )
-    # If there is no run, the command reports it, after what is wrong with its options.
+    # The command itself reports a missing run, after errors in its options.
     if elsewhere or not folder.config.is_file():
         yield
         return

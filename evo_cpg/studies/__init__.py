@@ -1,1 +1,1 @@
-"""Studies that `evo-cpg reproduce` repeats: runs, and the tables and pictures made of them."""
+"""Studies that `evo-cpg reproduce` repeats: runs, and their tables and pictures."""

@@ -1,4 +1,4 @@
-"""The audits of a study's champions, as a table."""
+"""Tables of the audits of a study's champions."""
 
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,7 @@ from evo_cpg.studies.study import Part, Table, middle, percent, tabled
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
 
-# Checks that a table shows as fractions of the displacement, and their heads.
+# Head of the column for each check, which shows the fraction of the displacement that is kept.
 _KEPT = {
     "pose": "in other poses or draws",
     "half_step": "at half the step",
@@ -24,9 +24,9 @@ def audit_part(title: str, shown: Mapping[str, str], *, medians: bool = False) -
     """Return a part that audits the champions of runs.
 
     Args:
-        title: of the part.
+        title: title of the part.
         shown: names of the runs, by their names in tables.
-        medians: make a table of medians and ranges, too.
+        medians: add a table of medians and ranges.
     """
 
     def report(workshop: "Workshop") -> list[Table]:
@@ -39,7 +39,7 @@ def audit_part(title: str, shown: Mapping[str, str], *, medians: bool = False) -
 
 
 def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
-    """Return the audits of a run's champions, a row for each; only the first if quick."""
+    """Return a row for the audit of each champion of a run, or only of the first if quick."""
 
     def measure() -> list[dict[str, Any]]:
         from evo_cpg.api.audit import audits
@@ -72,8 +72,8 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     """Return a table with a row for each champion.
 
     Args:
-        title: above the table.
-        rows: from `audited`, by what their runs are called.
+        title: title above the table.
+        rows: rows from `audited`, by the name of their runs in the table.
     """
     every = [row for found in rows.values() for row in found]
     keys = [key for key in _KEPT if any(key in row["measured"] for row in every)]
@@ -93,7 +93,7 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
 def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     """Return a table with a row for each run: medians and ranges of its champions.
 
-    The column for MuJoCo is the last of its opinions, which is closest to our own simulation.
+    The column for MuJoCo shows its last opinion, which is closest to our own simulation.
     """
     lines = []
     for name, found in rows.items():
@@ -111,18 +111,18 @@ def _known(values: Iterable[float | None]) -> list[float]:
 
 
 def _percents(values: Iterable[float | None]) -> str:
-    """Return median and range of shares, in per cent."""
+    """Return median and range of fractions, in per cent."""
     known = _known(values)
     return f"{middle(100 * np.array(known), 0)} %" if known else ""
 
 
 def _others(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the opinions of other programs; the first is ours."""
+    """Return the opinions of other programs. The first opinion is our own."""
     return row["opinions"][1:]
 
 
 def _second_opinion(row: dict[str, Any]) -> float | None:
-    """Return the displacement in the last program, relative to our own in the same trial."""
+    """Return the displacement in the last program, relative to our own; None without a program."""
     others = _others(row)
     return others[-1]["way"] / row["opinions"][0]["way"] if others else None
 

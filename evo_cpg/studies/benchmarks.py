@@ -1,4 +1,4 @@
-"""How fast the program is: the cases of `evo-cpg bench`, a part each, which evolve nothing."""
+"""Study of the program's speed: a part for each case of `evo-cpg bench`, without runs."""
 
 import importlib
 import sys
@@ -12,19 +12,19 @@ from evo_cpg.installation import command_for
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
-# Cases with an animal that moves, which is drawn.
+# Cases that simulate an animal, whose rates are drawn.
 _MOVING = ("swimmer", "salamander-water", "salamander-land", "quadruped")
 
 
 class SuiteError(UserError):
-    """There is no suite of benchmarks; the message is for the user as it stands."""
+    """Missing suite of benchmarks, or missing package that the suite needs."""
 
 
 def bench_suite() -> ModuleType:
-    """The suite, ``benchmarks/suite.py`` of the checkout that this program lies in.
+    """Import and return ``benchmarks/suite.py`` of the checkout that this program lies in.
 
     Raises:
-        SuiteError: it lies in none, or MuJoCo is missing.
+        SuiteError: the program lies in no checkout, or a package such as MuJoCo is missing.
     """
     checkout = Path(evo_cpg.__file__).parents[1]
     if not (checkout / "benchmarks" / "suite.py").is_file():
@@ -42,7 +42,7 @@ def bench_suite() -> ModuleType:
 
 
 def measure(workshop: Workshop, case: str) -> list[Table]:
-    """The rows of a case."""
+    """Measure a case and return its tables."""
     suite = bench_suite()
     request = suite.Selection((case,), quick=workshop.quick)
     machine, rows = suite.measure(request, workshop.devices, workshop.work)

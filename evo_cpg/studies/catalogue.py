@@ -1,4 +1,4 @@
-"""Which studies there are; each is imported when it is asked for."""
+"""Catalogue of all studies. Each study is imported when it is requested."""
 
 import importlib
 
@@ -17,5 +17,5 @@ NAMES = (
 
 
 def study(name: str) -> Study:
-    """The study of that name, one of `NAMES`."""
+    """Import and return the study of a name, one of `NAMES`."""
     return importlib.import_module(f"evo_cpg.studies.{name}").STUDY

@@ -1,7 +1,7 @@
-"""Chapter 4 of Fukui 2003: which walker goes farthest, and how lineages are lost.
+"""Chapter 4 of Fukui 2003: distances of the three walkers, and the loss of lineages.
 
-What the thesis leaves open (strength of the springs, sizes, how restitutions combine, whether a
-mutated gene is flipped) is varied too, one at a time.
+Some choices that the thesis leaves open are varied, one at a time: the strength of the springs,
+sizes, the combination of restitutions, and whether a mutated gene is flipped.
 """
 
 from collections.abc import Sequence
@@ -21,15 +21,15 @@ from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 
 TORSO = 0.6  # m
-_LEGS = range(1, 9)  # bodies of Model 1 after its torso; every second one is a lower box
-# Relative fall of the best distance from its highest so far that counts as the loss of a lineage.
+_LEGS = range(1, 9)  # bodies of Model 1 after its torso, where upper and lower boxes alternate
+# A fall of the best distance by this fraction of its highest so far is the loss of a lineage.
 COLLAPSE = 0.25
-HELD_ANGLE = 170.0  # degrees; of the allowed angles one of the two next to straight down
+HELD_ANGLE = 170.0  # degrees, one of the two allowed angles closest to straight down
 
 MODELS = ("model1", "model2", "model3")
 _NOISE = ("noise.joint_angle_deg=1", "noise.tilt_deg=1", "noise.push=0.02")
 _SHORT = ("evolution.generations=250",)
-# The weights of configs/hexapod.yaml, as they were before the first of these runs.
+# Weights that configs/hexapod.yaml had before the first of these runs.
 _WALK = (
     "task.type=walk",
     "task.tilt_weight=20",
@@ -40,7 +40,7 @@ _RANDOM = "evolution={type: random, generations: 500, population: 15}"
 
 
 def _springs(factor: float) -> tuple[str, ...]:
-    """Springs, dampers and limits of all joints of Model 1 times a factor."""
+    """Return overrides that scale springs, dampers and torque limits of Model 1 by a factor."""
     strength = {"stiffness": 150, "gain": 3, "torque_limit": 40}
     return tuple(
         f"creature.bodies.{leg}.joint.actuator.{key}={value * factor:g}"
@@ -50,7 +50,7 @@ def _springs(factor: float) -> tuple[str, ...]:
 
 
 def _legs(length: float) -> tuple[str, ...]:
-    """Leg boxes of Model 1 with another length, m."""
+    """Return overrides that set the length of the leg boxes of Model 1, m."""
     changes = []
     for leg in _LEGS:
         body = f"creature.bodies.{leg}"
@@ -95,7 +95,7 @@ _NOISES = {
 
 
 def models(workshop: Workshop) -> list[Table]:
-    """Which of the three models goes farthest."""
+    """Compare the distances of the three models."""
     from evo_cpg.view.search_plots import generations_figure
 
     best = {_title(model): _ends(workshop, model) for model in MODELS}
@@ -114,7 +114,7 @@ def models(workshop: Workshop) -> list[Table]:
 
 
 def long(workshop: Workshop) -> list[Table]:
-    """Model 1 for 2000 generations, as in Fig. 4-2, with noise and without."""
+    """Evaluate Model 1 over 2000 generations, as in Fig. 4-2, with and without noise."""
     from evo_cpg.view.search_plots import generations_figure
 
     names = {"long": "without noise", "long_noise": "noise, 7 kept"}
@@ -124,7 +124,7 @@ def long(workshop: Workshop) -> list[Table]:
 
 
 def single(workshop: Workshop) -> list[Table]:
-    """Two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
+    """Evaluate two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
     from evo_cpg.view.search_plots import generations_figure
 
     best, first = _best(workshop, "single"), workshop.experiment("single").seed
@@ -142,7 +142,7 @@ def single(workshop: Workshop) -> list[Table]:
 
 
 def halving(workshop: Workshop) -> list[Table]:
-    """How far the champions go at smaller steps."""
+    """Compare the displacements of the champions at smaller time steps."""
 
     def measure() -> dict[str, list[list[float]]]:
         found = {}
@@ -163,7 +163,7 @@ def halving(workshop: Workshop) -> list[Table]:
 
 
 def random(workshop: Workshop) -> list[Table]:
-    """The models beside random search and beside an animal that holds one posture."""
+    """Compare the models with random search and with an animal that holds one posture."""
 
     def measure() -> dict[str, float]:
         return {model: _held(workshop, model) for model in MODELS}
@@ -184,7 +184,7 @@ def random(workshop: Workshop) -> list[Table]:
 
 
 def walk(workshop: Workshop) -> list[Table]:
-    """The three models scored for their posture, too, as section 4.3 proposes."""
+    """Compare models evolved for distance with models evolved for posture, too (section 4.3)."""
     from evo_cpg.view.search_plots import champions_figure
 
     rows, dots = [], {}
@@ -210,7 +210,7 @@ def walk(workshop: Workshop) -> list[Table]:
 
 
 def noise(workshop: Workshop) -> list[Table]:
-    """How lineages are lost where there is chance, and the thesis's remedies."""
+    """Compare the loss of lineages without noise, with noise, and with the thesis's remedies."""
     from evo_cpg.view.search_plots import generations_figure
 
     curves = {title: _best(workshop, name) for name, title in _NOISES.items()}
@@ -221,7 +221,12 @@ def noise(workshop: Workshop) -> list[Table]:
 
 
 def alternatives(workshop: Workshop, names: dict[str, str]) -> list[Table]:
-    """What the thesis leaves open, beside what was chosen."""
+    """Compare alternatives that the thesis leaves open with the choice made here, the first.
+
+    Args:
+        workshop: maker of the study.
+        names: title of each alternative, by the name of its runs.
+    """
     best = {title: _ends(workshop, name) for name, title in names.items()}
     first = next(iter(best))
     against = beside(best, first)
@@ -247,7 +252,7 @@ def _ends(workshop: Workshop, name: str) -> list[float]:
 
 
 def _differ(values: Sequence[Sequence[float]]) -> bool:
-    """Return whether the values differ; otherwise there is nothing to test."""
+    """Return whether any two values differ. The test needs different values."""
     return len({value for each in values for value in each}) > 1
 
 
@@ -256,13 +261,13 @@ def _highest(best: np.ndarray) -> np.ndarray:
 
 
 def _falls(best: np.ndarray) -> tuple[np.ndarray, float]:
-    """Falls of each run, and the share of generations in which runs have fallen."""
+    """Return the number of falls of each run, and the fraction of fallen generations."""
     fallen = best < (1 - COLLAPSE) * _highest(best)
     return (np.diff(fallen.astype(int), axis=0) == 1).sum(0), float(fallen.mean())
 
 
 def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = None) -> Table:
-    """What was found and what is held."""
+    """Return a table of the best distances ever, of those held at the end, and of the falls."""
     best = {name: _best(workshop, name) for name in names}
     ever = {name: np.nanmax(own, 0).tolist() for name, own in best.items()}
     last = {name: own[-max(len(own) // 10, 1) :] for name, own in best.items()}
@@ -296,7 +301,11 @@ def _held(workshop: Workshop, model: str) -> float:
 
 
 def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float]]:
-    """Evaluate champions of some runs in the simulation of others."""
+    """Evaluate the champions of the runs ``name`` in the simulation of the runs ``world``.
+
+    Returns:
+        Distance, m, tilt and score of each champion. They are 0 for a champion that diverged.
+    """
 
     def measure() -> dict[str, list[float]]:
         simulation = workshop.experiment(world).simulation

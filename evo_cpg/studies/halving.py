@@ -1,9 +1,9 @@
-"""How far champions go at smaller steps.
+"""Displacements of champions at smaller time steps.
 
-They are replayed at the step that they evolved at, at half and at a quarter of it, and once more at
-their own with all joints turned by a hair (1e-6 rad) at first. What a hair changes is the animal's
-own chaos; only what half a step changes beyond that is the step's. The way is that of the root from
-start to end, over the ground or through the water.
+Champions are replayed at their own step, at half of it and at a quarter of it. Another replay at
+their own step first turns all joints by a hair (1e-6 rad). Its effect is the chaos of the animal.
+Only a larger effect of half the step is due to the step. The displacement is the horizontal
+distance of the root from start to end.
 """
 
 import dataclasses
@@ -19,18 +19,18 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.variations import finer
 
-# How much each joint is turned, rad.
+# Rotation of each joint at the start, rad.
 HAIR = 1e-6
 
 
 class Displacements(NamedTuple):
-    """How far each of some champions gets, m.
+    """Displacement of each champion, m.
 
     Attributes:
-        own: at the step that it evolved at.
-        half: at half of it.
-        quarter: at a quarter.
-        hair: at its own, with joints turned by `HAIR` at the start.
+        own: displacement at the time step of the evolution.
+        half: displacement at half the time step.
+        quarter: displacement at a quarter of the time step.
+        hair: displacement at the time step of the evolution, with joints turned by `HAIR` first.
     """
 
     own: Float[np.ndarray, " n"]
@@ -40,7 +40,7 @@ class Displacements(NamedTuple):
 
 
 def displacements(simulation: Simulation, genes: Float[np.ndarray, "n g"]) -> Displacements:
-    """How far champions get, without noise, in the first of their situations."""
+    """Simulate champions and return their displacements in the first situation, without noise."""
 
     def displacement(times: int, turned: float = 0.0) -> np.ndarray:
 
@@ -56,5 +56,5 @@ def displacements(simulation: Simulation, genes: Float[np.ndarray, "n g"]) -> Di
 
 
 def kept(own: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> float:
-    """The median share of its way that a champion keeps, at most all of it."""
+    """Return the median fraction of the displacement that champions keep, each at most 1."""
     return float(np.median(np.minimum(other / own, 1.0)))

@@ -1,4 +1,4 @@
-"""The hexapod, a walker of our own: how far and how upright it goes, and its audits."""
+"""Study of the hexapod, a walker of our own: distance, tilt and audits."""
 
 from evo_cpg.studies.audits import audit_part
 from evo_cpg.studies.stills import pictures_part
@@ -9,7 +9,7 @@ RUNS = {"hexapod": Runs("hexapod", (), 5)}
 
 
 def walk(workshop: Workshop) -> list[Table]:
-    """What five champions come to."""
+    """Return a table with fitness and terms of the five champions."""
     champions = workshop.champions("hexapod")
     found = {"fitness": [champion.worth for champion in champions]}
     for name in ("distance", "tilt", "bounce", "airborne"):

@@ -1,4 +1,4 @@
-"""The swimmer of Iwadate 2010: does it reach the light, and with a wave along its body?"""
+"""Study of the swimmer of Iwadate 2010: distance to the light, and wave along the body."""
 
 import jax
 import numpy as np
@@ -27,7 +27,7 @@ RUNS = {
 
 
 def swim(workshop: Workshop) -> list[Table]:
-    """Five champions, random search with as many evaluations, and an animal that is still."""
+    """Compare champions with random search of as many evaluations, and with an undriven animal."""
     from evo_cpg.training.run_folder import history_columns
     from evo_cpg.view.plots import fitness_figure, path_figure
 
@@ -42,7 +42,7 @@ def swim(workshop: Workshop) -> list[Table]:
 
 
 def lags(workshop: Workshop) -> list[Table]:
-    """Figure 3: the phase lag of the joint angles, and how many untrained animals have one."""
+    """Return the phase lags of joint angles (Figure 3), and count untrained animals with a wave."""
     from evo_cpg.view.plots import joint_signals_figure
 
     best, rows = workshop.checkpoint("shared").champion, []
@@ -71,7 +71,7 @@ def lags(workshop: Workshop) -> list[Table]:
 
 
 def drives(workshop: Workshop) -> list[Table]:
-    """Other readings of what the brain sets."""
+    """Compare other readings of the quantities that the brain sets."""
     rows = []
     for name in ("per_joint", "per_dof"):
         experiment = workshop.experiment(name)
@@ -94,7 +94,7 @@ def drives(workshop: Workshop) -> list[Table]:
 
 
 def audit(workshop: Workshop) -> list[Table]:
-    """The champions audited, and the load of their motors."""
+    """Return tables of the audited champions, and of the load of their motors."""
     found = audited(workshop, "shared")
     columns = {
         "largest torque, N m": "peak_torque",
@@ -111,7 +111,7 @@ def audit(workshop: Workshop) -> list[Table]:
 
 
 def _untrained(workshop: Workshop) -> dict[str, int]:
-    """How many animals with random brains have a wave along the body."""
+    """Count animals with random brains, and those with a wave along the body."""
     experiment = workshop.experiment("shared")
     simulation = experiment.simulation
     genes = first_population(experiment)[:, :_UNTRAINED]

@@ -1,4 +1,4 @@
-"""Tables of champions that came to a light, beside random search and an animal that is still."""
+"""Tables of champions near a light, compared with random search and an undriven animal."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ from evo_cpg.training.experiment import compile_trials
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
 
-# "Near the light": this share of the distance at the start is left.
+# "Near the light": less than this fraction of the initial distance is left.
 NEAR = 0.1
 
 
@@ -27,9 +27,9 @@ def light_table(
     """Return a table with a row for each champion, then medians.
 
     Args:
-        workshop: where the runs are.
-        evolved: name of the runs.
-        random: name of those of random search.
+        workshop: maker of the study, with the runs.
+        evolved: name of the evolved runs.
+        random: name of the runs of random search, if any.
         more: further rows.
     """
     rows, fitness = [], {}
@@ -61,7 +61,7 @@ def light_table(
 
 
 def _terms(terms: Mapping[str, float]) -> dict[str, str]:
-    """Return the cells of terms of the task."""
+    """Return the cells for terms of the task."""
     return {
         "distance left": percent(terms["distance"]),
         "light seen": f"{terms['light']:.2f}",
@@ -70,9 +70,9 @@ def _terms(terms: Mapping[str, float]) -> dict[str, str]:
 
 
 def still(workshop: "Workshop", name: str) -> dict[str, str]:
-    """The line of an animal whose brain gives its spinal cord no drive at all.
+    """Return the row of an animal whose brain gives the spinal cord no drive.
 
-    Its fitness is by the yardsticks of the first run.
+    The fitness uses the scales of the first run.
     """
     simulation = workshop.experiment(name).simulation
     silent = simulation.genome.with_controller(silent_genes(simulation.controller)[:, None])
@@ -83,9 +83,10 @@ def still(workshop: "Workshop", name: str) -> dict[str, str]:
 
 
 def evaluate(simulation: Simulation, genes: np.ndarray) -> dict[str, np.ndarray]:
-    """Terms of animals ``(genes, n)`` without noise, NaN of those that diverged.
+    """Evaluate animals ``(genes, n)`` in each situation without noise.
 
-    A row for each animal and a column for each situation.
+    Returns:
+        Terms of the task by name, shape ``(n, situations)``. They are NaN for diverged animals.
     """
     simulation = dataclasses.replace(simulation, noise=Noise())
     count = len(simulation.situations)

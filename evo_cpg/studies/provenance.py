@@ -1,4 +1,4 @@
-"""How every table and picture of a study was made, in `provenance.json` beside them."""
+"""Provenance of a study's tables and pictures, in `provenance.json` beside them."""
 
 import hashlib
 import json
@@ -13,12 +13,12 @@ FILE = "provenance.json"
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file."""
+    """Return the SHA-256 of a file, in hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def read(folder: Path) -> dict[str, Any]:
-    """Read how the parts of a folder were made, by name; empty without a file.
+    """Return the provenance of each part of a folder, by name, or {} without a file.
 
     Raises:
         RunFolderError: the file is damaged.
@@ -32,14 +32,14 @@ def _is_sound(content: Any) -> bool:
 
 
 def note(folder: Path, part: str, record: Mapping[str, Any]) -> None:
-    """Write down how a part was made."""
+    """Write the provenance of a part to the file of a folder."""
     parts = read(folder) | {part: dict(record)}
     text = json.dumps({"parts": parts}, indent=1, allow_nan=False) + "\n"
     write_text(folder / FILE, text)
 
 
 def problems(folder: Path) -> list[str]:
-    """Return tables and pictures of a folder that differ from its provenance."""
+    """Return messages about tables and pictures that differ from the provenance of a folder."""
     parts, found, known = read(folder), [], set()
     for name, part in parts.items():
         for file, sha256 in part["files"].items():
@@ -55,7 +55,7 @@ def problems(folder: Path) -> list[str]:
 
 
 def caption(study: str, part: str, record: Mapping[str, Any]) -> str:
-    """The line under every table that says how it was made."""
+    """Return the line of provenance for the end of every table."""
     words = (
         f"*Made by `evo-cpg reproduce {study} {part}` with evo-cpg {record['versions']['evo-cpg']}"
     )

@@ -1,4 +1,4 @@
-"""The salamander in water, on land, across a shore, among boulders; a swimmer with two eyes."""
+"""Study of the salamander in four environments, and of a swimmer with two eyes."""
 
 import dataclasses
 
@@ -14,8 +14,8 @@ from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle, perc
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.probe import around, blinded, probe
 
-_REACHED = 0.2  # of the distance left
-_BELLY_DOWN = 60  # degrees of tilt, from mean cosine
+_REACHED = 0.2  # largest fraction of the distance left
+_BELLY_DOWN = 60  # largest tilt, from the mean cosine, degrees
 _BEARINGS = np.deg2rad(np.linspace(-75, 75, 20))
 _RANDOM = "evolution={type: random, generations: 50, population: 200}"
 
@@ -36,14 +36,14 @@ RUNS = {
 
 
 def water(workshop: Workshop) -> list[Table]:
-    """Champions in water, random search, and champions of land put into water."""
+    """Compare champions in water with random search, and with champions of land put into water."""
     left = 100 * np.array(_evaluated_in(workshop, "water", "land")["distance"])
     guests = {"": "champions of land", "seed": "all", "distance left": f"{middle(left, 1)} %"}
     return [light_table(workshop, "water", "water_random", still(workshop, "water"), guests)]
 
 
 def land(workshop: Workshop) -> list[Table]:
-    """Champions on land, and random search."""
+    """Compare champions on land with random search."""
     return [light_table(workshop, "land", "land_random", still(workshop, "land"))]
 
 
@@ -56,7 +56,7 @@ _AUDITED = {
 
 
 def shore(workshop: Workshop) -> list[Table]:
-    """Champions across the shore, in each of its situations, and others put there."""
+    """Compare champions of the shore, in each situation, with champions of land put there."""
     left = 100 * np.array(_evaluated_in(workshop, "shore", "land")["distance"])
     cells = [f"{middle(column, 1)} %" for column in left.T]
     guests = {"": "champions of land"} | dict(zip(_LEFT, cells, strict=True))
@@ -64,7 +64,7 @@ def shore(workshop: Workshop) -> list[Table]:
 
 
 def shore_random(workshop: Workshop) -> list[Table]:
-    """Random search at the shore."""
+    """Compare champions of the shore with random search."""
     fitness = {
         name: [champion.worth for champion in workshop.champions(name)]
         for name in ("shore", "shore_random")
@@ -81,7 +81,7 @@ _LEFT = [
 
 
 def _crossings(workshop: Workshop, name: str) -> list[dict[str, str]]:
-    """Return the distance that champions leave in each situation, and their tilt, as rows."""
+    """Return a row for each champion: distance left in each situation, and largest tilt."""
     found = _evaluated_in(workshop, "shore", name)
     rows = []
     for champion, left, tilt in zip(
@@ -100,12 +100,12 @@ def _crossings(workshop: Workshop, name: str) -> list[dict[str, str]]:
 
 
 def boulders(workshop: Workshop) -> list[Table]:
-    """Champions among boulders."""
+    """Return a table of the champions among boulders."""
     return [light_table(workshop, "boulders")]
 
 
 def eyes(workshop: Workshop) -> list[Table]:
-    """The two-eyed swimmer of seed 0 is shown lights that it never saw, seeing and blind."""
+    """Probe the two-eyed swimmer of seed 0 with new lights, with its eyes and blind."""
     from evo_cpg.view.probe_plot import probe_figure
 
     simulation = workshop.experiment("eyes").simulation
@@ -131,15 +131,16 @@ def eyes(workshop: Workshop) -> list[Table]:
 
 
 def _angle(tilt: float | np.ndarray) -> np.ndarray:
-    """Return the angle of a mean of 1 - cos, degrees."""
+    """Convert a mean of 1 - cos(angle) to an angle, degrees."""
     return np.rad2deg(np.arccos(1 - np.asarray(tilt)))
 
 
 def _evaluated_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[float]]]:
     """Evaluate champions in each situation of a world, without noise.
 
-    Returns the fraction of the distance left, and the tilt: the mean of 1 - cos(angle of the head's
-    up axis to the vertical).
+    Returns:
+        The fraction of the distance left, and the tilt: the mean of 1 - cos(angle of the head's up
+        axis to the vertical). Both have a list for each champion.
     """
 
     def measure() -> dict[str, list[list[float]]]:
@@ -153,7 +154,7 @@ def _evaluated_in(workshop: Workshop, world: str, name: str) -> dict[str, list[l
         genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
         measured = dataclasses.replace(simulation, measures=measures("tilt"))
         terms = {key: x.astype(float) for key, x in evaluate(measured, genes).items()}
-        # A diverged animal counts as far away and on its back.
+        # A diverged animal counts as distant and on its back.
         return {
             "distance": np.nan_to_num(terms["distance"], nan=9.0).tolist(),
             "tilt": np.nan_to_num(terms["tilt"], nan=2.0).tolist(),

@@ -1,6 +1,6 @@
-"""Which search is best, and how much of a map of gaits each fills.
+"""Comparison of searches: fitness, and the fraction of a map of gaits that each search fills.
 
-The settings stand in `searches/`, for `evo-cpg sweep` to take as well.
+The settings are in `searches/`. `evo-cpg sweep` also accepts these files.
 """
 
 from functools import partial
@@ -15,7 +15,7 @@ from evo_cpg.studies.workshop import Workshop
 _FOLDER = Path(__file__).parent / "searches"
 _GENETIC, _RANDOM = "genetic algorithm", "random search"
 
-# Settings, configuration, and runs of each.
+# Configuration and number of runs, by the file of settings.
 _FILES = {
     "swimmer": ("iwadate2010_swimmer", 8),
     "walker": ("fukui2003_model1", 8),
@@ -61,7 +61,7 @@ def searches(workshop: Workshop, part: str) -> list[Table]:
 
 
 def maps(workshop: Workshop, part: str) -> list[Table]:
-    """How much of a map each search fills."""
+    """Compare the fractions of a map that the searches fill."""
     from evo_cpg.training.elites import gait_map
     from evo_cpg.view.map_plot import map_figure
 

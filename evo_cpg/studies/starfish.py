@@ -1,4 +1,4 @@
-"""The starfish: how far behind the one before it each arm of a champion is, around its ring."""
+"""Study of the starfish: lag of each arm behind the previous arm of the ring."""
 
 import itertools
 
@@ -12,14 +12,14 @@ from evo_cpg.studies.stills import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, tabled
 from evo_cpg.studies.workshop import Workshop
 
-# Windows of the second half of a trial, each with lags of its own.
+# Number of windows of the second half of a trial, whose lags are computed separately.
 _WINDOWS = 3
 
 RUNS = {name: Runs(name, (), 5) for name in ("starfish", "starfish_land")}
 
 
 def lags(workshop: Workshop) -> list[Table]:
-    """Mean lags over the second half of the trial, and the least and largest in its thirds."""
+    """Return mean lags over the second half of the trial, and the extremes over its thirds."""
     rows = []
     for name in RUNS:
         simulation = workshop.experiment(name).simulation
@@ -44,7 +44,7 @@ def lags(workshop: Workshop) -> list[Table]:
 
 
 def _parts(recording: Recording) -> list[Recording]:
-    """The second half of a recording, in equal parts."""
+    """Return the second half of a recording, in equal parts."""
     edges = (np.linspace(0.5, 1, _WINDOWS + 1) * len(recording.time)).astype(int)
     return [
         recording._replace(

@@ -1,4 +1,4 @@
-"""Moments of champions' motions, in one picture for each table."""
+"""Pictures with moments of champions' motions, one picture for each table."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -11,7 +11,7 @@ from evo_cpg.studies.study import Part, Table, tabled
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
 
-# Size of each moment, pixels, and how many there are, from the start of a trial to its end.
+# Size of each moment, pixels, and number of moments from the start of a trial to its end.
 _SIZE, _MOMENTS = (480, 270), 3
 
 
@@ -19,9 +19,9 @@ def pictures_part(title: str, *shown: Mapping[str, str]) -> Part:
     """Return a part that draws the best champions of runs.
 
     Args:
-        title: of the part.
-        shown: for each picture: names of the runs, by what is written in it. The name of a second
-            picture is that of its first run.
+        title: title of the part.
+        shown: names of the runs by their captions, for each picture. The first picture is named
+            after the part. Each further picture is named after its first run.
     """
 
     def report(workshop: "Workshop") -> list[Table]:
@@ -32,12 +32,12 @@ def pictures_part(title: str, *shown: Mapping[str, str]) -> Part:
 
 
 def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") -> Table:
-    """Draw the best champion of some runs, each in a row, and tell which they are.
+    """Draw the best champion of each run in a row, and return a table of the champions.
 
     Args:
-        workshop: where the runs are.
-        shown: names of the runs, by what is written in the picture.
-        picture: name of the picture; that of the part where it is the only one.
+        workshop: maker of the study, with the runs.
+        shown: names of the runs, by their captions in the picture.
+        picture: name of the picture within the part, or empty for the part's own name.
     """
     from evo_cpg.training.replay import compile_replay
     from evo_cpg.view.film import side_by_side
@@ -70,7 +70,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
 
 
 def _distance(recording: Recording) -> str:
-    """In words: to the light, or over ground."""
+    """Return the distance as text: initial and final distance to the light, or distance gone."""
     first, last = recording.distance[[0, -1]]
     if np.isfinite(recording.goal).all():
         return f"{first:.2f} to {last:.2f} m to the light"

@@ -1,4 +1,4 @@
-"""What a study is: runs that are declared once, and parts that make tables and pictures of them."""
+"""Declarations of a study: runs, and parts that make tables and pictures of the runs."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
 
 class Runs(NamedTuple):
-    """An experiment, evolved several times with the seeds 0, 1, ...
+    """Experiment that is evolved several times with successive seeds.
 
     Attributes:
         config: name of a shipped configuration.
-        overrides: what is changed of it, ``key=value``.
-        count: of runs side by side.
+        overrides: changes to the configuration, ``key=value``.
+        count: number of runs side by side.
     """
 
     config: str
@@ -26,12 +26,12 @@ class Runs(NamedTuple):
 
 
 class Table(NamedTuple):
-    """A table of results.
+    """Table of results.
 
     Attributes:
-        title: above it.
-        head: of the columns.
-        rows: of cells.
+        title: title above the table, if any.
+        head: head of each column.
+        rows: cells of each row.
     """
 
     title: str
@@ -40,18 +40,18 @@ class Table(NamedTuple):
 
 
 def tabled(rows: Sequence[Mapping[str, str]], title: str = "") -> Table:
-    """Return a table of rows by the heads of their columns; a cell that a row lacks is empty."""
+    """Return a table of rows whose cells are named by column. A missing cell is empty."""
     head = list(dict.fromkeys(column for row in rows for column in row))
     return Table(title, head, [[row.get(column, "") for column in head] for row in rows])
 
 
 class Part(NamedTuple):
-    """What can be renewed by itself.
+    """Part of a study that can be made separately.
 
     Attributes:
-        title: what it is about, for a list.
-        runs: names of the study's runs that it takes; none where it measures without them.
-        report: makes its tables, and its pictures by `Workshop.picture`.
+        title: subject of the part, for a list.
+        runs: names of the study's runs that the part uses, if any.
+        report: function that returns the tables, and draws pictures to `Workshop.picture`.
     """
 
     title: str
@@ -60,13 +60,13 @@ class Part(NamedTuple):
 
 
 class Study(NamedTuple):
-    """A study.
+    """Study of runs.
 
     Attributes:
-        name: on the command line.
-        title: for a list.
-        runs: by their names, which are those of their folders.
-        parts: by name.
+        name: name on the command line.
+        title: title for a list.
+        runs: runs by name, which is also the name of their folder.
+        parts: parts by name.
     """
 
     name: str
@@ -76,12 +76,12 @@ class Study(NamedTuple):
 
 
 def percent(fraction: float) -> str:
-    """A share as it stands in a table."""
+    """Return a fraction as a percentage with one decimal."""
     return f"{100 * fraction:.1f} %"
 
 
 def middle(values: Sequence[float] | np.ndarray, digits: int = 2) -> str:
-    """Median and range."""
+    """Return median and range of the finite values as text, or "none" without finite values."""
     known = np.asarray(values, float)
     known = known[np.isfinite(known)]
     if not known.size:
@@ -91,19 +91,22 @@ def middle(values: Sequence[float] | np.ndarray, digits: int = 2) -> str:
 
 
 def in_order(values: Sequence[float] | np.ndarray, digits: int = 2) -> str:
-    """All of them, sorted."""
+    """Return all values as text, sorted from the smallest."""
     return ", ".join(f"{value:.{digits}f}" for value in sorted(map(float, values)))
 
 
 def beside(values: Mapping[str, Sequence[float]], first: str) -> dict[str, str]:
-    """How often each setting beats the first one, and how sure that is, in words.
+    """Return the fraction of pairs in which each setting beats the first, with its p value.
 
-    The p values are those of Mann and Whitney's test, two-sided, with Holm's correction for as many
-    settings as stand beside the first.
+    The p values are from the two-sided Mann-Whitney test. Holm's correction covers all settings
+    except the first.
 
     Args:
-        values: of the runs of each setting, to be maximised.
-        first: name of the setting that the others are compared with.
+        values: values of the runs of each setting, to be maximised.
+        first: name of the setting that the other settings are compared with.
+
+    Returns:
+        Text for each setting, which is empty for the first and if there is nothing to test.
     """
     found = {
         name: compare({name: own, first: values[first]})

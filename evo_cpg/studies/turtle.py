@@ -1,4 +1,4 @@
-"""The turtle of the tutorial: the effect of its three lights and of the twist of its flippers."""
+"""Study of the tutorial's turtle: effects of its three lights and of the twist of its flippers."""
 
 import dataclasses
 
@@ -10,10 +10,11 @@ from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.probe import around
 
-_REACHED, _LOST = 0.2, 9.0  # of the distance left; of who diverged
+# Largest fraction of the distance left at a reached light, and fraction for a diverged animal.
+_REACHED, _LOST = 0.2, 9.0
 _BEARINGS = np.deg2rad(np.linspace(-75, 75, 11))
 
-# Title, and what is changed.
+# Title and overrides of each variant.
 _CHANGES = {
     "turtle": ("as shipped", ()),
     "one_light": (
@@ -29,7 +30,7 @@ RUNS = {name: Runs("turtle", changes, 5) for name, (_, changes) in _CHANGES.item
 
 
 def changes(workshop: Workshop) -> list[Table]:
-    """What champions that evolved otherwise come to, before their own lights and before others."""
+    """Compare champions of changed configurations, with their own lights and with other lights."""
     rows, mean_left = [], {}
     for name, (title, _) in _CHANGES.items():
         simulation, champions = workshop.experiment(name).simulation, workshop.champions(name)

@@ -1,13 +1,13 @@
 """Make a study: evolve its runs, and write the tables and pictures of its parts.
 
-    runs/NAME/         a run folder for each of the study's runs
-    runs/KEY.json      what was measured of finished runs
+    runs/NAME/         run folder for each of the study's runs
+    runs/KEY.json      measurements of finished runs
     PART.md            tables
     PART*.png          pictures
-    provenance.json    how each part was made
+    provenance.json    provenance of each part
 
-Everything may be stopped at any moment: finished runs are reused, and an interrupted run continues
-to the same bits.
+The work may be interrupted at any moment. Finished runs are reused, and an interrupted run
+continues to bitwise equal results.
 """
 
 import hashlib
@@ -45,9 +45,9 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Size of a run with --quick: a second of a trial, for the terms of its last second.
+# Size of a run with --quick. Terms of the last second need a trial of at least one second.
 _QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
-# Five islands of four.
+# The population allows five islands of four individuals.
 _QUICK_POPULATION, _QUICK_ELITES = 20, 2
 
 
@@ -55,13 +55,13 @@ class Workshop:
     """Maker of the parts of a study.
 
     Args:
-        study: which.
-        folder: where its tables and pictures go.
-        quick: scaled down, to see that everything runs.
-        devices: that share the populations.
+        study: study to make.
+        folder: folder for tables, pictures and runs.
+        quick: scale all runs down, as a test.
+        devices: number of devices that share the populations.
 
     Attributes:
-        work: where a part that is being made says what it does.
+        work: progress display of the current part.
     """
 
     work: Work
@@ -74,12 +74,12 @@ class Workshop:
         self._part = ""
 
     def claim(self) -> None:
-        """Check that the folder holds nothing else.
+        """Check that the folder does not mix quick and full results, and make the folder of runs.
 
         Raises:
-            OutputError: it cannot be made.
-            RunFolderError: it holds quick results where others are asked for or the other way
-                round.
+            OutputError: the folder cannot be made.
+            RunFolderError: the folder holds quick results and full ones are requested, or the
+                reverse.
         """
         other = [
             name
@@ -94,20 +94,21 @@ class Workshop:
         make_folder(self.folder / "runs")
 
     def forget(self, part: str) -> None:
-        """Throw the runs of a part away, so that they are evolved anew."""
+        """Delete the runs of a part, to evolve them again."""
         for name in self.study.parts[part].runs:
             self._members.pop(name, None)
             self._loaded.pop(name, None)
             shutil.rmtree(self._run(name).path, ignore_errors=True)
 
     def make(self, part: str) -> list[Path]:
-        """Make a part: evolve what is missing of its runs, and write its files.
+        """Make a part: evolve its unfinished runs, and write its files.
 
         Returns:
-            What was written.
+            Paths of the page of tables and of the pictures.
 
         Raises:
-            RunFolderError: a run was made with another configuration, or nobody of it lives.
+            RunFolderError: a run was made with another configuration, or all its individuals
+                diverged.
         """
         began = time.perf_counter()
         declared = self.study.parts[part]
@@ -118,7 +119,7 @@ class Workshop:
         return self._write(part, declared, tables, time.perf_counter() - began)
 
     def member(self, name: str) -> Member:
-        """Build a run as it is declared."""
+        """Build a run from its declaration, once, and return it."""
         if name not in self._members:
             declared = self.study.runs[name]
             source = shipped(declared.config).path
@@ -132,7 +133,7 @@ class Workshop:
         return self._members[name]
 
     def source(self, name: str) -> Path:
-        """The file that a run's configuration came from."""
+        """Return the file that a run's configuration came from."""
         return shipped(self.study.runs[name].config).path
 
     def experiment(self, name: str) -> Experiment:
@@ -143,7 +144,7 @@ class Workshop:
         """Return the last checkpoint of a run.
 
         Raises:
-            RunFolderError: it has not.
+            RunFolderError: the run has no finished generation.
         """
         if name not in self._loaded:
             found = self._run(name).load()
@@ -153,17 +154,17 @@ class Workshop:
         return self._loaded[name]
 
     def champions(self, name: str) -> list[Champion]:
-        """Return the champions of runs that have one."""
+        """Return the champions of all runs that have a champion."""
         return [champion for champion in self.checkpoint(name).champions if champion is not None]
 
     def column(self, name: str, column: str) -> Float[np.ndarray, "generations runs"]:
-        """A column of metrics.csv of all runs."""
+        """Return a column of metrics.csv, for all generations and runs."""
         found = self.checkpoint(name)
         values = np.array([row[column] for row in found.history], float)
         return values.reshape(found.generation, len(found.champions))
 
     def recordings(self, name: str) -> Iterator[tuple[Champion, Recording]]:
-        """The champions, living once more."""
+        """Replay the champions, and yield each with its recording."""
         from evo_cpg.training.replay import compile_replay
 
         live = compile_replay(self.experiment(name), self.devices)
@@ -171,27 +172,27 @@ class Workshop:
             yield champion, live(champion)[2]
 
     def picture(self, name: str = "") -> Path:
-        """Return the path of a picture of the part that is being made."""
+        """Return the path of a picture of the current part, and note it for the provenance."""
         path = self.folder / f"{self._part}{f'_{name}' if name else ''}.png"
         self._pictures.append(path)
         return path
 
     def draw(self, figure: "Figure", name: str = "") -> None:
-        """Save a figure of the part that is being made."""
+        """Save a figure of the current part."""
         from evo_cpg.view.figure import save_figure
 
         save_figure(figure, self.picture(name))
 
     def kept(self, key: str, names: Sequence[str], measure: Callable[[], Any]) -> Any:
-        """Return measurements of champions of runs; measured once, and kept as JSON.
+        """Measure champions of runs once, keep the result as JSON, and return it.
 
-        Of a program that was changed since its commit nothing is kept: the next change has no other
-        name.
+        A program with uncommitted changes always measures again, because its next change would have
+        the same name.
 
         Args:
             key: name of the file.
-            names: of the runs; where their champions have changed it is measured anew.
-            measure: how.
+            names: names of the runs. A change of their champions causes a new measurement.
+            measure: function that returns the measurements.
         """
         genes = "".join(genes_digest(each.genes) for name in names for each in self.champions(name))
         program = program_commit() or version_of("evo-cpg")
@@ -223,7 +224,7 @@ class Workshop:
                 member.folder.update_meta(commits=[*known, here])
 
         if members:
-            # All were built from files of one folder, and only the folder is noted.
+            # Any source will do: all files lie in one folder, and only the folder is noted.
             source = self.source(declared.runs[0])
             evolve(members, source, self.devices, f"{self.study.name} {part}", note_commit)
 
@@ -263,19 +264,19 @@ class Workshop:
         return files
 
     def _seconds(self, name: str) -> float:
-        """Return the duration of a run; every row has the duration of all runs together."""
+        """Return the duration of runs, s. Every row has the duration of all runs together."""
         return float(self.column(name, "seconds")[:, 0].sum())
 
 
 def markdown(table: Table) -> str:
-    """A table as it stands in a page."""
+    """Return a table in Markdown."""
     lines = [table.head, ["---"] * len(table.head), *table.rows]
     body = "\n".join("| " + " | ".join(map(str, row)) + " |" for row in lines)
     return f"{table.title}\n\n{body}" if table.title else body
 
 
 def _smaller(source: Path, overrides: Sequence[str], count: int) -> list[str]:
-    """Return overrides that make a run small."""
+    """Return overrides that make runs small enough for a test."""
     evolution = load_config(source, overrides).evolution.model_dump()
     small = [f"runs={min(count, _QUICK_RUNS)}", f"simulation.steps={_QUICK_STEPS}"]
     small.append(f"evolution.generations={_QUICK_GENERATIONS}")
@@ -287,10 +288,10 @@ def _smaller(source: Path, overrides: Sequence[str], count: int) -> list[str]:
 
 
 def _require_same(member: Member) -> None:
-    """Check that what there is of a run was evolved with its configuration.
+    """Check that an existing run was evolved with the configuration of its declaration.
 
     Raises:
-        RunFolderError: with another one.
+        RunFolderError: the configuration differs.
     """
     folder, config = member.folder, dump_config(member.config)
     if not folder.config.is_file() or folder.config.read_text("utf-8") == config:
@@ -303,7 +304,7 @@ def _require_same(member: Member) -> None:
 
 
 def _what_evolves(config: ExperimentConfig) -> dict[str, Any]:
-    """A configuration, of whose limits of an audit only those stand that are rules."""
+    """Return the settings that affect evolution: of the audit, only limits that disqualify."""
     limits = config.audit.limits().of_length(length_of(config.creature.build()))
     rules = {name: float(getattr(limits, name)) for name in config.audit.disqualify}
     return config.model_dump(mode="json", exclude={"audit"}) | {"audit": rules}
