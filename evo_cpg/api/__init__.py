@@ -1,1 +1,1 @@
-"""The front door: what ``import evo_cpg as evo`` offers; see docs/api.md."""
+"""Public Python interface, ``import evo_cpg as evo``. See docs/api.md."""

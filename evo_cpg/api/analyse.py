@@ -1,4 +1,4 @@
-"""A page of a run, as `evo-cpg analyse` makes it: the champion in 3D, its gait in numbers."""
+"""Page of a run, as `evo-cpg analyse` makes it: the champion in 3D and its gait in numbers."""
 
 import io
 import warnings
@@ -33,19 +33,19 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
 
     Args:
         run: a run folder.
-        trial: in which of its trials, from 0.
-        trust: see `load`.
+        trial: number of the champion's trial, from 0.
+        trust: whether to trust the configuration, see `load`.
 
     Returns:
-        The page in the run folder, ``analysis.html``, which replaces an earlier one. If
-        ``config.yaml`` is not what the champion evolved in, the page says so, and so does a
-        warning.
+        The page in the run folder, ``analysis.html``. An earlier page is replaced. If
+        ``config.yaml`` has changed since the champion evolved, the page and a warning report
+        the change.
 
     Raises:
         ConfigError: the configuration of the run is wrong.
         LockedError: another process writes into the folder.
-        RunFolderError: there is no run, or it has no champion, or one with another number of genes
-            than its ``config.yaml`` asks for.
+        RunFolderError: there is no run, the run has no champion, or the champion's number of genes
+            differs from that of its ``config.yaml``.
         ValueError: there is no such trial.
     """
     folder = RunFolder(run)
@@ -76,14 +76,14 @@ def write_page(
 
     Args:
         opened: the run and the champion.
-        trial: which of its trials, from 0.
-        number: of several runs the one that was chosen; None for the best.
-        output: the page; None for one in the run folder.
+        trial: number of the champion's trial, from 0.
+        number: number of the chosen run, of several; None for the best.
+        output: path of the page; None for one in the run folder.
         doing: called with the name of each step after the replay.
         warn: called with a sentence if ``config.yaml`` has changed since the run.
 
     Raises:
-        RunFolderError: the run was begun in Python with a part that only that program has.
+        RunFolderError: the run began in Python with a part that only that program has.
     """
     opened.require_configured()
     changed = opened.changed
@@ -97,7 +97,7 @@ def write_page(
 
 
 def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> str:
-    """Return the text of a page."""
+    """Return the HTML text of a champion's page."""
     from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
     from evo_cpg.view.clip import sample
     from evo_cpg.view.film import picture
@@ -151,7 +151,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
 
 
 def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:
-    """Return the fraction that `train` measured at half the step, if for this champion."""
+    """Return the fraction that `train` measured at half the step, None if of another champion."""
     first = meta.get("half_step")
     if not isinstance(first, Mapping) or first.get("genes_sha256") != genes_digest(champion.genes):
         return None
@@ -160,7 +160,7 @@ def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float
 
 
 def _expected(champion: Champion) -> dict[str, float]:
-    """Return the mean fitness in fresh draws, if there were any."""
+    """Return the mean fitness in fresh draws; empty if there were none."""
     if champion.expected is None:
         return {}
     return {f"mean fitness in {champion.lives} fresh draws": champion.expected}
@@ -188,7 +188,7 @@ def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
 
 
 def _audit(folder: RunFolder, champion: Champion) -> dict[str, Any] | None:
-    """Return an audit of the run, that of the champion if there is one."""
+    """Return the audit of the champion, else any audit of the run, else None."""
     audits = []
     for name in (f"audit_run{champion.run}.json", "audit.json"):
         try:

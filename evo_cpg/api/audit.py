@@ -1,4 +1,4 @@
-"""The audit of a champion: is its gait one, or a trick of the simulation?"""
+"""Audit of a champion: real gait or artefact of the simulation?"""
 
 import dataclasses
 import functools
@@ -31,24 +31,24 @@ from evo_cpg.training.experiment import Experiment, champion_keys, situation_num
 from evo_cpg.training.probe import blinded
 from evo_cpg.training.variations import Variation, Varied
 
-# Most names of pairs of bodies that are not checked.
+# Number of unchecked body pairs that are listed by name, at most.
 _NAMED = 5
 
-# Relative change of friction and drag.
+# Relative change of friction and drag in the variations.
 _CHANGE = 0.1
 
-# Standard deviation of joint angles, roll and pitch at the start, rad, and how many are tried.
+# Standard deviation of initial joint angles, roll and pitch, rad, and number of draws.
 _SHAKE, _DRAWS = 0.01, 8
 
-# Trials that a displacement is the mean of, with noise; and the key of the check that compares
-# them with the trials that made the champion.
+# Number of trials that a displacement is averaged over, with noise. Key of the check that compares
+# these with the trials that made the champion.
 _TRIALS, _CHANCE = 16, "pose"
 
-# Unaccounted energy is summed over stretches of this length, s: in single steps much of it comes
-# and goes.
+# Unaccounted energy is summed over stretches of this length, s. In single steps much of the energy
+# only fluctuates.
 _STRETCH = 0.25
 
-# A shorter displacement, in lengths of the animal, is too short to try variations.
+# Shortest displacement, in lengths of the animal, for which variations are evaluated.
 _LEAST_DISPLACEMENT = 0.1
 
 # The replayed fitness must agree with the recorded one to this fraction.
@@ -56,12 +56,12 @@ _REPLAY = 1e-3
 
 
 class Trial(NamedTuple):
-    """One trial of the champion, step by step.
+    """Step-by-step results of one trial of the champion.
 
     Attributes:
-        steps: all of its physics steps.
-        ledger: of its energy and momentum.
-        excursions: how far it goes to the limits.
+        steps: all physics steps of the trial.
+        ledger: balance of energy and momentum.
+        excursions: extremes that are compared with the limits.
     """
 
     steps: PhysicsSteps
@@ -75,10 +75,10 @@ class Audit:
 
     Attributes:
         verdict: all checks.
-        trials: of the champion, as it evolved.
-        step_length: of a physics step, s.
-        opinions: ours of the first trial, and MuJoCo's; none without a second opinion.
-        missing: why there is no second opinion, or not all of them.
+        trials: trials of the champion in the unchanged simulation.
+        step_length: duration of a physics step, s.
+        opinions: our result of the first trial, and MuJoCo's; empty without a second opinion.
+        missing: reason why second opinions are missing; empty if none is.
     """
 
     verdict: Verdict
@@ -89,7 +89,7 @@ class Audit:
 
     @property
     def measured(self) -> dict[str, float]:
-        """Results of the checks by their keys."""
+        """Results of the checks by key."""
         return {check.key: float(check.measured) for check in self.verdict.checks}
 
     def as_dict(self, champion: Champion) -> dict[str, Any]:
@@ -129,16 +129,16 @@ def audits(
     folders: Iterable[Path] = (),
     tell: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> list[Audit]:
-    """Audit champions; each program is compiled once for all of them.
+    """Audit champions. Each program is compiled once for all champions.
 
     Args:
-        experiment: that they were evolved in.
-        champions: the individuals.
-        limits: what they must stay within.
-        config: what the experiment was built from.
-        source: file of that.
-        folders: see `evo_cpg.config.build.build_experiment`.
-        tell: called with the name of the next step, its number and the number of steps.
+        experiment: experiment that the champions evolved in.
+        champions: individuals to audit.
+        limits: limits of the checks.
+        config: configuration that the experiment was built from.
+        source: file of the configuration.
+        folders: folders of a user's classes, see `evo_cpg.config.build.build_experiment`.
+        tell: called with the name and number of the next step, and the number of steps.
     """
     simulation = experiment.simulation
     own = Variation("as it evolved", (simulation,))
@@ -178,7 +178,7 @@ def audits(
 
 
 def _complete(champion: Champion, replayed: Varied) -> Champion:
-    """Return a champion with all its terms: a map keeps only those of its axes."""
+    """Return a champion with all its terms. A map keeps only the terms of its axes."""
     terms = {name: float(values[0]) for name, values in replayed.terms.items()}
     return champion._replace(terms=terms | champion.terms)
 
@@ -186,7 +186,7 @@ def _complete(champion: Champion, replayed: Varied) -> Champion:
 def _opinions(
     experiment: Experiment, champion: Champion, steps: PhysicsSteps
 ) -> tuple[tuple[Opinion, ...], str]:
-    """Return our trial and MuJoCo's, and why one is missing."""
+    """Return our trial and MuJoCo's, and the reason why one is missing."""
     simulation, creature = experiment.simulation, experiment.creature
     theirs, missing = [], ""
     try:
@@ -212,15 +212,15 @@ def _brain(experiment: Experiment, champion: Champion) -> Brain:
 def compile_first_look(
     experiment: Experiment, least: float
 ) -> Callable[[Champion, float | None], Check]:
-    """Compile the one check that `train` makes, before there is a champion.
+    """Compile the only check that `train` makes, before there is a champion.
 
     Args:
-        experiment: that is being evolved.
-        least: fraction of its displacement that a champion must keep at half the physics step.
+        experiment: experiment that is being evolved.
+        least: smallest allowed fraction of the displacement that is kept at half the physics step.
 
     Returns:
-        A function of a champion and its displacement, m. With noise, pass None: it is measured in
-        fresh draws.
+        A function of a champion and its displacement, m. With noise, pass None: the function then
+        measures the displacement in fresh draws.
     """
     own = experiment.simulation
     simulations = [variations.finer(own, 2)]
@@ -276,7 +276,7 @@ def compile_steps(experiment: Experiment) -> Callable[[Champion], tuple[Trial, .
 def books(
     experiment: Experiment, champion: Champion, trials: tuple[Trial, ...], limits: Limits
 ) -> list[Check]:
-    """Return the checks of the trials themselves, each of the worst trial."""
+    """Return the checks of the trials themselves, each for the worst trial."""
     simulation, mass = experiment.simulation, float(experiment.creature.mass)
     length, h = float(length_of(experiment.creature)), simulation.step_length
     limits = limits.of_length(length)
@@ -347,7 +347,7 @@ def _between_limbs(
     ledgers: Sequence[Ledger],
     check: Callable[..., Check],
 ) -> list[Check]:
-    """Return the checks of limbs that may touch; none if no two can meet."""
+    """Return the checks of limbs that may touch; empty if no two can meet."""
     checks, world = [], experiment.simulation.world
     if world.pairs is not None or any(np.any(one.limbs) for one in ledgers):
         pushed = max(_given(one, one.limbs) for one in ledgers)
@@ -364,7 +364,7 @@ def _between_limbs(
 
 
 def _pairs_that_pass(experiment: Experiment) -> str:
-    """Name the bodies that touch in the neutral pose, whose overlap is not checked."""
+    """Name the body pairs that touch in the neutral pose. Their overlap is not checked."""
     world = experiment.simulation.world
     found = pairs_that_touch_at_rest(experiment.creature, world.tree, world.watched)
     names = [f"{world.tree.names[i]} and {world.tree.names[j]}" for i, j in found]
@@ -375,10 +375,10 @@ def _pairs_that_pass(experiment: Experiment) -> str:
 def _variations(
     experiment: Experiment, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
 ) -> dict[str, Variation]:
-    """Return the variations that the champion is tried in, by the key of the limit.
+    """Return the variations of the simulation, by the key of the limit.
 
-    The noise that made it champion was lucky in part. So with noise, all variations use the same
-    fresh draws, and are compared with the variation `_CHANCE` in these draws.
+    The champion was selected partly for lucky noise. With noise, all variations therefore use the
+    same fresh draws, and are compared with the variation `_CHANCE`.
     """
     simulation = experiment.simulation
     draws = draws_of(simulation)
@@ -413,7 +413,7 @@ def _variations(
 
 
 def draws_of(simulation: Simulation) -> int:
-    """Return how many trials a displacement is the mean of: one without noise."""
+    """Return the number of trials that a displacement is averaged over: one without noise."""
     return 1 if simulation.noise.silent else _TRIALS
 
 
@@ -439,7 +439,7 @@ def _replay(champion: Champion, replayed: Varied) -> Check:
 
 
 def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
-    """Return how far the water alone would carry the animal, mean over trials, m."""
+    """Return the displacement by the water's flow alone, mean over trials, m."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     water, displacements = simulation.world.water, []
     if water is None:
@@ -464,12 +464,12 @@ def _kept(
     creature: Creature,
     carried: float = 0.0,
 ) -> list[Check]:
-    """Return the fractions of its displacement that a champion keeps in variations.
+    """Return checks of the displacement that a champion keeps in variations.
 
     Args:
-        own: its displacement as it evolved, m.
+        own: displacement in the unchanged simulation, m.
         kept: results of the variations, by the key of the limit.
-        limits: least fractions.
+        limits: smallest allowed fractions.
         creature: the animal.
         carried: displacement by the water alone, m.
     """
@@ -485,10 +485,10 @@ def _kept(
         displacements = one.mean_displacements(variation)
         detail = ", ".join(f"{x:.3g}" for x in displacements) + f" of {reference:.3g} m"
         if key == "limp_way":
-            # Without the water's part. No animal drifts against a current.
+            # Subtract the water's part. No animal drifts against a current.
             swum, limp = reference - carried, float(displacements.max()) - max(0.0, carried)
             if carried > 0 and swum <= _LEAST_DISPLACEMENT * length_of(creature):
-                # The water carries it, and it does no more.
+                # The displacement is due to the water alone.
                 fraction = 1.0
             else:
                 fraction = float(np.clip(limp / swum, 0.0, 1.0)) if swum > 0 else 0.0
@@ -501,20 +501,20 @@ def _kept(
         if reference > 0:
             fractions = np.clip(displacements / reference, 0.0, 1.0)
         question, limit = f"way kept: {variation.name}", getattr(limits, key, None)
-        # The worst of several settings.
+        # Several settings: the worst one counts.
         checks.append(Check(key, question, float(fractions.min()), limit, True, "%", detail))
     return checks
 
 
 def _energy_gain(one: Ledger, h: float) -> float:
-    """Return the unaccounted energy, summed over the stretches in which it is a gain, J."""
+    """Return the unaccounted energy, J, summed over the stretches in which energy is gained."""
     length = max(1, round(_STRETCH / h))
     starts = np.arange(0, len(one.stored), length)
     return float(np.maximum(np.add.reduceat(one.left_over, starts), 0.0).sum())
 
 
 def _given(one: Ledger, work: np.ndarray) -> float:
-    """Return the energy that a constraint gave, relative to the motors' work."""
+    """Return the positive net work of a constraint, relative to the motors' work."""
     return max(0.0, float(work.sum())) / _effort(one)
 
 
@@ -524,13 +524,13 @@ def _momentum_fraction(one: Ledger) -> float:
 
 
 def _effort(one: Ledger) -> float:
-    """Return the motors' work, J; if the motors do none, all work."""
+    """Return the motors' work, J. If that is zero, return all work, or infinity."""
     done = sum(np.abs(each).sum() for each in one.work.values())
     return one.effort or float(done) or np.inf
 
 
 def _energy(one: Ledger) -> dict[str, float]:
-    """Return the energies of a trial, J."""
+    """Return the energies of a trial by name, J."""
     parts = {name: float(value.sum()) for name, value in one.work.items()}
     left_over = float(one.left_over.sum())
     return {"stored": float(one.stored.sum()), **parts, "left_over": left_over}

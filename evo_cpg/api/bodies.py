@@ -1,4 +1,4 @@
-"""Individuals with bodies of their own: they differ in numbers of the configuration."""
+"""Individuals whose bodies differ in numbers of the configuration."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,16 +18,16 @@ Numbers = Mapping[str, ArrayLike | Sequence[float]]
 
 
 class Bodies:
-    """Trials of individuals that differ in numbers; one program for all of the same keys.
+    """Trials of individuals that differ in numbers, with one program for each set of keys.
 
-    One program builds all bodies that fit a plan (`BodyPlan`). Others are built one by one, and
-    join the trials of the plan if they differ in its numbers alone. If they do not, there is a new
-    plan, in which the old bodies and the new ones fit.
+    One program builds all bodies that fit a plan (`BodyPlan`). Other bodies are built one by one.
+    They join the plan's trials if they differ in the trials' numbers alone. Otherwise a new plan
+    is made from all individuals of the call.
 
     Args:
-        parts: what they have in common.
+        parts: experiment that the individuals have in common.
         config: the configuration.
-        source: file that it came from.
+        source: file of the configuration.
     """
 
     def __init__(self, parts: Experiment, config: ExperimentConfig, source: Path):
@@ -37,18 +37,18 @@ class Bodies:
     def trials(
         self, numbers: Numbers, count: int
     ) -> tuple[Callable[..., Outcome], tuple[np.ndarray, ...]] | None:
-        """The trials of some individuals, and what these take as their last argument.
+        """Return the trials of individuals, and the last argument of these trials.
 
         Args:
-            numbers: by key, ``(count,)``.
-            count: individuals.
+            numbers: values by key, each ``(count,)``.
+            count: number of individuals.
 
         Returns:
-            None where all have the numbers of the configuration.
+            The function and its argument; None if all individuals have the configuration's numbers.
 
         Raises:
-            ConfigError: see `evo_cpg.config.batched.build_batch`.
-            ValueError: not one value of each number for each individual.
+            ConfigError: wrong numbers, see `evo_cpg.config.batched.build_batch`.
+            ValueError: a number does not have one value for each individual.
         """
         columns = {key: np.asarray(values, float) for key, values in numbers.items()}
         for key, values in columns.items():
@@ -63,7 +63,7 @@ class Bodies:
         if not any(each.any() for each in differs.values()):
             return None
         if frozenset(columns) not in self._made:
-            # One individual that differs for each number, and the last one.
+            # For each number the first individual that differs, and the last individual.
             self._plan(
                 columns, np.unique([*(each.argmax() for each in differs.values()), count - 1])
             )
@@ -80,7 +80,7 @@ class Bodies:
     def _plan(
         self, columns: dict[str, np.ndarray], individuals: np.ndarray
     ) -> tuple[BodyPlan, Callable[..., Outcome]]:
-        """Plan by some of the individuals."""
+        """Make the plan and compile its trials, from some of the individuals."""
         task = self._parts.simulation.task
         some = {key: values[individuals] for key, values in columns.items()}
         plan = BodyPlan(self._config, self._source, some, task)
@@ -95,10 +95,10 @@ class Bodies:
         values: list[np.ndarray],
         individuals: np.ndarray,
     ) -> None:
-        """Put into the values those of some individuals.
+        """Build some individuals one by one and write their values into ``values``.
 
         Raises:
-            ConfigError: they do not fit the plan's trials.
+            ConfigError: the individuals do not fit the plan's trials.
         """
         some = {key: column[individuals] for key, column in columns.items()}
         task = self._parts.simulation.task

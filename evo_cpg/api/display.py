@@ -1,8 +1,8 @@
-"""Progress of long work of the commands: a moving line on a terminal, plain lines elsewhere.
+"""Progress display of the commands: a moving line on a terminal, plain lines elsewhere.
 
-Everything goes to standard error. In a log or a pipe, short work prints nothing, and longer work is
-never silent for more than `LONGEST_SILENCE` seconds: if the work prints nothing itself, a thread
-prints its name and duration. The library itself is quieter, see `evo_cpg.api.progress`.
+Everything goes to standard error. In a log or a pipe, short work prints nothing. Longer work is
+never silent for more than `LONGEST_SILENCE` seconds: a thread prints its name and duration if the
+work prints nothing. The library itself is quieter, see `evo_cpg.api.progress`.
 """
 
 import contextlib
@@ -28,19 +28,19 @@ from typing_extensions import override
 # Longest time without a line, s.
 LONGEST_SILENCE = 10.0
 
-# Before the first line, and between two, s. Shorter than the longest silence, since the thread may
-# have to wait for its turn.
+# Time before the first line, and between two lines, s. Shorter than the longest silence, since the
+# thread may have to wait for its turn.
 FIRST, BETWEEN = 5.0, 8.0
 
-# Interval between two looks of the thread at the clock, s.
+# Interval at which the thread checks the clock, s.
 _LOOK = 0.25
 
-# The remaining time is estimated from this fraction of the work on.
+# Smallest finished fraction of the work from which the remaining time is estimated.
 _LEAST_FRACTION = 0.02
 
 
 class Work:
-    """Reports of work on its progress."""
+    """Receiver of progress reports of some work."""
 
     def say(self, line: str) -> None:
         """Print a line that stays."""
@@ -49,20 +49,20 @@ class Work:
         """Name the next part of the work, and its expected duration, s, if measured before."""
 
     def reached(self, done: int, total: int) -> None:
-        """Report how much of it is done."""
+        """Report how much of the work is done."""
 
     def step(self, line: str, seconds: float, onward: str, done: int, total: int) -> None:
         """Report a finished step and its duration, s, and name the next part of the work."""
 
 
 class Heartbeat(Work):
-    """Work in a log or a pipe: lines, with `LONGEST_SILENCE` between them at most.
+    """Progress in a log or a pipe: lines, at most `LONGEST_SILENCE` apart.
 
     Args:
-        what: is being done.
-        printed: when the last line before was printed, s; minus infinity if there was none.
+        what: name of the work.
+        printed: time of the last printed line, s; minus infinity if there was none.
         expected: duration that was measured before, s; None if nothing was.
-        clock: tells the time, s.
+        clock: function that returns the time, s.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Heartbeat(Work):
     ):
         self._clock, self._lock = clock, threading.Lock()
         self.doing(what, expected)
-        # Work that follows other work adds to its silence.
+        # Silence of the work before counts, too.
         self._next = self._start + FIRST
         if math.isfinite(printed):
             self._next = min(self._next, printed + BETWEEN)
@@ -102,7 +102,7 @@ class Heartbeat(Work):
         self.doing(onward)
 
     def due(self) -> str | None:
-        """Return the line that is due, if one is; it counts as printed."""
+        """Return the line that is due, else None. The line counts as printed."""
         with self._lock:
             now = self._clock()
             if now < self._next:
@@ -112,10 +112,10 @@ class Heartbeat(Work):
 
     @contextlib.contextmanager
     def beating(self, write: Callable[[str], None] | None = None) -> Iterator["Heartbeat"]:
-        """Print what is due, in a thread, for as long as the block lasts.
+        """Print due lines, in a thread, while the block lasts.
 
         Args:
-            write: takes a line; None for standard error.
+            write: function that prints a line; None for standard error.
         """
         over = threading.Event()
 
@@ -135,7 +135,7 @@ class Heartbeat(Work):
 
 
 def _standing(elapsed: float, done: tuple[int, int] | None, expected: float | None) -> str:
-    """For how long, how far, and how much longer."""
+    """Return the elapsed time, the steps done and the estimated remaining time as text."""
     words = f"{elapsed:.0f} s"
     if done is None:
         left = 0.0 if expected is None else expected - elapsed
@@ -153,7 +153,7 @@ def _announced(what: str, expected: float | None) -> str:
 
 
 class _Line(Work):
-    """Work on a terminal."""
+    """Progress on a terminal."""
 
     def __init__(self, bars: Progress, bar: TaskID):
         self._bars, self._bar = bars, bar
@@ -180,7 +180,7 @@ def working(
 
     Args:
         what: name of the work.
-        counted: whether the work reports how far it is.
+        counted: whether the work reports its finished steps.
         expected: duration that was measured before, s; None if nothing was.
         stays: whether the line stays on a terminal after the work.
 
@@ -218,20 +218,20 @@ def progress(
     last: str = "",
     expected: float | None = None,
 ) -> Iterator[Callable[..., None]]:
-    """Show every step of some work.
+    """Show the progress of work in steps.
 
     Args:
         step: name of several steps. The number of finished steps is shown, never the number of
-            this one: generations and the like have numbers of their own, from 0.
-        total: steps in all.
-        completed: steps done before.
+            the current one: generations and the like have numbers of their own, from 0.
+        total: number of all steps.
+        completed: number of steps done before.
         first: name of the work before the first step.
         last: name of the work after the last step.
         expected: duration of the work before the first step, s; None if it was not measured.
 
     Yields:
         A function to call after every step, with a line about the state and the duration of the
-        step, s; by default the time since the step before.
+        step, s. The default duration is the time since the previous step.
     """
     number, since = completed, time.perf_counter()
     start = f"{completed:4d}/{total} {step}  {first}"
@@ -250,12 +250,12 @@ def progress(
         yield show
 
 
-# When the last line was printed.
+# Time of the last printed line, s.
 _printed_at = -math.inf
 
 
 def say(line: str) -> None:
-    """Print a line about work that goes on."""
+    """Print a line about work that continues."""
     global _printed_at
     _printed_at = time.monotonic()
     print(line, file=sys.stderr, flush=True)

@@ -1,9 +1,9 @@
-"""The animal as an environment of reinforcement learning, in the manner of Brax.
+"""Animal as an environment for reinforcement learning, with Brax's interface.
 
 ``reset(key)`` and ``step(state, action)`` are pure functions of one animal, for `jax.jit`,
-`jax.vmap` and `jax.lax.scan`. The rewards of an episode add up to the task's fitness: each is what
-the control step changed of the fitness that the trial would have if it stopped there (with the
-averages over the whole trial).
+`jax.vmap` and `jax.lax.scan`. The rewards of an episode add up to the task's fitness. Each reward
+is the change, in one control step, of the fitness that the trial would have if it stopped there.
+Averages in that fitness are over the whole trial.
 """
 
 import dataclasses
@@ -40,11 +40,11 @@ class EnvironmentState(eqx.Module):
     """State of an environment; fields may be added.
 
     Attributes:
-        obs: what the animal senses.
-        reward: of the last step.
-        done: the trial is over, or the animal diverged.
-        metrics: the task's terms so far, and the measures of gait.
-        inner: everything else, which is not part of the stable interface.
+        obs: observation of the animal's senses.
+        reward: reward of the last step.
+        done: True if the trial is over or the animal diverged.
+        metrics: task's terms and gait measures so far.
+        inner: rest of the state, not part of the stable interface.
     """
 
     obs: Float[Array, " o"]
@@ -70,15 +70,15 @@ class _Inner(eqx.Module):
 
 
 class Environment:
-    """One animal in its world, without a controller of its own; see `Experiment.environment`.
+    """One animal in its world, without its controller; made by `Experiment.environment`.
 
     Attributes:
         action_names: degree of freedom that each number of an action moves.
-        action_size: how many they are.
-        observation_sizes: what an observation is made of, in order (see
-            `evo_cpg.control.controller.Observation`), and how many numbers each part has.
-        observation_size: how many they are together.
-        episode_length: steps of a trial.
+        action_size: count of numbers in an action.
+        observation_sizes: names of the observation's parts, in order, with the count of numbers in
+            each part (see `evo_cpg.control.controller.Observation`).
+        observation_size: count of numbers in an observation.
+        episode_length: control steps of a trial.
     """
 
     def __init__(
@@ -114,10 +114,10 @@ class Environment:
         )
 
     def reset(self, key: Array) -> EnvironmentState:
-        """The animal at its start.
+        """Return the initial state of the animal.
 
         Args:
-            key: of the noise in the trial, if there is any.
+            key: random key of the trial's noise, if there is any.
         """
         key = (
             key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
@@ -133,14 +133,14 @@ class Environment:
         )
 
     def step(self, state: EnvironmentState, action: Float[Array, " a"]) -> EnvironmentState:
-        """The animal one control step later. It does not start anew when it is done.
+        """Return the state one control step later. A finished animal is not reset.
 
         Args:
-            state: from `reset` or the step before.
-            action: of every degree of freedom, rad/s or rad.
+            state: state from `reset` or the previous step.
+            action: joint rate (rad/s) or angle (rad) of every degree of freedom.
 
         Raises:
-            ValueError: the action is not of the right shape.
+            ValueError: the action has the wrong shape.
         """
         action = jnp.asarray(action, jnp.float32)
         if action.shape != (self.action_size,):
@@ -195,7 +195,7 @@ class Environment:
         return animal, sense(self._simulation, constants, animal)
 
     def _judge(self, tally: Any) -> tuple[dict[str, Array], Array]:
-        """Return the terms so far, and their fitness; 0 if it is not finite."""
+        """Return the terms so far and their fitness. A fitness that is not finite becomes 0."""
         terms = finish_tally(self._simulation, tally)
         value = self._simulation.task.fitness(terms, self._scales)
         return terms, jnp.where(jnp.isfinite(value), value, 0.0)

@@ -1,7 +1,6 @@
-"""An experiment to be called from Python: individuals first, as NumPy and evosax have them.
+"""Experiment for use from Python, with individuals on the first axis, as in NumPy and evosax.
 
-Inside the library individuals are the last axis of every array; here, and only here, they are
-turned round.
+Inside the library individuals are on the last axis of every array. Only this module transposes.
 """
 
 import dataclasses
@@ -39,17 +38,17 @@ from evo_cpg.training.devices import population_mesh
 
 Terms = Mapping[str, Float[Array, " *n"]]
 
-# Number of individuals that a fitness function is tried on first.
+# Number of individuals that a new fitness function is checked with.
 _SEVERAL = 7
 
 
 @dataclasses.dataclass(frozen=True)
 class Trials:
-    """What the trials of a population amounted to, not yet judged.
+    """Results of the trials of a population, without fitness.
 
     Attributes:
-        terms: the task's terms by name.
-        alive: False where an individual diverged.
+        terms: task's terms by name, each ``(n, trials)``.
+        alive: False where an individual diverged, ``(n, trials)``.
     """
 
     terms: dict[str, np.ndarray]
@@ -64,15 +63,15 @@ class Trials:
 
 
 class Experiment:
-    """A creature in a world with a nervous system and a task; made by `evo_cpg.load`.
+    """Creature in a world, with a nervous system and a task; made by `evo_cpg.load`.
 
-    Nothing in it changes: what evaluates, records or replaces gives something new.
+    Experiments are immutable. Methods that evaluate, record or replace return new objects.
 
     Attributes:
-        config: the complete configuration.
-        source: file that it came from.
-        replaced: what was replaced in Python, and the configuration does not say.
-        parts: what it is made of, which is not part of the stable interface.
+        config: complete configuration.
+        source: file of the configuration.
+        replaced: names of parts that were replaced in Python, unlike the configuration.
+        parts: internal parts of the experiment, not part of the stable interface.
     """
 
     def __init__(
@@ -100,8 +99,8 @@ class Experiment:
         return f"Experiment({', '.join(parts)})"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what it is made of, without compiled programs, which no other process can use."""
-        # Measuring the scales again takes a generation, and another machine may round differently.
+        """Return the state without compiled programs, which no other process can use."""
+        # Measuring scales again costs a generation, and another machine may round differently.
         kept = ("parts", "config", "source", "replaced", "scales")
         return {name: value for name, value in vars(self).items() if name in kept}
 
@@ -111,67 +110,67 @@ class Experiment:
 
     @property
     def name(self) -> str:
-        """Name in the configuration."""
+        """Name of the experiment in the configuration."""
         return self.parts.name
 
     @property
     def creature(self) -> Creature:
-        """The animal."""
+        """Simulated animal."""
         return self.parts.creature
 
     @property
     def world(self) -> World:
-        """The animal in its surroundings."""
+        """Physical model of the animal and its surroundings."""
         return self.parts.simulation.world
 
     @property
     def task(self) -> Task:
-        """The task that gives its fitness."""
+        """Task that defines the fitness."""
         return self.parts.simulation.task
 
     @property
     def gene_count(self) -> int:
-        """Numbers in a genome."""
+        """Count of numbers in a genome."""
         return self.parts.simulation.genome.count
 
     @property
     def population(self) -> int:
-        """Individuals in a generation, as the configuration has it."""
+        """Count of individuals in a generation, from the configuration."""
         return self.parts.strategy.population
 
     @property
     def trials(self) -> int:
-        """Trials of every individual."""
+        """Count of trials of every individual."""
         return self.parts.trials
 
     def random_genomes(self, key: ArrayLike, count: int | None = None) -> np.ndarray:
-        """Genomes of a first generation, ``(count, genes)``.
+        """Return random genomes of a first generation, ``(count, genes)``.
 
         Args:
-            key: of all chance: a number, or a key of JAX.
-            count: how many; None for the configuration's population.
+            key: seed of all random draws: a number or a JAX key.
+            count: number of genomes; None for the configuration's population.
         """
         shape = (self.population if count is None else count,)
         return np.asarray(self.parts.simulation.genome.random(_key(key), shape)).T.copy()
 
     def rollout(self, key: ArrayLike, genomes: ArrayLike, bodies: Numbers | None = None) -> Trials:
-        """Let every individual live through its trials.
+        """Simulate all trials of every individual.
 
         Args:
-            key: of the noise in the trials, if there is any: a number, or a key of JAX.
-            genomes: ``(n, genes)``.
+            key: seed of the noise in the trials, if there is any: a number or a JAX key.
+            genomes: genomes of the individuals, ``(n, genes)``.
             bodies: numbers of the configuration in which individuals differ, such as sizes and
-                densities: by their keys, ``(n,)``. One program builds all bodies, and it serves all
-                populations with the same keys. Bodies that do not fit its plan are built by
-                themselves, which takes some 10 to 50 ms each (see docs/models/bodies.md).
+                densities: arrays ``(n,)`` by key. One program builds all bodies, for populations
+                with equal keys. Bodies that do not fit its plan are built one by one, which takes
+                some 10 to 50 ms each (see docs/models/bodies.md).
 
         Returns:
             Terms and survival, ``(n, trials)``.
 
         Raises:
-            ValueError: the genomes, or the numbers of the bodies, are not of that shape.
-            ConfigError: numbers that are none of the configuration, that are not allowed, or that
-                change more than numbers of the simulation.
+            ValueError: genomes or numbers have another shape.
+            ConfigError: a number is not in the configuration, is not allowed, or changes more than
+                numbers of the simulation.
         """
         genes = self._genes(genomes)
         count, trials = genes.shape[1], self.trials
@@ -191,16 +190,16 @@ class Experiment:
     def evaluate(
         self, key: ArrayLike, genomes: ArrayLike, bodies: Numbers | None = None
     ) -> Evaluation:
-        """Fitness, terms and descriptors of a population, on all cores.
+        """Evaluate fitness, terms and descriptors of a population, on all cores.
 
         Args:
-            key: as for `rollout`.
-            genomes: likewise.
-            bodies: likewise.
+            key: seed of the noise in the trials: a number or a JAX key.
+            genomes: genomes of the individuals, ``(n, genes)``.
+            bodies: numbers in which individuals differ, by key; see `rollout`.
 
         Raises:
-            ValueError: as `rollout` does.
-            ConfigError: likewise.
+            ValueError: the genomes or the numbers of the bodies have another shape.
+            ConfigError: a number of the bodies is wrong; see `rollout`.
         """
         trials = self.rollout(key, genomes, bodies)
         outcome = Outcome(*jax.tree.map(jnp.asarray, (trials.terms, trials.alive)))
@@ -212,10 +211,10 @@ class Experiment:
 
     @functools.cached_property
     def scales(self) -> dict[str, Float[Array, ""]]:
-        """The task's yardsticks, which `train` measures on the first generation.
+        """Scales of the task, which `train` measures on the first generation.
 
-        They are those of the experiment's own seed (and its first run), so the same genome always
-        has the same fitness.
+        They are measured with the experiment's own seed, in its first run. So a genome always has
+        the same fitness.
         """
         first = self.parts._replace(runs=1)
         shapes = jax.eval_shape(lambda: self.task.scales(no_terms(self.parts.simulation)))
@@ -234,22 +233,22 @@ class Experiment:
     def fitness_function(
         self, key: ArrayLike = 0, horizon: float | None = None, numbers: Sequence[str] = ()
     ) -> Callable[..., Float[Array, ""]]:
-        """The fitness of one genome, for `jax.grad`, `jax.jit` and `jax.vmap`.
+        """Return the fitness of one genome as a function, for `jax.grad`, `jax.jit` and `jax.vmap`.
 
         Args:
-            key: of the noise in the trials, if there is any: a number, or a key of JAX.
-            horizon: let slopes fade to 1/e within so many seconds, which helps where the motion is
-                chaotic (see docs/models/gradients.md), and on the ground are cut as well. None for
-                slopes that do not fade: exact in water, cut on the ground. `math.inf` for exact
-                slopes on the ground, too.
-            numbers: keys of numbers of the configuration, such as sizes and densities, whose values
-                the function takes as its second argument: building the animal is then a part of it,
-                and as differentiable. A derivative by a number at a kink raises an error, and so do
-                values with which the trial would be laid out differently. Checking a value takes
+            key: seed of the noise in the trials, if there is any: a number or a JAX key.
+            horizon: time constant of the decay of gradients, s. It helps with chaotic motion (see
+                docs/models/gradients.md); on the ground gradients are cut as well. None for
+                gradients without decay: exact in water, cut on the ground. `math.inf` for exact
+                gradients on the ground, too.
+            numbers: keys of numbers of the configuration, such as sizes and densities. The function
+                takes their values as its second argument, builds the animal from them, and is
+                differentiable with respect to them. A derivative by a number at a kink raises an
+                error. So do values that change the layout of the trial. Checking a value takes
                 as long as building one animal.
 
         Raises:
-            ConfigError: numbers that are none of the configuration, or change more than numbers.
+            ConfigError: a number is not in the configuration, or changes more than numbers.
         """
         own_task = self.task if "task" in self.replaced else None
         parameters = None
@@ -259,15 +258,15 @@ class Experiment:
         return fitness_function(self.parts, self.scales, noise, horizon, parameters, own_task)
 
     def record(self, key: ArrayLike, genome: ArrayLike, trial: int = 0) -> Record:
-        """One trial of one individual, step by step, in named columns.
+        """Record one trial of one individual, step by step, in named columns.
 
         Args:
-            key: as for `evaluate`.
-            genome: ``(genes,)``.
-            trial: which of its trials, from 0.
+            key: seed of the noise in the trial: a number or a JAX key.
+            genome: genome of the individual, ``(genes,)``.
+            trial: number of the individual's trial, from 0.
 
         Raises:
-            ValueError: the genome is not of that shape, or there is no such trial.
+            ValueError: the genome has another shape, or there is no such trial.
         """
         genes = self._genes(np.asarray(genome)[None])
         if not 0 <= trial < self.trials:
@@ -282,28 +281,28 @@ class Experiment:
         return as_record(simulation, frames, as_recording(simulation, frames, names, trial=trial))
 
     def environment(self, actions: str = "rates", trial: int = 0) -> Environment:
-        """The animal without its controller, for reinforcement learning.
+        """Return the animal without its controller, for reinforcement learning.
 
         Args:
-            actions: what an action sets: ``rates`` of the joints for the motors to follow (rad/s),
-                or ``angles`` for the motors' springs to pull to (rad).
-            trial: which of its trials, from 0: where it starts, and where the light is.
+            actions: quantity that an action sets: ``rates`` of the joints for the motors to follow
+                (rad/s), or ``angles`` for the motors' springs to pull to (rad).
+            trial: number of the trial, from 0, which sets the start and the place of the light.
 
         Raises:
-            ValueError: there is no such trial; angles, and no motor has a spring.
+            ValueError: there is no such trial, or no motor has a spring for ``angles``.
         """
         if not 0 <= trial < self.trials:
             raise ValueError(f"trial must be from 0 to {self.trials - 1}, got {trial}")
         return Environment(self.parts.simulation, self.scales, actions, trial)
 
     def with_numbers(self, numbers: Mapping[str, float]) -> "Experiment":
-        """The same with other numbers in its configuration, built anew.
+        """Return the experiment rebuilt with other numbers in its configuration.
 
         Args:
-            numbers: by their keys, such as ``creature.bodies.1.shape.size.0``.
+            numbers: values by key, such as ``creature.bodies.1.shape.size.0``.
 
         Raises:
-            ConfigError: numbers that are none of the configuration, or are not allowed.
+            ConfigError: a number is not in the configuration, or is not allowed.
         """
         for key in numbers:
             number_at(self.config, key, self.source)
@@ -313,25 +312,25 @@ class Experiment:
         return changed.with_task(self.task) if "task" in self.replaced else changed
 
     def with_task(self, task: Task) -> "Experiment":
-        """The same with another task."""
+        """Return the experiment with another task."""
         simulation = dataclasses.replace(self.parts.simulation, task=task)
         replaced = tuple(dict.fromkeys((*self.replaced, "task")))
         parts = self.parts._replace(simulation=simulation)
         return Experiment(parts, self.config, self.source, replaced)
 
     def with_fitness(self, fitness: Callable[[Terms], Float[Array, " *n"]]) -> "Experiment":
-        """The same with another fitness, made of the terms of its task and of its measures.
+        """Return the experiment with another fitness, a function of its terms and measures.
 
         Args:
-            fitness: a JAX function of the terms by name, each ``(n,)`` for a population and ``()``
-                for one individual alone, that has the same shape; it is maximised.
+            fitness: JAX function of the terms by name, to be maximised. Terms and result have the
+                shape ``(n,)`` for a population and ``()`` for one individual.
 
         Raises:
-            UnknownTermError: a `KeyError`: it takes a term that the task has not.
-            ValueError: it is not one real number for each individual.
+            UnknownTermError: the function reads a term that the task lacks; a `KeyError`.
+            ValueError: the result is not one real number for each individual.
         """
         task = JudgedBy(self.task.light, self.task, fitness)
-        # Here, and not after some seconds of compiling.
+        # Check here, not after some seconds of compiling.
         for batch in ((_SEVERAL,), ()):
             terms = jax.eval_shape(lambda batch=batch: no_terms(self.parts.simulation, batch))
             found = jax.eval_shape(lambda terms: task.fitness(terms, {}), terms)
@@ -343,12 +342,12 @@ class Experiment:
         return self.with_task(task)
 
     def _compiling(self, what: str, of: str, program: tuple) -> AbstractContextManager[None]:
-        """Tell that a program is compiled, if this call is its first.
+        """Show that a program is being compiled, if this call is its first.
 
         Args:
-            what: the program does.
-            of: whom it does that for.
-            program: what tells it from others of this experiment.
+            what: name of the program's task.
+            of: name of the individuals.
+            program: key of the program in this experiment.
         """
         if program in self._compiled:
             return nullcontext()
@@ -376,7 +375,7 @@ class Experiment:
         return jax.jit(functools.partial(rollout, self.parts.simulation, observers=recorder))
 
     def _genes(self, genomes: ArrayLike) -> np.ndarray:
-        """Genomes as the library has them, checked."""
+        """Check genomes and return them transposed, ``(genes, n)``, in float32."""
         given = np.asarray(genomes)
         if given.ndim != 2 or given.shape[1] != self.gene_count or not len(given):
             turned = given.ndim == 2 and given.shape[0] == self.gene_count
@@ -390,7 +389,7 @@ class Experiment:
         return given.T.astype(np.float32)
 
     def _noise(self, key: Array, count: int) -> Array | None:
-        """Raw keys of all trials; None without noise."""
+        """Return raw keys of all trials, ``(words, count x trials)``; None without noise."""
         if self.parts.simulation.noise.silent:
             return None
         individual, trial = np.divmod(np.arange(count * self.trials), self.trials)
@@ -404,7 +403,7 @@ class Experiment:
 
 
 def _key(key: ArrayLike) -> Array:
-    """A key of JAX, from one or from a number."""
+    """Return a JAX key, from a key or a number."""
     if isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
         return key
     given = np.asarray(key)

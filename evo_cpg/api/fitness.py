@@ -1,4 +1,4 @@
-"""Fitness as a function: of the terms of a task, and of one genome, for JAX's transformations."""
+"""Fitness as a function of a task's terms or of one genome, for JAX's transformations."""
 
 import dataclasses
 import math
@@ -27,16 +27,16 @@ def fitness_function(
     parameters: Parameters | None,
     task: Task | None,
 ) -> Callable[..., Float[Array, ""]]:
-    """The fitness of one genome.
+    """Return the fitness of one genome as a function.
 
     Args:
-        parts: of the experiment.
-        scales: the task's yardsticks.
-        keys: of the noise in its trials.
-        horizon: time constant with which derivatives fade, s; None for derivatives that are exact
-            in water and cut on the ground, infinity for exact ones.
-        parameters: numbers of the configuration that the function takes as well.
-        task: instead of the configuration's.
+        parts: internal parts of the experiment.
+        scales: scales of the task.
+        keys: random keys of the noise in the trials; None without noise.
+        horizon: time constant of the decay of derivatives, s. None for derivatives that are exact
+            in water and cut on the ground, infinity for exact derivatives.
+        parameters: numbers of the configuration that are the function's second argument.
+        task: task that replaces the configuration's in rebuilt simulations.
     """
     simulation, count = parts.simulation, parts.simulation.genome.count
     situations: Any = situation_numbers(parts)
@@ -65,32 +65,32 @@ def fitness_function(
 
 
 class UnknownTermError(KeyError):
-    """A term that the task has not; the message says which it has."""
+    """Error for a term that the task lacks; the message suggests available terms."""
 
     def __str__(self) -> str:
-        """Without the quotes of a key."""
+        """Return the message without the quotes of a key."""
         return str(self.args[0])
 
 
 class Terms(dict):
-    """Terms by name; of one that is none it says which there are.
+    """Terms by name; the error for an unknown name lists available terms.
 
     Raises:
-        UnknownTermError: by the look-up of another name.
+        UnknownTermError: an unknown name is looked up.
     """
 
     def __missing__(self, name: object) -> Any:
-        """Complain."""
+        """Raise `UnknownTermError`."""
         raise UnknownTermError(f"the task has no term {name!r}; {nearest(str(name), self)}")
 
 
 class JudgedBy(Task):
-    """A task whose terms something else makes a fitness of.
+    """Task with another fitness function of its terms.
 
     Attributes:
-        light: the task's.
-        task: whose terms they are.
-        function: of the terms.
+        light: light of the original task.
+        task: original task, which computes the terms.
+        function: fitness as a function of the terms.
     """
 
     light: tuple[float, float, float] | None
@@ -98,22 +98,22 @@ class JudgedBy(Task):
     function: Callable = eqx.field(static=True)
 
     def begin(self, batch, dtype, steps):
-        """See `Task.begin`."""
+        """Call `Task.begin` of the original task."""
         return self.task.begin(batch, dtype, steps)
 
     def update(self, tally, transition, steps):
-        """See `Task.update`."""
+        """Call `Task.update` of the original task."""
         return self.task.update(tally, transition, steps)
 
     def terms(self, tally, steps):
-        """See `Task.terms`."""
+        """Call `Task.terms` of the original task."""
         return self.task.terms(tally, steps)
 
     def descriptors(self, terms):
-        """See `Task.descriptors`."""
+        """Call `Task.descriptors` of the original task."""
         return self.task.descriptors(terms)
 
     def fitness(self, terms, scales):
-        """That of the function."""
+        """Return the function's fitness of the terms."""
         del scales
         return self.function(Terms(terms))

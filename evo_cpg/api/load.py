@@ -16,7 +16,7 @@ from evo_cpg.training.run_folder import RunFolder
 
 Overrides = Sequence[str] | Mapping[str, Any]
 
-# Source of a configuration that no file holds.
+# Source of a configuration that was not read from a file.
 _NO_FILE = Path("configuration")
 
 
@@ -26,22 +26,21 @@ def load(
     cores: int | None = None,
     trust: bool = False,
 ) -> Experiment:
-    """Read a configuration and build what it describes.
+    """Read a configuration and build its experiment.
 
     Args:
-        config: a YAML file; the name of one that comes with the program, such as ``hexapod``, where
-            nothing in the working folder is called so; a run folder, whose ``config.yaml`` it is;
-            or the contents of such a file as a dictionary, in which files are named from the
-            working folder.
+        config: one of: the path of a YAML file; the name of a shipped one, such as ``hexapod``, if
+            no file in the working folder has that name; a run folder, for its ``config.yaml``; the
+            contents of such a file as a dictionary, with file names relative to the working folder.
         overrides: settings to change: ``["seed=3", "world.gravity=1.6"]`` as on the command line,
             or ``{"seed": 3, "world.gravity": 1.6}``.
-        cores: over which populations are spread; None for all that there are. Where JAX has
-            computed something already it keeps the devices that it has.
-        trust: the configuration is yours: it may name files outside of its folder, and classes of
-            modules beside it that are not in the working folder, whose code is run.
+        cores: number of cores that share a population; None for all cores. If JAX has already
+            computed something, its devices are kept.
+        trust: whether you trust the configuration. A trusted one may name files outside its folder
+            and run code of classes in modules next to it, outside the working folder.
 
     Raises:
-        ConfigError: anything that is wrong with it.
+        ConfigError: the configuration is wrong.
     """
     with trusting(trust):
         return _load(config, _as_on_the_command_line(overrides), cores)

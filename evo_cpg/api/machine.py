@@ -1,4 +1,4 @@
-"""Fingerprint of the machine: processor, cores and versions, on which the bits of a run depend."""
+"""Fingerprint of the machine: processor, cores and versions, which affect the bits of a run."""
 
 import platform
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ from evo_cpg.system import described_by
 
 _PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
 
-# Keys of what was noted that change how numbers are rounded, in words.
+# Names of the fingerprint's keys that affect rounding.
 _ROUNDING = {
     "devices": "cores",
     "processor": "processor",
@@ -36,11 +36,11 @@ def machine_fingerprint(engine: Engine, devices: int) -> dict[str, Any]:
 
 
 def machine_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Return changes of the machine that change bits.
+    """Return descriptions of the machine's changes that affect bits.
 
     Args:
-        before: from meta.json; missing keys count as unchanged.
-        now: `machine_fingerprint` here.
+        before: fingerprint from meta.json; missing keys count as unchanged.
+        now: `machine_fingerprint` of this machine.
     """
     pairs = [(words, before.get(key), now.get(key)) for key, words in _ROUNDING.items()]
     old = before.get("versions")
@@ -54,7 +54,7 @@ def machine_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[s
 
 
 def _processor() -> str:
-    """Return name and number of the processor, or its kind if the system does not tell."""
+    """Return the processor's name and model numbers, or its kind if the name is unknown."""
     parts = [line.partition(":") for line in described_by(Path("/proc/cpuinfo")).splitlines()]
     found = {name.strip(): value.strip() for name, _, value in parts}
     name = found.get("model name") or platform.processor() or platform.machine()

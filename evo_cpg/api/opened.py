@@ -1,4 +1,4 @@
-"""A run folder, read and built, and a champion or elite of it."""
+"""Run folder with its built experiment, and with one of its champions or elites."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -18,12 +18,12 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 
 class Replay(NamedTuple):
-    """A replayed trial.
+    """Results of a replayed trial.
 
     Attributes:
-        fitness: as it counts in the run.
-        frames: see `evo_cpg.simulation.recording.Recorder`, of one individual.
-        recording: its motion.
+        fitness: fitness that counts in the run.
+        frames: frames of one individual, see `evo_cpg.simulation.recording.Recorder`.
+        recording: motion in the trial.
     """
 
     fitness: float
@@ -33,12 +33,12 @@ class Replay(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Opened:
-    """A run.
+    """Run folder with its configuration and experiment.
 
     Attributes:
-        folder: of the run.
-        config: read from it.
-        experiment: built from that.
+        folder: run folder.
+        config: configuration in the folder.
+        experiment: experiment built from the configuration.
     """
 
     folder: RunFolder
@@ -47,7 +47,7 @@ class Opened:
 
     @property
     def devices(self) -> int:
-        """Devices that shared the population."""
+        """Number of devices that shared the population."""
         return self.folder.read_meta().get("devices", 1)
 
     @property
@@ -57,7 +57,7 @@ class Opened:
 
     @property
     def changed(self) -> str | None:
-        """A sentence if ``config.yaml`` is not what the champion evolved in; None if it is.
+        """Warning that ``config.yaml`` changed since the champion evolved; None if unchanged.
 
         Raises:
             RunFolderError: there is no champion.
@@ -71,7 +71,7 @@ class Opened:
         """Check that the configuration describes the whole run.
 
         Raises:
-            RunFolderError: the run was begun in Python with a part that only that program has.
+            RunFolderError: the run began in Python with a part that only that program has.
         """
         replaced = self.folder.read_meta().get("replaced")
         if replaced:
@@ -87,7 +87,7 @@ class Opened:
         """Return the run with its champion.
 
         Raises:
-            RunFolderError: there is none, or it does not fit the configuration.
+            RunFolderError: there is no champion, or it does not fit the configuration.
         """
         champion, recording, digests = self.folder.load_champion()
         same = digests["config_sha256"] == self.folder.config_digest()
@@ -96,7 +96,7 @@ class Opened:
     def with_champion(
         self, champion: Champion, recording: Recording | None = None
     ) -> "OpenedChampion":
-        """Return the run with an individual of it.
+        """Return the run with one of its individuals.
 
         Raises:
             RunFolderError: the individual does not fit the configuration.
@@ -107,12 +107,12 @@ class Opened:
         return OpenedChampion(self.folder, self.config, self.experiment, champion, recording)
 
     def replay(self, champions: Sequence[Champion], trial: int, full: bool = False) -> list[Replay]:
-        """Replay individuals of the run, one after the other in one program.
+        """Replay individuals of the run in turn, with one program.
 
         Args:
             champions: the individuals.
-            trial: which of their trials is recorded, from 0.
-            full: see `evo_cpg.simulation.recording.Recorder`.
+            trial: number of the recorded trial, from 0.
+            full: whether to record all quantities, see `evo_cpg.simulation.recording.Recorder`.
         """
         # Importing the loop starts nothing, but it takes JAX a second.
         from evo_cpg.training.replay import compile_frames
@@ -129,11 +129,11 @@ class Opened:
 
 @dataclasses.dataclass(frozen=True)
 class OpenedChampion(Opened):
-    """A run and a champion or elite of it.
+    """Run with one of its champions or elites.
 
     Attributes:
         champion: the individual.
-        recording: of its first trial; None where that was not kept, or is of another configuration.
+        recording: motion in its first trial; None if not kept or of another configuration.
     """
 
     champion: Champion
@@ -145,11 +145,11 @@ def open_run(run: Path | str, build: Callable[..., Experiment] = build_experimen
 
     Args:
         run: the folder.
-        build: `build_experiment`, or the same with a line about what it does.
+        build: `build_experiment`, or a variant that shows its progress.
 
     Raises:
-        RunFolderError: there is no run.
-        ConfigError: its configuration is wrong.
+        RunFolderError: the folder holds no run.
+        ConfigError: the run's configuration is wrong.
     """
     folder = RunFolder(run)
     folder.require()
@@ -158,6 +158,6 @@ def open_run(run: Path | str, build: Callable[..., Experiment] = build_experimen
 
 
 def class_folders(folder: RunFolder) -> list[Path]:
-    """Return the folder of a user's own classes: that of the config which the run began with."""
+    """Return the folder of a user's classes: the folder of the run's original config file."""
     origin = folder.read_meta().get("config")
     return [named(origin).parent] if isinstance(origin, str) else []

@@ -1,7 +1,7 @@
-"""Differences of a configuration from the shipped one of its name, and of that from its paper.
+"""Differences between a configuration, the shipped one of its name, and the paper.
 
-The shipped files say beside every value whether it is the paper's or ours, in comments: "# paper:
-2000 steps", "# ours". They are read here, so that nothing has to be said twice.
+Comments in the shipped files mark every value as the paper's or ours: "# paper: 2000 steps",
+"# ours". This module reads these comments, so that nothing is recorded twice.
 """
 
 import re
@@ -14,13 +14,13 @@ from evo_cpg.view.page.subject import Difference, Note, PaperDifferences
 
 # `  steps: 2000   # paper`: indent, key, value and comment.
 _LINE = re.compile(r"^( *)([A-Za-z_]\w*):\s*(.*?)\s*(?:# ?(.*))?$")
-# "paper: not said" and "paper: 200; ours: 400" are ours; "ours: half the paper's times" is, too.
+# "paper: not said", "paper: 200; ours: 400" and "ours: half the paper's times" are all ours.
 _WHOSE = re.compile(r"\bours\b|\bpaper\b(?!')")
 _CONTINUED = re.compile(r"^\s+# ?(.*)$")
 
 
 def paper_differences(config: ExperimentConfig) -> PaperDifferences | None:
-    """See `PaperDifferences`; None where no configuration of this name is shipped."""
+    """Return the differences; None if no configuration of this name is shipped."""
     if config.name not in shipped_names():
         return None
     ours = shipped(config.name)
@@ -37,11 +37,11 @@ def paper_differences(config: ExperimentConfig) -> PaperDifferences | None:
 
 
 def differences(config: ExperimentConfig, shipped: ExperimentConfig) -> list[Difference]:
-    """Values that differ, by their keys, in the order of the shipped one.
+    """Return the values that differ, by key, in the order of the shipped configuration.
 
     Args:
-        config: whose values are asked for.
-        shipped: the one that it is compared with.
+        config: configuration of interest.
+        shipped: configuration to compare with.
     """
     own, other = (_flat(each.model_dump(mode="json")) for each in (config, shipped))
     keys = [*other, *(key for key in own if key not in other)]
@@ -53,10 +53,10 @@ def differences(config: ExperimentConfig, shipped: ExperimentConfig) -> list[Dif
 
 
 def notes(text: str) -> list[Note]:
-    """Values with comments that say whose they are; of ``creature`` also without.
+    """Return values whose comments name their origin, and ``creature`` even without one.
 
     Args:
-        text: of a YAML file; comments of several lines are one, lists are left out.
+        text: text of a YAML file. Comment lines are joined; lists are left out.
     """
     found: list[Note] = []
     above: list[tuple[int, str]] = []
@@ -86,7 +86,7 @@ def notes(text: str) -> list[Note]:
 
 
 def _flat(value: Any, key: str = "") -> dict[str, Any]:
-    """Values by their keys; empty lists and dictionaries are values."""
+    """Return values by dotted key; empty lists and dictionaries are values."""
     inner = {}
     if isinstance(value, dict):
         inner = value

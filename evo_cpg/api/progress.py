@@ -1,8 +1,8 @@
-"""A line on standard error for work that takes long: on a terminal and in a notebook, or if asked.
+"""Progress lines on standard error: on a terminal, in a notebook, or on request.
 
-A library prints nothing that its user did not request, so logs and pipes stay clean. But the
-first call of a program compiles it, which takes seconds or, for a large animal, minutes. A user who
-watches should know what is going on.
+A library prints nothing that its user did not request, so logs and pipes stay clean. But the first
+call of a program compiles it, which takes seconds or, for a large animal, minutes. A user at a
+terminal should know what is happening.
 """
 
 import contextlib
@@ -14,7 +14,7 @@ from collections.abc import Iterator
 # Shorter work prints no line, s.
 _SOON = 1.0
 
-# Between two lines about generations, s.
+# Time between two lines about generations, s.
 _BETWEEN = 10.0
 
 _shown: bool | None = None
@@ -24,8 +24,8 @@ def show_progress(on: bool | None = None) -> None:
     """Choose whether long work of this library prints its progress to standard error.
 
     Args:
-        on: True for always, False for never, None for only on a terminal and in a notebook, as it
-            is from the start.
+        on: True for always, False for never, None (the default) for only on a terminal and in a
+            notebook.
     """
     global _shown
     _shown = on
@@ -33,7 +33,7 @@ def show_progress(on: bool | None = None) -> None:
 
 @contextlib.contextmanager
 def working(what: str) -> Iterator[None]:
-    """Print the name of work that takes more than a second, and afterwards its duration.
+    """Print the name of work that takes more than a second, and its duration at the end.
 
     Args:
         what: name of the work.
@@ -60,20 +60,20 @@ def working(what: str) -> Iterator[None]:
 
 
 class Generations:
-    """Tells how far a search is, a line every ten seconds.
+    """Progress of a search, a line every ten seconds.
 
     Args:
-        total: generations of the search.
+        total: number of generations of the search.
     """
 
     def __init__(self, total: int):
         self._total, self._done, self._next = total, 0, time.monotonic() + _BETWEEN
 
     def add(self, best: float) -> None:
-        """Count a generation, and tell how far the search is if a line is due.
+        """Count a generation, and print the progress if a line is due.
 
         Args:
-            best: fitness so far.
+            best: best fitness so far.
         """
         self._done += 1
         if time.monotonic() >= self._next and _is_shown():
@@ -82,10 +82,10 @@ class Generations:
 
 
 def _is_shown() -> bool:
-    """Return whether somebody watches, or asked for it."""
+    """Return whether progress is shown: as chosen, else on a terminal or in a notebook."""
     if _shown is not None:
         return _shown
-    # Standard error of a notebook is no terminal.
+    # The standard error of a notebook is not a terminal.
     return sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
 
 

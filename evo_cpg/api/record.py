@@ -1,4 +1,4 @@
-"""One trial in named columns."""
+"""Record of one trial in named columns."""
 
 import csv
 import io
@@ -16,11 +16,11 @@ _AXES = ("x", "y", "z")
 
 
 class Record(Mapping[str, Float[np.ndarray, " t"]]):
-    """A row for every control step; a mapping from the names of columns to arrays.
+    """Mapping from column names to arrays, with a row for every control step.
 
     Attributes:
-        units: of every column.
-        recording: the same motion as arrays by body, as films need it.
+        units: unit of every column, by name.
+        recording: the motion as arrays by body, for films.
     """
 
     def __init__(self, columns: dict[str, np.ndarray], units: dict[str, str], recording: Recording):
@@ -42,10 +42,10 @@ class Record(Mapping[str, Float[np.ndarray, " t"]]):
         return f"Record({len(self['time'])} steps, {len(names)} columns: {', '.join(shown)})"
 
     def to_csv(self, path: Path | str) -> None:
-        """Write it as a table whose header is the names, each with its unit: ``time [s]``.
+        """Write the record as a CSV table; headers are names with units: ``time [s]``.
 
         Raises:
-            OutputError: it cannot be written there.
+            OutputError: the file cannot be written.
         """
         table = io.StringIO()
         writer = csv.writer(table, lineterminator="\n")
@@ -54,12 +54,12 @@ class Record(Mapping[str, Float[np.ndarray, " t"]]):
         write_text(Path(path), table.getvalue())
 
     def to_npz(self, path: Path | str) -> None:
-        """Write it as arrays by the names of the columns, for `numpy.load`.
+        """Write the record as arrays by column name, for `numpy.load`.
 
-        Two arrays of text go with them: ``columns``, the names, and ``units`` of each.
+        Two arrays of text are added: ``columns`` with the names and ``units`` with the units.
 
         Raises:
-            OutputError: it cannot be written there.
+            OutputError: the file cannot be written.
         """
         names = np.array([list(self), [self.units[name] for name in self]])
         arrays = {"columns": names[0], "units": names[1], **self}
@@ -70,9 +70,9 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
     """Name the columns of a recorded trial.
 
     Args:
-        simulation: the trial.
-        frames: of one individual, ``full`` ones of `evo_cpg.simulation.recording.Recorder`.
-        recording: the same in the order of the creature.
+        simulation: simulation of the trial.
+        frames: ``full`` frames of one individual (`evo_cpg.simulation.recording.Recorder`).
+        recording: recording of the trial, in the order of the creature.
     """
     columns: dict[str, np.ndarray] = {"time": recording.time}
     units = {"time": "s"}

@@ -1,15 +1,15 @@
-"""Many settings of one experiment: a run folder for each, a table of all, and one figure.
+"""Sweep over many settings of one experiment: run folders, tables and one figure.
 
-    sweep.json       the settings, to continue the sweep
-    NAME/            a run folder for every setting, for all commands that take one
-    runs.csv         a row for every run: its setting and its champion
-    settings.csv     a row for every setting: median, quartiles, extremes
-    tests.csv        a row for every two settings: how often the first wins, with a p value
+    sweep.json       settings, to continue the sweep
+    NAME/            run folder of a setting, for all commands that take a run
+    runs.csv         row for every run: its setting and its champion
+    settings.csv     row for every setting: median, quartiles, extremes
+    tests.csv        row for every two settings: how often the first wins, with a p value
     sweep.png        fitness over generations, and final fitness
 
-Settings with the same animal in the same trial run side by side in one program, with any searches
-(`evo_cpg.training.loop`). Others run in turn, each with a program of its own. The numbers of a
-body are constants of the program, so that evaluations are fast and replays exact to the bit.
+Settings with equal trials run together in one program, with any searches
+(`evo_cpg.training.loop`). Others run in turn, each with its own program. The numbers of a body
+are constants of the program, so that evaluations are fast and replays exact to the bit.
 """
 
 import contextlib
@@ -48,28 +48,28 @@ _SEARCH = ("name", "seed", "runs", "evolution", "audit")
 
 @dataclasses.dataclass(frozen=True)
 class Member(Opened):
-    """A setting of a sweep.
+    """Setting of a sweep, with its run.
 
     Attributes:
-        setting: its name, and what it sets.
+        setting: name and values of the setting.
     """
 
     setting: Setting
 
     @property
     def checkpoint(self) -> Checkpoint | None:
-        """The newest; None where there is none yet."""
+        """Newest checkpoint; None if there is none yet."""
         return self.folder.load() if self.folder.config.is_file() else None
 
     @property
     def generation(self) -> int:
-        """Generations that are done."""
+        """Number of finished generations."""
         found = self.checkpoint
         return found.generation if found else 0
 
     @property
     def finished(self) -> bool:
-        """Whether its last generation is done, and its champions known."""
+        """Return whether the last generation is done and the champions are known."""
         if self.folder.newest < self.experiment.generations:
             return False
         found = self.checkpoint
@@ -80,9 +80,9 @@ class Summary(NamedTuple):
     """Result of a sweep.
 
     Attributes:
-        spreads: of every setting.
-        comparisons: of every two.
-        figure: path of the picture.
+        spreads: spread of the fitness of every setting.
+        comparisons: comparison of every two settings.
+        figure: path of the figure.
     """
 
     spreads: list[Spread]
@@ -91,10 +91,10 @@ class Summary(NamedTuple):
 
 
 def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]) -> dict[str, Any]:
-    """Return the plan of a sweep, for its folder.
+    """Return the plan of a sweep, the contents of ``sweep.json``.
 
     Raises:
-        ConfigError: the configuration is wrong.
+        ConfigError: the configuration or a value of a setting is wrong.
     """
     plan = {
         "config": name_of(resolved(source)),
@@ -111,15 +111,15 @@ def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]
                 raise ConfigError(
                     source, key.split("."), f"{value}: a {kind}; allowed: numbers, texts, lists"
                 ) from None
-    # As it will be read.
+    # Return the plan in the form in which it will be read.
     return json.loads(json.dumps(plan))
 
 
 def claim(folder: Path, plan: Mapping[str, Any]) -> None:
-    """Make the folder of a sweep, or check that it holds this one.
+    """Make the folder of a sweep, or check that it holds this sweep.
 
     Raises:
-        RunFolderError: it holds something else, or cannot be written.
+        RunFolderError: the folder holds something else, or cannot be written.
     """
     known = read_plan(folder)
     if known is not None:
@@ -141,14 +141,14 @@ def read_plan(folder: Path) -> dict[str, Any] | None:
     """Read the plan of a sweep; None if the folder holds no sweep.
 
     Raises:
-        RunFolderError: its file is damaged.
+        RunFolderError: the file of the plan is damaged.
     """
     return read_checked(folder / _PLAN, _is_plan)
 
 
 def _is_plan(plan: Any) -> bool:
     for name in plan["settings"]:
-        # It names a folder beside the file.
+        # The name is that of a folder next to the file.
         if not is_folder_name(name):
             raise ValueError(f"{name[:80]!r} is no name of a setting")
     kinds = {"config": str, "config_sha256": str, "overrides": list, "settings": dict}
@@ -165,14 +165,14 @@ def members_of(
     """Build the settings of a sweep.
 
     Args:
-        folder: of the sweep.
-        plan: what it is about.
-        names: of the settings that are wanted; None for all.
+        folder: folder of the sweep.
+        plan: plan of the sweep.
+        names: names of the settings to build; None for all.
 
     Raises:
-        RunFolderError: its configuration has changed since it began.
+        RunFolderError: the configuration has changed since the sweep began.
         ConfigError: a setting is wrong.
-        TooLargeError: the machine has not the memory for one.
+        TooLargeError: a setting needs more memory than the machine has.
     """
     source = named(plan["config"])
     if _digest(source, plan["overrides"]) != plan["config_sha256"]:
@@ -195,14 +195,14 @@ def members_of(
 
 
 def _digest(source: Path, overrides: Sequence[str]) -> str:
-    """Return a digest of the configuration that the settings change."""
+    """Return a digest of the base configuration, before settings change it."""
     config = load_config(source, overrides)
     text = json.dumps(fingerprint(config)["config"], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def groups(members: Sequence[Member]) -> list[list[Member]]:
-    """Settings that share a program of trials, in the order in which they first come."""
+    """Group the settings that share a program of trials, in order of first appearance."""
     found: dict[str, list[Member]] = {}
     for member in members:
         config = member.config.model_dump(mode="json", exclude=set(_SEARCH))
@@ -221,17 +221,17 @@ def run_group(
     on_generation: Callable[[Member, list[dict[str, float]]], object],
     warn: Callable[[str], object] = lambda words: None,
 ) -> None:
-    """Evolve settings side by side, from where they stand.
+    """Evolve the settings of a group together, from their newest checkpoints.
 
     Args:
-        group: from `groups`.
-        source: file that the configuration came from.
-        devices: that share the population.
-        on_generation: called after every generation of each.
-        warn: called with differences from before, in words for the user.
+        group: a group from `groups`.
+        source: file of the configuration.
+        devices: number of devices that share the population.
+        on_generation: called with a setting and its new rows after each of its generations.
+        warn: called with a sentence for each difference from the earlier machine.
 
     Raises:
-        LockedError: another process evolves one of them.
+        LockedError: another process evolves one of the settings.
         OutputError: a folder cannot be written.
     """
     from evo_cpg.training.loop import train_together
@@ -255,15 +255,15 @@ def evolve(
     on_generation: Callable[[Member], object] = lambda member: None,
     warn: Callable[[str], object] = lambda words: None,
 ) -> None:
-    """Evolve settings to their ends, group by group, and show how far they are.
+    """Evolve settings to the last generation, group by group, and show the progress.
 
     Args:
         members: the settings.
-        source: see `run_group`.
-        devices: see `run_group`.
-        title: before the names of each group.
+        source: file of the configuration.
+        devices: number of devices that share the population.
+        title: text before the names of each group.
         on_generation: called with a setting after each of its generations.
-        warn: see `run_group`.
+        warn: called with a sentence for each difference from the earlier machine.
     """
     found = groups(members)
     for number, group in enumerate(found, 1):
@@ -287,7 +287,7 @@ def evolve(
 
 
 def _standing(latest: Mapping[str, float]) -> str:
-    """Return the setting whose champions are best so far, by their median fitness."""
+    """Return text that names the setting with the best median champion so far."""
     known = {name: value for name, value in latest.items() if math.isfinite(value)}
     if not known:
         return "nobody lives yet"
@@ -298,7 +298,7 @@ def _standing(latest: Mapping[str, float]) -> str:
 def _reopen(
     group: Sequence[Member], source: Path, devices: int, warn: Callable[[str], object]
 ) -> None:
-    """Make the run folders, or put those that are there in order."""
+    """Make the run folders, or reopen existing ones."""
     for member in group:
         if not member.folder.config.is_file():
             begin_run(member, devices, source)
@@ -310,7 +310,7 @@ def _reopen(
 
 
 def summarise(folder: Path, members: Sequence[Member]) -> Summary:
-    """Write the tables and the figure of what there is.
+    """Write the tables and the figure of all results so far.
 
     Raises:
         RunFolderError: nothing has been evolved yet, or the folder cannot be written.
@@ -331,7 +331,7 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
         worth = [math.nan if one is None else one.worth for one in checkpoint.champions]
         curves.append(Curves(name, evaluated, best, np.array(worth)))
         fitness[name] = worth
-        # Every run's row has the time that all of them took.
+        # The row of each run holds the time of all runs together.
         seconds = sum(row["seconds"] for row in checkpoint.history) / runs
         for run, champion in enumerate(checkpoint.champions):
             found = {} if champion is None else champion.terms

@@ -1,4 +1,4 @@
-"""Evolving from Python, into a run folder that the commands know."""
+"""Evolution from Python, into a run folder that the commands can read."""
 
 import dataclasses
 import sys
@@ -45,10 +45,10 @@ class Trained:
 
     Attributes:
         folder: the run folder, for `evo-cpg render` and the other commands.
-        genome: of the champion.
-        fitness: its fitness.
-        expected: its mean fitness in fresh draws of chance; None where chance has no say.
-        terms: the task's terms of it.
+        genome: genome of the champion.
+        fitness: fitness of the champion.
+        expected: mean fitness of the champion with fresh noise; None without noise.
+        terms: task's terms of the champion.
         history: rows of metrics.csv.
     """
 
@@ -74,20 +74,20 @@ def train(
     on_generation: Callable[[Rows], None] = lambda rows: None,
     start: ArrayLike | None = None,
 ) -> Trained:
-    """Evolve as `evo-cpg train` does.
+    """Evolve an experiment, as `evo-cpg train` does.
 
     Args:
-        experiment: what to evolve.
-        out: a new run folder.
+        experiment: experiment to evolve.
+        out: path of a new run folder.
         on_generation: called with the new rows of metrics.csv after every generation.
-        start: genomes to begin with instead of random ones, a population for each run, run by run,
+        start: initial genomes instead of random ones, a population for each run, run by run,
             ``(runs x population, genes)``.
 
     Raises:
-        ValueError: the genomes are not of that shape, or not finite.
+        ValueError: the genomes have another shape, or are not finite.
         LockedError: another process evolves into the folder.
-        RunFolderError: the folder holds a run or other files, or everybody diverged.
-        TooLargeError: the machine has not the memory for it.
+        RunFolderError: the folder holds a run or other files, or no individual has a fitness.
+        TooLargeError: the experiment needs more memory than the machine has.
     """
     folder = RunFolder(out)
     given = None if start is None else Start(_genes(experiment, start), {"what": "genomes"})
@@ -135,16 +135,16 @@ def begin_run(
     """Make a run folder, with its configuration and meta.json.
 
     Args:
-        run: whose folder is made.
-        devices: of this process.
-        source: file that the configuration came from.
-        start: what it begins with; None for random genomes.
-        processes: that evolve together.
+        run: run whose folder is made.
+        devices: number of devices of this process.
+        source: file of the configuration.
+        start: initial genomes; None for random ones.
+        processes: number of processes that evolve together.
 
     Raises:
         ConfigError: there are no genes to evolve.
         RunFolderError: the folder holds a run or other files, or cannot be written.
-        TooLargeError: the machine has not the memory for it.
+        TooLargeError: the run needs more memory than the machine has.
     """
     require_genes(run.experiment, source)
     require_memory(run.experiment)
@@ -174,33 +174,33 @@ def _known(run: Opened, devices: int, source: Path, processes: int) -> dict[str,
 def reopen_run(
     run: Opened, devices: int, processes: int = 1, source: Path | None = None
 ) -> list[str]:
-    """Note the configuration and machine that a run continues with.
+    """Record the configuration and machine that a run continues with.
 
     Args:
-        run: with the configuration that it continues with.
-        devices: of this process.
-        processes: that evolve together.
-        source: file that the configuration came from, if known.
+        run: run with the configuration to continue with.
+        devices: number of devices of this process.
+        processes: number of processes that evolve together.
+        source: file of the configuration, if known.
 
     Returns:
-        Differences from before, in words for the user.
+        A sentence for each difference from the earlier machine.
 
     Raises:
         ConfigError: there are no genes to evolve.
         RunFolderError: the folder cannot be written.
-        TooLargeError: the machine has not the memory for it.
+        TooLargeError: the run needs more memory than the machine has.
     """
     folder = run.folder
     require_genes(run.experiment, folder.config)
     require_memory(run.experiment)
-    # Before anything is written: it starts JAX, which may find no device.
+    # Call this before writing anything: it starts JAX, which may find no device.
     here = machine_fingerprint(run.experiment.simulation.engine, devices)
     before = folder.read_meta()
     folder.reopen(dump_config(run.config))
     noted = {"resumed": now(), "fingerprint": fingerprint(run.config), "processes": processes}
     noted |= here
     if not before and source is not None:
-        # It was killed before this was written.
+        # The run was killed before meta.json was written.
         noted = _known(run, devices, source, processes)
     folder.update_meta(**noted)
     found = machine_changes(before, here)
@@ -208,7 +208,7 @@ def reopen_run(
 
 
 def _genes(experiment: Experiment, start: ArrayLike) -> np.ndarray:
-    """Genomes to begin with as the library has them, checked."""
+    """Check initial genomes and return them transposed, ``(genes, individuals)``."""
     rows, parts = np.asarray(start, np.float32), experiment.parts
     shape = parts.runs * parts.strategy.population, experiment.gene_count
     if rows.shape != shape:
@@ -222,23 +222,23 @@ def _genes(experiment: Experiment, start: ArrayLike) -> np.ndarray:
 
 
 class Recorder:
-    """Records the champion's motion, and takes a first look at it, with programs of its own.
+    """Recorder of the champion's motion, with a first check of the champion.
 
-    It compiles them in a thread while the population evolves: one core is busy meanwhile, and
-    nobody waits for it at the end of a long run.
+    Its programs compile in a thread while the population evolves. One core is busy meanwhile, but
+    the end of a long run is not delayed.
 
     Args:
-        experiment: what is evolved.
-        folder: of the run.
-        least: share of its way that the champion must keep at half the physics step; None to take
-            no look.
-        animal: a digest of all that the program of a trial depends on, under which it is remembered
-            how long that took to compile; None to forget it.
+        experiment: experiment that evolves.
+        folder: run folder.
+        least: smallest allowed fraction of its displacement that the champion keeps at half the
+            physics step; None for no check.
+        animal: digest of all that the program of a trial depends on; the compile time is stored
+            under this digest. None to store no time.
 
     Attributes:
-        seen: what the first look came to; None without one.
-        checks: whether it checks the first champion.
-        skipped: whether that was skipped.
+        seen: result of the first check; None without one.
+        checks: whether the champion is to be checked.
+        skipped: whether the check was skipped.
     """
 
     def __init__(
@@ -263,15 +263,15 @@ class Recorder:
         return self
 
     def __exit__(self, error: type[BaseException] | None, *rest: object) -> None:
-        # An interrupt ends the run at once, and does not wait for the compiler.
+        # An interrupt ends the run at once, without waiting for the compiler.
         self._thread.shutdown(wait=error is None and not self.skipped, cancel_futures=True)
 
     def compile(self, spent: Spent | None = None) -> None:
-        """Begin to compile.
+        """Start to compile the programs.
 
         Args:
-            spent: on the code of the trials, which takes about as long as each of these programs;
-                None where it is not known.
+            spent: time spent on the code of the trials, about that of each program here. None if
+                unknown.
         """
         from evo_cpg.training.replay import compile_replay
 
@@ -295,15 +295,15 @@ class Recorder:
             )
 
     def expected_to_record(self) -> float | None:
-        """Estimate how long `record` still compiles, s; None where nothing was measured."""
+        """Estimate the remaining time to compile for `record`, s; None without a measurement."""
         return self._program and self._program.left
 
     def expected_to_look(self) -> float | None:
-        """Estimate how long `look` still compiles, s; None where nothing was measured."""
+        """Estimate the remaining time to compile for `look`, s; None without a measurement."""
         return self._look and self._look.left
 
     def keep(self, champion: Champion) -> None:
-        """Record the champion, take the first look at it, and finish the run."""
+        """Record the champion, check it, and finish the run."""
         self.record(champion)
         self.look(champion)
         self.finish()
@@ -319,7 +319,7 @@ class Recorder:
         self._folder.save_champion(champion, motion)
 
     def look(self, champion: Champion) -> None:
-        """Take the first look at a champion that was recorded, if one is asked for."""
+        """Check a recorded champion at half the step, if a check is configured."""
         if self._look is None:
             return
         self.seen = seen = self._look(champion, self._displacement)
@@ -330,23 +330,23 @@ class Recorder:
         self._folder.update_meta(half_step=noted)
 
     def skip(self) -> None:
-        """Take no first look after all, and do not wait for what still compiles."""
+        """Skip the first check, and do not wait for programs that still compile."""
         self.skipped = True
         self._folder.update_meta(half_step=None)
 
     def finish(self) -> None:
-        """Note that nothing is left to do."""
+        """Record the time at which the run finished."""
         self._folder.update_meta(finished=now())
 
 
 class _Compilation:
-    """A program that a thread compiles when it has done what came before.
+    """Program that a thread compiles, after its earlier work.
 
     Args:
-        thread: that compiles.
-        expected: duration, s; None where nothing was measured.
-        compile_it: returns the program.
-        given: arguments of that.
+        thread: thread that compiles.
+        expected: expected duration, s; None without a measurement.
+        compile_it: function that returns the program.
+        given: arguments of ``compile_it``.
     """
 
     def __init__(
@@ -367,7 +367,7 @@ class _Compilation:
 
     @property
     def left(self) -> float | None:
-        """Estimate of the time that it still takes, s; None where nothing was measured."""
+        """Estimate of the remaining time, s; None without a measurement."""
         if self._program.done():
             return 0.0
         if self._expected is None or self._start is None:
@@ -375,12 +375,12 @@ class _Compilation:
         return max(0.0, self._expected - (time.monotonic() - self._start))
 
     def __call__(self, *given: Any) -> Any:
-        """Wait for the program, and call it."""
+        """Wait for the program, and call it with the arguments."""
         return self._program.result()(*given)
 
 
 def first_look_limit(config: ExperimentConfig) -> float | None:
-    """Return the limit of the first look at a run's champion; None if it takes none."""
+    """Return the limit of the first check of a champion; None without a check."""
     return config.audit.half_step if config.audit.after_training else None
 
 
@@ -391,20 +391,20 @@ def evolve(
     recorder: Recorder,
     team: "Team | None" = None,
 ) -> Champion:
-    """Evolve from the folder's newest checkpoint on.
+    """Evolve from the folder's newest checkpoint.
 
     Args:
-        experiment: what to evolve.
-        folder: of the run.
+        experiment: experiment to evolve.
+        folder: run folder.
         on_generation: called with the new rows of metrics.csv after every generation.
-        recorder: which compiles meanwhile.
-        team: the processes that evolve together; None for this alone.
+        recorder: recorder that compiles meanwhile.
+        team: processes that evolve together; None for this one alone.
 
     Raises:
-        RunFolderError: no individual of any generation has a fitness.
+        RunFolderError: no individual of any generation has a finite fitness.
         TeamError: another process was lost.
     """
-    # Importing the loop starts nothing, but it takes JAX a second.
+    # Importing the loop takes JAX a second.
     from evo_cpg.training.loop import train as train_generations
     from evo_cpg.training.processes import ALONE
 
@@ -433,16 +433,16 @@ def evolve(
 
 
 def follow(experiment: parts.Experiment, folder: RunFolder, team: "Team") -> None:
-    """Evolve as one of a team that does not lead it: nothing is written, and nothing shown.
+    """Evolve as a follower in a team. Nothing is written or shown.
 
     Args:
-        experiment: what to evolve.
-        folder: of the run, at the lead's.
-        team: the processes that evolve together.
+        experiment: experiment to evolve.
+        folder: run folder of the lead process.
+        team: processes that evolve together.
 
     Raises:
         TeamError: another process was lost.
-        TooLargeError: the machine has not the memory for it.
+        TooLargeError: the experiment needs more memory than the machine has.
     """
     from evo_cpg.training.loop import train as train_generations
 

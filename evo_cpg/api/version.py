@@ -12,7 +12,7 @@ from evo_cpg.installation import version_of
 
 
 def version() -> str:
-    """Version and, in a checkout, commit; then what results depend on: Python, JAX, the engine."""
+    """Return the program's version and commit, and the versions of Python, JAX and the engine."""
     words, made_by = f"evo-cpg {version_of('evo-cpg')}", commit()
     return "\n".join(
         [
@@ -25,32 +25,32 @@ def version() -> str:
 
 
 def checkout() -> Path | None:
-    """The checkout that this program lies in; None where it was installed."""
+    """Return the folder of this program's checkout; None if it was installed."""
     folder = Path(evo_cpg.__file__).parents[1]
     # An installed package may lie in a checkout of another project.
     return folder if os.path.exists(folder / ".git") else None
 
 
 def commit() -> str | None:
-    """The state of this program's checkout, see `commit_of`."""
+    """Return the commit of this program's checkout, see `commit_of`."""
     folder = checkout()
     return folder and commit_of(folder)
 
 
 def program_commit() -> str | None:
-    """`commit`, where only what results depend on counts: program, configurations, benchmarks."""
+    """Return `commit`; only changes of program, configurations and benchmarks count as dirty."""
     folder = checkout()
     return folder and commit_of(folder, ("evo_cpg", "configs", "benchmarks", "pyproject.toml"))
 
 
 def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
-    """Short name of a checkout's commit, with "-dirty" where files were changed since.
+    """Return the short name of a checkout's commit, with "-dirty" if files have changed.
 
-    None where it is no checkout, or there is no git.
+    Return None if the folder is no checkout or git is missing.
 
     Args:
-        folder: of the checkout.
-        paths: of it, whose changes count.
+        folder: folder of the checkout.
+        paths: paths in the checkout whose changes count.
     """
     if not os.path.exists(folder / ".git"):
         return None
@@ -63,7 +63,7 @@ def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
 
 
 def _engine() -> str:
-    """Return the engine of this machine, and the reason if it is the slower one."""
+    """Return the engine of this machine, with the reason if it is the slower one."""
     from evo_cpg.fusion.engine import Engine, described
 
     with warnings.catch_warnings(record=True) as caught:
@@ -71,7 +71,7 @@ def _engine() -> str:
         try:
             found = described(Engine())
         except (AssertionError, RuntimeError):
-            # JAX 0.10 raises these if it has no such device.
+            # JAX 0.10 raises these errors if it has no such device.
             platforms = os.environ.get("JAX_PLATFORMS", "")
             return f"none: JAX finds no device for JAX_PLATFORMS={platforms}"
     if found["engine"] == "native":

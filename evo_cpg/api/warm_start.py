@@ -1,4 +1,4 @@
-"""Beginning a run where another one ended: from its champion, or from its population."""
+"""Start of a run from the champion or the population of an earlier run."""
 
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -21,11 +21,11 @@ _AROUND = 6
 
 
 class Start(NamedTuple):
-    """What a run begins with.
+    """Initial genomes of a run.
 
     Attributes:
-        genes: of its first populations, run by run.
-        provenance: where they come from, for meta.json.
+        genes: genomes of the first populations, run by run.
+        provenance: origin of the genomes, for meta.json.
     """
 
     genes: Float[np.ndarray, "g all"]
@@ -33,20 +33,20 @@ class Start(NamedTuple):
 
 
 def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
-    """The first populations of an experiment, from an earlier run of the same plan.
+    """Return the first populations of an experiment, from an earlier run of the same plan.
 
-    If both have the same number of runs, each run starts from its own, else all start from the
-    best. All genomes but the first are variations of the champion, made by the strategy. A
-    population that is too large is cut, and one that is too small is filled with variations.
+    If both have the same number of runs, each run starts from its own champion. Otherwise all
+    start from the best. All genomes but the first are variations of the champion, made by the
+    strategy. A larger population is cut, and a smaller one is filled with variations.
 
     Args:
-        experiment: that begins.
-        path: the earlier run's folder.
-        what: the champion, or the population of the generation that would come next.
+        experiment: experiment that begins.
+        path: folder of the earlier run.
+        what: the champion, or the population of the next generation.
 
     Raises:
-        RunFolderError: there is no such run, or animals of another plan evolved in it.
-        ConfigError: its configuration is wrong.
+        RunFolderError: there is no such run or champion, or its animals have another plan.
+        ConfigError: the earlier run's configuration is wrong.
     """
     earlier = open_run(path)
     _require_same_plan(experiment, earlier.experiment, path)
@@ -93,10 +93,10 @@ def _first_population(
 
 
 def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) -> None:
-    """Check that the genomes mean the same.
+    """Check that both experiments have genomes of the same meaning.
 
     Raises:
-        RunFolderError: they do not.
+        RunFolderError: the plans differ.
     """
 
     def plan(of: Experiment) -> dict[str, Any]:

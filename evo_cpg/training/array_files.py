@@ -1,7 +1,7 @@
-"""Reading of .npz files that may be damaged, or made to do harm.
+"""Reading of .npz files that may be damaged or malicious.
 
-A file from somebody else must neither run code nor take all memory. So pickles are refused, and so
-is an array that is larger than its part of the file.
+A file from elsewhere must neither run code nor fill all memory. So pickles are refused. An array
+that claims to be larger than its part of the file is refused, too.
 """
 
 import math
@@ -26,13 +26,13 @@ DAMAGED = (
 )
 """Errors that reading a truncated or overwritten .npz file has been seen to raise."""
 
-# The end of an archive without a comment: mark, disks, entries (here and in all), size and place of
+# End of an archive without a comment: mark, disks, entries (here and in all), size and place of
 # the list, length of the comment.
 _END = struct.Struct("<4s4H2LH")
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Return the arrays of a file by name. Any error of `DAMAGED` means that it is damaged."""
+    """Return the arrays of a file by name. Any error of `DAMAGED` means a damaged file."""
     # Given a path, np.load would leave a damaged file open.
     with path.open("rb") as file:
         _require_honest(file)
@@ -41,19 +41,19 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def _require_honest(file: IO[bytes]) -> None:
-    """Check that an .npz file is no larger unpacked than it is, and holds what it promises.
+    """Check that an .npz file is uncompressed and holds all entries and bytes that it lists.
 
     Raises:
-        ValueError: it is, or does not; others of `DAMAGED` where it is no .npz file at all.
+        ValueError: a check fails. Other errors of `DAMAGED`: the file is no .npz file.
     """
     with zipfile.ZipFile(file) as archive:
-        # A flipped byte may let one entry swallow those behind it, which zipfile does not notice.
+        # A flipped byte may let one entry swallow later ones; zipfile does not notice.
         file.seek(-_END.size, os.SEEK_END)
         mark, *_, entries, _, _, _ = _END.unpack(file.read(_END.size))
         if mark != b"PK\5\6" or entries != len(archive.infolist()):
             raise ValueError("it lists fewer arrays than it was written with")
         for member in archive.infolist():
-            # Ours are not compressed.
+            # The package writes uncompressed files.
             if member.compress_type != zipfile.ZIP_STORED:
                 raise ValueError(f"{member.filename} is compressed: more than the file holds")
             with archive.open(member) as array:

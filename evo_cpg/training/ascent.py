@@ -1,10 +1,9 @@
-"""Climbing along the slope of the fitness: optax's Adam in an optimistix solver, many at once.
+"""Gradient ascent on the fitness: optax's Adam in an optimistix solver, many individuals at once.
 
-The fitness of a whole trial is rough: over a hundredth of a gene's range its slope may turn round.
-A solver that insists on getting better at every step (tried was L-BFGS with a line search) soon
-sits on a small bump; Adam's steps go over it, and the best place that they touched is kept. No one
-size of step or horizon of the slope (see `evo_cpg.simulation.backward`) suits all: individuals that
-climb side by side draw their own.
+The fitness of a whole trial is rough: its gradient may change sign within a hundredth of a gene's
+range. A solver that must improve at every step soon stops on a small bump (L-BFGS with a line
+search did). Adam's steps pass over bumps, and the best visited point is kept. No single step size
+or gradient horizon (see `evo_cpg.simulation.backward`) suits all, so each individual draws its own.
 """
 
 from collections.abc import Callable
@@ -26,16 +25,16 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
 from evo_cpg.training.experiment import Experiment, judge, situation_numbers
 
-# Step sizes in water are drawn from this range, in units of genes, evenly on a logarithmic scale.
+# Range of step sizes in water, in units of genes; drawn evenly on a logarithmic scale.
 _STEP_SIZES = 3e-4, 1e-2
-# On the ground a slope holds for much less: of five walkers' champions most gained with 1e-4.
+# Gradients hold over shorter steps on the ground: most of five walkers' champions gained with 1e-4.
 _FINER_ON_GROUND = 0.1
-# The shortest horizon of a slope, s, in water and on the ground, where slopes grow a hundredfold in
-# half a second; the share of individuals whose slopes do not fade.
+# Shortest gradient horizon, s, in water and on the ground, where gradients grow a hundredfold in
+# half a second; fraction of individuals whose gradients do not decay.
 _SHORTEST_HORIZON, _SHORTEST_ON_GROUND = 1.0, 0.1
 _EXACT = 0.25
 
-# A slope longer than so many times the mean of those before is cut to that.
+# A gradient is cut to this multiple of the mean length of earlier gradients.
 _LONGEST = 10.0
 _LENGTH_DECAY = 0.9
 
@@ -44,8 +43,8 @@ class GradientLengths(NamedTuple):
     """State of `clip_long_gradients`.
 
     Attributes:
-        mean: length of a slope, a mean that forgets; 0 before the first.
-        finite: slopes that were numbers.
+        mean: exponential moving average of the gradients' length; 0 before the first.
+        finite: number of finite gradients.
     """
 
     mean: Float[Array, ""]
@@ -53,10 +52,10 @@ class GradientLengths(NamedTuple):
 
 
 def clip_long_gradients() -> optax.GradientTransformation:
-    """A guard against slopes that explode, which would fill Adam's memory.
+    """Return a guard against exploding gradients, which would dominate Adam's moments.
 
-    A slope that is not finite counts as none; one much longer than those before is cut.
-    (`optax.adaptive_grad_clip` compares with the parameters, which says nothing of a cliff.)
+    A gradient that is not finite counts as zero. A gradient much longer than earlier ones is cut.
+    (`optax.adaptive_grad_clip` compares with the parameters, which carry no information on cliffs.)
     """
 
     def init(params: Any) -> GradientLengths:
@@ -78,19 +77,19 @@ def clip_long_gradients() -> optax.GradientTransformation:
     return optax.GradientTransformation(init, update)
 
 
-# The mean of squares forgets sooner than usual, for a climb has few steps.
+# The mean of squares decays faster than usual, because an ascent has few steps.
 _ADAM = optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-12)
 _GUARDED_ADAM = optax.chain(clip_long_gradients(), _ADAM, optax.scale(-1.0))
 
 
 class _Descended(eqx.Module):
-    """What `GuardedAdam` remembers.
+    """State of `GuardedAdam`.
 
     Attributes:
-        best: the best place.
-        least: what is minimised there.
+        best: parameters at the best point.
+        least: value of the objective at the best point.
         transformed: state of the guard and of Adam, in this order.
-        move: the next, for steps of size 1.
+        move: next change of the parameters, for a step size of 1.
     """
 
     best: Any
@@ -100,31 +99,31 @@ class _Descended(eqx.Module):
 
 
 class GuardedAdam(optimistix.AbstractDescent):
-    """The direction of descent of Kingma and Ba (2015), by optax, behind `clip_long_gradients`."""
+    """Descent direction of Adam (Kingma and Ba 2015) by optax, after `clip_long_gradients`."""
 
     def init(self, y: Any, f_info_struct: Any) -> _Descended:
-        """Nothing seen yet, so there is no loss that is not less."""
+        """Return the initial state, with an infinite best loss."""
         del f_info_struct
         move = jax.tree.map(jnp.zeros_like, y)
         return _Descended(y, jnp.full((), jnp.inf), _GUARDED_ADAM.init(y), move)
 
     def query(self, y: Any, f_info: Any, state: _Descended) -> _Descended:
-        """Take in the value and the slope at ``y``."""
+        """Update the state with the value and the gradient at ``y``."""
         move, transformed = _GUARDED_ADAM.update(f_info.grad, state.transformed, y)
         better = f_info.f < state.least
         best = jax.tree.map(lambda new, old: jnp.where(better, new, old), y, state.best)
         return _Descended(best, jnp.where(better, f_info.f, state.least), transformed, move)
 
     def step(self, step_size: Array, state: _Descended) -> tuple[Any, optimistix.RESULTS]:
-        """The next move, about ``step_size`` for every parameter whose slope keeps its sign."""
+        """Return the next move; about ``step_size`` where a gradient keeps its sign."""
         return jax.tree.map(lambda x: step_size * x, state.move), optimistix.RESULTS.successful
 
 
 class Climber(optimistix.AbstractGradientDescent):
-    """Steps of Adam of a given size until they are used up; it never thinks that it is there.
+    """Minimiser with a fixed number of Adam steps of a given size, without a convergence test.
 
-    What it gives back is the best place at which it took a slope. (`optimistix.BestSoFarMinimiser`
-    compares the places one step late and would leave out the last.)
+    The result is the best point with a gradient. (`optimistix.BestSoFarMinimiser` compares points
+    one step late and would leave out the last.)
     """
 
     search: optimistix.LearningRate
@@ -134,17 +133,17 @@ class Climber(optimistix.AbstractGradientDescent):
     norm: Callable = optimistix.max_norm
 
     def postprocess(self, *given: Any) -> tuple[Any, Any, dict[str, Any]]:
-        """The best place instead of the last."""
+        """Return the best point instead of the last."""
         _, _, aux, _, _, state, _, _ = given
         return state.descent_state.best, aux, {}
 
 
 class ClimbSettings(NamedTuple):
-    """How individuals climb.
+    """Settings of the ascent of each individual.
 
     Attributes:
-        sizes: of a step, in units of genes.
-        retentions: see `evo_cpg.simulation.backward.Backward`.
+        sizes: step sizes, in units of genes.
+        retentions: decay of gradients per step, see `evo_cpg.simulation.backward.Backward`.
     """
 
     sizes: Float[np.ndarray, " n"]
@@ -157,12 +156,12 @@ def draw_settings(
     count: int,
     stretched: float = 1.0,
 ) -> ClimbSettings:
-    """Step sizes and horizons, the horizons from the shortest to where they hardly fade.
+    """Draw step sizes, and horizons from the shortest to ten times the trial or infinity.
 
     Args:
-        rng: of all draws.
-        simulation: in which they climb.
-        count: individuals.
+        rng: random generator of all draws.
+        simulation: simulation of the individuals.
+        count: number of individuals.
         stretched: factor on the shortest horizon.
     """
     duration = simulation.duration
@@ -174,24 +173,24 @@ def draw_settings(
 
 
 def reach(simulation: Simulation) -> float:
-    """How far slopes hold, relative to those in water."""
+    """Return the distance over which gradients hold, relative to water."""
     return _FINER_ON_GROUND if _is_rough(simulation) else 1.0
 
 
 def log_uniform(
     rng: np.random.Generator, low: float, high: float, count: int
 ) -> Float[np.ndarray, " n"]:
-    """Numbers between two bounds, evenly on a logarithmic scale."""
+    """Draw numbers between two bounds, evenly on a logarithmic scale."""
     return np.exp(rng.uniform(np.log(low), np.log(high), count)).astype(np.float32)
 
 
 class Climbed(NamedTuple):
-    """Where individuals came to.
+    """Results of the ascent of individuals.
 
     Attributes:
-        genes: the best that each came by.
-        fitness: theirs, -inf where it was never a number.
-        finite: slopes of each that were numbers; the others count as none.
+        genes: best genes of each individual.
+        fitness: fitness of these genes; -inf if it was never a number.
+        finite: number of finite gradients of each individual; others count as zero.
     """
 
     genes: Float[np.ndarray, "g n"]
@@ -203,9 +202,9 @@ class Free(NamedTuple):
     """Numbers of an experiment that are refined together with the genes.
 
     Attributes:
-        values: where they begin.
-        simulation: at other values, which may be traced.
-        rebuild: the experiment, built at other values; None where that cannot be.
+        values: initial values of the numbers.
+        simulation: function that returns the simulation at other values, which may be traced.
+        rebuild: function that builds the experiment at other values; None if not allowed.
     """
 
     values: Float[np.ndarray, " k"]
@@ -213,9 +212,9 @@ class Free(NamedTuple):
     rebuild: Callable[[Float[np.ndarray, " k"]], Experiment | None]
 
     def at(self, shifts: Any) -> Any:
-        """The values after shifts, which are shares of them as long as they are small.
+        """Return the shifted values. Small shifts are relative changes.
 
-        Positive values stay so; those that are not are shifted by shares of their size or of 1.
+        Positive values stay positive. Others are shifted relative to their size, or to 1 if zero.
         """
         size = np.where(self.values, np.abs(self.values), 1.0)
         positive = self.values > 0
@@ -226,17 +225,17 @@ class Free(NamedTuple):
 def compile_ascent(
     experiment: Experiment, mesh: Mesh, steps: int, free: Free | None = None
 ) -> Callable[..., Climbed]:
-    """So many steps uphill for any number of individuals, on the devices of the mesh.
+    """Return a function that runs the ascent of any number of individuals on a mesh.
 
     Args:
-        experiment: in which they live.
+        experiment: experiment of the individuals.
         mesh: the devices.
-        steps: moves of each individual.
-        free: numbers of the experiment whose shifts (see `Free.at`) stand behind the genes.
+        steps: number of moves of each individual.
+        free: numbers of the experiment whose shifts (see `Free.at`) follow the genes.
 
     Returns:
-        A function of host arrays, compiled at its first call: of the genes, the ways, the task's
-        scales and, where there is noise, the keys of every individual's trials; individuals on
+        A function of host arrays, compiled at its first call. Arguments: genes, settings, the
+        task's scales and, with noise, the keys of every individual's trials. Individuals are on
         the last axis.
     """
     simulation, gene_count = experiment.simulation, experiment.simulation.genome.count
@@ -266,7 +265,7 @@ def compile_ascent(
             lambda genes, _: -fitness(genes, scales, settings.retentions, keys),
             Climber(search=optimistix.LearningRate(settings.sizes)),
             genes,
-            # The first sees where it stands, and one more where the last move led.
+            # One evaluation at the start, and one after each move.
             max_steps=steps + 1,
             throw=False,
         )
@@ -301,5 +300,5 @@ def compile_ascent(
 
 
 def _is_rough(simulation: Simulation) -> bool:
-    """Whether slopes lead over ground (see `evo_cpg.simulation.backward`)."""
+    """Return whether gradients pass through ground contact (`evo_cpg.simulation.backward`)."""
     return simulation.world.contact_model is not None

@@ -1,4 +1,4 @@
-"""What a run must remember, as named arrays: the champion and the checkpoint."""
+"""Champions and checkpoints of a run, as named arrays."""
 
 import hashlib
 import json
@@ -16,21 +16,21 @@ _STATE_PREFIX = "state."
 
 
 class Champion(NamedTuple):
-    """The best individual of a run.
+    """Best individual of a run.
 
     Attributes:
-        genes: its genome.
-        fitness: as evaluated in training.
-        generation: in which it was found.
-        terms: the task's terms.
-        scales: the task's scales.
-        run: number of its run.
-        index: its place in its run's population; with the run and the generation it selects the
-            random numbers of its trials.
-        lives: in fresh draws of chance, in which it was tried again; see
+        genes: genome of the individual.
+        fitness: fitness in training.
+        generation: generation in which the individual was found.
+        terms: task's terms, by name.
+        scales: task's scales, by name.
+        run: number of the run.
+        index: place in the run's population. Run, generation and index select the random numbers
+            of the trials.
+        lives: number of re-evaluations with fresh noise; see
             `evo_cpg.training.reevaluation`.
-        expected: its mean fitness in those that did not end early; None without any.
-        ended_early: how many of them did, by a broken rule or because it diverged.
+        expected: mean fitness of re-evaluations that did not end early; None without any.
+        ended_early: number of re-evaluations that ended by a broken rule or by divergence.
     """
 
     genes: np.ndarray
@@ -46,9 +46,9 @@ class Champion(NamedTuple):
 
     @property
     def worth(self) -> float:
-        """Its fitness as far as that is known: in fresh draws of chance where it had any.
+        """Best estimate of the fitness: the mean with fresh noise if re-evaluated.
 
-        -inf where all of those ended early.
+        -inf if all re-evaluations ended early.
         """
         if self.expected is not None:
             return self.expected
@@ -56,16 +56,16 @@ class Champion(NamedTuple):
 
 
 class Checkpoint(NamedTuple):
-    """All that a run needs to go on exactly.
+    """State from which a run continues exactly.
 
     Attributes:
-        generation: number of generations done.
-        genes: the populations of the next generation, run by run.
-        records: the best individual that each run has evaluated so far.
+        generation: number of finished generations.
+        genes: populations of the next generation, run by run.
+        records: best individual that each run has evaluated so far.
         history: rows of metrics.csv.
-        scales: the task's scales in each run; empty before the first generation.
-        state: what the strategy remembers, by `state_arrays`.
-        chosen: of each run the best in fresh draws of chance, where there is any and all
+        scales: task's scales in each run; ones before the first generation.
+        state: strategy's state, from `state_arrays`.
+        chosen: best individual of each run with fresh noise; empty without noise or before all
             generations are done.
     """
 
@@ -79,23 +79,23 @@ class Checkpoint(NamedTuple):
 
     @property
     def champions(self) -> tuple[Champion | None, ...]:
-        """The best individual of each run so far."""
+        """Best individual of each run so far."""
         return self.chosen or self.records
 
     @property
     def champion(self) -> Champion | None:
-        """The best individual of all runs so far, as within a run: who ended early comes behind."""
+        """Best individual of all runs so far; fewer early ends rank first, then fitness."""
         living = [champion for champion in self.champions if champion is not None]
         return max(living, key=lambda one: (-one.ended_early, one.worth), default=None)
 
 
 def genes_digest(genes: np.ndarray) -> str:
-    """SHA-256 of a genome."""
+    """Return the SHA-256 of a genome."""
     return hashlib.sha256(np.ascontiguousarray(genes).tobytes()).hexdigest()
 
 
 def outcome_digest(champion: Champion) -> str:
-    """SHA-256 of what is recorded about a champion beside its genome."""
+    """Return the SHA-256 of a champion's fitness, generation, terms and scales."""
     content = (champion.fitness, champion.generation, champion.terms, champion.scales)
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -103,12 +103,12 @@ def outcome_digest(champion: Champion) -> str:
 def history_columns(
     history: list[dict[str, float]], known: Mapping[str, np.ndarray] | None = None
 ) -> dict[str, np.ndarray]:
-    """Columns of metrics.csv, by name.
+    """Return the columns of metrics.csv by name.
 
     Args:
-        history: the rows.
-        known: columns of the first of them. To take 28,000 rows apart once more for every new one
-            takes 0.1 s, as long as a generation.
+        history: rows of metrics.csv.
+        known: columns of the first rows, to be extended. Converting 28,000 rows again takes 0.1 s,
+            as long as a generation.
     """
     if not history:
         return {}
@@ -122,7 +122,7 @@ def history_columns(
 
 
 def champion_arrays(champion: Champion) -> dict[str, Any]:
-    """A champion as named arrays, with the digests that `verify` compares."""
+    """Return a champion as named arrays, with the digests that `verify` compares."""
     content = {} if champion.expected is None else {"expected": champion.expected}
     return {
         "genes": champion.genes,
@@ -141,14 +141,14 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
 
 
 def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
-    """The inverse of `champion_arrays`; a missing array is a KeyError.
+    """Read a champion from `champion_arrays`; a missing array raises a KeyError.
 
     Raises:
-        ValueError: the arrays are of something else.
+        ValueError: the arrays hold something else.
     """
     if arrays["genes"].ndim != 1 or not arrays["genes"].size:
         raise ValueError("it holds no genome")
-    # Absent from files that were written before there were several runs, or second lives.
+    # Absent from files of versions without several runs or re-evaluations.
     names = "run", "index", "lives", "ended_early"
     run, index, lives, ended_early = (int(arrays.get(name, 0)) for name in names)
     return Champion(
@@ -168,11 +168,11 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
 def checkpoint_arrays(
     checkpoint: Checkpoint, columns: Mapping[str, np.ndarray] | None = None
 ) -> dict[str, Any]:
-    """A checkpoint as named arrays.
+    """Return a checkpoint as named arrays.
 
     Args:
         checkpoint: the checkpoint.
-        columns: `history_columns` of its history, where they are known.
+        columns: `history_columns` of the history, if known.
     """
     if columns is None:
         columns = history_columns(checkpoint.history)
@@ -196,10 +196,10 @@ def checkpoint_arrays(
 
 
 def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
-    """The inverse of `checkpoint_arrays`; a missing array is a KeyError.
+    """Read a checkpoint from `checkpoint_arrays`; a missing array raises a KeyError.
 
     Raises:
-        ValueError: the arrays are of something else.
+        ValueError: the arrays hold something else.
     """
     if arrays["genes"].ndim != 2 or not arrays["genes"].size:
         raise ValueError("it is no checkpoint")
@@ -207,7 +207,7 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     rows = len(columns["generation"]) if columns else 0
     if any(column.shape != (rows,) or not rows for column in columns.values()):
         raise ValueError("the columns of its history are empty or not equally long")
-    # Absent from files that were written before there were several.
+    # Absent from files of versions without several runs.
     runs = int(arrays.get("runs", 1))
     records, chosen = (
         tuple(_champion_or_none(_below(arrays, _prefix(kind, run))) for run in range(runs))
@@ -234,7 +234,7 @@ def _champion_or_none(arrays: Mapping[str, np.ndarray]) -> Champion | None:
 
 
 def _prefix(kind: str, run: int) -> str:
-    """The first run's champion is named as that of a lone run."""
+    """Return the prefix of a champion's arrays; the first run has no number."""
     return f"{kind}{run or ''}."
 
 

@@ -1,13 +1,13 @@
-"""Compiled programs kept on disk, so that the second start of the same experiment is quick.
+"""Disk cache of compiled programs, so that an experiment starts quickly the second time.
 
-What is compiled for one experiment is loaded again by every later command that needs the same
-program: another seed, `resume`, `render` or `verify`. JAX keeps what XLA makes, and knows by a key
-over program, options and version what fits; native code is kept beside it
-(`evo_cpg.fusion.backend.machine`). Machine code made for one processor may not run on
-another, so each kind of processor has a folder of its own: a cluster may share the home folder.
+Every later command that needs an already compiled program loads it: another seed, `resume`,
+`render` or `verify`. JAX keeps XLA's programs under a key of program, options and version. Native
+code is kept next to them (`evo_cpg.fusion.backend.machine`). Machine code for one processor may
+not run on another. A cluster may share the home folder, so each kind of processor has a folder of
+its own.
 
-`JAX_COMPILATION_CACHE_DIR` names another folder, `JAX_ENABLE_COMPILATION_CACHE=false` keeps
-nothing.
+`JAX_COMPILATION_CACHE_DIR` names another folder. `JAX_ENABLE_COMPILATION_CACHE=false` switches
+the cache off.
 """
 
 import contextlib
@@ -21,18 +21,18 @@ import jax
 from evo_cpg.fusion.backend.machine import keep_code_in
 from evo_cpg.system import described_by, home_folder, is_writable
 
-# The oldest programs go when all take up more than this, bytes. One is 1 to 4 MB.
+# Largest size of the cache, bytes; the oldest programs are deleted. One is 1 to 4 MB.
 _MOST = 1 << 30
 
-# Programs that compile faster are not worth keeping, s.
+# Programs that compile faster are not kept, s.
 _LEAST_SECONDS = 0.5
 
 
 def keep_compiled_programs() -> Path | None:
-    """Make JAX keep what it compiles; call it before JAX runs anything.
+    """Make JAX keep compiled programs. Call this before JAX runs anything.
 
     Returns:
-        The folder; None where none can be made, or the user has chosen one.
+        The folder; None if none can be made, the cache is off, or the user has chosen one.
     """
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_SECONDS)
     if not jax.config.values["jax_enable_compilation_cache"]:
@@ -48,7 +48,7 @@ def keep_compiled_programs() -> Path | None:
         _prune(folder, _MOST)
     except OSError:
         return None
-    # Otherwise JAX would warn of each program that it cannot keep.
+    # In a read-only folder JAX would warn about each program.
     if not is_writable(folder):
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
@@ -57,7 +57,7 @@ def keep_compiled_programs() -> Path | None:
 
 
 def compiled_folder() -> Path | None:
-    """Return the folder for compiled programs, there or not; None without a home folder."""
+    """Return the folder for compiled programs, existing or not; None without a home folder."""
     own = jax.config.values["jax_compilation_cache_dir"]
     if own:
         return Path(own)
@@ -67,7 +67,7 @@ def compiled_folder() -> Path | None:
 
 
 def _processor() -> str:
-    """A short name for the kind of processor, the same for all that run the same machine code."""
+    """Return a short name of the kind of processor, equal for compatible processors."""
     kind = [platform.system(), platform.machine(), platform.processor()]
     lines = described_by(Path("/proc/cpuinfo")).splitlines()
     kind += sorted({line for line in lines if line.startswith(("flags", "Features", "model"))})
@@ -75,10 +75,10 @@ def _processor() -> str:
 
 
 def _prune(folder: Path, most: int) -> None:
-    """Delete the files that were written first until the rest take up no more than ``most``."""
+    """Delete the oldest files until the rest take up at most ``most`` bytes."""
     found = []
     for file in folder.iterdir():
-        # Another process may have renamed or deleted it meanwhile.
+        # Another process may have renamed or deleted the file.
         with contextlib.suppress(FileNotFoundError):
             found.append((file, file.stat()))
     total = 0

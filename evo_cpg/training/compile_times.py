@@ -1,9 +1,8 @@
-"""Estimate how long compiling takes, from what it took on this machine before.
+"""Estimates of compile times, from earlier compile times on this machine.
 
-The times are kept in the folder of the compiled programs. An animal that was compiled before takes
-the time that it took without LLVM, because its code is kept. Another animal takes as long for each
-operation (`evo_cpg.simulation.operations`) as those before it. Without a measurement there is no
-estimate.
+The times are kept in the folder of the compiled programs. A known animal takes its earlier time
+without LLVM, because its code is kept. Another animal takes the earlier animals' time per operation
+(`evo_cpg.simulation.operations`). Without a measurement there is no estimate.
 """
 
 import contextlib
@@ -20,10 +19,10 @@ from evo_cpg.training.compile_cache import compiled_folder
 
 _FILE = "compile-times.json"
 
-# Weight of all earlier animals beside the newest in the time for an operation.
+# Weight of all earlier animals, relative to the newest, in the time per operation.
 _MEMORY = 0.5
 
-# Animals that are remembered.
+# Number of animals whose times are kept.
 _MOST = 500
 
 _Number = Annotated[FiniteFloat, Field(ge=0)]
@@ -33,8 +32,8 @@ class _Times(TypedDict):
     """Measured times.
 
     Attributes:
-        rate: operations, and the seconds that they took.
-        animals: seconds by the digest of the animal.
+        rate: number of operations, and the seconds for them.
+        animals: seconds by digest of the animal.
     """
 
     rate: Annotated[list[_Number], Field(min_length=2, max_length=2)]
@@ -45,8 +44,8 @@ def expected_seconds(operations: float, animal: str | None = None) -> float | No
     """Estimate the time to compile an animal's trial, s; None without a measurement.
 
     Args:
-        operations: operations of the trial, about.
-        animal: a digest of all that its program depends on; None for code that is not kept.
+        operations: approximate number of operations of the trial.
+        animal: digest of all that the program depends on; None for code that is not kept.
     """
     times = _read()
     known = times["animals"].get(animal or "")
@@ -57,12 +56,12 @@ def expected_seconds(operations: float, animal: str | None = None) -> float | No
 
 
 def note_seconds(operations: float, animal: str, spent: Spent) -> None:
-    """Record how long an animal took.
+    """Record the compile time of an animal.
 
     Args:
-        operations: operations of its trial, about.
-        animal: a digest of all that its program depends on.
-        spent: time spent on its native code.
+        operations: approximate number of operations of the trial.
+        animal: digest of all that the program depends on.
+        spent: time spent on the animal's native code.
     """
     folder = machine.code_folder()
     if folder is None or not spent.seconds > 0:
@@ -74,13 +73,13 @@ def note_seconds(operations: float, animal: str, spent: Spent) -> None:
         measured, seconds = (_MEMORY * x for x in times["rate"])
         times["rate"] = [measured + operations, seconds + spent.seconds]
     times["animals"] = dict(list(animals.items())[-_MOST:])
-    # Estimates are no reason to fail.
+    # A failure to store estimates must not stop the run.
     with contextlib.suppress(OSError):
         write_text(folder / _FILE, json.dumps(times))
 
 
 def _read() -> _Times:
-    # Commands that compile nothing read the file, too.
+    # Commands that compile nothing have no code folder but read the file, too.
     folder = machine.code_folder() or compiled_folder()
     with contextlib.suppress(OSError, ValueError):
         if folder is not None:

@@ -1,13 +1,12 @@
 """Cores as devices, and the population in chunks on them.
 
-Each core becomes a device of its own, the population is sharded over them, and XLA keeps to one
-thread per device. These are process-wide settings, which is why they are made by the program (the
-command line, a benchmark) and never by importing the package.
+Each core becomes a device, the population is sharded over the devices, and XLA keeps to one thread
+per device. These settings are process-wide. So the program (the command line, a benchmark) makes
+them, never the import of the package.
 
-A device computes a *chunk* of the population at a time, for as long as a trial lasts. The chunks of
-all devices are a *block*. The host feeds one block after the other to a program that knows one
-block only, so neither the time to compile nor the memory of the physics depends on how many
-individuals there are.
+A device computes a *chunk* of the population at a time, for a whole trial. The chunks of all
+devices are a *block*. The host feeds one block after the other to a program that is compiled for
+one block. So compile time and memory of the physics do not depend on the number of individuals.
 """
 
 import contextlib
@@ -26,31 +25,31 @@ from evo_cpg.training.compile_cache import keep_compiled_programs
 
 Tree = TypeVar("Tree")
 
-# The name of the mesh axis that carries the population.
+# Name of the mesh axis of the population.
 POPULATION_AXIS = "population"
 
 
 def available_cores() -> int:
-    """How many cores this process may run on."""
-    # Windows and macOS have no such list, and a sandbox may not tell it.
+    """Return the number of cores that this process may run on."""
+    # Windows and macOS have no such list, and a sandbox may hide it.
     with contextlib.suppress(AttributeError, OSError):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def use_cores(count: int | None = None) -> int:
-    """Make every core a JAX device, and keep what is compiled.
+    """Make every core a JAX device, and keep compiled programs.
 
-    Once JAX has run something it is too late, and the devices stay as they are.
+    After JAX has run something, the devices can no longer change.
 
     Args:
-        count: cores to use; None for all that this process may run on.
+        count: number of cores to use; None for all that this process may run on.
 
     Returns:
-        The number of devices that there are, or will be.
+        The number of devices.
     """
     count = count or available_cores()
-    # Read when the CPU backend starts: the size of the thread pool behind each device.
+    # Size of the thread pool of each device, read when the CPU backend starts.
     os.environ["NPROC"] = "1"
     try:
         jax.config.update("jax_num_cpu_devices", count)
@@ -61,21 +60,21 @@ def use_cores(count: int | None = None) -> int:
 
 
 def population_mesh(count: int | None = None) -> Mesh:
-    """The devices over which the population is sharded.
+    """Return the mesh of devices over which the population is sharded.
 
     Args:
-        count: how many; None for all of this process.
+        count: number of devices; None for all of this process.
     """
     devices = jax.local_devices()[:count]
     return Mesh(np.array(devices), (POPULATION_AXIS,))
 
 
 class Layout(NamedTuple):
-    """How a population is spread over devices and time.
+    """Layout of a population over devices and time.
 
     Attributes:
-        mesh: the devices that are busy.
-        width: individuals in the chunk of each.
+        mesh: devices that are used.
+        width: number of individuals in a chunk.
     """
 
     mesh: Mesh
@@ -83,16 +82,16 @@ class Layout(NamedTuple):
 
     @property
     def block(self) -> int:
-        """Individuals that all devices compute at a time."""
+        """Number of individuals that all devices compute at a time."""
         return self.mesh.size * self.width
 
 
 def layout(count: int, mesh: Mesh) -> Layout:
-    """The layout of a population.
+    """Return the layout of a population.
 
     Args:
-        count: individuals.
-        mesh: the devices. Of more than there are vectors the others stay idle: half a vector takes
+        count: number of individuals.
+        mesh: the devices. Devices beyond the number of full vectors stay idle: half a vector takes
             as long as a full one.
     """
     busy = Mesh(mesh.devices[: -(-count // LANES)], mesh.axis_names)
@@ -100,13 +99,13 @@ def layout(count: int, mesh: Mesh) -> Layout:
 
 
 def chunk_width(count: int, devices: int) -> int:
-    """How many individuals a device computes at a time: chunks of full vectors, equally wide.
+    """Return the number of individuals in a chunk; chunks are full vectors, equally wide.
 
-    On other devices than CPUs a chunk is all of a device's share.
+    On other devices than CPUs a chunk is the whole part of a device.
 
     Args:
-        count: individuals, on all devices.
-        devices: that share them; those that stay idle make no difference.
+        count: number of individuals on all devices.
+        devices: number of devices; idle ones make no difference.
     """
     vectors = -(-count // (devices * LANES))
     chunks = -(-vectors // machine_constants.WIDEST_CHUNK) if jax.default_backend() == "cpu" else 1
@@ -116,14 +115,14 @@ def chunk_width(count: int, devices: int) -> int:
 def sharded(
     function: Callable[..., Tree], mesh: Mesh, ranks: tuple[Any, ...], result_rank: int
 ) -> jax.stages.Wrapped:
-    """A function of one block, compiled at its first call; the devices never talk to each other.
+    """Return a function of one block, compiled at its first call; devices never communicate.
 
     Args:
-        function: of one chunk: of arrays with the population on the last axis, of numbers, and of
-            None; gives arrays with the population on the last axis.
+        function: function of one chunk. Arguments are arrays with the population on the last axis,
+            numbers, or None. Results are arrays with the population on the last axis.
         mesh: the devices.
-        ranks: number of axes of each argument; where its arrays differ in that, of each of them.
-        result_rank: number of axes of each array that it gives.
+        ranks: number of axes of each argument, or of each of its arrays if they differ.
+        result_rank: number of axes of each array of the result.
     """
     return jax.jit(
         jax.shard_map(
@@ -142,13 +141,13 @@ def run_in_blocks(
     count: int,
     pick: Callable[[Int[np.ndarray, " block"]], tuple],
 ) -> Tree:
-    """What a program makes of a population, one block after the other.
+    """Run a program on a population, one block after the other.
 
     Args:
         program: from `sharded`.
         spread: layout of the population.
-        count: individuals; places of the last block beyond them repeat the last individual.
-        pick: the program's arguments, on the host, for the individuals with these numbers.
+        count: number of individuals; the last one fills the rest of the last block.
+        pick: function that returns the program's host arguments for numbered individuals.
 
     Returns:
         Host arrays of all individuals.
@@ -161,7 +160,7 @@ def run_in_blocks(
     for first in range(0, count, spread.block):
         numbers = np.minimum(np.arange(first, first + spread.block), count - 1)
         results.append(program(*jax.tree.map(placed, pick(numbers))))
-        # While one block is computed the next one waits, and no more: each takes memory.
+        # Only one block waits while another is computed, to limit memory.
         if len(results) > 1:
             jax.block_until_ready(results[-2])
 
@@ -172,5 +171,5 @@ def run_in_blocks(
 
 
 def _spec(rank: int) -> PartitionSpec:
-    """The last axis of an array is the population; a number is the same on all devices."""
+    """Return the sharding: last axis of arrays over devices, numbers equal on all."""
     return PartitionSpec(*(None,) * (rank - 1), POPULATION_AXIS) if rank else PartitionSpec()

@@ -1,4 +1,4 @@
-"""Elites: individuals from the map of behaviour of a run."""
+"""Elites: individuals in the map of behaviour of a run."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ from evo_cpg.training.strategy_state import StrategyError, state_from
 
 
 class GaitMap(NamedTuple):
-    """The map of behaviour of one run.
+    """Map of behaviour of one run.
 
     Attributes:
         axes: axes of the map.
@@ -50,7 +50,7 @@ def elite(
     """Return the individual of a cell, ready to be replayed.
 
     Args:
-        experiment: the experiment that it was evolved in.
+        experiment: experiment in which the individual evolved.
         checkpoint: checkpoint of the run.
         cell: a number for each axis, from 0.
         run: number of the run.

@@ -1,9 +1,8 @@
-"""One generation of an experiment: the trials on all devices, then a step of the search.
+"""One generation of an experiment: trials on all devices, then a step of the search.
 
-An experiment may hold several runs: independent populations of the same size, each with its own
-seed. On the population axis they stand side by side, run by run, and within a run individual by
-individual; where an individual is tried several times, its trials are neighbours. Run ``r`` draws
-the random numbers that a lone run with the seed ``seed + r`` would draw.
+An experiment may hold several runs: independent populations of equal size, each with its own seed.
+The population axis is ordered by run, then by individual, then by trial. Run ``r`` draws the random
+numbers that a single run with the seed ``seed + r`` would draw.
 """
 
 import functools
@@ -29,11 +28,11 @@ from evo_cpg.training.devices import Layout, layout, run_in_blocks, sharded
 
 # Tags that keep the random streams of one seed apart.
 _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
-# 3 is that of `evo_cpg.training.memetic`.
+# Tag 3 belongs to `evo_cpg.training.memetic`.
 _STRATEGY, _ASKS = 4, 5
 
 
-# Columns of metrics.csv whatever evolves; the one of the run only where there are several.
+# Columns of metrics.csv for any strategy; ``run`` only with several runs.
 TABLE_COLUMNS = (
     "generation",
     "run",
@@ -49,12 +48,12 @@ TABLE_COLUMNS = (
 
 
 class Learning(NamedTuple):
-    """Steps uphill within a generation; see `evo_cpg.training.memetic`.
+    """Settings of the elites' gradient ascent; see `evo_cpg.training.memetic`.
 
     Attributes:
-        every: so many generations some elites learn.
-        elites: how many of each run, the best first.
-        steps: moves of each.
+        every: number of generations between two ascents.
+        elites: number of elites in each run, the best first.
+        steps: number of moves of each elite.
     """
 
     every: int
@@ -63,19 +62,19 @@ class Learning(NamedTuple):
 
 
 class Experiment(NamedTuple):
-    """What a config file describes.
+    """Experiment that a config file describes.
 
     Attributes:
-        name: of the run.
-        creature: the animal.
-        simulation: the trial.
-        strategy: the search, such as a genetic algorithm.
-        generations: to evolve.
-        seed: of all randomness; of the first run where there are several.
-        runs: independent populations side by side.
-        trials: of every individual, over which its fitness is averaged; as many as the simulation
-            has situations, or any number of trials of the only one.
-        learning: of the elites; None to leave all to evolution.
+        name: name of the run.
+        creature: simulated animal.
+        simulation: simulation of a trial.
+        strategy: search, such as a genetic algorithm.
+        generations: number of generations.
+        seed: seed of all random draws, for the first run.
+        runs: number of independent populations.
+        trials: number of trials of every individual, over which the fitness is averaged: one for
+            each situation, or any number of trials of the only situation.
+        learning: settings of the elites' ascent; None for evolution alone.
     """
 
     name: str
@@ -90,18 +89,18 @@ class Experiment(NamedTuple):
 
 
 class Generation(NamedTuple):
-    """What came out of one generation of every run.
+    """Results of one generation of every run.
 
     Attributes:
-        fitness: of every individual, the mean over its trials; -inf where it diverged in any.
-        terms: the task's terms, likewise averaged.
+        fitness: mean fitness of every individual over its trials; -inf if it diverged in any.
+        terms: task's terms, averaged over the trials.
         alive: False where an individual diverged.
-        scales: the task's scales.
-        best: index of the fittest within its run.
-        best_genes: its genome.
-        next_genes: the population of the next generation, all runs side by side.
-        state: what the strategy remembers; of every array the first axis is that of the runs.
-        metrics: what it says of itself.
+        scales: task's scales.
+        best: index of the fittest individual in each run.
+        best_genes: genome of the fittest individual.
+        next_genes: population of the next generation, run by run.
+        state: strategy's state; the first axis of every array is the run.
+        metrics: strategy's metrics, by name.
     """
 
     fitness: Float[Array, "runs n"]
@@ -118,11 +117,11 @@ class Generation(NamedTuple):
 def begin(
     experiment: Experiment, start: Float[Array, "g all"] | None = None
 ) -> tuple[Float[Array, "g all"], PyTree[Array]]:
-    """The population of generation 0, all runs side by side, and what the strategy remembers.
+    """Return the population of generation 0, run by run, and the strategy's state.
 
     Args:
-        experiment: what is evolved.
-        start: genomes to begin with instead of random ones.
+        experiment: experiment to evolve.
+        start: initial genomes; None for random ones.
     """
     genome, strategy = experiment.simulation.genome, experiment.strategy
     size = (strategy.population,)
@@ -140,7 +139,7 @@ def begin(
 
 
 def first_population(experiment: Experiment) -> Float[Array, "g n"]:
-    """The population of generation 0 of every run, see `begin`."""
+    """Return the population of generation 0 of every run, see `begin`."""
     return begin(experiment)[0]
 
 
@@ -151,14 +150,14 @@ def trial_keys(
     individual: Int[np.ndarray, " n"],
     trial: Int[np.ndarray, " n"],
 ) -> UInt32[Array, "w n"] | None:
-    """Raw random keys for the noise of some trials; None where there is no noise.
+    """Return raw random keys for the noise of some trials; None without noise.
 
     Args:
-        experiment: whose seed they come from.
+        experiment: experiment whose seed is used.
         generation: number of the generation, from 0.
         run: number of the run of each trial.
-        individual: index within the run.
-        trial: number of the trial among those of the individual.
+        individual: index of the individual within the run.
+        trial: number of the trial of the individual.
     """
     if experiment.simulation.noise.silent:
         return None
@@ -173,27 +172,27 @@ def trial_keys(
 
 
 def champion_keys(experiment: Experiment, champion: Champion) -> UInt32[Array, "w trials"] | None:
-    """The keys that an individual's trials had, see `trial_keys`."""
+    """Return the random keys of an individual's trials, see `trial_keys`."""
     trials = np.arange(experiment.trials)
     run, individual = (np.full_like(trials, i) for i in (champion.run, champion.index))
     return trial_keys(experiment, champion.generation, run, individual, trials)
 
 
 def generation_keys(experiment: Experiment, generation: ArrayLike) -> UInt32[Array, "w n"] | None:
-    """`trial_keys` of all trials of a generation, in the order of the population axis."""
+    """Return `trial_keys` of a generation's trials, in the order of the population axis."""
     places = np.indices((experiment.runs, experiment.strategy.population, experiment.trials))
     run, individual, trial = places.reshape(3, -1)
     return trial_keys(experiment, generation, run, individual, trial)
 
 
 def situation_numbers(experiment: Experiment) -> Int[np.ndarray, " trials"] | None:
-    """Of the trials of an individual; None where all have the same situation."""
+    """Return the situation number of each trial; None if there is one situation."""
     several = len(experiment.simulation.situations) > 1
     return np.arange(experiment.trials) if several else None
 
 
 def placeholder_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
-    """Return ones for the scales of each run, which generation 0 will measure."""
+    """Return ones as scales of each run, until generation 0 measures them."""
     simulation = experiment.simulation
     shapes = jax.eval_shape(lambda: simulation.task.scales(no_terms(simulation)))
     return dict.fromkeys(shapes, (1.0,) * experiment.runs)
@@ -202,27 +201,27 @@ def placeholder_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
 def compile_trials(
     simulation: Simulation, mesh: Mesh, width: int | None = None, inputs: Inputs | None = None
 ) -> Callable[..., Outcome]:
-    """One trial of every individual of a population, in chunks on the devices of the mesh.
+    """Return a function that runs the trials of a population, in chunks on the mesh's devices.
 
-    The host feeds the devices block by block rather than having them loop over chunks: their memory
-    and the compiled program are then the same however large the population is, and no device ever
-    holds more of it than two chunks.
+    The host feeds the devices block by block; the devices do not loop over chunks. So their memory
+    and the compiled program do not depend on the size of the population. A device never holds
+    more than two chunks.
 
-    The devices never talk to each other: each gets its part of a block from the host and gives its
-    results back. A program in which they exchange results deadlocked when two of them were in
-    flight, and XLA ends the process when one device keeps the other waiting for 40 s.
+    The devices never communicate: each gets its part of a block from the host and returns its
+    results. A program in which devices exchange results deadlocked with two programs in flight.
+    XLA also ends the process when one device keeps another waiting for 40 s.
 
     Args:
-        simulation: the trial.
+        simulation: simulation of a trial.
         mesh: the devices.
-        width: individuals in a chunk; None for what suits the population.
+        width: number of individuals in a chunk; None to choose it from the population.
         inputs: numbers of the simulation in which individuals differ.
 
     Returns:
-        A function of the host arrays that `rollout` takes, compiled at its first call. Next comes
-        the number of trials of each individual; the keys and numbers are then those of trials, of
-        which an individual's are neighbours, and so are the results. The last are the values of
-        the inputs.
+        A function of the host arrays that `rollout` takes, compiled at its first call. The next
+        argument is the number of trials of each individual. Keys, numbers and results are then
+        those of trials, with the trials of an individual next to each other. The last argument
+        holds the values of the inputs.
     """
 
     def rollouts(values: Any, genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
@@ -240,7 +239,7 @@ def compile_trials(
         trials: int = 1,
         values: tuple[Float[np.ndarray, "_ individuals"], ...] | None = None,
     ) -> Outcome:
-        # Not in the precision that the host has them in.
+        # The host's values may have another precision.
         own = jax.tree.map(lambda x: x.astype(genes.dtype), values)
 
         def pick(numbers: Int[np.ndarray, " block"]) -> tuple:
@@ -262,16 +261,16 @@ def breed(
     scales: dict[str, Float[Array, " runs"]],
     state: PyTree[Array],
 ) -> Generation:
-    """The generation step of every run: score its population and ask for the next one.
+    """Score the population of every run and compute the next one.
 
     Args:
-        experiment: what is evolved.
-        genes: the populations.
-        outcome: of their trials.
-        index: number of the generation, from 0; it alone selects the random stream, so a resumed
-            run draws the same numbers as one that was never stopped.
-        scales: the task's scales; measured anew, and these ignored, in generation 0.
-        state: what the strategy remembers.
+        experiment: experiment that evolves.
+        genes: populations, run by run.
+        outcome: outcome of the trials.
+        index: number of the generation, from 0. It alone selects the random stream, so a resumed
+            run draws the numbers of an uninterrupted run.
+        scales: task's scales; ignored in generation 0, which measures them.
+        state: strategy's state.
     """
     simulation, strategy = experiment.simulation, experiment.strategy
     task = simulation.task
@@ -313,7 +312,7 @@ def breed(
 def descriptors(
     simulation: Simulation, terms: dict[str, Float[Array, " n"]]
 ) -> dict[str, Float[Array, " n"]]:
-    """Of the terms, those that say how an animal behaves: the task's and the measures of gait."""
+    """Return the task's behaviour descriptors and the gait measures."""
     measured = {name: terms[name] for name in simulation.measures.names}
     return {**simulation.task.descriptors(terms), **measured}
 
@@ -321,22 +320,22 @@ def descriptors(
 def judge(
     task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]
 ) -> tuple[Float[Array, " *n"], Outcome]:
-    """What every individual's trials amount to.
+    """Return every individual's mean fitness and mean outcome over its trials.
 
     Args:
-        task: what they are judged by.
-        outcome: of all trials; the last axis is the trials of one individual.
-        scales: the task's scales.
+        task: task that defines the fitness.
+        outcome: outcome of all trials; trials of an individual on the last axis.
+        scales: task's scales.
 
     Returns:
         The mean fitness, -inf for an individual that diverged in any trial, and the mean outcome.
     """
 
     def mean(values: Shaped[Array, "*n trials"]) -> Float[Array, " *n"]:
-        # Of truth values: the share of trials.
+        # The mean of Boolean values is the fraction of trials.
         values = values.astype(jnp.result_type(values, float))
-        # One after the other: the order in which `mean` adds, and with it the rounding, would
-        # depend on how many individuals there are, and a replay has but one.
+        # Add trials in turn. The order in which `mean` adds, and so its rounding, would depend on
+        # the number of individuals, and a replay has only one.
         trials = values.shape[-1]
         return sum((values[..., i] for i in range(1, trials)), values[..., 0]) * (1 / trials)
 
@@ -348,7 +347,7 @@ def judge(
 def judge_each(
     task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]
 ) -> Float[Array, "trials *n"]:
-    """Fitness in each of the trials that `judge` takes together; -inf where it diverged."""
+    """Return the fitness in each trial; -inf if the individual diverged."""
     return jax.vmap(lambda trial: score(task, trial, scales), in_axes=-1)(outcome)
 
 
@@ -361,5 +360,5 @@ def _ask_key(seed: ArrayLike, generation: ArrayLike) -> Shaped[Array, ""]:
 
 
 def _stream(seed: ArrayLike, tag: int) -> Shaped[Array, ""]:
-    """The random key of one run for one purpose."""
+    """Return the random key of one run for one purpose."""
     return jax.random.fold_in(jax.random.key(seed), tag)
