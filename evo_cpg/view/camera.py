@@ -8,7 +8,8 @@ window, which does not lag. The distance is fixed, and so is the viewing directi
 circling camera. So whatever moves in the picture moves in the world.
 
 The distance is the smallest at which a sphere around the focus that holds every body fits the
-frame. With a light, the sphere fits at every instant, without one in half of them. The distance
+frame. The sphere fits at every instant if there is a light, and in half of them without one. The
+distance
 then grows until every body is inside the frame.
 """
 

@@ -21,9 +21,9 @@ import numpy as np
 from evo_cpg.view.frames import Film, Frames
 from evo_cpg.view.scene import Panel
 
-# Starting a process and building its scene takes as long as this many frames. With the swimmer on
-# two cores, two processes took as long as one for 240 frames. They took 40 s instead of 47 s for
-# 1000 frames.
+# Starting a process and building its scene takes as long as this many frames. Two processes took as
+# long as one for 240 frames of the swimmer on two cores. They took 40 s instead of 47 s for 1000
+# frames.
 _WORTH = 120
 # Most processes: each holds the libraries and a scene, some 400 MB.
 _MOST = 8

@@ -20,8 +20,8 @@ from evo_cpg.view.scene import Panel, scene_of
 from evo_cpg.view.signals import FRACTION, LOWEST, Strip
 from evo_cpg.view.stage import Stage, camera_path
 
-# Pixels rendered per pixel of the result, along a side. With one core of a software renderer a
-# frame of 1280 x 720 costs 46 ms at 1.25 and 100 ms at 2. It costs 58 ms at 1.5, which looks hardly
+# Pixels rendered per pixel of the result, along a side. A frame of 1280 x 720 costs 46 ms at 1.25
+# and 100 ms at 2 on one core of a software renderer. It costs 58 ms at 1.5, which looks hardly
 # better.
 _FILM_OVERSAMPLING = 1.25
 _STILL_OVERSAMPLING = 3.0

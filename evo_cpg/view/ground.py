@@ -117,7 +117,7 @@ def add_numbers(stage: Stage) -> Update:
     marks, radius, sight = stage.scene.marks, stage.radius, stage.sight
     along = (stage.scene.clip.position.mean(1)[:, :2] - marks.origin) @ marks.turn()
     across, ahead = (axis[:2] for axis in level_axes(sight))
-    # Beside the path, so that the animal does not tread on the numbers even if it sways.
+    # The numbers stand beside the path, so that the animal does not tread on them even if it sways.
     nearer = -np.sign(ahead @ marks.turn()[:, 1]) or -1.0
     side = nearer * (nearer * along[:, 1]).max() + nearer * _BESIDE * radius
     last = int(np.ceil((along[:, 0].max() + 2 * radius) / marks.spacing))
