@@ -73,7 +73,7 @@ def follow(
 
     Args:
         position: centres of the bodies ``(frames, bodies, 3)``, m.
-        goal: place of the light ``(3,)``, m; NaN without a light.
+        goal: place of the light ``(3,)``, m, or NaN without a light.
         reach: largest distance from a body's centre to its surface, m.
         rate: frames per second of recorded time.
         aspect: width of the picture over its height.
@@ -116,7 +116,7 @@ def follow(
 def aspect_of(
     camera: str, frames: int = 1
 ) -> tuple[float | Float[np.ndarray, " frames"], float] | None:
-    """Return turn and elevation of a camera, rad; None for the following camera.
+    """Return turn and elevation of a camera, rad, or None for the following camera.
 
     Args:
         camera: one of `CAMERAS`.
@@ -163,7 +163,7 @@ def course(
 
     Args:
         centre: centre of the animal ``(frames, 3)``, m.
-        goal: place of the light ``(3,)``, m; NaN without a light.
+        goal: place of the light ``(3,)``, m, or NaN without a light.
         least: shortest distance with a bearing, m. If the distance is not longer, 0 is returned.
     """
     east, north, _ = (goal if np.isfinite(goal).all() else centre[-1]) - centre[0]
@@ -181,7 +181,7 @@ def project(
         aspect: width of the picture over its height.
 
     Returns:
-        ``(frames, n, 2)``: right and up, -1 to 1 between the edges of the frame; NaN for points
+        ``(frames, n, 2)``: right and up, -1 to 1 between the edges of the frame, or NaN for points
         behind the camera.
     """
     right, up, ahead = _axes(path)

@@ -38,7 +38,7 @@ class Look:
             enough to show the horizon and the space under the animal.
         particles: whether specks drift in the medium.
         checkered: whether alternate grid cells differ in tone.
-        zenith: colour towards which the sky turns above the horizon; None without a sky.
+        zenith: colour towards which the sky turns above the horizon, or None without a sky.
     """
 
     distance: str

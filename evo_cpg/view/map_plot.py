@@ -31,7 +31,7 @@ def map_figure(axes: Sequence[Axis], fitness: Float[np.ndarray, "..."], title: s
 
     Args:
         axes: axes of the map.
-        fitness: fitness of the elites, one array axis for each map axis; NaN in empty cells.
+        fitness: fitness of the elites, one array axis for each map axis, or NaN in empty cells.
         title: text above the picture.
     """
     head = f"{title}: {np.isfinite(fitness).mean():.0%} of {fitness.size} cells filled"

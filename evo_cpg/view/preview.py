@@ -94,7 +94,7 @@ def preview(
         ground: ground under the creature, with its obstacles, in the world's frame; True for level
             ground under its lowest point.
         pose: centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``, in the frame of the
-            ground; None for the neutral pose.
+            ground, or None for the neutral pose.
         surface: height of the water in the world's frame, m; infinite for water everywhere, None
             for no water.
 

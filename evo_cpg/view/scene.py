@@ -30,9 +30,9 @@ class Panel(NamedTuple):
         recording: motion of the animal.
         title: caption; the creature's name if None.
         world: medium, ``water`` or ``land``.
-        ground: ground that carries the animal; None without ground.
-        surface: height of the water's surface, m; None without a surface.
-        signals: signals in a strip below the animal; None for no strip.
+        ground: ground that carries the animal, or None without ground.
+        surface: height of the water's surface, m, or None without a surface.
+        signals: signals in a strip below the animal, or None for no strip.
         note: text below the title, in small letters.
     """
 
@@ -112,10 +112,10 @@ class Scene(NamedTuple):
     Attributes:
         creature: the animal.
         clip: motion of the animal.
-        goal: place of the light ``(3,)``, m; None without a light.
+        goal: place of the light ``(3,)``, m, or None without a light.
         ground: ground that carries the animal, or a level floor below its path.
         stands: whether the ground carries the animal.
-        surface: height of the water's surface, m; None if no surface is seen.
+        surface: height of the water's surface, m, or None if no surface is seen.
         look: look of the world.
         radius: distance of the animal's far ends from its middle at the start, m.
         bearing: bearing of the path from the x axis, rad.
@@ -135,7 +135,7 @@ class Scene(NamedTuple):
 
     @property
     def level(self) -> float | None:
-        """Height of level ground, m; None for uneven ground, with obstacles, or under water."""
+        """Height of level ground, m, or None for uneven ground, with obstacles, or under water."""
         level = self.ground.level
         return None if self.surface is not None or level is None else float(level)
 

@@ -33,7 +33,7 @@ class Curves(NamedTuple):
     Attributes:
         name: name of the setting.
         evaluations: number of evaluated individuals after every generation.
-        best: fitness of the best so far in every run, as evaluated in training; NaN before the
+        best: fitness of the best so far in every run, as evaluated in training, or NaN before the
             first one.
         final: fitness of each run's champion; under noise the mean of its re-evaluation. NaN for a
             run without a champion.

@@ -83,7 +83,7 @@ def signals_of(
         word: name of the controller's signal.
         same_unit: whether the signal is also an angle, to be drawn on the same scale.
         feet: names of the bodies that touch the ground.
-        touched: whether each foot touches, at the recording's times; None without ground.
+        touched: whether each foot touches, at the recording's times, or None without ground.
     """
     swing = recording.joint_angle.std(0)
     bending = bending_axis(recording) if recording.dof_names else ""

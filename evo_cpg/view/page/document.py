@@ -65,7 +65,7 @@ def document(subject: Subject, motion: Motion) -> str:
 
 
 def _changed(subject: Subject) -> Html | None:
-    """Return a warning that the configuration changed after training; None if it did not."""
+    """Return a warning that the configuration changed after training, or None if it did not."""
     if subject.changed is None:
         return None
     words = f"{subject.changed}: all that is measured here is of its trial as it comes out now."

@@ -74,7 +74,7 @@ def gait(motion: Motion) -> Html:
 
 
 def signals(subject: Subject, motion: Motion) -> Html | None:
-    """Show joint angles, the controller's signals, and phase lags; None without joints."""
+    """Show joint angles, the controller's signals, and phase lags, or None without joints."""
     recording, numbers = motion.recording, motion.numbers
     if not recording.dof_names:
         return None

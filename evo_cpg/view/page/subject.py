@@ -11,7 +11,7 @@ from evo_cpg.view.clip import Clip
 
 
 class Difference(NamedTuple):
-    """A value that differs from the shipped configuration; None for a missing value."""
+    """A value that differs from the shipped configuration, or None for a missing value."""
 
     key: str
     shipped: Any
@@ -59,18 +59,18 @@ class Subject(NamedTuple):
         champion: fitness and terms, by name.
         generation: generation of the champion.
         generations: number of finished generations.
-        run: number of the run among several; None for a single run.
-        trial: number of the trial among several; None for a single trial.
+        run: number of the run among several, or None for a single run.
+        trial: number of the trial among several, or None for a single trial.
         seed: seed of the experiment.
         chains: degrees of freedom in rows, as in `joint_signals_figure`.
         signal: name of the controller's signal, with its unit.
         config: text of the resolved configuration.
         meta: contents of meta.json.
-        audit: contents of audit.json; None without an audit.
+        audit: contents of audit.json, or None without an audit.
         stale: whether the audit belongs to another champion.
         half_step: fraction of its displacement that the champion kept at half the physics step when
-            training ended; None if unknown.
-        differences: differences from the shipped configuration and the paper; None if no shipped
+            training ended, or None if unknown.
+        differences: differences from the shipped configuration and the paper, or None if no shipped
             configuration has this name.
         program: program that made the page, with its version.
         made: time at which the page was made.
