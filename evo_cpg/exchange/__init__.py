@@ -1,1 +1,1 @@
-"""Creatures from and for other programs: MuJoCo's MJCF."""
+"""Exchange of creatures with other programs: MuJoCo's MJCF."""

@@ -1,4 +1,4 @@
-"""A file as MuJoCo compiled it, with the names and lines of its elements."""
+"""A file compiled by MuJoCo, with the names and lines of its elements."""
 
 import importlib
 import os
@@ -19,7 +19,7 @@ from evo_cpg.installation import command_for
 
 _Section = TypeVar("_Section", bound=Section)
 
-# Relative differences that nobody would tell apart, and digits that are written.
+# Largest relative difference of equal values, and number of digits that are written.
 TOLERANCE = 1e-6
 _DIGITS = 12
 
@@ -28,14 +28,14 @@ WORLD = 0
 
 
 class Compiled(NamedTuple):
-    """MuJoCo, and what it made of a file.
+    """MuJoCo, and the model that it compiled from a file.
 
     Attributes:
         mujoco: the module.
         model: the compiled model.
         source: the file, for messages.
-        refusals: what was found that no creature can have.
-        lines: of the elements in the file, by kind and number, as far as they are known.
+        refusals: faults that no creature can have.
+        lines: known lines of the elements in the file, by kind and number.
     """
 
     mujoco: Any
@@ -49,7 +49,7 @@ class Compiled(NamedTuple):
         return Item(self, kind, number)
 
     def enabled(self, flag: str) -> bool:
-        """Return whether a flag of the option element is enabled that is not by default."""
+        """Return whether an option flag, off by default, is enabled; False for an unknown flag."""
         bit = getattr(self.mujoco.mjtEnableBit, f"mjENBL_{flag.upper()}", 0)
         return bool(self.model.opt.enableflags & int(bit))
 
@@ -62,8 +62,8 @@ class Compiled(NamedTuple):
         """Yield the elements with wrong values, and the place of each value.
 
         Args:
-            kind: of the elements; ``dof`` for degrees of freedom of joints.
-            wrong: which of their values are wrong.
+            kind: kind of the elements; ``dof`` for degrees of freedom of joints.
+            wrong: mask of the wrong values.
         """
         for place in np.argwhere(wrong).tolist():
             number = place[0]
@@ -78,8 +78,8 @@ class Item(NamedTuple):
 
     Attributes:
         compiled: the model.
-        kind: of the element.
-        number: in the compiled model.
+        kind: kind of the element.
+        number: number in the compiled model.
     """
 
     compiled: Compiled
@@ -101,11 +101,11 @@ class Item(NamedTuple):
 
     @property
     def line(self) -> int | None:
-        """Line of the element in the file; None if it is unknown."""
+        """Line of the element in the file, or None if it is unknown."""
         return self.compiled.lines.get((self.kind, self.number))
 
     def refuse(self, problem: str, allowed: str) -> None:
-        """Remember that no creature can have the element, and go on."""
+        """Record that no creature can have the element, and continue."""
         self.compiled.refusals.add(self.refusal(problem, allowed).refusal)
 
     def refusal(self, problem: str, allowed: str) -> RefusedError:
@@ -116,8 +116,8 @@ class Item(NamedTuple):
         """Return a section of the creature, made of the element.
 
         Args:
-            section: to be made.
-            values: of its keys; None for what is left open.
+            section: class of the section.
+            values: values of its keys, or None for an unset key.
             what: name of the element in messages, if it has another one.
 
         Raises:
@@ -142,7 +142,7 @@ def make_section(
 
 
 def compile_model(path: Path) -> Compiled:
-    """Have MuJoCo read a file.
+    """Compile a file with MuJoCo.
 
     Raises:
         ExchangeError: MuJoCo is missing or cannot load the file, or not all of it is text.
@@ -156,13 +156,13 @@ def compile_model(path: Path) -> Compiled:
     _require_mjcf(path)
     try:
         with warnings.catch_warnings():
-            # Of attributes that MuJoCo will drop.
+            # MuJoCo warns about attributes that it will drop.
             warnings.simplefilter("ignore")
             spec = mujoco.MjSpec.from_file(os.fsdecode(path))
             model = spec.compile()
         bytes(model.names).decode()
     except UnicodeDecodeError as error:
-        # From one end of a name, in the file or in MuJoCo's words, to the other.
+        # Find the whole name around the bad byte, in the file or in MuJoCo's message.
         before, after = error.object[: error.start], error.object[error.start :]
         word = re.split(rb"[\0\s'\"]", before)[-1] + re.split(rb"[\0\s'\"]", after)[0]
         raise ExchangeError(f"{path}: {word!r} is not UTF-8 text; save it as UTF-8") from None
@@ -176,8 +176,9 @@ def compile_model(path: Path) -> Compiled:
 def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
     """Return the lines of elements; none for a file of a single line.
 
-    An included element has the line of the included file, so it is left out: its name does not
-    stand in the line of this file.
+    An included element has the line of the included file and is left out. Its name is not in that
+    line
+    of this file.
     """
     text = path.read_text(encoding="utf-8", errors="replace").splitlines()
     kinds = {
@@ -200,10 +201,10 @@ def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
 
 
 def _require_mjcf(path: Path) -> None:
-    """Check that a file can be read, with clearer messages than MuJoCo's, and is no URDF."""
+    """Check that a file is readable and no URDF, with clearer messages than MuJoCo's."""
     try:
         mode = path.stat().st_mode
-        # A pipe or a device need not end.
+        # Reading a pipe or a device might never end.
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise OSError(None, "is no ordinary file")
         with path.open("rb") as file:
@@ -213,24 +214,24 @@ def _require_mjcf(path: Path) -> None:
     except OSError as error:
         raise ExchangeError(f"{path}: cannot be read ({error.strerror})") from None
     except (ElementTree.ParseError, LookupError, ValueError):
-        # MuJoCo reports what is wrong with it.
+        # MuJoCo reports the fault.
         return
     if first is not None and first.tag == "robot":
         raise ExchangeError(f"{path}: it is a URDF; allowed: MJCF, as MuJoCo saves it")
 
 
 def rotation(compiled: Compiled, quaternion: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix ``(3, 3)`` of one of the model's quaternions."""
+    """Return the rotation matrix ``(3, 3)`` of a quaternion of the model."""
     matrix = np.zeros(9)
     compiled.mujoco.mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)
 
 
 def tidy(value: float) -> float:
-    """Return a number without the digits that rounding in the compiler leaves; 0 has no sign."""
+    """Return a number without digits left by rounding in the compiler; 0 has no sign."""
     return float(f"{value:.{_DIGITS}g}") + 0.0
 
 
 def tidy_vector(values: np.ndarray) -> tuple[float, ...]:
-    """Return coordinates as `tidy` does, and 0 for what rounding leaves where numbers cancel."""
+    """Return coordinates after `tidy`, and 0 for remainders of numbers that cancel."""
     return tuple(0.0 if abs(value) <= 10.0**-_DIGITS else tidy(value) for value in values)

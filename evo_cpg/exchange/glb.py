@@ -1,8 +1,8 @@
 """A binary glTF 2.0 file, put together piece by piece (Khronos Group, "glTF 2.0 Specification").
 
-A file is one JSON document and one buffer: numbers go into the buffer, and the document says by
-*accessors* which of its bytes are what. trimesh writes such files, but no animations, and with
-matrices in place of the translations and rotations that an animation moves.
+A file is one JSON document and one buffer. The buffer holds numbers, and *accessors* in the
+document describe its bytes. trimesh writes such files, but without animations. It also writes
+matrices instead of the translations and rotations that an animation moves.
 """
 
 import io
@@ -16,13 +16,13 @@ from jaxtyping import Float, Int, UInt8
 
 from evo_cpg.system import lend_matplotlib_a_folder
 
-# Codes of the specification: kinds of numbers, and what a stretch of the buffer is for.
+# Codes of the specification: kinds of numbers, and uses of a stretch of the buffer.
 _FLOAT, _UNSIGNED = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
 _JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
-# Indices of what was added, for others to refer to.
+# Index of an added node, for references.
 Node = int
 
 
@@ -56,12 +56,12 @@ class Glb:
         """Add a material.
 
         Args:
-            name: of it.
+            name: name of the material.
             color: red, green and blue as on a screen (sRGB), 0 to 1.
             roughness: 0 for a mirror to 1 for chalk.
             alpha: opacity.
-            glow: whether it shines by itself.
-            texture: that is multiplied by the colour.
+            glow: whether the material emits light.
+            texture: texture that is multiplied by the colour.
         """
         linear = linear_color(color)
         surface: dict[str, Any] = {
@@ -87,7 +87,7 @@ class Glb:
         imsave(png, np.ascontiguousarray(image), format="png")
         view = self._view(png.getvalue())
         source = self._add("images", {"bufferView": view, "mimeType": "image/png"})
-        # Linear with mipmaps; both ways repeated.
+        # Linear filter with mipmaps, repeated both ways.
         sampler = self._add(
             "samplers", {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}
         )
@@ -105,12 +105,12 @@ class Glb:
         """Add a mesh.
 
         Args:
-            name: of it.
+            name: name of the mesh.
             points: corners, m.
-            normals: unit vectors there.
+            normals: unit normals at the corners.
             triangles: numbers of the corners, counterclockwise seen from outside.
-            material: of all of it.
-            places: of the corners in the material's texture, 1 for its width and height.
+            material: material of the whole mesh.
+            places: places of the corners in the material's texture, 1 for its width and height.
         """
         attributes = {
             "POSITION": self._floats(points, _VERTICES, bounds=True),
@@ -136,9 +136,10 @@ class Glb:
         """Add a node; without a parent it is a root of the scene.
 
         Args:
-            name: of it.
-            parent: that moves it.
-            properties: of the specification: `mesh`, `translation`, `rotation`, `extensions`.
+            name: name of the node.
+            parent: parent node, which moves this one.
+            properties: properties of the specification: `mesh`, `translation`, `rotation`,
+                `extensions`.
         """
         node = self._add("nodes", {"name": name, **properties})
         nodes = self.document["nodes"]
@@ -149,17 +150,17 @@ class Glb:
         return node
 
     def times(self, time: Float[np.ndarray, " t"]) -> int:
-        """Add instants of an animation, s, to which its values refer."""
+        """Add the instants of an animation, s; return their accessor for `animate`."""
         return self._floats(time[:, None], None, bounds=True)
 
     def animate(self, node: Node, path: str, times: int, values: np.ndarray) -> None:
         """Move a node, linearly from instant to instant (quaternions along great circles).
 
         Args:
-            node: that moves.
+            node: node to move.
             path: ``translation`` (m) or ``rotation`` (quaternion x, y, z, w).
-            times: from `times`.
-            values: one at each of them.
+            times: instants from `times`.
+            values: one value at each instant.
         """
         sampler = {
             "input": times,
@@ -171,13 +172,13 @@ class Glb:
         self._channels.append({"sampler": len(self._samplers) - 1, "target": target})
 
     def light(self, name: str, kind: str, color: np.ndarray, intensity: float) -> dict[str, Any]:
-        """Add a lamp (KHR_lights_punctual); returns the extensions of the node that carries it.
+        """Add a lamp (KHR_lights_punctual); return the extensions of the node that carries it.
 
         Args:
-            name: of it.
+            name: name of the lamp.
             kind: ``directional`` (along the node's -z; lux) or ``point`` (candela).
-            color: as on a screen.
-            intensity: of it.
+            color: red, green and blue as on a screen (sRGB), 0 to 1.
+            intensity: intensity in the unit of the kind.
         """
         extension = "KHR_lights_punctual"
         used = self.document.setdefault("extensionsUsed", [])
@@ -194,7 +195,7 @@ class Glb:
         return {extension: {"light": len(lights["lights"]) - 1}}
 
     def to_bytes(self) -> bytes:
-        """Return the file."""
+        """Return the bytes of the file."""
         document = dict(self.document)
         document["buffers"] = [{"byteLength": len(self._buffer)}]
         if self._channels:
@@ -212,7 +213,7 @@ class Glb:
         return len(things) - 1
 
     def _floats(self, values: np.ndarray, target: int | None, bounds: bool = False) -> int:
-        """Accessor of rows of single-precision numbers."""
+        """Add an accessor of rows of single-precision numbers."""
         rows = np.ascontiguousarray(values, "<f4")
         accessor: dict[str, Any] = {
             "bufferView": self._view(rows.tobytes(), target),
@@ -225,7 +226,7 @@ class Glb:
         return self._add("accessors", accessor)
 
     def _view(self, data: bytes, target: int | None = None) -> int:
-        """A stretch of the buffer, which begins at a multiple of four bytes."""
+        """Add a stretch of the buffer, which begins at a multiple of four bytes."""
         view = {"buffer": 0, "byteOffset": len(self._buffer), "byteLength": len(data)}
         if target is not None:
             view["target"] = target

@@ -1,8 +1,8 @@
-"""A recording as an animated glTF scene, for Blender, three.js and whatever else reads it.
+"""A recording as an animated glTF scene, for Blender, three.js and other programs.
 
 The animal, its ground, stones, water and light are those of our films. glTF counts metres and
-seconds as we do, but has y upwards: one node, ``world``, turns everything below it, so that what
-the file says of the bodies are the trajectory's own numbers in our axes (z upwards).
+seconds as we do, but has y upwards. One node, ``world``, turns everything below it. So the file
+holds the trajectory's own numbers for the bodies, in our axes (z upwards).
 """
 
 import numpy as np
@@ -22,13 +22,13 @@ from evo_cpg.view.scene import Panel, Scene, check_panel, scene_of
 from evo_cpg.view.terrain import Terrain
 from evo_cpg.view.textures import floor_texture
 
-# From z upwards to y upwards: a quarter of a turn about x, as a quaternion x, y, z, w.
+# Rotation from z upwards to y upwards: a quarter turn about x, as a quaternion x, y, z, w.
 Z_UP = (-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))
-# How far the ground reaches beyond the animal's path, in its radii.
+# Distance that the ground reaches beyond the animal's path, in its radii.
 _MARGIN = 6.0
 _STONE, _WATER, _WATER_OPACITY = (0.55, 0.53, 0.5), "#4cadd2", 0.35
-# Brightness of the sun, lux as viewers take it (pi is a white sheet at full tone), and of a lamp
-# at one radius of the animal.
+# Brightness of the sun, in the lux of viewers (pi is a white sheet at full tone), and of a lamp at
+# one radius of the animal.
 _SUN, _LAMP = 3.0, 2.0
 _FPS = 30.0
 
@@ -36,12 +36,13 @@ _FPS = 30.0
 def gltf_film(panel: Panel) -> bytes:
     """Return a binary glTF file (.glb) of a recording.
 
-    Each body has a node, which no other node shares its name with. The node is moved by translation
-    and rotation at every instant of the recording. `evo_cpg.view.film.side_by_side` shows the same.
+    Each body has a node with a unique name. Translation and rotation move the node at every instant
+    of
+    the recording. `evo_cpg.view.film.side_by_side` shows the same scene.
 
     Raises:
-        RecordingError: a recording that does not fit its creature, is empty or not finite.
-        ValueError: an unknown world.
+        RecordingError: the recording does not fit its creature, is empty or is not finite.
+        ValueError: the world is unknown.
     """
     check_panel(panel)
     creature, title = panel.creature, panel.title or panel.creature.name
@@ -62,7 +63,7 @@ def gltf_film(panel: Panel) -> bytes:
 
 
 def _apart(creature: Creature, name: str) -> str:
-    """A name of the scenery as it is, or changed where a body has it."""
+    """Return a name of the scenery, changed if a body has it."""
     names = {body.name for body in creature.bodies}
     while name in names:
         name += "_"
@@ -91,7 +92,7 @@ def _add_ground(glb: Glb, root: Node, scene: Scene) -> None:
     terrain = scene.terrain(_MARGIN * scene.radius)
     floor = scene.ground.floor
     if isinstance(floor, Plane) and tuple(floor.normal) == (0.0, 0.0, 1.0):
-        # Two triangles.
+        # Two triangles are enough for level ground.
         x, y = terrain.x[[0, -1]], terrain.y[[0, -1]]
         terrain = Terrain(x, y, np.full((2, 2), float(floor.height)))
     points = terrain.points()

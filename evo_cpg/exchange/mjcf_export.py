@@ -9,13 +9,13 @@
 | ground | ``geom``s of the world | `mjcf_ground` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
 | friction of a body on the ground | a ``pair`` of the two geoms | |
-| bodies that are kept apart | a ``pair`` without friction (``condim`` 1) | |
+| pair of bodies that push each other apart | a ``pair`` without friction (``condim`` 1) | |
 | a start in another pose than the neutral one | a ``key`` named ``start`` | |
 
-Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are the same on both sides.
-What MJCF has no words for stays behind: drag, added mass and other force laws, the surface of the
-water, restitution, static friction other than dynamic, sensors. How soft joint limits and contacts
-are is MuJoCo's own affair, with its defaults.
+Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are equal on both sides.
+MJCF cannot hold drag, added mass and other force laws, the surface of the water, restitution,
+sensors, or static friction that differs from dynamic friction. Joint limits and contacts have the
+softness of MuJoCo's defaults.
 """
 
 import itertools
@@ -34,10 +34,10 @@ from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
 
-# MuJoCo has a body of this name in every model: the one that does not move.
+# Name of the immovable body that every MuJoCo model has.
 _WORLD = "world"
 
-# Name of the keyframe that holds the pose at the start.
+# Name of the keyframe that holds the initial pose.
 _START = "start"
 
 
@@ -53,24 +53,24 @@ def mjcf_model(
     orientation: Sequence[float] | None = None,
     angles: Sequence[float] | None = None,
 ) -> Element:
-    """The ``mujoco`` element of a creature in its world.
+    """Return the ``mujoco`` element of a creature in its world.
 
     Args:
         creature: the animal.
-        gravity: m/s^2, pulling along -z.
-        ground: that every body may touch.
-        water: whose buoyancy carries the bodies, unless it has a surface.
-        start: place of the root's centre at the start, m.
-        heading: by which it is turned about z there, rad.
-        time_step: s; None for MuJoCo's own.
+        gravity: gravity along -z, m/s^2.
+        ground: ground that every body may touch.
+        water: water whose buoyancy carries the bodies, unless it has a surface.
+        start: initial place of the root's centre, m.
+        heading: initial turn of the root about z, rad.
+        time_step: time step, s, or None for MuJoCo's own.
         pairs: names of bodies that push each other apart, without friction.
-        orientation: of the root at the start, unit quaternion (w, x, y, z), where its pose there is
-            not the neutral one.
-        angles: of the joints in that pose, rad, in the order of the creature's `Tree`.
+        orientation: initial orientation of the root, unit quaternion (w, x, y, z), if the initial
+            pose is not the neutral one.
+        angles: angles of the joints in that pose, rad, in the order of the creature's `Tree`.
 
     Raises:
         CreatureError: the bodies do not form one tree.
-        ExchangeError: a body's name, a shape or a part of the ground that MJCF cannot hold.
+        ExchangeError: MJCF cannot hold a body's name, a shape or a part of the ground.
     """
     order = topological_order(creature)
     names = [body.name for body in creature.bodies]
@@ -85,7 +85,8 @@ def mjcf_model(
     option.set("integrator", "implicitfast")
     if time_step is not None:
         option.set("timestep", number_text(time_step))
-    # A geom of the user's own collides with all of these; they with each other as pairs alone.
+    # A geom that a user adds collides with all of these geoms, which touch each other only as
+    # pairs.
     default = SubElement(root, "default")
     SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
     add_meshes(root, creature)
@@ -112,7 +113,7 @@ def mjcf_model(
     if orientation is not None and angles is not None:
         hinges = [name for i in order for name in joint_names(creature.bodies[i])]
         pose = dict(zip(hinges, angles, strict=True))
-        # MuJoCo has the joints as they stand in the file, limb by limb; the tree level by level.
+        # MuJoCo orders joints as in the file, limb by limb. The tree orders them level by level.
         bends = [pose[joint.get("name", "")] for joint in place.iter("joint")]
         keyframe = SubElement(root, "keyframe")
         SubElement(keyframe, "key", name=_START, qpos=number_text(*start, *orientation, *bends))
@@ -120,7 +121,7 @@ def mjcf_model(
 
 
 def mjcf_text(model: Element) -> str:
-    """The model as indented XML."""
+    """Return the model as indented XML."""
     ElementTree.indent(model)
     return ElementTree.tostring(model, encoding="unicode") + "\n"
 
@@ -137,7 +138,7 @@ def _add_bodies(
         children.setdefault(body.joint.parent if body.joint else "", []).append(body)
 
     def add(outer: Element, body: Body, parent_anchor: tuple[float, float, float]) -> None:
-        """A body in the frame of its parent's joint, which lies at ``parent_anchor``."""
+        """Add a body in the frame of its parent's joint, which lies at ``parent_anchor``."""
         joint = body.joint
         own_anchor = joint.child_anchor if joint else (0.0, 0.0, 0.0)
         element = SubElement(outer, "body", name=body.name)

@@ -1,4 +1,4 @@
-"""Tables of all fields of MuJoCo's compiled model, by what the import does with them.
+"""Tables of all fields of MuJoCo's compiled model, by their treatment in the import.
 
 | table | a field is |
 |---|---|
@@ -8,8 +8,8 @@
 | `REFUSED_COUNTS` | a number of elements, all of which are refused |
 | `OPTIONS_LEFT_OUT`, `LEFT_OUT_COUNTS` | left out, by name |
 
-All other fields do not change how the animal moves, or say where others are stored. A test decides
-on every field of the installed MuJoCo, so a new one is noticed. Fields that older versions lack are
+All other fields do not affect the animal's motion, or give the places of others. A test covers
+every field of the installed MuJoCo, so a new field is noticed. Fields that older versions lack are
 skipped.
 """
 
@@ -20,7 +20,7 @@ import numpy as np
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled
 from evo_cpg.exchange.refusals import Refusal
 
-# By field of the compiled model: kind of the elements and their attribute in MJCF.
+# Kind of the elements and their attribute in MJCF, by field of the compiled model.
 READ = {
     "body_pos": ("body", "pos"),
     "body_quat": ("body", "orientation"),
@@ -40,7 +40,7 @@ READ = {
     "actuator_gainprm": ("actuator", "gain"),
     "actuator_biasprm": ("actuator", "bias"),
 }
-# Infinite ones limit nothing.
+# Infinite values limit nothing.
 READ_LIMITS = {
     "jnt_actfrcrange": ("joint", "actuatorfrcrange"),
     "actuator_forcerange": ("actuator", "forcerange"),
@@ -55,12 +55,12 @@ COMPUTED = {
 
 
 class Neutral(NamedTuple):
-    """A field that a creature has no words for.
+    """A field with no counterpart in a creature.
 
     Attributes:
-        kind: of the elements that have it; ``dof`` for degrees of freedom of joints.
+        kind: kind of the elements that have the field; ``dof`` for degrees of freedom of joints.
         word: the attribute in MJCF.
-        values: the only ones that are allowed.
+        values: the only allowed values.
     """
 
     kind: str
@@ -68,7 +68,8 @@ class Neutral(NamedTuple):
     values: float | tuple[float, ...] = 0.0
 
 
-# MuJoCo's defaults of how soft constraints are. Our limits and contacts have rules of their own.
+# MuJoCo's defaults for the softness of constraints. Our limits and contacts have rules of their
+# own.
 _SOLREF, _SOLIMP = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)
 
 NEUTRAL = {
@@ -97,7 +98,7 @@ NEUTRAL = {
     "actuator_armature": Neutral("actuator", "armature"),
 }
 
-# A contact pair that does no more than keep two bodies apart.
+# A contact pair that only keeps two bodies apart.
 PLAIN_PAIR: dict[str, float | tuple[float, ...]] = {
     "pair_solref": _SOLREF,
     "pair_solimp": _SOLIMP,
@@ -106,7 +107,7 @@ PLAIN_PAIR: dict[str, float | tuple[float, ...]] = {
     "pair_adhesion": 0.0,
 }
 
-# Counts of elements that no creature has, and what they are called.
+# Counts of elements that no creature has, and their names.
 REFUSED_COUNTS = {
     "neq": "equality",
     "ntendon": "tendon",
@@ -124,12 +125,12 @@ LEFT_OUT_COUNTS = {
     "nkey": "keyframe",
 }
 
-# Flags of the option element that have to be as they are by default. Older versions of MuJoCo have
-# "passive" for springs and dampers.
+# Flags of the option element that must keep their defaults. Older versions of MuJoCo have "passive"
+# for springs and dampers.
 ENABLED_FLAGS = ("constraint", "passive", "spring", "damper", "limit", "actuation")
 DISABLED_FLAGS = ("override", "sleep", "diagexact", "ipc", "speculative")
 
-# Fields of the option element that belong to the world, and values of them that need no word.
+# Fields of the option element that belong to the world, and values of them that are not reported.
 OPTIONS_LEFT_OUT: dict[str, tuple[float, ...]] = {
     "gravity": (0.0, 0.0, 0.0),
     "density": (0.0,),
@@ -147,7 +148,7 @@ def require_numbers(compiled: Compiled) -> None:
     """Refuse elements with NaN or an infinite number, which no comparison would find.
 
     Raises:
-        ExchangeError: there are some. Nothing else can be said of such a model.
+        ExchangeError: such elements exist, so that no other check is possible.
     """
     for fields in (READ | READ_LIMITS, COMPUTED):
         for field, (kind, word) in fields.items():
@@ -189,7 +190,7 @@ def refuse_elements(compiled: Compiled) -> None:
 
 
 def left_out_options(compiled: Compiled) -> list[str]:
-    """Return names of options of the world that differ from those that need no word."""
+    """Return names of options of the world whose values are to be reported."""
     found = []
     for name, allowed in OPTIONS_LEFT_OUT.items():
         value = np.ravel(getattr(compiled.model.opt, name, allowed))
@@ -200,13 +201,13 @@ def left_out_options(compiled: Compiled) -> list[str]:
 
 
 def left_out_counts(compiled: Compiled) -> list[str]:
-    """Return how many elements without a part in the motion there are, such as ``2 sites``."""
+    """Return the numbers of elements without a part in the motion, such as ``2 sites``."""
     counts = {kind: int(getattr(compiled.model, n, 0)) for n, kind in LEFT_OUT_COUNTS.items()}
     return [text for kind, number in counts.items() for text in counted(number, kind)]
 
 
 def counted(number: int, kind: str) -> list[str]:
-    """Return a number of elements in words; nothing for none."""
+    """Return a phrase for a number of elements; an empty list for none."""
     return [f"{number} {kind}{'s' if number > 1 else ''}"] if number else []
 
 

@@ -1,8 +1,8 @@
-"""The ground and what stands on it, in MJCF.
+"""The ground and its obstacles, in MJCF.
 
 Planes, boulders and blocks are one geom each and exact. A shore is three slabs, of which the outer
-two end somewhere. A relief is a height field: MuJoCo halves its cells into triangles where ours are
-bilinear, and it ends at its edges where ours goes on level.
+two are finite. A relief is a height field. MuJoCo halves its cells into triangles, and ours are
+bilinear. MuJoCo's field ends at its edges, and ours continues level.
 """
 
 from xml.etree.ElementTree import Element, SubElement
@@ -13,22 +13,22 @@ from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
 
-# How far slabs reach, and how thick they and height fields are, m: more than an animal walks in a
-# trial or sinks in a step.
+# Reach of slabs, and thickness of slabs and height fields, m. An animal walks less in a trial, and
+# sinks less in a step.
 _FAR, _THICK = 100.0, 1.0
 
-# Decimal places of coordinates: m and directions.
+# Decimal places of coordinates (m) and directions.
 _PLACES = 15
 
 
 def number_text(*values: float) -> str:
-    """Numbers as short as they can be read back exactly."""
-    # Adding 0 leaves no -0.
+    """Return numbers as the shortest text that reads back exactly."""
+    # Adding 0 removes a negative zero.
     return " ".join(np.format_float_positional(float(v) + 0.0, trim="-") for v in values)
 
 
 def place_text(values: np.ndarray) -> str:
-    """Coordinates, without the digits that sines and cosines leave of a zero."""
+    """Return coordinates without the digits that sines and cosines leave of a zero."""
     return number_text(*np.round(values, _PLACES))
 
 
@@ -37,15 +37,15 @@ def add_ground(root: Element, place: Element, ground: Ground, taken: list[str]) 
 
     Args:
         root: the ``mujoco`` element.
-        place: its ``worldbody``.
-        ground: what to add.
-        taken: names that geoms of the creature have.
+        place: the ``worldbody`` element.
+        ground: ground to add.
+        taken: names of the creature's geoms.
 
     Returns:
         The names of the geoms.
 
     Raises:
-        ExchangeError: a part that MJCF cannot hold.
+        ExchangeError: MJCF cannot hold a part.
     """
     parts = {"ground": ground.floor}
     parts |= {f"obstacle{i + 1}": part for i, part in enumerate(ground.obstacles)}
@@ -63,7 +63,7 @@ def add_ground(root: Element, place: Element, ground: Ground, taken: list[str]) 
 
 
 def _solids(root: Element, name: str, part: Part) -> list[dict[str, str]]:
-    """Attributes of the geoms that a part consists of."""
+    """Return the attributes of the geoms that make up a part."""
     if isinstance(part, Plane):
         normal = np.array(part.normal) / np.linalg.norm(part.normal)
         return [
@@ -92,7 +92,7 @@ def _solids(root: Element, name: str, part: Part) -> list[dict[str, str]]:
 
 
 def _shore(part: Shore) -> list[dict[str, str]]:
-    """Slabs whose upper faces meet where the slope begins and ends."""
+    """Return slabs whose upper faces meet at the beginning and end of the slope."""
     first = np.array([part.start, part.start_height])
     last = np.array([part.stop, part.stop_height])
     out = np.array([_FAR, 0.0])
@@ -117,14 +117,14 @@ def _shore(part: Shore) -> list[dict[str, str]]:
 
 
 def _relief(root: Element, name: str, part: Relief) -> dict[str, str]:
-    """A height field, with the heights in an asset of the same name."""
+    """Add a height field with its heights as an asset; return the attributes of its geom."""
     heights = np.asarray(part.heights, float)
     lowest, rise = float(heights.min()), float(np.ptp(heights))
     half = part.spacing * (np.array(heights.shape) - 1) / 2
     asset = root.find("asset")
     if asset is None:
         asset = Element("asset")
-        # After compiler, option and default.
+        # The asset follows compiler, option and default.
         root.insert(3, asset)
     field = SubElement(asset, "hfield", name=name)
     field.set("ncol", str(heights.shape[0]))

@@ -1,8 +1,8 @@
-"""A MuJoCo model (MJCF) as a creature, as far as our creatures go.
+"""A MuJoCo model (MJCF) as a creature, as far as our creatures allow.
 
 MuJoCo compiles the file, which resolves defaults, classes, includes, units and orientations. The
-compiled model is read. What can be part of a creature is taken. What has no part in its motion is
-left out, by name. Everything else is refused, by name:
+import reads the compiled model. It takes all parts that a creature can have. Parts that do not
+affect its motion are left out, by name. Everything else is refused, by name:
 
 | in MJCF | becomes | table |
 |---|---|---|
@@ -35,14 +35,13 @@ from evo_cpg.exchange.mjcf_motors import command_ranges, read_motors
 from evo_cpg.exchange.mjcf_shapes import Placed, only_geom, place_body, uniform_density
 from evo_cpg.exchange.refusals import ExchangeError
 
-# MuJoCo's own for a geom without one.
+# MuJoCo's colour of a geom without one.
 _GREY = (0.5, 0.5, 0.5, 1.0)
 
-# Flags that say which bodies touch.
+# Flags that decide which bodies touch.
 _OF_COLLISIONS = ("contact", "filterparent")
 
-# Springs, dampers and rotors of the root against the world, as the compiled model has them and as
-# they are written.
+# Springs, dampers and rotors of the root against the world, by their field and their attribute.
 _OF_ROOT = {"dof_damping": "damping", "dof_armature": "armature", "jnt_stiffness": "stiffness"}
 
 
@@ -50,8 +49,8 @@ class Imported(NamedTuple):
     """Result of reading a file.
 
     Attributes:
-        creature: in the user's terms.
-        left_out: what belongs to the world, or has no part in the motion.
+        creature: configuration of the creature.
+        left_out: parts that belong to the world, or do not affect the motion.
     """
 
     creature: CreatureConfig
@@ -63,12 +62,12 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
 
     Args:
         path: the file.
-        motor_gain: of the velocity servos that torque motors become, N m s/rad; None refuses
+        motor_gain: gain of the velocity servos that replace torque motors, N m s/rad; None refuses
             torque motors.
 
     Raises:
-        ExchangeError: MuJoCo is missing or cannot load the file, or something in it cannot be part
-            of a creature.
+        ExchangeError: MuJoCo is missing or cannot load the file, or a part of the file cannot be
+            part of a creature.
     """
     compiled = compile_model(Path(path))
     model = compiled.model
@@ -124,7 +123,7 @@ def _read_shapes(
 
 
 def _find_root(compiled: Compiled) -> int:
-    """Return the body that all others hang on."""
+    """Return the body at the top of the tree."""
     model = compiled.model
     tops = [i for i in range(1, model.nbody) if model.body_parentid[i] == WORLD]
     if not tops:
@@ -172,7 +171,7 @@ def _material(compiled: Compiled, geom: int, density: float) -> MaterialConfig:
 
 
 def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
-    """Name what belongs to the world, or has no part in the motion.
+    """Name parts that belong to the world, or do not affect the motion.
 
     Args:
         compiled: the model.
@@ -202,15 +201,14 @@ def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
 
 
 def _collisions(compiled: Compiled) -> list[str]:
-    """Name settings of contacts; a creature has `self_collision` in their place."""
+    """Name settings of contacts, which `self_collision` replaces in a creature."""
     model = compiled.model
     own = model.geom_bodyid != WORLD
     bits = np.stack([model.geom_contype, model.geom_conaffinity], 1)
-    # MuJoCo's default, and that of our own export.
+    # MuJoCo's default, and the value of our own export.
     usual = (bits == [1, 1]).all(1) | (bits == [0, 1]).all(1)
     unusual = int((own & ~usual).sum())
-    # A pair with the ground goes with the ground. One without friction is what `self_collision`
-    # makes of two bodies.
+    # A pair with the ground belongs to the ground. `self_collision` gives pairs without friction.
     among = own[model.pair_geom1] & own[model.pair_geom2]
     plain = model.pair_dim == 1
     for field, value in PLAIN_PAIR.items():

@@ -57,7 +57,7 @@ def joints_of(model: Any, body: int) -> list[int]:
 def check_joints(
     compiled: Compiled, body: int, motors: Mapping[int, ActuatorConfig | None]
 ) -> None:
-    """Refuse what keeps a body's joints from being one joint of a creature."""
+    """Refuse joints of a body that cannot be one joint of a creature."""
     model = compiled.model
     joints = joints_of(model, body)
     if not 1 <= len(joints) <= 3:
@@ -70,7 +70,7 @@ def check_joints(
         "damping": model.dof_damping[model.jnt_dofadr],
         "armature": model.dof_armature[model.jnt_dofadr],
     }
-    # None where an actuator is refused already.
+    # None marks a refused actuator.
     unread = [joint for joint in joints if motors.get(joint, ...) is None]
     for joint in joints[1:]:
         first, unlike = joints[0], []
@@ -88,7 +88,7 @@ def check_joints(
 
 
 def _is_plain_hinge(compiled: Compiled, joint: int) -> bool:
-    """Return whether a joint is a hinge, and refuse what else is wrong with it."""
+    """Return whether a joint is a hinge, and refuse its other faults."""
     model, kinds, item = compiled.model, compiled.mujoco.mjtJoint, compiled.item("joint", joint)
     kind = int(model.jnt_type[joint])
     if kind != kinds.mjJNT_HINGE:
@@ -115,10 +115,10 @@ def read_joint(
 
     Args:
         compiled: the model.
-        body: its number.
+        body: number of the body.
         placed: shapes of the bodies, with their frames.
-        names: of the bodies.
-        motors: by joint.
+        names: names of the bodies.
+        motors: motors by joint.
     """
     above = int(compiled.model.body_parentid[body])
     own, parent = placed[body], placed[above]
@@ -126,7 +126,7 @@ def read_joint(
     joints = joints_of(model, body)
     first, limits = joints[0], []
     for joint in joints:
-        # MuJoCo counts angles from where the model file says, we from the neutral pose.
+        # MuJoCo counts angles from the file's reference, and we count from the neutral pose.
         neutral = model.qpos0[model.jnt_qposadr[joint]]
         limits.append(tidy_vector(np.rad2deg(model.jnt_range[joint] - neutral)))
     place, dof = np.array(model.jnt_pos[first]), int(model.jnt_dofadr[first])

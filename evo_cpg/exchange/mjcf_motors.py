@@ -5,7 +5,7 @@
 | motor with a spring | ``position``: ``kp`` is its stiffness, ``kv`` its gain |
 | motor without | ``velocity``: ``kv`` is its gain |
 | torque limit | ``forcerange`` |
-| velocity servo of a gain that the caller chooses | ``motor`` with limits, when it is read |
+| velocity servo with the caller's gain | ``motor`` with limits, in the import |
 """
 
 from collections.abc import Container
@@ -19,7 +19,7 @@ from evo_cpg.creature.creature import Actuator
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 from evo_cpg.exchange.mjcf_ground import number_text
 
-# Those that can be disabled.
+# Number of groups that can be disabled.
 _GROUPS = 31
 
 
@@ -35,7 +35,7 @@ def add_motor(actuator: Element, joint: str, motor: Actuator) -> None:
 
 
 def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, ActuatorConfig | None]:
-    """Return the motor of every driven joint; None for a refused one, which is remembered."""
+    """Return the motor of every driven joint, or None for a refused motor, which is recorded."""
     motors: dict[int, ActuatorConfig | None] = {}
     for number in range(len(compiled.model.actuator_trnid)):
         with compiled.refusals.collecting():
@@ -64,7 +64,7 @@ def _driven_joint(compiled: Compiled, number: int, driven: Container[int]) -> in
 def _read_motor(
     compiled: Compiled, number: int, joint: int, motor_gain: float | None
 ) -> ActuatorConfig:
-    """Read one motor; the gear stretches the angle and multiplies the force."""
+    """Read one motor; the gear scales the angle and multiplies the force."""
     mujoco, model, item = compiled.mujoco, compiled.model, compiled.item("actuator", number)
     gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
     strength = float(model.actuator_gainprm[number, 0])
@@ -92,14 +92,14 @@ def _read_motor(
                 "it gives a torque, and our motors are servos",
                 "position, velocity, or --motor-gain, which makes velocity servos of torque motors",
             )
-        # What a motor can give at most, its servo may.
+        # The servo's limit is the largest torque of the motor.
         command = gear * strength * model.actuator_ctrlrange[_place(compiled, "ctrl", number)]
         limits.append((command, _limits_commands(compiled, number)))
         gain, stiffness = motor_gain, 0.0
     elif not damping > 0:
         raise item.refusal("it is undamped", "a kv of more than 0")
     else:
-        # Not the square of the gear, which may be too large for a number.
+        # The square of the gear could overflow.
         gain, stiffness = (gear * (gear * value) for value in (damping, stiffness))
     torques = [torque for torque, given in limits if given and not _boundless(torque)]
     if not affine and not torques:
@@ -116,7 +116,7 @@ def _read_motor(
 
 
 def command_ranges(compiled: Compiled) -> list[int]:
-    """Return the numbers of servos whose commands have limits, which ours have not."""
+    """Return the numbers of servos whose commands have limits, which ours lack."""
     model = compiled.model
     affine = model.actuator_biastype == compiled.mujoco.mjtBias.mjBIAS_AFFINE
     return [i for i in range(len(affine)) if affine[i] and _limits_commands(compiled, i)]
@@ -128,11 +128,11 @@ def _limits_commands(compiled: Compiled, number: int) -> bool:
 
 
 def _place(compiled: Compiled, what: str, number: int) -> int:
-    """Return the place of an actuator's first command or output; once there was one of each."""
+    """Return the place of an actuator's first command or output; older models have one of each."""
     places = getattr(compiled.model, f"actuator_{what}adr", None)
     return number if places is None else int(places[number])
 
 
 def _boundless(torque: np.ndarray) -> bool:
-    """Return whether limits are larger both ways than any that a creature can have."""
+    """Return whether limits exceed, both ways, the largest that a creature can have."""
     return bool(torque.min() < -LARGEST and torque.max() > LARGEST)

@@ -29,11 +29,11 @@ from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_
 from evo_cpg.exchange.mjcf_ground import number_text
 from evo_cpg.exchange.refusals import ExchangeError
 
-# Of an inertia by turning it, as a share of the largest moment; a mesh has corners in single
-# precision, and `TOLERANCE` in its place.
+# Error of an inertia from turning it, as a fraction of the largest moment. A mesh has corners in
+# single precision, so `TOLERANCE` applies to it.
 _ROUNDING = 1e-12
 
-# Proper turns of a box onto itself: columns are its new axes in the old ones.
+# Proper rotations of a box onto itself; columns are the new axes in the old ones.
 _TURNS = [
     turn
     for order in itertools.permutations(np.eye(3))
@@ -43,7 +43,7 @@ _TURNS = [
 
 
 class Placed(NamedTuple):
-    """A body's shape, and its frame (ours) in the frame of MuJoCo's body."""
+    """A body's shape, and our frame of the body in the frame of MuJoCo's body."""
 
     shape: ShapeConfig
     centre: np.ndarray
@@ -65,7 +65,7 @@ def shape_attributes(body: Body) -> dict[str, str]:
     """Return attributes of a body's geom.
 
     Raises:
-        ExchangeError: a shape that MJCF cannot hold.
+        ExchangeError: MJCF cannot hold the shape.
     """
     shape = body.shape
     if isinstance(shape, Box):
@@ -86,7 +86,7 @@ def shape_attributes(body: Body) -> dict[str, str]:
 
 
 def only_geom(compiled: Compiled, body: int) -> int:
-    """Return the geom of a body; several are refused."""
+    """Return the only geom of a body; refuse a body with none or several."""
     model = compiled.model
     count = int(model.body_geomnum[body])
     if count != 1:
@@ -95,9 +95,11 @@ def only_geom(compiled: Compiled, body: int) -> int:
 
 
 def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Placed:
-    """Put a frame of ours into the geom's centre, as near to the body's own as its shape allows.
+    """Place our frame at the geom's centre, turned as little from the body's as its shape allows.
 
-    The root's is as near to the world's as it can be: it has to be that in the neutral pose.
+    The root's frame is turned as little as possible from the world's. Both must agree in the
+    neutral
+    pose.
     """
     model, kinds = compiled.model, compiled.mujoco.mjtGeom
     size = model.geom_size[geom]
@@ -109,7 +111,7 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
         values = {"type": "sphere", "radius": tidy(size[0])}
         shape, turn = item.section(SphereConfig, values), np.eye(3)
     elif kind == kinds.mjGEOM_CAPSULE:
-        # MuJoCo's capsules lie along z, ours along x; either end may be the front.
+        # MuJoCo's capsules lie along z, ours along x. Either end may be the front.
         turn = _shortest_turn(turn[:, 2] if turn[0, 2] >= 0 else -turn[:, 2])
         values = {"type": "capsule", "radius": tidy(size[0]), "length": tidy(2 * size[1])}
         shape = item.section(CapsuleConfig, values)
@@ -123,7 +125,7 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
             values = {"type": "ellipsoid", "radii": tuple(map(tidy, size))}
             shape = item.section(EllipsoidConfig, values)
     elif kind == kinds.mjGEOM_MESH:
-        # MuJoCo has turned it to its principal axes.
+        # MuJoCo has turned the mesh to its principal axes.
         shape, turn = _read_mesh(compiled, geom, turn), np.eye(3)
     else:
         word = str(kinds(kind).name).removeprefix("mjGEOM_").lower()
@@ -137,7 +139,7 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
 
 
 def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> float:
-    """Return the density of a body, which has to be uniform, kg/m^3."""
+    """Return the density of a body, kg/m^3; refuse a body without uniform density."""
     model = compiled.model
     shape = own.shape.build()
     mass = float(model.body_mass[body])
@@ -146,7 +148,7 @@ def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> fl
     expected = own.turn @ shape.inertia_tensor(mass) @ own.turn.T
     reach = float(np.linalg.norm(shape.half_extents))
     off_centre = np.abs(model.body_ipos[body] - own.centre).max() > TOLERANCE * reach
-    # In its principal frame, where the moments of a thin rod do not hide one another.
+    # Compare in the principal frame, where the moments of a thin rod do not hide one another.
     moments, frame = np.linalg.eigh(expected)
     off = np.abs(frame.T @ found @ frame - np.diag(moments))
     rounding = TOLERANCE if own.shape.type == "mesh" else _ROUNDING
@@ -160,7 +162,7 @@ def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> fl
 
 
 def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
-    """Return the mesh of a geom about its centre of mass, in axes turned to the geom's."""
+    """Return the mesh of a geom about its centre of mass, in axes rotated by ``turn``."""
     model, item = compiled.model, compiled.item("geom", geom)
     mesh = int(model.geom_dataid[geom])
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
@@ -178,7 +180,7 @@ def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
 
 
 def _shortest_turn(direction: np.ndarray) -> np.ndarray:
-    """Return the rotation that takes x to a unit vector, which does not point backwards."""
+    """Return the shortest rotation from x to a unit vector that does not point backwards."""
     x, y, z = direction
     cross = np.array([[0, -y, -z], [y, 0, 0], [z, 0, 0]])
     return np.eye(3) + cross + cross @ cross / (1 + x)

@@ -33,7 +33,7 @@ def load_state(model: Any, data: Any, tree: Tree, state: State) -> Float[np.ndar
     """Put one individual's pose and velocities into MuJoCo's data.
 
     Returns:
-        The root's rotation matrix: MuJoCo has the root's angular velocity in its own axes.
+        The root's rotation matrix: MuJoCo has the root's angular velocity in the root's axes.
     """
     order = dof_order(model, tree)
     rotation = root_rotation(np.asarray(state.orientation, float))
@@ -45,5 +45,5 @@ def load_state(model: Any, data: Any, tree: Tree, state: State) -> Float[np.ndar
 
 
 def root_rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation from root to world of a quaternion (w, x, y, z)."""
+    """Return the rotation from root to world for a quaternion (w, x, y, z)."""
     return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()

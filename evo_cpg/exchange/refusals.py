@@ -1,4 +1,4 @@
-"""Refused elements: collected while a file is read, and reported all at once."""
+"""Collect refused elements while a file is read, and report all of them at once."""
 
 import contextlib
 import dataclasses
@@ -8,21 +8,21 @@ from typing import NamedTuple
 
 from evo_cpg.errors import UserError
 
-# Elements with the same fault that are named before the rest is counted.
+# Number of elements with one fault that are named; the rest is counted.
 _NAMED = 5
 
 
 class ExchangeError(UserError):
-    """A model that cannot be exchanged; the message is for the user as it stands."""
+    """A model cannot be exchanged; the message is written for the user."""
 
 
 class Refusal(NamedTuple):
     """One fault of one element.
 
     Attributes:
-        element: its name in messages.
-        problem: what is wrong with it, and what is allowed.
-        line: of the element in the file; None where it is unknown.
+        element: name of the element in messages.
+        problem: fault of the element, and allowed values.
+        line: line of the element in the file, or None if unknown.
     """
 
     element: str
@@ -31,7 +31,7 @@ class Refusal(NamedTuple):
 
 
 class RefusedError(ExchangeError):
-    """Ends the reading of one element; only ever seen within `Refusals.collecting`."""
+    """Ends the reading of one element; `Refusals.collecting` catches it."""
 
     def __init__(self, refusal: Refusal):
         super().__init__(refusal.problem)
@@ -44,30 +44,30 @@ class Refusals:
 
     Attributes:
         source: the file.
-        found: in the order in which they were found.
+        found: faults in the order of their discovery.
     """
 
     source: Path
     found: list[Refusal] = dataclasses.field(default_factory=list)
 
     def add(self, refusal: Refusal) -> None:
-        """Remember a fault, once."""
+        """Record a fault, once."""
         if refusal not in self.found:
             self.found.append(refusal)
 
     @contextlib.contextmanager
     def collecting(self) -> Iterator[None]:
-        """Remember the fault that ends what is done within, and go on after it."""
+        """Record the fault that ends the block, and continue after the block."""
         try:
             yield
         except RefusedError as error:
             self.add(error.refusal)
 
     def check(self) -> None:
-        """Report all that was found.
+        """Report all faults.
 
         Raises:
-            ExchangeError: there is something.
+            ExchangeError: there are faults.
         """
         if not self.found:
             return
@@ -83,7 +83,7 @@ class Refusals:
 
 
 def _words(group: list[Refusal]) -> str:
-    """Return a sentence about elements with the same fault."""
+    """Return a sentence about elements that share a fault."""
     named = ", ".join(refusal.element for refusal in group[:_NAMED])
     more = f" and {len(group) - _NAMED} more" if len(group) > _NAMED else ""
     lines = [str(refusal.line) for refusal in group[:_NAMED] if refusal.line]

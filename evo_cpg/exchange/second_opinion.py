@@ -1,20 +1,20 @@
 """A second opinion on a champion: the same motor commands in MuJoCo.
 
-The exported model (`evo_cpg.exchange.mjcf_export`) starts as the champion did. It is driven in one
-of two ways:
+The exported model (`evo_cpg.exchange.mjcf_export`) starts in the champion's initial state. There
+are two ways to drive it:
 
-- by the commands that the champion's controller gave here, step by step;
-- by the controller itself, with the senses of MuJoCo's animal (`Brain`). A controller that corrects
-  itself needs this where contacts differ.
+- the commands that the champion's controller gave here, step by step;
+- the controller itself, with the senses of MuJoCo's animal (`Brain`). A controller that corrects
+  itself needs this if contacts differ.
 
 Both programs solve the same equations of motion. They differ in these points:
 
 - Contacts are MuJoCo's own, without restitution. By default they are much softer than ours: they
-  yield over 20 ms, and creep. Hard contacts yield within one of our steps. They take much finer
-  steps of MuJoCo's, because its stiff motors are inaccurate at ours.
+  yield over 20 ms, and creep. Hard contacts yield within one of our steps. They need much finer
+  steps of MuJoCo, because its stiff motors are inaccurate at ours.
 - Buoyancy and force laws (`evo_cpg.physics.force_law`) are ours, applied to MuJoCo's bodies at
-  every step of its own. Added mass is left out: applied forces cannot depend on accelerations.
-- If friction differs from trial to trial, MuJoCo's is that of the configuration.
+  every MuJoCo step. Added mass is left out: applied forces cannot depend on accelerations.
+- If friction differs from trial to trial, MuJoCo uses the friction of the configuration.
 """
 
 import functools
@@ -46,14 +46,14 @@ from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 
-# An animal whose back is less than this high above lying on its side is not upright: cosine.
+# Least upward component of the root's z axis in an upright animal.
 _UPRIGHT = 0.5
 
-# Hard contacts: MuJoCo's steps at most (s), and how much stiffer friction is than the normal
-# direction. Their time constant is one of our steps, in which an impact of ours is over.
+# Hard contacts: longest MuJoCo step (s), and stiffness of friction relative to the normal
+# direction. Their time constant is one of our steps, in which an impact of ours ends.
 _HARD_STEP, _IMPEDANCE_RATIO = 1 / 3840, 100.0
 
-# Explicit forces, such as those of water, on light limbs need steps of this length (s) or less.
+# Longest step (s) with explicit forces, such as water's, on light limbs.
 _LAW_STEP = 1 / 2000
 
 
@@ -61,12 +61,13 @@ class Opinion(NamedTuple):
     """Outcome of a trial in one of the two programs, in control steps.
 
     Attributes:
-        program: its name.
-        path: of the root, m, the start first.
+        program: name of the program.
+        path: path of the root, m, the start first.
         upright: fraction of the time in which the root's up axis points up.
         airborne: fraction of the time in which nothing touches the ground and no body's centre is
-            under water; None without ground or with water everywhere, where it means nothing.
-        joint_angle: rad, in our order of degrees of freedom.
+            under water, or None without ground or with water everywhere, because it has no meaning
+                there.
+        joint_angle: angles, rad, in our order of degrees of freedom.
     """
 
     program: str
@@ -92,9 +93,9 @@ class Brain:
 
     Args:
         simulation: the trial.
-        genes: of the champion.
-        keys: raw random keys of the trial; None without noise.
-        number: of its situation; None where there is one.
+        genes: genes of the champion.
+        keys: raw random keys of the trial, or None without noise.
+        number: number of the trial's situation, or None for a single situation.
     """
 
     def __init__(
@@ -109,7 +110,7 @@ class Brain:
             constants, animal = begin_episode(simulation, alone, keys, number)
         contact_model = simulation.world.contact_model
         owners = np.array([] if contact_model is None else contact_model.bodies, int)
-        # A body's first contact point stands for all of them: the skin adds them up.
+        # A body's first contact point stands for all of them, because the skin sums their forces.
         self._first = {body: int(np.flatnonzero(owners == body)[0]) for body in set(owners)}
         self._points, self._nerves = len(owners), animal.nerves
 
@@ -125,10 +126,10 @@ class Brain:
     def think(
         self, state: State, borne: Float[np.ndarray, " b"]
     ) -> tuple[Float[np.ndarray, "d 1"], Float[np.ndarray, "d 1"]]:
-        """Return rates (rad/s) and angles (rad) that the motors are to follow.
+        """Return reference rates (rad/s) and angles (rad) of the motors.
 
         Args:
-            state: of the animal.
+            state: state of the animal.
             borne: normal force of the ground on each body, N.
         """
         force = np.zeros((3, self._points, 1), np.float32)
@@ -141,7 +142,7 @@ class Brain:
 
 
 def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
-    """Return our own outcome of a trial that was run here."""
+    """Return our own outcome of a trial that was simulated here."""
     each = slice(simulation.substeps - 1, None, simulation.substeps)
     start, place = steps.before.position[:, :1], steps.after.position[:, each]
     held = (np.abs(steps.contact_force).sum((0, 1)) > 0) | in_water(simulation.world, steps)
@@ -164,15 +165,15 @@ def second_opinion(
     """Return MuJoCo's outcome.
 
     Args:
-        simulation: of the trial.
+        simulation: simulation of the trial.
         creature: the animal.
-        steps: of the trial, for its start and its commands.
-        hard: with contacts as hard as ours and round friction cones, in smaller steps.
-        brain: what drives the animal; None for the commands of the trial.
+        steps: physics steps of the trial, for its initial state and its commands.
+        hard: whether to use contacts as hard as ours and round friction cones, in smaller steps.
+        brain: controller of the animal, or None for the commands of the trial.
 
     Raises:
-        ExchangeError: MuJoCo is missing or refuses the model, MJCF cannot hold the world, or its
-            animal diverged.
+        ExchangeError: MuJoCo is missing or refuses the model, MJCF cannot hold the world, or
+            MuJoCo's animal diverged.
     """
     mujoco, model, finer = _compile(simulation, creature, hard)
     world, substeps = simulation.world, simulation.substeps
@@ -203,7 +204,7 @@ def second_opinion(
 
 
 def _compile(simulation: Simulation, creature: Creature, hard: bool) -> tuple[Any, Any, int]:
-    """Return MuJoCo, its model of the animal and its world, and its steps in one of ours."""
+    """Return MuJoCo, its model of the animal and world, and its number of steps in one of ours."""
     try:
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
@@ -235,8 +236,8 @@ class _Player:
 
     Args:
         mujoco: the module.
-        model: of the animal and its world.
-        world: ours.
+        model: model of the animal and its world.
+        world: our world of the animal.
         h: length of our physics step, s.
     """
 
@@ -251,14 +252,14 @@ class _Player:
         self._surface = world.water_level
 
     def begin(self, state: State) -> None:
-        """Put the animal where ours began."""
+        """Set MuJoCo's animal to the initial state of ours."""
         load_state(self.model, self.data, self.tree, state)
         self.mujoco.mj_forward(self.model, self.data)
 
     def commands(
         self, target_rate: Float[np.ndarray, "d t"], target_angle: Float[np.ndarray, "d t"]
     ) -> Float[np.ndarray, "t motors"]:
-        """Return the commands of the motors in each step: their laws are ours."""
+        """Return the motor commands of each step, which give the torques of our motor laws."""
         tree = self.tree
         gain, stiffness = (
             np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)
@@ -269,7 +270,7 @@ class _Player:
         return np.asarray(command[self._motors].T, float)
 
     def advance(self, command: Float[np.ndarray, " motors"], count: int) -> None:
-        """Make some of MuJoCo's steps with the same command."""
+        """Take some of MuJoCo's steps with a constant command."""
         self.data.ctrl[:] = command
         for _ in range(count):
             if self._laws is not None:
@@ -298,7 +299,7 @@ class _Player:
         return borne[self._bodies]
 
     def state(self) -> State:
-        """Return the animal's state, as ours."""
+        """Return the animal's state in our form."""
         data = self.data
         spin = root_rotation(data.qpos[3:7]) @ data.qvel[3:6]
         parts: tuple[Any, ...] = (
@@ -308,17 +309,17 @@ class _Player:
             data.qpos[7 + self.dofs],
             data.qvel[6 + self.dofs],
         )
-        # In double precision, as `jax.device_get` leaves states on the host.
+        # Double precision, as in states from `jax.device_get`.
         return jax.tree.unflatten(self._structure, parts)
 
 
 def _applied(world: World) -> bool:
-    """Return whether there are forces that MJCF cannot hold."""
+    """Return whether the world has forces that MJCF cannot hold."""
     return world.water is not None or bool(world.forces)
 
 
 def _law_forces(world: World, h: float) -> Callable[[State], np.ndarray]:
-    """Return force (N) and moment (N m) of laws and buoyancy on bodies at their centres."""
+    """Return a function for the force (N) and moment (N m) of laws and buoyancy at body centres."""
     laws = [law for law in world.forces if not law.needs_acceleration]
 
     def forces(state: State) -> Float[Array, "6 b"]:
@@ -352,7 +353,7 @@ def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
 
 
 def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:
-    """Return the fraction of the time in which nothing holds the animal; None without meaning."""
+    """Return the fraction of the time in which nothing holds the animal, or None if meaningless."""
     everywhere = world.water_level == np.inf
     return None if world.contact_model is None or everywhere else float(1.0 - held.mean())
 

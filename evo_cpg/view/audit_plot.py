@@ -1,4 +1,4 @@
-"""A picture of an audit: where the energy goes, how much displacement remains, and MuJoCo."""
+"""Draw an audit: sources and sinks of energy, remaining displacement, and paths from MuJoCo."""
 
 from collections.abc import Mapping, Sequence
 
@@ -24,7 +24,7 @@ from evo_cpg.view.figure import (
     new_figure,
 )
 
-# What does work in a trial: label and colour, by name in the ledger.
+# Label and colour of each contribution to the work, by its name in the ledger.
 _WORKERS = {
     "motors": ("motors", BLUE),
     "dampers": ("dampers of joints", SKY),
@@ -37,13 +37,13 @@ _WORKERS = {
     "pushes": ("pushes of chance", GREY),
 }
 
-# This program, and as many opinions of MuJoCo's as there may be.
+# Colours of this program's path and of at most three paths from MuJoCo.
 _OPINIONS = (INK, BLUE, SKY, ORANGE)
 
-# The picture, inches: its width, the height of its upper row, of a bar, and of what is around bars.
+# Sizes in inches: width, height of the upper row, height of a bar, and height around the bars.
 _WIDTH, _UPPER, _BAR, _REST = 10.0, 3.9, 0.3, 1.2
 
-# A trial is drawn with so many points.
+# Number of points with which a trial is drawn.
 _POINTS = 1000
 
 
@@ -58,11 +58,11 @@ def audit_figure(
     """Draw an audit.
 
     Args:
-        ledger: of a trial.
-        step: length of its physics steps, s.
+        ledger: energy ledger of a trial.
+        step: length of the trial's physics steps, s.
         kept: checks that are fractions of the displacement.
-        paths: of the root, by program, m; none if MuJoCo was not run.
-        title: above the picture.
+        paths: path of the root by program, m; empty if MuJoCo was not run.
+        title: text above the picture.
     """
     lower = _REST + _BAR * len(kept)
     figure = new_figure(_WIDTH, _UPPER + lower, title)
@@ -78,7 +78,7 @@ def audit_figure(
 
 
 def _draw_energy(axes: Axes, ledger: Ledger, step: float) -> None:
-    """Draw the work done so far, by what does it."""
+    """Draw the cumulative work of each contribution."""
     time = step * (1 + np.arange(len(ledger.stored)))
     each = slice(None, None, max(1, len(time) // _POINTS))
     for name, (label, color) in _WORKERS.items():
@@ -95,7 +95,7 @@ def _draw_energy(axes: Axes, ledger: Ledger, step: float) -> None:
 
 
 def _draw_paths(axes: Axes, paths: Mapping[str, Float[np.ndarray, "3 t"]]) -> None:
-    """Draw where the root goes in each program, from above."""
+    """Draw the root's path in each program, from above."""
     axes.set_title("Paths of the root, from above")
     for (name, path), color in zip(paths.items(), _OPINIONS[: len(paths)], strict=True):
         axes.plot(path[0], path[1], color=color, lw=1.6, label=name)

@@ -1,14 +1,16 @@
 """A calm camera: it follows the smoothed middle of the animal from behind and above.
 
-Where there is no light to which the animal goes, it is seen from the side. Other cameras look from
-a fixed bearing to its course: right from the side, or from above. One goes once around the animal.
+Without a light, the camera looks at the animal's side. Other cameras look from a fixed bearing to
+the animal's course, from the side or from above. One camera circles the animal once.
 
-The whole recording is known before the first frame, so the path is smoothed with a symmetric
-window, which does not lag; the distance stays fixed, as does the viewing direction but of the one
-that goes around, so whatever moves in the picture moves in the world. The distance is the smallest
-at which a sphere around the focus that holds every body fits the frame: at every instant where
-there is a light, else in half of them, and then as much more as keeps every body inside the
-frame.
+The whole recording is known before the first frame. So the path is smoothed with a symmetric
+window, which does not lag. The distance is fixed, and so is the viewing direction, except for the
+circling camera. So whatever moves in the picture moves in the world.
+
+The distance is the smallest at which a sphere around the focus that holds every body fits the
+frame. The sphere fits at every instant if there is a light, and in half of them without one. The
+distance
+then grows until every body is inside the frame.
 """
 
 from collections.abc import Callable
@@ -23,25 +25,24 @@ VIEW_ANGLE = 32.0
 # Fraction of the frame's height that the sphere around the animal may fill. The animal itself is
 # flatter than its sphere and the frame wider than high, so this is still close.
 _FILL = 1.5
-# The focus lies this fraction of the animal's radius further towards the goal. Without a goal it
-# lies further along the path.
+# The focus lies this fraction of the animal's radius further towards the goal. Without a goal the
+# focus lies further along the path.
 _LEAD, _LEAD_UNLIT = 0.6, 0.4
-# Angles between the line of sight and the direction of the goal that are tried, best first, on
-# either side: small enough that the goal is in the picture, but not from right behind.
+# Angles to try between the line of sight and the direction of the goal, best first, on either side.
+# They are small enough to show the goal, but not from right behind.
 _BEARINGS = np.radians([32.0, 62.0, 90.0, 130.0, 180.0])
-# The same angle where there is no goal: the animal crosses the picture to the right, and shows
-# its side and a little of its front.
+# The same angle without a goal. The animal crosses the picture to the right, and shows its side and
+# a little of its front.
 _SIDE = np.radians(112.0)
-# The cameras that look from a fixed side: angle between the line of sight and the course, so that
-# the animal crosses the picture to the right, and elevation of the eye. Low from the side, but not
-# along the ground; from above a little less than upright, so that the picture has an upper edge.
+# Cameras with a fixed side: angle between the line of sight and the course, and elevation of the
+# eye. The animal crosses the picture to the right. The side camera is low, but not along the
+# ground. The top camera is a little less than upright, so that the picture has an upper edge.
 _SIDEWAYS = np.radians(90.0)
 _ASPECTS = {"side": np.radians(4.0), "top": np.radians(88.0)}
-# One that goes around sees the ground behind the animal, and the horizon.
+# Elevation of the circling camera, which shows the ground behind the animal and the horizon.
 _AROUND = np.radians(14.0)
 CAMERAS = ("follow", *_ASPECTS, "orbit")
-# Points along a line of sight at which obstacles are looked for, and the number of frames in which
-# that is done.
+# Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
 
@@ -49,8 +50,8 @@ class CameraPath(NamedTuple):
     """Place and direction of the camera in every frame.
 
     Attributes:
-        position: of the eye ``(frames, 3)``, m.
-        focus: what it looks at ``(frames, 3)``, m.
+        position: position of the eye ``(frames, 3)``, m.
+        focus: point at which the camera looks ``(frames, 3)``, m.
         view_angle: full vertical angle of view, degrees.
     """
 
@@ -72,29 +73,28 @@ def follow(
 
     Args:
         position: centres of the bodies ``(frames, bodies, 3)``, m.
-        goal: place of the light ``(3,)``, m; NaN where there is none.
+        goal: place of the light ``(3,)``, m, or NaN without a light.
         reach: largest distance from a body's centre to its surface, m.
         rate: frames per second of recorded time.
         aspect: width of the picture over its height.
         elevation: height of the eye above the focus as an angle, rad.
-        turn: angle between the line of sight and the animal's course, rad, in every frame where it
-            changes; None for one that has the light in the picture or, where there is none, shows
-            the animal's side.
+        turn: angle between the line of sight and the animal's course, rad; one per frame if it
+            changes. None for a camera that shows the light or, without a light, the animal's side.
     """
     centre = smooth(position.mean(1), SMOOTHING * rate)
     radius = np.linalg.norm(position - centre[:, None], axis=-1).max() + reach
     lit = bool(np.isfinite(goal).all())
     bearing = course(centre, goal, radius / 10)
     if not lit:
-        # So far ahead that the animal never gets there.
+        # So far ahead that the animal never reaches the goal.
         goal = centre.mean(0) + 1e3 * (radius + np.ptp(centre)) * _direction(bearing, 0.0)
     ahead = goal - centre
     away = np.linalg.norm(ahead, axis=-1, keepdims=True)
-    # An animal that is circled is in the middle.
+    # A circled animal stays in the middle.
     reached = 0.0 if isinstance(turn, np.ndarray) else _LEAD if lit else _LEAD_UNLIT
     lead = ahead * (reached * radius / np.maximum(away, 2 * radius))
     focus = smooth(centre + lead, SMOOTHING * rate)
-    # An animal that leaps may come near the edge of the frame, rather than be small all the time.
+    # An animal that leaps may come near the edge of the frame, so that it is not always small.
     spread = np.linalg.norm(position - focus[:, None], axis=-1).max(1)
     radius = (spread.max() if lit else np.median(spread)) + reach
 
@@ -107,7 +107,7 @@ def follow(
     else:
         sight = _direction(bearing + _SIDE, elevation)
     path = CameraPath(focus - distance * sight, focus, VIEW_ANGLE)
-    # Perspective enlarges what is near: step back until every body is inside the frame.
+    # Perspective enlarges near bodies. Step back until every body is inside the frame.
     while (overshoot := _overshoot(path, position, reach, aspect)) > 1:
         path = path._replace(position=focus + (path.position - focus) * min(overshoot, 1.5) * 1.02)
     return path
@@ -116,14 +116,14 @@ def follow(
 def aspect_of(
     camera: str, frames: int = 1
 ) -> tuple[float | Float[np.ndarray, " frames"], float] | None:
-    """Return turn and elevation of a camera, rad; None for one that follows.
+    """Return turn and elevation of a camera, rad, or None for the following camera.
 
     Args:
         camera: one of `CAMERAS`.
-        frames: of the film, in each of which one that goes around has a turn of its own.
+        frames: number of frames of the film; a circling camera has a turn for each.
 
     Raises:
-        ValueError: there is no such camera.
+        ValueError: no camera has this name.
     """
     if camera not in CAMERAS:
         raise ValueError(f"camera is {camera!r}; choose {' or '.join(CAMERAS)}")
@@ -142,9 +142,10 @@ def hidden(
 
     Args:
         path: the camera of every frame.
-        points: what is looked at ``(frames, n, 3)``, m.
-        height: of what may hide them, m; a function of x and y ``(..., 2)``.
-        margin: by which a line of sight must be above it at the camera, m; 0 at the points.
+        points: observed points ``(frames, n, 3)``, m.
+        height: function that returns the height of solid things, m, at x and y ``(..., 2)``.
+        margin: least height of a line of sight above solid things at the camera, m. The margin
+            falls to 0 at the points.
     """
     every = max(len(points) // _VIEWPOINTS, 1)
     points, eye = points[::every], path.position[::every, None]
@@ -158,12 +159,12 @@ def hidden(
 def course(
     centre: Float[np.ndarray, "frames 3"], goal: Float[np.ndarray, "3"], least: float
 ) -> float:
-    """Return the bearing from the x axis of the goal, or of where the animal ends up, rad.
+    """Return the bearing from the x axis of the goal, or of the animal's final position, rad.
 
     Args:
-        centre: of the animal ``(frames, 3)``, m.
-        goal: place of the light ``(3,)``, m; NaN where there is none.
-        least: a shorter distance has no bearing, and 0 is returned, m.
+        centre: centre of the animal ``(frames, 3)``, m.
+        goal: place of the light ``(3,)``, m, or NaN without a light.
+        least: shortest distance with a bearing, m. If the distance is not longer, 0 is returned.
     """
     east, north, _ = (goal if np.isfinite(goal).all() else centre[-1]) - centre[0]
     return float(np.arctan2(north, east)) if np.hypot(east, north) > least else 0.0
@@ -176,12 +177,12 @@ def project(
 
     Args:
         path: the camera of every frame.
-        points: ``(frames, n, 3)``, m.
+        points: points in the world ``(frames, n, 3)``, m.
         aspect: width of the picture over its height.
 
     Returns:
-        ``(frames, n, 2)``: right and up, -1 to 1 between the edges of the frame; NaN for what
-        lies behind the camera.
+        ``(frames, n, 2)``: right and up, -1 to 1 between the edges of the frame, or NaN for points
+        behind the camera.
     """
     right, up, ahead = _axes(path)
     offset = points - path.position[:, None]
@@ -196,8 +197,8 @@ def turned_about_vertical(vector: Float[np.ndarray, "3"], angle: float) -> Float
     """Return a vector, turned to the left as seen from above.
 
     Args:
-        vector: to be turned.
-        angle: by which, rad.
+        vector: vector before the turn.
+        angle: angle of the turn, rad.
     """
     c, s = np.cos(angle), np.sin(angle)
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
@@ -213,7 +214,7 @@ def smooth(path: Float[np.ndarray, "frames 3"], width: float) -> Float[np.ndarra
     """Return the Gaussian average of a path ``(frames, 3)`` without lag.
 
     Args:
-        path: one point per frame.
+        path: one point for each frame.
         width: standard deviation of the window, frames.
 
     The ends are continued by point reflection, so a steady motion stays steady there.
@@ -235,13 +236,13 @@ def _sight_of_goal(
     bearing: float,
     elevation: float,
 ) -> np.ndarray:
-    """Return a line of sight that has the goal in the picture but keeps the eye off it."""
+    """Return a line of sight that shows the goal but keeps the eye away from it."""
     sights = [
         _direction(bearing + sign * turn, elevation) for turn in _BEARINGS for sign in (1, -1)
     ]
     clearance = [np.linalg.norm(focus - distance * s - goal, axis=-1).min() for s in sights]
-    # The first pair of which one keeps the eye well clear of the light, else the clearest; of
-    # the two the one that shows more of the animal's side.
+    # Choose the first pair in which one sight keeps the eye well clear of the light, else the
+    # clearest sight. Of a pair, choose the sight that shows more of the animal's side.
     free = [i for i, gap in enumerate(clearance) if gap > distance / 2]
     first = free[0] // 2 * 2 if free else int(np.argmax(clearance))
     pair = [i for i in (first, first + 1) if i in free] or [first]
@@ -273,7 +274,7 @@ def _axes(path: CameraPath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _overshoot(path: CameraPath, position: np.ndarray, reach: float, aspect: float) -> float:
     """Return how far the bodies stick out of the frame: their largest picture coordinate."""
-    # Cubes around the bodies, square to the line of sight, whichever way the animal goes.
+    # Cubes around the bodies, aligned with the line of sight, whatever the animal's heading.
     corners = reach * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     offset = corners @ np.stack(_axes(path), 1)
     points = (position[:, :, None] + offset[:, None]).reshape(len(position), -1, 3)

@@ -1,4 +1,4 @@
-"""Write the words of a film: title, time, distance and speed, and headings of moments."""
+"""Write the captions of a film: title, time, distance, speed, and headings of moments."""
 
 from collections.abc import Callable
 
@@ -7,15 +7,15 @@ import numpy as np
 from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import Look
 
-# In pixels of a picture 720 high; smaller pictures do not shrink below `_SMALLEST` of it.
+# Pixels of a picture 720 high. In smaller pictures the scale is at least `_SMALLEST`.
 _MARGIN, _SMALLEST = 34, 0.62
-# Pictures that are lower have but title and time, pixels.
+# Height below which pictures show only title and time, pixels.
 _SMALL = 200
-# Sizes of the title and of values, of the note, and of the names of values; left edges and width of
-# values. What has no room is left out.
+# Sizes of the title and values, of the note, and of the names of values. Left edges and width of
+# values. Values without room are left out.
 _LARGE, _NOTE, _NAME = 23, 16, 15
 _COLUMNS, _VALUE = (0, 140, 290), 105
-# A title shrinks to this fraction of its size, and ends so where it is cut.
+# Smallest fraction of its size to which a title shrinks, and the ending of a cut title.
 _LEAST, _CUT = 0.55, "..."
 # Height of a heading's letters, as a fraction of its line.
 _HEADING = 0.6
@@ -24,16 +24,15 @@ _HEADING = 0.6
 def captions(
     look: Look, title: str, distance: str, note: str, size: tuple[int, int], scale: float
 ) -> Callable[[np.ndarray, float, float, float], None]:
-    """Lay the captions out.
+    """Lay out the captions.
 
     Args:
-        look: of the world.
-        title: bottom right; the upper part of the picture is left to the light. If a picture is too
-            narrow for the title and the values, the last values are left out. A title that has no
-            room beside the time is written smaller, and cut. A small picture has only title and
-            time.
-        distance: what the shown distance is.
-        note: below the title.
+        look: look of the world.
+        title: text at the bottom right. If a picture is too narrow for the title and the values,
+            the last values are left out. A title without room beside the time is written smaller,
+            and cut. A small picture has only title and time.
+        distance: name of the shown distance.
+        note: text below the title.
         size: width and height of the film, pixels.
         scale: pixels rendered per pixel of the film.
 
@@ -69,12 +68,12 @@ def captions(
 
 
 def heading(text: str, width: int, height: int) -> np.ndarray:
-    """Return a line of words, dark on white: ``(height, width, 3)`` bytes, bottom row first.
+    """Return a line of text, dark on white: ``(height, width, 3)`` bytes, bottom row first.
 
     Args:
-        text: its words.
-        width: pixels.
-        height: pixels.
+        text: words of the line.
+        width: width, pixels.
+        height: height, pixels.
     """
     picture = np.full((height, width, 3), 255, np.uint8)
     with lettering(picture) as draw:
@@ -83,12 +82,12 @@ def heading(text: str, width: int, height: int) -> np.ndarray:
 
 
 def fitted(title: str, size: float, room: float) -> tuple[str, float]:
-    """Return a title, cut if need be, and the size in which it has room.
+    """Return a title, cut if it is too long, and the letter size at which it fits.
 
     Args:
-        title: in any script.
-        size: of its letters where there is room, pixels.
-        room: pixels.
+        title: text in any script.
+        size: size of the letters if there is room, pixels.
+        room: available width, pixels.
     """
     full = font(size).getlength(legible(title))
     if full * _LEAST <= room:

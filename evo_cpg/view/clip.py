@@ -16,11 +16,11 @@ class Clip(NamedTuple):
     """A recording sampled at the film's frames.
 
     Attributes:
-        time: s.
+        time: time of each frame, s.
         position: centre of every body, m.
-        rotation: body to world.
-        distance: to the goal, or, where there is none, from the start over ground, m.
-        speed: of the mean of the bodies' centres, smoothed, m/s.
+        rotation: rotation from body to world.
+        distance: distance to the goal or, without a goal, from the start over ground, m.
+        speed: speed of the smoothed mean of the bodies' centres, m/s.
         rate: frames per second of recorded time.
     """
 
@@ -35,7 +35,7 @@ class Clip(NamedTuple):
 def sample(
     recording: Recording, fps: float, speed: float = 1.0, seconds: float | None = None
 ) -> Clip:
-    """Sample a recording at the frames of a film, interpolating where they fall between steps.
+    """Sample a recording at the frames of a film, with interpolation between steps.
 
     Args:
         recording: the motion.
@@ -46,7 +46,7 @@ def sample(
     start, end = recording.time[0], recording.time[-1]
     if seconds is not None:
         end = min(end, start + seconds)
-    # A hundredth of a frame keeps rounding from dropping the last one.
+    # A hundredth of a frame keeps rounding from dropping the last frame.
     time = start + np.arange(int((end - start) * fps / speed + 1.01)) * (speed / fps)
     after = np.clip(np.searchsorted(recording.time, time), 1, max(len(recording.time) - 1, 1))
     after = np.minimum(after, len(recording.time) - 1)
@@ -76,7 +76,7 @@ def sample(
 def quaternions(rotation: Float[np.ndarray, "t *b 3 3"]) -> Float[np.ndarray, "t *b 4"]:
     """Return unit quaternions x, y, z, w of rotation matrices.
 
-    Neighbours in time lie on the same side: none jumps to its negative.
+    Signs are chosen so that no quaternion jumps to its negative from one instant to the next.
     """
     # SciPy takes long to import.
     from scipy.spatial.transform import Rotation

@@ -35,7 +35,7 @@ def set_scene(stage: Stage, bodies: Sequence[Sequence[pv.Actor]]) -> Callable[[i
     updates = _add_environment(stage)
     plotter.camera.view_angle = stage.camera.view_angle
     plotter.camera.up = (0.0, 0.0, 1.0)
-    # Makes the window, in which nothing need be drawn yet; without it VTK resets the camera later.
+    # This makes the window without drawing. Without a window VTK resets the camera later.
     plotter.renderer.SetDraw(False)
     plotter.show(auto_close=False, interactive=False)
     plotter.renderer.SetDraw(True)
@@ -59,8 +59,9 @@ def set_scene(stage: Stage, bodies: Sequence[Sequence[pv.Actor]]) -> Callable[[i
 def _add_environment(stage: Stage) -> list[Update]:
     """Draw everything but the animal.
 
-    Translucent actors are drawn in the order in which they are added. What lies in the plane of the
-    floor comes after it, the light and the trail over the shadows, the water over all.
+    Translucent actors are drawn in the order in which they are added. So the floor comes first,
+    then
+    things in its plane. The light and the trail come after the shadows, the water last.
     """
     scene, look = stage.scene, stage.look
     updates = [add_sky(stage), add_ground(stage)]

@@ -19,15 +19,15 @@ from evo_cpg.view.legible import legible
 from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 INK, GREY, LIGHT_GREY = "#1f2937", "#6b7280", "#9ca3af"
-# Okabe and Ito's palette, which every common kind of colour blindness can tell apart.
+# Okabe and Ito's palette, which is clear with every common kind of colour blindness.
 BLUE, ORANGE, RED, GREEN = "#0072B2", "#E69F00", "#D55E00", "#009E73"
 PINK, SKY = "#CC79A7", "#56B4E9"
 PALETTE = (BLUE, RED, GREEN, PINK, ORANGE, SKY, INK)
 
 _DPI = 160
 
-# Decorator of a function that returns a figure. Names are text and never formulas, hence
-# `text.parse_math`.
+# Decorator of a function that returns a figure. Names are plain text and never formulas, so
+# `text.parse_math` is off.
 framed = matplotlib.rc_context(
     {
         "axes.axisbelow": True,
@@ -53,9 +53,9 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
     """Return an empty figure.
 
     Args:
-        width: inches.
-        height: inches.
-        title: above the figure.
+        width: width, inches.
+        height: height, inches.
+        title: text above the figure.
     """
     figure = Figure(figsize=(width, height), layout="constrained")
     if title:
@@ -68,8 +68,8 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> Path:
     """Write a figure to a file.
 
     Args:
-        figure: what to write.
-        path: ``.png``, ``.svg`` or ``.pdf``.
+        figure: figure to write.
+        path: name that ends in ``.png``, ``.svg`` or ``.pdf``.
 
     Returns:
         The path.
@@ -115,13 +115,13 @@ def draw_runs(
     """Draw the median of runs and the band in which half of them lie.
 
     Args:
-        axes: where to draw.
-        x: of each column.
+        axes: axes of the drawing.
+        x: position of each column.
         runs: one row for each run; values that are not finite are left out.
-        color: of the line and the band.
-        label: of the line.
-        width: of the line, points.
-        band: draw the band.
+        color: colour of the line and the band.
+        label: label of the line.
+        width: width of the line, points.
+        band: whether to draw the band.
     """
     known = np.isfinite(runs).any(0)
     if not known.any():
@@ -144,12 +144,12 @@ def draw_stances(
     """Draw the stances of a foot as bars (Hildebrand 1965).
 
     Args:
-        axes: with time, s, to the right.
+        axes: axes with time, s, to the right.
         stances: beginning and end of each, s.
         window: first and last instant that the axes show, s.
         row: middle of the bars.
-        height: of the bars.
-        color: of the bars.
+        height: height of the bars.
+        color: colour of the bars.
     """
     shown = stances[(stances[:, 1] > window[0]) & (stances[:, 0] < window[1])].clip(*window)
     bars = [(begin, end - begin) for begin, end in shown]

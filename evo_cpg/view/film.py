@@ -29,17 +29,20 @@ from evo_cpg.view.signals import SMALLEST
 
 
 def film_path(path: str | os.PathLike[str], film: Film, signals: bool = False) -> Path:
-    """Check how a film is to be made, before there is anything to show.
+    """Check the settings of a film before any recording exists.
 
     Args:
-        path: see `side_by_side`.
-        film: its settings.
+        path: file or numbered pictures, see `side_by_side`.
+        film: settings of the film.
         signals: whether signals are shown below an animal.
 
+    Returns:
+        The path.
+
     Raises:
-        OutputError: nothing can be written there, or not this kind of file.
-        SettingError: a setting out of range.
-        ValueError: an unknown camera.
+        OutputError: the path cannot be written, or is not of this kind.
+        SettingError: a setting is out of range.
+        ValueError: the camera is unknown.
     """
     path = Path(path)
     if film.sheet is None and is_numbered(path):
@@ -70,23 +73,24 @@ def side_by_side(
 
     Args:
         panels: the animals.
-        path: ``.mp4`` (H.264), ``.webp`` or ``.gif`` for a film, ``.png`` for a still or a sheet;
-            a name such as ``frames/%04d.png`` for a picture of every frame, counted from 0, in a
-            new folder.
-        film: its settings.
-        processes: that draw a film; a still or a sheet is drawn by this one. Each takes some 400 MB
-            of memory and a few seconds to start.
-        progress: called with the number of frames done and their total.
+        path: ``.mp4`` (H.264), ``.webp`` or ``.gif`` for a film, ``.png`` for a still or a sheet. A
+            name such as ``frames/%04d.png`` gives a picture of every frame, counted from 0, in a
+                new
+            folder.
+        film: settings of the film.
+        processes: number of processes that draw a film. This process draws a still or a sheet. Each
+            process takes some 400 MB of memory and a few seconds to start.
+        progress: function that receives the number of finished frames and their total.
 
     Returns:
         The path, or the folder of the pictures.
 
     Raises:
         DrawingError: one of several processes failed.
-        OutputError: nothing can be written there, or not this kind of file.
-        RecordingError: a recording that does not fit its creature, is empty or not finite.
-        SettingError: a setting out of range.
-        ValueError: an unknown world or camera.
+        OutputError: the path cannot be written, or is not of this kind.
+        RecordingError: a recording does not fit its creature, is empty or is not finite.
+        SettingError: a setting is out of range.
+        ValueError: the world or the camera is unknown.
     """
     path = film_path(path, film, any(panel.signals is not None for panel in panels))
     for panel in panels:
@@ -117,11 +121,11 @@ def picture(
 
     Args:
         panels: the animals.
-        film: settings; without a sheet it is a still.
-        progress: called with the number of frames done and their total.
+        film: settings; a still if they have no sheet.
+        progress: function that receives the number of finished frames and their total.
 
     Raises:
-        SettingError: a sheet of more moments than the film has frames.
+        SettingError: the sheet has more moments than the film has frames.
     """
     frames = Frames(panels, film, still=film.sheet is None)
     with frames.drawn() as draw:

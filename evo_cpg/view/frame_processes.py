@@ -1,8 +1,8 @@
-"""Draw frames in several processes: a software renderer leaves cores idle, most with many bodies.
+"""Draw frames in several processes, because a software renderer leaves cores idle.
 
-Each process sets the whole scene once. A frame does not depend on the process that draws it, except
-on uneven ground: the horizon follows the focus in steps, so an opacity may differ by one of 255
-levels.
+Each process builds the whole scene once. A frame does not depend on the process that draws it,
+except on uneven ground. The horizon follows the focus in steps there, so an opacity may differ by
+one of 255 levels.
 """
 
 import atexit
@@ -21,15 +21,16 @@ import numpy as np
 from evo_cpg.view.frames import Film, Frames
 from evo_cpg.view.scene import Panel
 
-# To start a process and to set its scene takes as long as so many frames: of the swimmer, on two
-# cores, 240 frames took two processes as long as one, 1000 took them 40 s instead of 47.
+# Starting a process and building its scene takes as long as this many frames. Two processes took as
+# long as one for 240 frames of the swimmer on two cores. They took 40 s instead of 47 s for 1000
+# frames.
 _WORTH = 120
-# Each holds the libraries and a scene: some 400 MB.
+# Most processes: each holds the libraries and a scene, some 400 MB.
 _MOST = 8
-# Frames for each process that are drawn, or in memory, at once.
+# Frames for each process that are being drawn, or in memory, at once.
 _AHEAD = 3
 
-# In a process that draws: the animals and the settings.
+# Animals and settings, in a process that draws.
 _films: list[tuple[Sequence[Panel], Film]] = []
 
 
@@ -38,11 +39,11 @@ class DrawingError(RuntimeError):
 
 
 def drawing_processes(frames: int, cores: int) -> int:
-    """Return how many processes draw so many frames fastest.
+    """Return the number of processes that draw the frames fastest.
 
     Args:
-        frames: to draw.
-        cores: that may be used.
+        frames: number of frames.
+        cores: number of usable cores.
     """
     return max(1, min(cores, frames // _WORTH, _MOST))
 
@@ -55,12 +56,12 @@ def drawn_frames(
 
     Args:
         panels: the animals.
-        film: settings.
-        frames: laid out by these.
-        processes: that draw them; with one it is this process.
+        film: settings of the film.
+        frames: frames laid out from the animals and the settings.
+        processes: number of drawing processes; 1 draws in this process.
 
     Yields:
-        The frames in order: ``(height, width, 3)`` bytes, bottom row first; each lasts until the
+        The frames in order: ``(height, width, 3)`` bytes, bottom row first. Each is valid until the
         next one.
 
     Raises:
@@ -91,10 +92,10 @@ def _in_order(pool: ProcessPoolExecutor, count: int, ahead: int) -> Iterator[np.
 
 
 def _prepare(panels: Sequence[Panel], film: Film) -> None:
-    """Store what this process draws."""
-    # The process that started this one stops it.
+    """Store the animals and settings of this process."""
+    # The parent process stops this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Heights of the ground need no more.
+    # The CPU is enough for heights of the ground.
     jax.config.update("jax_platforms", "cpu")
     _films[:] = [(panels, film)]
 

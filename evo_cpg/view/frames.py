@@ -1,7 +1,6 @@
 """The frames of a film, a still or a sheet: their instants and their layout.
 
-Frames are rendered larger than the film and averaged down, which smooths edges, thin lines and
-text.
+Frames are rendered larger than the film and averaged down. That smooths edges, thin lines and text.
 """
 
 import contextlib
@@ -21,14 +20,15 @@ from evo_cpg.view.scene import Panel, scene_of
 from evo_cpg.view.signals import FRACTION, LOWEST, Strip
 from evo_cpg.view.stage import Stage, camera_path
 
-# Pixels rendered per pixel of the result, a side. On one core of a software renderer a frame of
-# 1280 x 720 costs 46 ms at 1.25, 58 ms at 1.5, which looks hardly better, and 100 ms at 2.
+# Pixels rendered per pixel of the result, along a side. A frame of 1280 x 720 costs 46 ms at 1.25
+# and 100 ms at 2 on one core of a software renderer. It costs 58 ms at 1.5, which looks hardly
+# better.
 _FILM_OVERSAMPLING = 1.25
 _STILL_OVERSAMPLING = 3.0
-# Between the pictures of a sheet and animals side by side, pixels. A sheet of several animals has a
-# heading above each moment, and moments are this far apart.
+# Gaps in pixels: between pictures of a sheet and animals side by side, height of a heading, and
+# between moments. A sheet of several animals has a heading above each moment.
 _GUTTER, _HEAD, _GAP = 4, 40, 24
-# Columns of so many animals side by side; of more the square root, rounded up.
+# Columns by number of animals. For more animals it is the square root, rounded up.
 _COLUMNS = (1, 1, 2, 3, 2)
 
 
@@ -39,17 +39,20 @@ class Film:
     Attributes:
         size: width and height of each animal's picture, pixels; rounded down to even numbers.
         fps: frames per second of the film.
-        seconds: recorded time to show, s; all of it if None. Of a still: the instant it shows, the
-            middle if None.
+        seconds: recorded time to show, s; all of it if None. For a still: the instant that it
+            shows,
+            the middle if None.
         speed: recorded seconds per second of film.
-        camera: from where the animals are seen: ``follow`` (from behind towards the light; without
-            a light from the side and a little ahead), ``side``, ``top`` or ``orbit`` (once around).
-        sheet: columns and rows of one picture of so many moments, the first and the last of the
-            film and others evenly in between, each of which shows all animals. Moments of a shorter
-            recording lie closer together. Of several animals each moment is a column with a
-            heading: its time or, if their recordings differ in length, its number. None for a film
-            or a still.
-        columns: of animals; as many as rows, or one more, if None, and one on a sheet.
+        camera: ``follow`` (from behind towards the light; without a light from the side and a
+            little
+            ahead), ``side``, ``top`` or ``orbit`` (once around).
+        sheet: columns and rows of moments in one picture, each with all animals. They run evenly
+            from
+            the first moment of the film to the last. Moments of a shorter recording lie closer
+            together. With several animals each moment is a column with a heading: its time or, if
+                the
+            recordings differ in length, its number. None for a film or a still.
+        columns: columns of animals. If None, as many as rows or one more, and one on a sheet.
     """
 
     size: tuple[int, int] = (640, 360)
@@ -66,16 +69,16 @@ class Frames:
 
     Args:
         panels: the animals, row by row.
-        film: its settings.
-        still: show one instant.
+        film: settings of the film.
+        still: whether to show one instant.
 
     Raises:
-        SettingError: a sheet of more moments than the film has frames.
+        SettingError: the sheet has more moments than the film has frames.
 
     Attributes:
-        count: how many there are.
+        count: number of frames.
         size: width and height of a frame in the result, pixels.
-        rendered: width and height of a frame as it is drawn, pixels.
+        rendered: width and height of a frame before averaging, pixels.
     """
 
     def __init__(self, panels: Sequence[Panel], film: Film, still: bool = False):
@@ -107,13 +110,14 @@ class Frames:
 
     @contextlib.contextmanager
     def drawn(self) -> Iterator[Callable[[int], np.ndarray]]:
-        """Set the scenes.
+        """Build the scenes.
 
         Yields:
-            A function of a frame's number that draws it: ``(height, width, 3)`` bytes, bottom row
+            A function that draws the frame of a given number: ``(height, width, 3)`` bytes, bottom
+            row
             first. The next call may overwrite the result.
         """
-        # Filled where an animal is shown.
+        # The picture is white, and animals fill their parts.
         picture = np.full((self.rendered[1], self.rendered[0], 3), 255, np.uint8)
         with contextlib.ExitStack() as stack:
             shows = [
@@ -152,7 +156,7 @@ class Frames:
             f"{clip.time[own[number]] - clip.time[0]:.1f} s"
             for clip, own in zip(self._clips, self._instants, strict=True)
         }
-        # Recordings of different length have moments of their own.
+        # Recordings of different lengths have no common time.
         return instants.pop() if len(instants) == 1 else f"moment {number + 1}"
 
     @contextlib.contextmanager

@@ -1,6 +1,6 @@
 """Ground that reaches to the horizon, its grid, and the distances painted on it.
 
-A level floor writes no depth, so what lies in its plane does not flicker.
+A level floor writes no depth, so things in its plane do not flicker.
 """
 
 import numpy as np
@@ -12,20 +12,21 @@ from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Terrain
 from evo_cpg.view.textures import floor_texture
 
-# Numbers on the ground: height of a digit and distance from the path, in radii of the animal.
-# They fade between these fractions of the distance from the focus to the camera, and between these
-# fractions of the distance from the middle of the picture to its lower edge, where captions are.
+# Numbers on the ground: height of a digit and distance from the path, in radii of the animal. They
+# fade between the first two fractions of the distance from the focus to the camera. They also fade
+# between the last two fractions of the height from the picture's middle to its lower edge, because
+# captions are there.
 _DIGIT, _BESIDE = 0.1, 0.45
 _FADES, _FADES_DOWN = (0.33, 0.43), (0.57, 0.8)
-# Brightness of level ground, change of it with the sine of the angle to the sun, and the darkest.
+# Brightness of level ground, its change with the sine of the angle to the sun, and the minimum.
 _LEVEL, _SLOPE, _DARKEST = 0.92, 0.9, 0.25
-# Water takes the red out of what lies deep: what is left of red, green and blue, and the depth at
-# which two thirds of it are gone, in radii of the animal.
+# Water absorbs red light. Remaining fractions of red, green and blue in deep water, and the depth
+# at which two thirds of the loss is reached, in radii of the animal.
 _SUNKEN, _SUNKEN_DEPTH = (0.36, 0.87, 1.0), 0.6
-# Wet ground is this much darker, up to this height above the water in radii of the animal.
+# Brightness of wet ground, and its height above the water in radii of the animal.
 _WET, _WET_HEIGHT = 0.78, 0.07
 
-# Triangles are sorted anew when the camera has turned so far, rad.
+# Turn of the camera after which triangles are sorted again, rad.
 _RESORT = np.radians(8.0)
 # The horizon follows when the focus has moved by this fraction of the visibility. A smaller move
 # changes no opacity by more than one of 255 levels, and an update takes as long as drawing.
@@ -37,7 +38,7 @@ def fading_disc(visible: float, first: float) -> tuple[pv.PolyData, np.ndarray, 
 
     Args:
         visible: distance at which it has faded to a third, m.
-        first: radius of its innermost ring, as a fraction of that.
+        first: radius of the innermost ring, as a fraction of ``visible``.
     """
     reach = np.concatenate([[0.0], np.geomspace(first, 3.0, 28)]) * visible
     bearing = np.linspace(0, 2 * np.pi, 49)
@@ -63,7 +64,7 @@ def add_ground(stage: Stage) -> Update:
     actor = add_faded(stage.plotter, disc, rgba, texture=texture)
 
     def update(shot: Shot) -> None:
-        # The disc travels below the focus, while its texture stays where it is in the world.
+        # The disc moves with the focus, while its texture stays fixed in the world.
         actor.position = (shot.focus[0], shot.focus[1], height)
         disc.active_texture_coordinates = marks.tiles(place + shot.focus[:2])
 
@@ -73,8 +74,9 @@ def add_ground(stage: Stage) -> Update:
 def _add_relief(stage: Stage, terrain: Terrain, texture: pv.Texture) -> Update:
     """Draw ground with relief, lit by the sun.
 
-    It is translucent, so that it fades towards the horizon. It writes its depth, so that hills hide
-    what is behind them: its triangles are sorted from front to back.
+    The ground is translucent, so that it fades towards the horizon. It writes its depth, so that
+    hills
+    hide things behind them. For this its triangles are sorted from front to back.
     """
     points, triangles, surface = terrain.points(), terrain.triangles(), stage.scene.surface
     middle = points[triangles].mean(1)
@@ -115,21 +117,21 @@ def add_numbers(stage: Stage) -> Update:
     marks, radius, sight = stage.scene.marks, stage.radius, stage.sight
     along = (stage.scene.clip.position.mean(1)[:, :2] - marks.origin) @ marks.turn()
     across, ahead = (axis[:2] for axis in level_axes(sight))
-    # Beside the path, where the animal does not tread on them even if it sways.
+    # The numbers stand beside the path, so that the animal does not tread on them even if it sways.
     nearer = -np.sign(ahead @ marks.turn()[:, 1]) or -1.0
     side = nearer * (nearer * along[:, 1]).max() + nearer * _BESIDE * radius
     last = int(np.ceil((along[:, 0].max() + 2 * radius) / marks.spacing))
     first = int(np.floor(min(along[:, 0].min(), 0.0) / marks.spacing))
     fades = np.minimum(_FADES, [_nearer(-sight[2], down) for down in _FADES_DOWN])
     size = _DIGIT * radius
-    # Lying flat they look as low as the sight is slanting.
+    # Digits that lie flat look lower, the more slanted the sight is.
     stretch = 0.7 / max(-sight[2], 0.15)
     digits = []
     for count in range(first, last + 1):
         digit = pv.Text3D(f"{count * marks.spacing:g} m", depth=0.0, height=size, center=(0, 0, 0))
         flat = np.asarray(digit.points)[:, :2] * [1.0, stretch]
         middle = marks.origin + marks.turn() @ [count * marks.spacing, side]
-        # To the right of its line.
+        # The number stands to the right of its line.
         flat[:, 0] += 0.7 * size - flat[:, 0].min()
         place = middle + flat @ np.stack([across, ahead])
         high = stage.ground.height(place) + stage.lift
@@ -156,11 +158,11 @@ def add_numbers(stage: Stage) -> Update:
 
 
 def _nearer(steep: float, down: float) -> float:
-    """Return how much nearer than the focus level ground is that is lower in the picture.
+    """Return the distance by which level ground lower in the picture is nearer than the focus.
 
     Args:
         steep: sine of the camera's elevation above the focus.
-        down: from the middle of the picture, 0, to its lower edge, 1.
+        down: place in the picture, from 0 at the middle to 1 at the lower edge.
 
     Returns:
         Level distance, in distances of the camera from the focus.

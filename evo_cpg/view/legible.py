@@ -1,10 +1,10 @@
-"""Write names of any script into pictures: in a font that is always there, or spelt out.
+"""Write names of any script into pictures, in a font that is always there or spelt out.
 
-Matplotlib brings DejaVu Sans, which has the Latin, Greek, Cyrillic, Arabic and Hebrew scripts and
-many symbols. Pillow writes with it into pictures that VTK has drawn. The font lacks Chinese,
-Japanese and Korean characters and most emoji, which would all look like the same box. They are
-spelt out by their names in Unicode: a syllable by its sound, an emoji by what it shows, and an
-ideograph by its number.
+Matplotlib ships DejaVu Sans, which has the Latin, Greek, Cyrillic, Arabic and Hebrew scripts and
+many symbols. Pillow writes with this font into pictures drawn by VTK. The font lacks Chinese,
+Japanese and Korean characters and most emoji, which would all look like the same box. These
+characters are spelt out by their names in Unicode: a syllable by its sound, an emoji by its
+picture, and an ideograph by its number.
 """
 
 import contextlib
@@ -41,10 +41,10 @@ def lettering(picture: np.ndarray) -> Iterator[ImageDraw.ImageDraw]:
     """Write words into a picture.
 
     Args:
-        picture: bytes ``(height, width, 3)``, bottom row first; it is changed in place.
+        picture: bytes ``(height, width, 3)``, bottom row first; changed in place.
 
     Yields:
-        What `write` takes.
+        The drawing context for `write`.
     """
     image = Image.fromarray(picture[::-1])
     yield ImageDraw.Draw(image, "RGBA")
@@ -66,13 +66,13 @@ def write(
     """Write a text into a picture.
 
     Args:
-        draw: of the picture, see `lettering`.
-        text: in any script.
-        place: to the right and down, pixels.
-        size: of the letters, pixels.
-        color: of the letters.
-        bold: use the bold face.
-        opacity: of the letters, 0 to 1.
+        draw: drawing context of the picture, see `lettering`.
+        text: text in any script.
+        place: pixels to the right and down.
+        size: size of the letters, pixels.
+        color: colour of the letters.
+        bold: whether to use the bold face.
+        opacity: opacity of the letters, 0 to 1.
         anchor: point of the text that is at the place, see Pillow's "Text anchors".
         plate: colour of a translucent plate behind the letters; empty for no plate.
     """
@@ -90,8 +90,8 @@ def font(size: float, bold: bool = True) -> ImageFont.FreeTypeFont:
     """Return a face of the font that is always there.
 
     Args:
-        size: of the letters, pixels.
-        bold: rather than the regular face.
+        size: size of the letters, pixels.
+        bold: whether to use the bold face.
     """
     return ImageFont.truetype(str(_BOLD if bold else _REGULAR), size)
 
@@ -108,7 +108,7 @@ def _spelt(letter: str) -> str:
     name = unicodedata.name(letter, "")
     kind = unicodedata.category(letter)
     if kind in ("Mn", "Mc", "Me", "Cf"):
-        # Marks on a letter, and what joins or selects glyphs.
+        # Marks on a letter, and characters that join or select glyphs.
         return ""
     if kind[0] == "L" and "IDEOGRAPH" not in name and name:
         for word in (" LETTER ", " SYLLABLE "):

@@ -23,22 +23,22 @@ class Look:
         grid: colour of the grid lines.
         shadow: colour of shadows.
         shadow_strength: opacity of the soft patches under the bodies, 0 to 1.
-        cast_strength: opacity of the shadows that the sun casts, 0 to 1; 0 where it casts none.
+        cast_strength: opacity of the shadows that the sun casts, 0 to 1; 0 for none.
         sun: colour of the directional light.
         fill: colour of the weak light from the viewer's side.
-        ambient: share of light that comes from everywhere.
+        ambient: fraction of light that comes from everywhere.
         trail: colour of the trail.
         light: colour of the glowing sphere.
         halo: colour of the glow around it.
         glow: opacity of the glow and of the pool of light on the floor, 0 to 1.
         text: colour of the captions.
         visibility: distance at which the floor has faded to a third.
-        elevation: of the camera above the focus, rad, when it looks towards a light.
-        side_elevation: the same when it looks at the animal's side; on land low enough that the
-            horizon and what is under the animal are seen.
+        elevation: elevation of the camera above the focus, rad, when it looks towards a light.
+        side_elevation: elevation when the camera looks at the animal's side, rad. On land it is low
+            enough to show the horizon and the space under the animal.
         particles: whether specks drift in the medium.
         checkered: whether alternate grid cells differ in tone.
-        zenith: colour towards which the sky turns above the horizon; None where there is no sky.
+        zenith: colour towards which the sky turns above the horizon, or None without a sky.
     """
 
     distance: str
@@ -110,7 +110,7 @@ STYLES = {
     ),
 }
 
-# Where water has a surface that is seen from above.
+# Look of water whose surface is seen from above.
 SHORE = dataclasses.replace(
     STYLES["land"],
     distance="#dfebf1",
@@ -127,7 +127,7 @@ def sun_direction(look: Look, sight: Float[np.ndarray, "3"]) -> Float[np.ndarray
     """Return the unit vector towards the sun.
 
     Args:
-        look: of the world.
+        look: look of the world.
         sight: the camera's direction of view in the first frame.
     """
     towards = np.array(_SUN_AT_SEA)

@@ -15,7 +15,7 @@ from evo_cpg.view.units import UNITS, in_words
 
 _EMPTY, _COLOURS = "#eef0f3", "viridis"
 
-# Inches of a panel, and of what is beside all.
+# Sizes in inches: a panel, space beside all panels, space above them, and a single panel.
 _PANEL, _BESIDE, _ABOVE = 2.6, 1.5, 1.0
 _ALONE = 4.6
 _PANELS_IN_A_ROW = 5
@@ -26,19 +26,19 @@ _MOST_PANELS = 25
 def map_figure(axes: Sequence[Axis], fitness: Float[np.ndarray, "..."], title: str) -> Figure:
     """Draw a map.
 
-    Two axes make a picture, a third a row of pictures. Of further axes, and of a third one with
-    too many cells to look at, the best of all their cells is shown.
+    Two axes make a picture, a third a row of pictures. The best cell is shown along further axes,
+    and along a third axis with too many cells.
 
     Args:
-        axes: of the map.
-        fitness: of the elites, an array axis for each of the map's; NaN in empty cells.
-        title: above the picture.
+        axes: axes of the map.
+        fitness: fitness of the elites, one array axis for each map axis, or NaN in empty cells.
+        title: text above the picture.
     """
     head = f"{title}: {np.isfinite(fitness).mean():.0%} of {fitness.size} cells filled"
     axes, shown = _at_most_three(axes, fitness)
     finite = shown[np.isfinite(shown)]
     low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
-    # One elite, or several alike, in the middle of a bar that says what they have.
+    # One elite, or several with equal fitness, get the middle of a colour bar around this fitness.
     least = 1e-3 * max(abs(low), abs(high), 1e-6)
     middle, half = (low + high) / 2, max((high - low) / 2, least)
     scale = Normalize(middle - half, middle + half)

@@ -1,7 +1,7 @@
 """Meshes of the bodies in their own frames, and their colours.
 
-Colours run from a warm head over cream to a cool tail. Orange against blue, with the lightest
-tone between them, is told apart with every common kind of colour blindness, and on sea and sand.
+Colours run from a warm head over cream to a cool tail. Orange and blue, with the lightest tone
+between them, are clear with every common kind of colour blindness, and on sea and sand.
 """
 
 import functools
@@ -18,8 +18,8 @@ _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
 _EYE = 0.44
 # Colours of an eye.
 _WHITE, _PUPIL = "#fdfdf8", "#10151c"
-# Brightness of bodies on the left (y > 0), the far side where there is no light to walk to, and how
-# far off the middle they begin, relative to the one furthest out.
+# Brightness of bodies on the left (y > 0), the far side without a light. Distance off the middle at
+# which they begin, relative to the outermost body.
 _LEFT, _ASIDE = 0.72, 0.1
 
 
@@ -33,8 +33,8 @@ def head_index(creature: Creature) -> int:
 def body_colors(creature: Creature) -> np.ndarray:
     """Return colours ``(bodies, 3)``: red, green and blue from 0 to 1.
 
-    A body without a colour of its own takes one from the palette by how many joints lie between
-    it and the head; on the animal's left it is darker, so that legs are told apart.
+    A body without a colour of its own takes a palette colour by its number of joints from the head.
+    Bodies on the animal's left are darker, so that legs are told apart.
     """
     links = [
         (i, creature.body_index(body.joint.parent))
@@ -62,8 +62,8 @@ def body_colors(creature: Creature) -> np.ndarray:
 def shape_mesh(shape: Shape) -> pv.PolyData:
     """Return the surface of a shape in its own frame, m, with normals for smooth shading.
 
-    A mesh's edges stay sharp: every triangle has corners of its own. One without area, which has no
-    normal, is left out.
+    A mesh's edges stay sharp, because every triangle has corners of its own. A triangle without
+    area has no normal and is left out.
     """
     points, normals, faces = shape.skin()
     mesh = pv.PolyData.from_regular_faces(points, faces)
@@ -74,7 +74,7 @@ def shape_mesh(shape: Shape) -> pv.PolyData:
 def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv.PolyData]:
     """Return white and pupil of an eye, in the frame of the body that carries it.
 
-    A sensor inside the body is drawn where its line of sight leaves it.
+    A sensor inside the body is drawn where its line of sight leaves the body.
     """
     shape = creature.bodies[creature.body_index(sensor.body)].shape
     radius = _EYE * shape.half_extents.min()
@@ -91,12 +91,12 @@ def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv
 
 
 class Piece(NamedTuple):
-    """A surface that moves with a body, in its frame.
+    """A surface that moves with a body, in the body's frame.
 
     Attributes:
         mesh: the surface.
-        color: its colour, as six hexadecimal digits after ``#``.
-        name: of a part of an eye, such as ``pupil1``; empty for the body's own surface.
+        color: colour of the surface, as six hexadecimal digits after ``#``.
+        name: name of a part of an eye, such as ``pupil1``; empty for the body's own surface.
     """
 
     mesh: pv.PolyData
@@ -124,7 +124,7 @@ def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[
     """Draw the bodies and eyes, each in its own frame at the origin.
 
     Args:
-        plotter: draws them.
+        plotter: plotter of the picture.
         creature: the animal.
         ambient: fraction of light that comes from everywhere.
 

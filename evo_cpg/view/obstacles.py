@@ -11,15 +11,15 @@ from evo_cpg.view.offscreen import placed
 
 _STONE = np.array([0.60, 0.57, 0.53])
 _SEED = 20102
-# Waves that make the grain: how many, their lowest and highest number across the stone, how much
-# they change its brightness, and how far they tilt its normals.
+# Waves that make the grain: their number, their lowest and highest wave count across the stone, the
+# change of brightness, and the tilt of the normals.
 _WAVES, _LOWEST, _HIGHEST = 60, 2.0, 30.0
 _GRAIN, _ROUGHNESS = 0.07, 0.25
-# Facets along an edge of a block and around a boulder, as they are seen and as they cast a shadow.
-# With five boulders and two blocks a frame of 1280 x 720 took 82 ms to draw at twice as many of
-# both, 58 ms at these, and 43 ms without the sides that face away.
+# Facets along an edge of a block and around a boulder: for the picture, and for a shadow. A frame
+# of 1280 x 720 with five boulders and two blocks took 58 ms. It took 82 ms with twice as many
+# facets, and 43 ms without the sides that face away.
 _SEEN, _SHADE = (24, 72), (8, 36)
-# What lies deeper in the ground than this fraction of an obstacle's size is not drawn.
+# Parts deeper in the ground than this fraction of an obstacle's size are not drawn.
 _SUNK = 0.02
 
 
@@ -29,11 +29,11 @@ def obstacle_mesh(
     """Return an obstacle's surface in its frame, its place ``(3,)``, m, and rotation ``(3, 3)``.
 
     Args:
-        obstacle: of the ground.
-        shade: whether it is only to cast a shadow, for which fewer facets do.
+        obstacle: obstacle on the ground.
+        shade: whether the surface only casts a shadow, which needs fewer facets.
 
     Raises:
-        TypeError: an obstacle that this module does not know.
+        TypeError: this module does not know the obstacle.
     """
     edge, around = _SHADE if shade else _SEEN
     if isinstance(obstacle, Boulder):
@@ -55,11 +55,11 @@ def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
     """Return the height of an obstacle's upper side, m; -inf beside it.
 
     Args:
-        obstacle: of the ground.
+        obstacle: obstacle on the ground.
         place: x and y ``(..., 2)``, m.
 
     Raises:
-        TypeError: an obstacle that this module does not know.
+        TypeError: this module does not know the obstacle.
     """
     if isinstance(obstacle, Boulder):
         offset = place - np.array(obstacle.centre[:2])
@@ -78,15 +78,15 @@ def add_obstacles(
     ambient: float,
     height: Callable[[np.ndarray], np.ndarray],
 ) -> None:
-    """Draw obstacles as stones. Their shading is rough, their surface is not.
+    """Draw obstacles as stones, with rough shading on a smooth surface.
 
     Buried parts are left out.
 
     Args:
-        plotter: draws them.
-        obstacles: of the ground.
+        plotter: plotter of the picture.
+        obstacles: obstacles on the ground.
         ambient: fraction of light that comes from everywhere.
-        height: of the ground as it is drawn, of x and y ``(n, 2)``, m.
+        height: function that returns the drawn ground's height, m, at x and y ``(n, 2)``, m.
     """
     generator = np.random.default_rng(_SEED)
     for obstacle in obstacles:

@@ -19,13 +19,13 @@ def canvas(size: tuple[int, int]) -> Iterator[pv.Plotter]:
     Args:
         size: width and height, pixels.
     """
-    # VTK warns that there is no X server before it turns to EGL.
+    # VTK warns that there is no X server before it uses EGL.
     with pv.vtk_verbosity("error"):
         plotter = pv.Plotter(off_screen=True, window_size=list(size), lighting="none")
-        # Multisampling costs 80 ms a frame of 1280 x 720 on a software renderer; averaging a
-        # picture rendered larger costs a third of that.
+        # Multisampling costs 80 ms for a frame of 1280 x 720 on a software renderer. Averaging a
+        # larger picture costs a third of that.
         plotter.disable_anti_aliasing()
-        # Draw what is translucent in the order of adding; sorting it by pixel costs 100 ms.
+        # Draw translucent actors in the order of adding. Sorting them by pixel costs 100 ms.
         plotter.renderer.SetUseOIT(False)
         try:
             yield plotter
@@ -46,10 +46,10 @@ def add_faded(plotter: pv.Plotter, mesh: pv.PolyData, rgba: np.ndarray, **given:
     """Draw a mesh unlit, in the colours and opacities of its points.
 
     Args:
-        plotter: draws it.
-        mesh: gets the colours as its array ``rgba``.
-        rgba: bytes ``(points, 4)``.
-        given: more for `pyvista.Plotter.add_mesh`.
+        plotter: plotter of the picture.
+        mesh: mesh that receives the colours as its array ``rgba``.
+        rgba: colours and opacities, bytes ``(points, 4)``.
+        given: further arguments of `pyvista.Plotter.add_mesh`.
     """
     mesh.point_data["rgba"] = rgba
     actor = plotter.add_mesh(mesh, scalars="rgba", rgba=True, lighting=False, **given)
@@ -65,7 +65,7 @@ def placed(rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 def write_depth(actor: pv.Actor) -> None:
-    """Let a translucent actor hide what is drawn later and lies behind it."""
+    """Make a translucent actor hide later actors that lie behind it."""
     keys = vtkInformation()
     keys.Set(vtkOpenGLActor.GLDepthMaskOverride(), 1)
     actor.SetPropertyKeys(keys)

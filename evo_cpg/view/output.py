@@ -1,4 +1,4 @@
-"""Check where pictures and films go before any work, and write them whole."""
+"""Check output paths of pictures and films before any work, and write the files whole."""
 
 import contextlib
 import os
@@ -17,7 +17,7 @@ from evo_cpg.errors import UserError
 from evo_cpg.files import OutputError, cannot_write, in_one_piece, require_place
 from evo_cpg.system import scratch_file
 
-# A palette per frame: one for the whole film would make ffmpeg hold all of it in memory.
+# A palette for each frame: with one for the whole film ffmpeg would hold all of it in memory.
 _GIF_PALETTE = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=bayer"
 _ENCODERS = {
     # Dark gradients show bands above a rate factor of 20. "veryfast" takes a third of the time
@@ -29,13 +29,13 @@ _ENCODERS = {
 PICTURE_SUFFIXES = (".png",)
 FILM_SUFFIXES = (*_ENCODERS, *PICTURE_SUFFIXES)
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
-# Sides of a picture, and of what is drawn of it (software renderers go no further), pixels; and how
-# many of these in all, for which VTK takes some 3 GB of memory.
+# Smallest and largest side of a picture, and largest drawn side (the limit of software renderers),
+# pixels. Most drawn pixels in all, for which VTK takes some 3 GB of memory.
 _SMALLEST, _LARGEST, _LARGEST_DRAWN, _MOST_DRAWN = 16, 8192, 16384, 2**26
 
 
 class SettingError(UserError, ValueError):
-    """A picture or film cannot be made of this size, this fast, or of so many moments."""
+    """A size, a speed or a number of moments that a picture or film cannot have."""
 
 
 def check_size(
@@ -45,11 +45,11 @@ def check_size(
 
     Args:
         size: width and height, pixels.
-        smallest: that has room, pixels.
-        what: it has to have room for, in the message.
+        smallest: smallest width and height, pixels.
+        what: words about the needed room, for the message.
 
     Raises:
-        SettingError: it is too small, or too large.
+        SettingError: the picture is too small, or too large.
     """
     width, height = size
     if width < smallest[0] or height < smallest[1]:
@@ -62,11 +62,11 @@ def check_size(
 
 
 def oversampling(size: tuple[int, int], desired: float) -> float:
-    """Return pixels drawn per pixel of a picture, a side, limited by what can be drawn.
+    """Return pixels drawn per pixel of a picture, along a side, limited by what can be drawn.
 
     Args:
         size: width and height of the picture, pixels, as `check_size` allows them.
-        desired: at least 1.
+        desired: desired result, at least 1.
     """
     width, height = size
     most = min(_LARGEST_DRAWN / max(size), (_MOST_DRAWN / (width * height)) ** 0.5)
@@ -77,8 +77,8 @@ def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     """Check that a file of one of these kinds can be written here.
 
     Args:
-        path: from the user; an existing file is replaced.
-        suffixes: the kinds that the caller can write, such as ``(".mp4", ".gif")``.
+        path: path from the user; an existing file is replaced.
+        suffixes: suffixes that the caller can write, such as ``(".mp4", ".gif")``.
 
     Raises:
         OutputError: another suffix, a folder that does not exist, a folder in the file's place,
@@ -101,10 +101,10 @@ def numbered_path(path: Path) -> Path:
     """Check that a new folder of numbered pictures can be written here.
 
     Args:
-        path: from the user, such as ``frames/%04d.png``.
+        path: path from the user, such as ``frames/%04d.png``.
 
     Raises:
-        OutputError: the folder exists and is not empty, or cannot be made.
+        OutputError: the folder exists and is not empty, or cannot be created.
     """
     folder = path.parent
     if folder.is_dir() and any(folder.iterdir()):
@@ -119,10 +119,10 @@ def numbered_path(path: Path) -> Path:
 
 
 def picture_of(frame: np.ndarray, size: tuple[int, int]) -> Image.Image:
-    """Return a picture of this width and height, whose pixels are averages over a frame.
+    """Return a picture of this width and height, with pixels averaged from a frame.
 
     Args:
-        frame: bytes ``(height, width, 3)``, bottom row first as OpenGL returns it.
+        frame: bytes ``(height, width, 3)``, bottom row first as in OpenGL.
         size: width and height, pixels.
     """
     return Image.fromarray(frame[::-1]).resize(size, Image.Resampling.BOX)
@@ -132,7 +132,7 @@ def save_picture(picture: Image.Image, path: Path) -> None:
     """Write a picture whole.
 
     Raises:
-        OutputError: it cannot be written, for instance because the disk is full.
+        OutputError: the picture cannot be written, for instance because the disk is full.
     """
     with in_one_piece(path) as partial:
         picture.save(partial)
@@ -142,11 +142,12 @@ def save_numbered(pictures: Iterable[Image.Image], path: Path) -> None:
     """Write pictures to files with numbers, all of them or none.
 
     Args:
-        pictures: counted from 0.
-        path: such as ``frames/%04d.png``, checked by `numbered_path`; the folder is new or empty.
+        pictures: pictures, counted from 0.
+        path: path such as ``frames/%04d.png``, checked by `numbered_path`; the folder is new or
+            empty.
 
     Raises:
-        OutputError: they cannot be written, for instance because the disk is full.
+        OutputError: the pictures cannot be written, for instance because the disk is full.
     """
     folder = path.parent.absolute()
     try:
@@ -169,7 +170,7 @@ def film_writer(
     """Write frames to a film: H.264, WebP or GIF.
 
     Args:
-        path: checked by `output_path`; its suffix decides the kind.
+        path: path checked by `output_path`; its suffix decides the kind.
         size: width and height of the film, pixels; even numbers for ``.mp4``.
         rendered: width and height of the frames, pixels; ffmpeg averages them down to ``size``.
         fps: frames per second.
@@ -189,7 +190,7 @@ def film_writer(
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{rendered[0]}x{rendered[1]}"]
     command += ["-r", f"{fps:.6f}", "-i", "-", "-vf", filters, *_ENCODERS[suffix].split()]
     with in_one_piece(path) as partial, scratch_file() as complaints:
-        # A relative path with a colon would be a protocol to ffmpeg.
+        # ffmpeg takes a relative path with a colon for a protocol.
         process = subprocess.Popen(
             [*command, str(partial.absolute())], stdin=subprocess.PIPE, stderr=complaints
         )

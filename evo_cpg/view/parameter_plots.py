@@ -1,4 +1,4 @@
-"""Pictures of parameters: which ones success depends on, and how well a fit follows its data."""
+"""Pictures of parameters: elasticities of a result, and the agreement of a fit with its data."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ from evo_cpg.view.legible import legible
 
 _MORE, _LESS, _DOUBTFUL = BLUE, RED, "#d1d5db"
 
-# Sensitivities, inches: width, height of a bar, and height of all else.
+# Sizes of the sensitivity picture in inches: width, height of a bar, and height of the rest.
 _WIDTH, _BAR, _REST = 8.6, 0.27, 1.9
 
 
@@ -29,15 +29,15 @@ _WIDTH, _BAR, _REST = 8.6, 0.27, 1.9
 def sensitivity_figure(
     rows: Sequence[Sensitivity], measure: str, title: str, most: int = 25
 ) -> Figure:
-    """Draw elasticities as bars; what is not confirmed is grey and shows the change found.
+    """Draw elasticities as bars; unconfirmed bars are grey and show the simulated change.
 
     Parameters that are 0 have no elasticity and are left out.
 
     Args:
-        rows: from the top down.
-        measure: what is measured, such as ``speed``.
-        title: above the picture.
-        most: bars to draw.
+        rows: sensitivities from the top down.
+        measure: measured quantity, such as ``speed``.
+        title: text above the picture.
+        most: largest number of bars.
     """
     shown = [row for row in rows if row.value][:most]
     figure = new_figure(_WIDTH, _REST + _BAR * len(shown), title)
@@ -71,13 +71,13 @@ def sensitivity_figure(
 def fit_figure(
     time: np.ndarray, columns: Sequence[str], data: np.ndarray, fitted: np.ndarray
 ) -> Figure:
-    """Draw every column over time: what was recorded as dots, the fitted simulation as a line.
+    """Draw every column over time: the recording as dots, the fitted simulation as a line.
 
     Args:
-        time: s.
-        columns: names: ``x``, ``y`` and ``z`` in m, others in rad.
-        data: ``(t, c)``.
-        fitted: ``(t, c)``.
+        time: instants, s.
+        columns: names of the columns: ``x``, ``y`` and ``z`` in m, others in rad.
+        data: recorded values ``(t, c)``.
+        fitted: simulated values ``(t, c)``.
     """
     figure = new_figure(7.4, 0.9 + 1.5 * len(columns))
     rows = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]

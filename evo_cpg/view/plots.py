@@ -34,17 +34,17 @@ _WINDOW = 5.0
 # Title of a row of joint signals.
 _NAME: dict[str, Any] = {"fontsize": 9, "fontweight": "bold", "pad": 2}
 _SNAPSHOTS = 7
-# Fewer periods than this in the window are no rhythm. The spectrum of a drift has its peak at 2.
+# Fewer periods in the window are no rhythm. The spectrum of a drift has its peak at 2.
 _PERIODS = 2.1
 
 
 @framed
 def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
-    """Draw fitness over the generations, and how many individuals diverged in all.
+    """Draw fitness over the generations, and the number of diverged individuals.
 
-    With several runs, thin lines are the best of each generation in each run, as in Figs. 4-2 to
-    4-6 of Fukui 2003. The thick lines are medians over the runs, and half of the runs lie within
-    the band.
+    Thin lines of several runs show the best of each generation in each run, as in Figs. 4-2 to
+    4-6
+    of Fukui 2003. Thick lines are medians over the runs, and half of the runs lie within the band.
 
     Args:
         history: columns of equal length: ``generation``, ``best``, ``mean`` and ``diverged``
@@ -75,7 +75,7 @@ def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
         (*_, thin) = top.plot(generation, by_run("best").T, color=BLUE, lw=0.7, alpha=0.4)
         thin.set_label("best of the generation, each run")
     for key, label, color, width in (
-        # Wide: where an elite keeps the two bests equal, it is seen below.
+        # Wide, so that it is seen below the other line if an elite keeps the two bests equal.
         ("best_so_far", "best so far", _PALE_ORANGE, 5.0),
         ("best", "best of the generation", BLUE, 1.5),
         ("mean", "mean of the generation", GREY, 1.3),
@@ -108,21 +108,21 @@ def joint_signals_figure(
 ) -> Figure:
     """Draw angle and CPG output of every joint about one axis, a row each (Iwadate 2010, Fig. 3).
 
-    A thin line joins the crests of neighbouring joints of a chain, or a crest and a trough where
-    their axes point against each other. Its slope is the phase lag along the body.
+    A thin line joins the crests of neighbouring joints of a chain. If their axes point against each
+    other, the line joins a crest and a trough. Its slope is the phase lag along the body.
 
     Args:
         recording: the motion.
-        axis: such as ``z``; by default the one about which the animal bends most.
+        axis: axis such as ``z``; by default the axis about which the animal bends most.
         window: first and last instant to show, s. By default 5 s in the middle of the second half:
             the animal has started by then, and has not arrived.
         chains: degrees of freedom that follow one another along the body, by their numbers in the
             recording. The rows follow them, chain after chain. Without chains, all rows are one
             chain in the recording's order, from the root to the tips.
-        signs: for each degree of freedom, -1 where its axis points against the axis of the first
-            of its chain, see `evo_cpg.analysis.chains.axis_signs`; all are 1 if None.
-        title: such as the name of the run.
-        signal: what the dashed line is, and its unit.
+        signs: for each degree of freedom, -1 if its axis points against the first axis of its
+            chain, see `evo_cpg.analysis.chains.axis_signs`; all are 1 if None.
+        title: text such as the name of the run.
+        signal: name of the dashed line's quantity, with its unit.
 
     Raises:
         ValueError: no joint has this axis, or the window holds fewer than two instants.
@@ -146,7 +146,7 @@ def joint_signals_figure(
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     lines = _draw_rows(panels, time, {"joint angle (deg)": angle, signal: output})
     for panel, row in zip(panels, rows, strict=True):
-        # Above the row, where no curve is.
+        # Above the row, where no curve runs.
         panel.set_title(legible(names[row][0]), loc="left", **_NAME)
     caption = f"{legible(title)}: joint signals about {axis}" if title else f"rotation about {axis}"
     first = 0
@@ -170,7 +170,7 @@ def joint_signals_figure(
 
 
 def _in_window(recording: Recording, window: tuple[float, float] | None) -> Bool[np.ndarray, " t"]:
-    """Return which instants of a recording are shown; see `joint_signals_figure`."""
+    """Return a mask of the instants that are shown; see `joint_signals_figure`."""
     end = recording.time[-1]
     start, stop = window or (max(0.0, 0.75 * end - _WINDOW / 2), 0.75 * end + _WINDOW / 2)
     shown = (recording.time >= start) & (recording.time <= stop)
@@ -189,8 +189,9 @@ def _draw_rows(
 
     Args:
         panels: axes of the rows.
-        time: s.
-        signals: of the joints ``(t, d)``, by their label: a line, and a dashed line.
+        time: instants, s.
+        signals: signals of the joints ``(t, d)`` by label, first the solid line, then the dashed
+            one.
     """
     styles = ((BLUE, 1.8, "solid"), (RED, 1.2, (0, (4, 2))))
     tops = [1.25 * max(float(np.abs(values).max()), 1e-3) for values in signals.values()]
@@ -212,7 +213,7 @@ def _draw_rows(
 
 
 def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[int]]:
-    """Return the rows chain by chain; rows of no chain form the last one."""
+    """Return the rows chain by chain, then the rows that belong to no chain."""
     if not chains:
         return [rows]
     groups, left = [], list(rows)
@@ -226,7 +227,7 @@ def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[in
 def path_figure(recording: Recording) -> Figure:
     """Draw the root's path from above, with outlines of the animal, and the distance over time.
 
-    The distance is that to the light. Without a light it is the displacement from the start.
+    The distance is measured to the light. Without a light it is the displacement from the start.
     """
     figure = new_figure(10.5, 4.4)
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
@@ -265,7 +266,7 @@ def _crests(
 ) -> tuple[float, np.ndarray, list[np.ndarray]] | None:
     """Return frequency (Hz), lag of each joint behind its neighbour (rad), and crest times (s).
 
-    The frequency is that of the joint that swings most. None without a rhythm.
+    The joint that swings most gives the frequency. The result is None without a rhythm.
     """
     step, span = float(time[1] - time[0]), float(time[-1] - time[0])
     frequency = float(dominant_frequency(angle, step)[angle.std(0).argmax()])
@@ -275,7 +276,7 @@ def _crests(
     lag = np.angle(component[:-1] / component[1:])
     behind = np.concatenate([[0.0], np.cumsum(lag)])
     turn = 2 * np.pi
-    # A wave that runs along the body may have begun, or may end, outside the shown time.
+    # A wave that runs along the body may begin or end outside the shown time.
     margin = np.ceil(np.abs(behind).max() / turn) + 1
     beats = np.arange(-margin, span * frequency + margin) - np.angle(component[0]) / turn
     return frequency, lag, [time[0] + (beat + behind / turn) / frequency for beat in beats]

@@ -1,6 +1,6 @@
-"""A picture of a body plan: a still of the animal at rest, with names, joint axes, sensors, scale.
+"""Still of a body plan at rest, with names, joint axes, sensors and scale.
 
-The scene is that of a film, in pale colours and parallel projection.
+The scene is the one of a film, in pale colours and parallel projection.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ from evo_cpg.view.output import check_size, output_path, oversampling, picture_o
 from evo_cpg.view.scene import Panel, Scene, grid_spacing, scene_of
 from evo_cpg.view.stage import Stage
 
-# Names and axes stand out from these colours of dry land, a shore and the bottom of the sea.
+# Pale looks of dry land, a shore and the bottom of the sea, so that names and axes stand out.
 _BACKGROUND = "#f4f6f8"
 _DRY = dataclasses.replace(
     STYLES["land"],
@@ -41,7 +41,7 @@ _DRY = dataclasses.replace(
 _SHORE = dataclasses.replace(_DRY, distance="#dcedf3")
 _SUNK = dataclasses.replace(_DRY, distance="#cde5ec", floor=("#86b5bd", "#a9d0d4"), grid="#4f8b95")
 _TEXT = "#1d2530"
-# Okabe and Ito's palette: told apart with every common kind of colour blindness.
+# Okabe and Ito's palette, which is clear with every common kind of colour blindness.
 _AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}
 _OTHER_AXIS = "#6b7280"
 _SIGHT = "#E69F00"
@@ -51,16 +51,16 @@ _DEPTH = "#56B4E9"
 _VIEW = np.array([-0.55, -0.95, -0.62])
 # Fraction of the picture that the animal fills.
 _FILL = 0.72
-# Opacity of the bodies: joints lie inside.
+# Opacity of the bodies, because joints lie inside.
 _OPACITY = 0.72
-# Obstacles that are nearer than this many lengths of the creature are in the picture.
+# Obstacles nearer than this many lengths of the creature are in the picture.
 _NEAR = 5.5
 # Names of more bodies than this would cover the picture.
 _MOST_NAMES = 24
-# Sizes of a name and of other words, and height of a name's line relative to its size.
+# Sizes of a name and of other text, and height of a name's line relative to its size.
 _NAME, _SMALL, _LINE = 13.5, 16, 1.35
 _OVERSAMPLING = 2
-# The smallest picture with room for words, and the one for which their sizes are meant.
+# Smallest picture with room for text, and the picture for which the text sizes are meant.
 _ROOM, _SCREEN = (320, 180), (1280, 720)
 
 
@@ -68,7 +68,7 @@ def preview_path(path: str | os.PathLike[str], size: tuple[int, int]) -> Path:
     """Check that a preview of this size (pixels) can be drawn and written here.
 
     Raises:
-        OutputError: nothing can be written there, or not this kind of file.
+        OutputError: the path cannot be written, or is not of this kind.
         SettingError: the size is too small, or too large.
     """
     path = output_path(path, (".png",))
@@ -88,21 +88,21 @@ def preview(
     """Draw a creature in its neutral pose, or another.
 
     Args:
-        creature: what to draw.
-        path: ``.png``.
+        creature: creature to draw.
+        path: name of a ``.png`` file.
         size: width and height, pixels.
-        ground: that it stands on, with its obstacles, as it is in the world; True for level ground
-            under its lowest point.
-        pose: centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``, in the world where the
-            ground is; None for the neutral pose.
-        surface: height of the water in the same world, m; infinite for water everywhere, None for
-            none.
+        ground: ground under the creature, with its obstacles, in the world's frame; True for level
+            ground under its lowest point.
+        pose: centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``, in the frame of the
+            ground, or None for the neutral pose.
+        surface: height of the water in the world's frame, m; infinite for water everywhere, None
+            for no water.
 
     Returns:
         The path.
 
     Raises:
-        OutputError: nothing can be written there, or not this kind of file.
+        OutputError: the path cannot be written, or is not of this kind.
         CreatureError: the bodies do not form one tree.
         SettingError: the size is too small, or too large.
     """
@@ -168,7 +168,7 @@ def obstacles_near(ground: Ground, hull: np.ndarray) -> tuple[np.ndarray, int]:
     """Return points of near obstacles ``(n, 3)``, m, and the number of obstacles farther away.
 
     Args:
-        ground: with its obstacles.
+        ground: ground with its obstacles.
         hull: points of the creature ``(n, 3)`` in the world, m.
     """
     middle = (hull.min(0) + hull.max(0)) / 2
@@ -185,7 +185,7 @@ def obstacles_near(ground: Ground, hull: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def water_note(surface: float, hull: np.ndarray) -> str:
-    """Return in words where a creature is in the water.
+    """Return a phrase about the creature's place in the water.
 
     Args:
         surface: height of the water, m; infinite for water everywhere.
@@ -200,7 +200,7 @@ def water_note(surface: float, hull: np.ndarray) -> str:
 
 
 def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
-    """Draw arrows along the joint axes, and return what the colours mean."""
+    """Draw arrows along the joint axes, and return the meaning of each colour."""
     meaning = {}
     for body, centre, turn in _posed(scene):
         if body.joint is None:
@@ -210,13 +210,13 @@ def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
             names = [n for n, unit in zip("xyz", np.eye(3), strict=True) if np.allclose(axis, unit)]
             name = names[0] if names else "other"
             meaning[f"{name} axis"] = color = _AXES.get(name, _OTHER_AXIS)
-            # Long enough to come out of the bodies on either side.
+            # Long enough to stick out of the bodies on either side.
             _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * _thickness(scene), color)
     return dict(sorted(meaning.items()))
 
 
 def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
-    """Draw lines of sight, gauges, and dots on bodies that feel; return what the colours mean."""
+    """Draw lines of sight, depth gauges and pressure sensors; return the meaning of each colour."""
     creature, scale, meaning = scene.creature, _thickness(scene), {}
     posed = {body.name: (body, centre, turn) for body, centre, turn in _posed(scene)}
 
@@ -266,7 +266,7 @@ def _add_arrow(
 
 
 def _camera(shown: np.ndarray, size: tuple[int, int]) -> tuple[CameraPath, float]:
-    """Return a camera that points ``(n, 3)`` fill, and half the height that it shows, m."""
+    """Return a camera whose picture the points ``(n, 3)`` fill, and half the shown height, m."""
     ahead = _VIEW / np.linalg.norm(_VIEW)
     axes = np.stack(_picture_axes())
     place = shown @ axes.T
@@ -306,12 +306,12 @@ def _write(
 
     Args:
         picture: bytes ``(height, width, 3)``, bottom row first.
-        creature: that is drawn.
-        places: of its bodies, pixels to the right and down.
-        pixels_per_metre: of the picture.
-        legend: what the colours mean.
-        notes: about what is not in the picture.
-        unit: pixels drawn for each of a letter's size.
+        creature: creature in the picture.
+        places: places of its bodies, pixels to the right and down.
+        pixels_per_metre: scale of the picture.
+        legend: colour of each meaning.
+        notes: remarks on things outside the picture.
+        unit: pixels drawn per unit of a letter's size.
     """
     height, width = picture.shape[:2]
     margin, small = 34 * unit, _SMALL * unit
@@ -343,10 +343,10 @@ def _write(
 
 
 def _apart(places: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """Move labels up or down as little as needed that none covers another.
+    """Move labels up or down as little as possible, so that none covers another.
 
     Args:
-        places: where their middles should be ``(n, 2)``, pixels.
+        places: desired middles ``(n, 2)``, pixels.
         sizes: widths and heights ``(n, 2)``, pixels.
     """
     placed = np.array(places, float)

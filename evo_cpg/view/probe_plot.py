@@ -12,25 +12,25 @@ from matplotlib.transforms import Affine2D
 from evo_cpg.training.probe import Probe, seen_from_start
 from evo_cpg.view.figure import BLUE, GREEN, GREY, INK, ORANGE, RED, framed, new_figure
 
-# From lights on the right to those on the left; all of them stand out on white.
+# Colours from lights on the right to lights on the left; all of them stand out on white.
 _COLOURS = LinearSegmentedColormap.from_list("bearing", ["#5b2a86", BLUE, GREEN, ORANGE, RED])
-# Of the picture: its longer side, and the least of the shorter one, inches.
+# Longer side of the picture, and least length of each side, inches.
 _LONG, _SHORT = 7.4, 5.6
 
-# Of a label's centre from its light, across and up, points.
+# Offset of a label's centre from its light, across and up, points.
 _LABEL = np.array([27.0, 19.0])
 
 
 @framed
 def probe_figure(probe: Probe, fraction: float, title: str) -> Figure:
-    """Draw where the animal went in each situation; each path has the colour of its light.
+    """Draw the animal's path in each situation, in the colour of its light.
 
-    A light that was reached is filled. The disc around a light is where it counts as reached.
+    A filled star marks a reached light. A light counts as reached within the disc around it.
 
     Args:
-        probe: what became of the animal.
-        fraction: of the initial distance within which a light counts as reached.
-        title: above the picture.
+        probe: results of the animal.
+        fraction: fraction of the initial distance within which a light counts as reached.
+        title: text above the picture.
     """
     bearings = np.array([seen_from_start(situation)[1] for situation in probe.situations])
     widest = max(float(np.abs(bearings).max()), 1e-9)
@@ -71,11 +71,11 @@ def probe_figure(probe: Probe, fraction: float, title: str) -> Figure:
 
 
 def _size(probe: Probe, lights: np.ndarray) -> tuple[float, float]:
-    """Return width and height of a picture that fits what it shows, inches."""
+    """Return width and height of a picture that fits the lights and paths, inches."""
     places = np.concatenate([lights, probe.paths[np.isfinite(probe.paths).all(-1)]])
     extent = np.ptp(places[:, :2], axis=0) + 1e-9
     width, height = np.maximum(_LONG * extent / extent.max(), _SHORT)
-    # The title and the legend take height.
+    # The title and the legend need height.
     return float(width), float(height) + 1.0
 
 
@@ -86,7 +86,7 @@ def _bearing(angle: float) -> str:
 
 
 def _draw_starts(axes: Axes, probe: Probe) -> None:
-    """Draw a wedge at every start, which points where the animal looks."""
+    """Draw a wedge at every start, which points along the animal's heading."""
     for (x, y, _), heading in {s[:2] for s in probe.situations}:
         marker = MarkerStyle(">", transform=Affine2D().rotate(heading))
         axes.plot(x, y, marker=marker, color=INK, mec="white", mew=0.8, ms=12, zorder=6)

@@ -18,7 +18,7 @@ from evo_cpg.view.textures import CELLS
 
 # The floor lies this many radii of the animal below the lowest point of its path through water.
 _FLOOR_DEPTH = 0.55
-# If land within so many radii of the path rises out of the water, the surface is shown.
+# The surface is shown if land within this many radii of the path rises out of the water.
 _NEARBY = 4.0
 
 
@@ -27,13 +27,13 @@ class Panel(NamedTuple):
 
     Attributes:
         creature: the animal.
-        recording: its motion.
+        recording: motion of the animal.
         title: caption; the creature's name if None.
-        world: its medium, ``water`` or ``land``.
-        ground: that carries the animal; None without ground.
-        surface: height of the water's surface, m; None without a surface.
-        signals: shown in a strip below the animal; None for no strip.
-        note: below the title, in small letters.
+        world: medium, ``water`` or ``land``.
+        ground: ground that carries the animal, or None without ground.
+        surface: height of the water's surface, m, or None without a surface.
+        signals: signals in a strip below the animal, or None for no strip.
+        note: text below the title, in small letters.
     """
 
     creature: Creature
@@ -53,7 +53,7 @@ def panel_of(
     signals: Signals | None = None,
     note: str = "",
 ) -> Panel:
-    """Return a motion in the world of the experiment that it was recorded in."""
+    """Return a panel with a recording and the world of its experiment."""
     world = experiment.simulation.world
     return Panel(
         experiment.creature,
@@ -71,8 +71,8 @@ def check_panel(panel: Panel) -> None:
     """Check that an animal can be shown.
 
     Raises:
-        RecordingError: a recording that does not fit its creature, is empty or not finite.
-        ValueError: an unknown world, or a surface without a finite height.
+        RecordingError: the recording does not fit its creature, is empty or is not finite.
+        ValueError: the world is unknown, or the surface has no finite height.
     """
     if panel.surface is not None and not np.isfinite(panel.surface):
         raise ValueError(
@@ -84,10 +84,10 @@ def check_panel(panel: Panel) -> None:
 
 
 class Marks(NamedTuple):
-    """Pattern of the ground, along which the animal's path can be read.
+    """Pattern of the ground, which makes the animal's path readable.
 
     Attributes:
-        origin: of the pattern and its numbers ``(2,)``, m.
+        origin: origin of the pattern and its numbers ``(2,)``, m.
         course: bearing of the numbers from the x axis, rad.
         spacing: distance between the numbers, which is the side of a tile, m.
     """
@@ -102,7 +102,7 @@ class Marks(NamedTuple):
         return np.array([[c, -s], [s, c]])
 
     def tiles(self, place: np.ndarray) -> np.ndarray:
-        """Return coordinates in the floor's texture of places x and y ``(n, 2)``, m."""
+        """Return texture coordinates of the floor at places x and y ``(n, 2)``, m."""
         return (place - self.origin) @ self.turn() / self.spacing
 
 
@@ -111,14 +111,14 @@ class Scene(NamedTuple):
 
     Attributes:
         creature: the animal.
-        clip: its motion.
-        goal: place of the light ``(3,)``, m; None without a light.
-        ground: that carries the animal, or a level floor below its path.
+        clip: motion of the animal.
+        goal: place of the light ``(3,)``, m, or None without a light.
+        ground: ground that carries the animal, or a level floor below its path.
         stands: whether the ground carries the animal.
-        surface: height of the water's surface, m; None where no surface is seen.
-        look: of the world.
+        surface: height of the water's surface, m, or None if no surface is seen.
+        look: look of the world.
         radius: distance of the animal's far ends from its middle at the start, m.
-        bearing: of the path from the x axis, rad.
+        bearing: bearing of the path from the x axis, rad.
         marks: pattern of the ground.
     """
 
@@ -135,13 +135,13 @@ class Scene(NamedTuple):
 
     @property
     def level(self) -> float | None:
-        """Height of the ground where it is level, without obstacles and not under water, m."""
+        """Height of level ground, m, or None for uneven ground, with obstacles, or under water."""
         level = self.ground.level
         return None if self.surface is not None or level is None else float(level)
 
     @property
     def walks(self) -> bool:
-        """True if the ground carries a moving animal, whose path is measured on it."""
+        """True if the ground carries a moving animal and its path is measured on the ground."""
         return self.stands and len(self.clip.time) > 1
 
     @property
@@ -176,7 +176,7 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
         look = SHORE
     else:
         look, surface = STYLES[panel.world], None
-    # The recorded distance without a light is that of the root.
+    # Without a light, the recorded distance refers to the root.
     root = clip.position[:, next(i for i, body in enumerate(creature.bodies) if not body.joint)]
     bearing = course(root, panel.recording.goal, radius / 10)
     if panel.ground is not None:
@@ -192,7 +192,7 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
 def surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:
     """Return whether the animal, or land near its path, rises out of the water."""
     for i, body in enumerate(creature.bodies):
-        # Upwards, in the body's frame.
+        # The world's up direction in the body's frame.
         ups = clip.rotation[:, i, 2]
         tops = [body.shape.support(up) @ up for up in ups]
         if (clip.position[:, i, 2] + tops).max() > surface:

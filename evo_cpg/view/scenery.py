@@ -13,14 +13,14 @@ from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Terrain
 from evo_cpg.view.textures import spot_texture
 
-# Points along a side of the pool of light, and how high it lies, in radii of the animal.
+# Points along a side of the pool of light, and its height in radii of the animal.
 _POOL, _POOL_LIFT = 41, 0.02
-# Specks in water: how many, and their colour.
+# Number of specks in water, and their colour.
 _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 # Time in which the trail fades to a third, s, and its thickness in radii of the animal.
 _TRAIL_FADE, _TRAIL = 4.0, 0.0065
 # Distance of the sky behind the focus and height over which it turns blue, in distances of the
-# camera. The floor has faded away before it gets there.
+# camera. The floor fades away before the sky begins.
 _SKY, _SKY_HEIGHT = 18.0, 2.6
 
 
@@ -28,7 +28,7 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
     """Draw the goal: a glowing sphere, its halo, its pool on the floor, and the light it sheds.
 
     Args:
-        stage: where it is.
+        stage: scene and camera.
         goal: place of the light ``(3,)``, m.
     """
     plotter, look, radius = stage.plotter, stage.look, stage.radius
@@ -61,12 +61,12 @@ def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
 def add_trail(stage: Stage) -> Update:
     """Draw a fading thread along the path of the head.
 
-    The whole thread is meshed once. Each frame only sets how much of it shows.
+    The whole thread is meshed once. Each frame only sets opacities.
     """
     scene, thickness = stage.scene, _TRAIL * stage.radius
     path, surface = scene.clip.position[:, head_index(scene.creature)], scene.surface
     if scene.stands:
-        # The trail lies on the ground, or in the water where the animal swims.
+        # The trail lies on the ground, or in the water if the animal swims.
         low = top = stage.ground.height(path[:, :2]) + stage.lift
         if surface is not None:
             top = np.maximum(low, surface + stage.lift)
@@ -95,7 +95,7 @@ def add_trail(stage: Stage) -> Update:
 
 
 def add_particles(stage: Stage) -> None:
-    """Draw specks in the water, at rest in the world, against which motion shows."""
+    """Draw specks that rest in the water, which make motion visible."""
     scene, path = stage.scene, stage.camera.focus
     if scene.goal is not None:
         path = np.concatenate([path, scene.goal[None]])
@@ -121,7 +121,7 @@ def add_particles(stage: Stage) -> None:
 def add_sky(stage: Stage) -> Update:
     """Set background, sky and sun.
 
-    A backdrop stands behind the floor's far end: VTK's own gradient costs 18 ms a frame, this 2.
+    A backdrop behind the floor's far end costs 2 ms a frame. VTK's own gradient costs 18 ms.
     """
     plotter, look = stage.plotter, stage.look
     plotter.background_color = pv.Color(look.distance)
@@ -129,7 +129,7 @@ def add_sky(stage: Stage) -> Update:
     sun.intensity = 0.85
     sun.positional = False
     plotter.add_light(sun)
-    # Keeps the sides that face the viewer from going black.
+    # Light from the viewer, so that the sides that face the viewer are not black.
     fill = pv.Light(color=look.fill, intensity=0.4, light_type="camera light")
     fill.positional = False
     plotter.add_light(fill)
@@ -146,7 +146,7 @@ def add_sky(stage: Stage) -> Update:
     points = np.stack([middle - side, middle + side], 1)
     backdrop = pv.StructuredGrid(*(points[..., i, None] for i in range(3)))
     backdrop = backdrop.extract_surface(algorithm=None)
-    # A structured grid counts its first axis fastest.
+    # The first axis of a structured grid varies fastest.
     backdrop["rgb"] = np.tile(haze + mix * (zenith - haze), (2, 1)).astype(np.uint8)
     actor = plotter.add_mesh(
         backdrop, scalars="rgb", rgb=True, lighting=False, show_scalar_bar=False

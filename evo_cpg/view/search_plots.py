@@ -20,10 +20,10 @@ from evo_cpg.view.figure import (
     new_figure,
 )
 
-# A sweep, inches: width, least height, height of a setting, and height of all else.
+# Sizes of a sweep in inches: width, least height, height of a setting, and height of the rest.
 _WIDTH, _LEAST, _ROW, _REST = 11.0, 4.2, 0.34, 1.3
 
-# Longest name that is written beside the runs.
+# Letters of the longest name beside the runs.
 _LONGEST = 34
 
 
@@ -31,12 +31,12 @@ class Curves(NamedTuple):
     """The runs of one setting.
 
     Attributes:
-        name: of the setting.
-        evaluations: individuals that had been tried after every generation.
-        best: fitness of the best so far, of every run, as evaluated in training; NaN before there
-            is one.
-        final: fitness of each run's champion, under noise its mean when re-evaluated; NaN for a run
-            without a champion.
+        name: name of the setting.
+        evaluations: number of evaluated individuals after every generation.
+        best: fitness of the best so far in every run, as evaluated in training, or NaN before the
+            first one.
+        final: fitness of each run's champion; under noise the mean of its re-evaluation. NaN for a
+            run without a champion.
     """
 
     name: str
@@ -51,12 +51,12 @@ def generations_figure(
     label: str,
     single_runs: bool = False,
 ) -> Figure:
-    """Draw the best of every generation: medians over the runs, and where half of these lie.
+    """Draw the best of every generation: medians over the runs, and the band of half the runs.
 
     Args:
-        bests: of each setting, by its name.
-        label: what is drawn, with its unit.
-        single_runs: draw each of the runs, too, as a thin line.
+        bests: best values of each setting, by its name.
+        label: name of the values, with their unit.
+        single_runs: whether to draw each run, too, as a thin line.
     """
     figure = new_figure(8, 4.6)
     axes = figure.subplots()
@@ -81,9 +81,9 @@ def champions_figure(
     """Draw a dot for every champion.
 
     Args:
-        groups: values to the right and upwards, by the name of each group; the second of every two
+        groups: values to the right and upwards, by the name of each group. The second of every two
             groups has the colour of the first, and is filled.
-        labels: of the axes, with units.
+        labels: labels of the axes, with units.
     """
     figure = new_figure(6.5, 4.6)
     axes = figure.subplots()
@@ -107,8 +107,8 @@ def sweep_figure(curves: Sequence[Curves], title: str) -> Figure:
     in which half of them lie. The right panel shows every run's champion, with the median.
 
     Args:
-        curves: of the settings, in the order in which they are shown.
-        title: above the figure.
+        curves: curves of the settings, in the order of display.
+        title: text above the figure.
     """
     figure = new_figure(_WIDTH, max(_LEAST, _REST + _ROW * len(curves)), title)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
@@ -118,7 +118,7 @@ def sweep_figure(curves: Sequence[Curves], title: str) -> Figure:
     left.set_xlabel("evaluations in a run")
     left.set_ylabel("fitness of the best so far")
     name_rows(right, [_label(curve) for curve in curves])
-    # Long numbers run into each other where there are many.
+    # Many long numbers would overlap.
     right.xaxis.set_major_locator(MaxNLocator(4))
     right.set_xlabel("fitness of the champions (line: median)")
     for axes in (left, right):
@@ -141,7 +141,7 @@ def _label(curve: Curves) -> str:
 
 
 def _colors(count: int) -> Sequence[str]:
-    """Return a colour for each setting; more than the palette has are those of a rainbow."""
+    """Return a colour for each setting, from a rainbow if the palette has too few."""
     if count <= len(PALETTE):
         return PALETTE[:count]
     return [

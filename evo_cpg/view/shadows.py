@@ -18,15 +18,15 @@ _POINTS = 9
 
 
 class Spots:
-    """Soft spots that lie on the ground, in one mesh: an actor for each would cost more to draw.
+    """Soft spots on the ground in one mesh, which draws faster than one actor for each spot.
 
     Args:
-        plotter: draws them.
-        texture: of each.
-        ground: on which they lie.
-        lift: above it, m.
-        count: of the spots.
-        points: along a side of each, on uneven ground.
+        plotter: plotter of the picture.
+        texture: texture of each spot.
+        ground: ground under the spots.
+        lift: height of the spots above the ground, m.
+        count: number of spots.
+        points: points along a side of each spot, on uneven ground.
     """
 
     def __init__(
@@ -55,9 +55,9 @@ class Spots:
         """Move the spots.
 
         Args:
-            middle: of each ``(n, 2)``, m.
-            axes: half axes of each, the columns of ``(n, 2, 2)``, m.
-            opacity: of each ``(n,)``; all is drawn if None.
+            middle: middle of each spot ``(n, 2)``, m.
+            axes: half axes of each spot, the columns of ``(n, 2, 2)``, m.
+            opacity: opacity of each spot ``(n,)``, 0 to 1; unchanged if None.
         """
         place = (middle[:, None] + self._own @ axes.mT).reshape(-1, 2)
         self._mesh.points = np.column_stack([place, self._ground.height(place) + self._lift])
@@ -70,8 +70,8 @@ def add_sun_shadows(stage: Stage, meshes: Sequence[pv.PolyData]) -> Update:
     """Draw the shadows that bodies or obstacles cast on the ground in the sun.
 
     Args:
-        stage: where they fall; nothing is drawn if its look has no cast shadows.
-        meshes: of the bodies, in their own frames.
+        stage: scene and camera; nothing is drawn if its look has no cast shadows.
+        meshes: meshes of the bodies, in their own frames.
     """
     look, ground, sun = stage.look, stage.ground, stage.sun
     if not look.cast_strength or not meshes:
@@ -83,8 +83,8 @@ def add_sun_shadows(stage: Stage, meshes: Sequence[pv.PolyData]) -> Update:
     actor = stage.plotter.add_mesh(
         shadow, color=look.shadow, opacity=look.cast_strength, lighting=False, culling="back"
     )
-    # Where shadows overlap the ground is darkened once: they write their depth, each a little below
-    # the one before.
+    # Overlapping shadows darken the ground once, because they write their depth. Each shadow lies a
+    # little below the previous one.
     write_depth(actor)
     layer = np.repeat(stage.lift * np.linspace(1.0, 0.5, len(own)), [len(p) for p in own])
     slant = sun[:2] / sun[2]
@@ -94,7 +94,7 @@ def add_sun_shadows(stage: Stage, meshes: Sequence[pv.PolyData]) -> Update:
             [c + p @ turn.T for p, c, turn in zip(own, shot.position, shot.rotation, strict=True)]
         )
         place, high = points[:, :2], points[:, 2]
-        # Where the ray through each point meets the ground.
+        # Find the place at which the ray through each point meets the ground.
         low = ground.height(place)
         for _ in range(4):
             low = ground.height(place - (high - low)[:, None] * slant)
@@ -119,7 +119,7 @@ def add_shadows(stage: Stage, half_extents: np.ndarray) -> Update:
 
 
 def add_contacts(stage: Stage) -> Update:
-    """Draw dark soft spots where bodies touch the ground; they pale as the gap opens."""
+    """Draw dark soft spots under bodies that touch the ground; spots fade as the gap opens."""
     bodies, ground = stage.scene.creature.bodies, stage.ground
     texture = spot_texture(stage.look.shadow, _CONTACT, sharpness=2.6)
     spots = Spots(stage.plotter, texture, ground, stage.lift, len(bodies))
@@ -147,11 +147,11 @@ def patch_under(turn: np.ndarray, half: np.ndarray, gap: float) -> np.ndarray:
     """Return half axes of the soft patch under a body, the columns of ``(2, 2)``, m.
 
     Args:
-        turn: body to world ``(3, 3)``.
+        turn: rotation from body to world ``(3, 3)``.
         half: half extents of the body ``(3,)``, m.
-        gap: of its centre from the floor, m.
+        gap: height of the body's centre above the floor, m.
     """
-    # Higher above the floor the patch is wider: the sky lights its edge.
+    # The patch widens with height above the floor, because the sky lights its edge.
     blur = 0.9 * half.min() + 0.12 * max(gap, 0.0)
     ellipse = (turn[:2] * half) @ (turn[:2] * half).T + blur**2 * np.eye(2)
     spread, axes = np.linalg.eigh(ellipse)
@@ -160,7 +160,7 @@ def patch_under(turn: np.ndarray, half: np.ndarray, gap: float) -> np.ndarray:
 
 def soles(shape: Shape) -> np.ndarray:
     """Return points of a body that may touch the ground ``(n, 3)``, in its own frame, m."""
-    # Meshes of boxes are rounded, the physics' boxes are not.
+    # Drawn boxes are rounded, the boxes of the physics are not.
     return shape.skin().points if shape.corners is None else shape.corners
 
 
@@ -171,7 +171,7 @@ def spot_under(
 
     Args:
         place: x and y of points of the body ``(n, 2)``, m.
-        gap: their heights above the ground ``(n,)``, m.
+        gap: heights of these points above the ground ``(n,)``, m.
         size: smallest half extent of the body, m.
 
     Returns:

@@ -1,7 +1,7 @@
-"""A strip under a film: the joints' angles, what drives them, and the feet on the ground.
+"""Strip under a film: the joints' angles, the controller's signals, and the feet on the ground.
 
-It shows a page of some seconds, over which a cursor moves. Then it turns to the next page. A page
-is drawn once.
+The strip shows a page of some seconds, over which a cursor moves. Then the next page follows. Each
+page is drawn once.
 """
 
 from typing import NamedTuple
@@ -20,23 +20,24 @@ from evo_cpg.view.figure import draw_stances, framed
 from evo_cpg.view.legible import legible
 from evo_cpg.view.look import Look
 
-# Of a picture's height, but no less than so many pixels; the smallest picture that leaves room.
+# Fraction of a picture's height, least height in pixels, and the smallest picture with room for a
+# strip.
 FRACTION, LOWEST, SMALLEST = 0.3, 44, (160, 110)
-# The least, in pixels, of what is written and of a row of each kind.
+# Least sizes in pixels: a letter, a row of a joint and a row of a foot.
 _LETTER, _ROW, _FOOT = 9.0, 16.0, 11.0
-# Of a letter, of its height.
+# Width of a letter, relative to its height.
 _WIDTH = 0.58
-# Letters in fractions of the strip's height, where that is more.
+# Height of letters relative to the strip's height, if that is more than the least size.
 _LETTERS = 0.062
-# A page shows about so much time for every hundred pixels of width, and no more than this, s.
+# Time on a page for every hundred pixels of width, and longest time on a page, s.
 _PACE, _LONGEST = 0.75, 8.0
-# Joints that swing by less than this fraction of the one that swings most are still.
+# Joints that swing by less than this fraction of the largest swing are not shown.
 _STILL = 0.05
-# Curves are as high as their rows where they are larger than in this fraction of the time.
+# A curve fills its row at the value that it does not exceed in this fraction of the time.
 _TYPICAL = 0.99
-# Feet that come down in less than this fraction of the steps of the busiest one are left out.
+# Feet with fewer than this fraction of the busiest foot's steps are left out.
 _SELDOM = 0.2
-# Angle, signal and feet in a dark look and in a bright one.
+# Colours of angle, signal and feet in a dark look and in a bright one.
 _DARK, _BRIGHT = ("#8fe3ff", "#ffb454", "#8fe3a8"), ("#0067a8", "#c2410c", "#2f7d4f")
 
 
@@ -44,14 +45,14 @@ class Signals(NamedTuple):
     """Contents of a strip.
 
     Attributes:
-        names: of the joints' axes.
-        angle: of each, rad.
-        signal: of the controller for each.
-        word: what the controller's signal is.
-        time: of the samples, s.
-        feet: names of what touches the ground; none where there is no ground.
-        touched: whether each does.
-        highest: angle, rad, and signal whose curves are as high as their rows.
+        names: names of the joints' axes.
+        angle: angle about each axis, rad.
+        signal: controller's signal for each axis.
+        word: name of the controller's signal.
+        time: time of the samples, s.
+        feet: names of the bodies that touch the ground; empty without ground.
+        touched: whether each foot touches the ground.
+        highest: angle, rad, and signal at which curves fill their rows.
     """
 
     names: tuple[str, ...]
@@ -73,15 +74,16 @@ def signals_of(
 ) -> Signals:
     """Return the signals of a recording, with one axis of every joint.
 
-    It is the axis about which the animal bends, y or z. A joint without this axis is shown with the
-    axis about which it turns most.
+    The axis is y or z, about which the animal bends. A joint without this axis is shown with the
+    axis
+    about which it turns most.
 
     Args:
         recording: the motion.
-        word: what the controller's signal is.
-        same_unit: whether it is an angle, too, to be drawn on the same scale.
-        feet: names of what touches the ground.
-        touched: whether each does, at the recording's times; None without ground.
+        word: name of the controller's signal.
+        same_unit: whether the signal is also an angle, to be drawn on the same scale.
+        feet: names of the bodies that touch the ground.
+        touched: whether each foot touches, at the recording's times, or None without ground.
     """
     swing = recording.joint_angle.std(0)
     bending = bending_axis(recording) if recording.dof_names else ""
@@ -107,8 +109,8 @@ class Strip:
     """The strip of a film.
 
     Args:
-        signals: what it shows.
-        look: of the world, whose colours it has.
+        signals: contents of the strip.
+        look: look of the world, for the colours.
         size: width and height, pixels of the film.
         scale: pixels drawn per pixel of the film.
     """
@@ -121,7 +123,7 @@ class Strip:
         self._signals = _shown(signals, height / max(1.0, self._letter / scale / _LETTER))
         first, last = float(signals.time[0]), float(signals.time[-1])
         self._length = max(min(_PACE * size[0] / 100, _LONGEST, last - first), 1e-3)
-        # A last page of next to nothing would be turned to for a moment only.
+        # The length of a page divides the time evenly, so that the last page is not almost empty.
         self._pages = max(round((last - first) / self._length), 1)
         self._length = (last - first) / self._pages or self._length
         self._ink = np.uint8(255 * np.array(to_rgb(look.text)))
@@ -129,7 +131,7 @@ class Strip:
 
     @property
     def height(self) -> int:
-        """Height of the strip as it is drawn, pixels."""
+        """Height of the drawn strip, pixels."""
         return self._size[1]
 
     def at(self, time: float) -> np.ndarray:
@@ -149,7 +151,7 @@ class Strip:
 
     @framed
     def _page(self, start: float) -> tuple[np.ndarray, tuple[int, int, int, int]]:
-        """Draw a page; return it and the edges of its axes: left, right, bottom, top."""
+        """Draw a page; return its picture and the edges of its axes: left, right, bottom, top."""
         signals, look, (width, height) = self._signals, self._look, self._size
         figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=look.distance)
         canvas = FigureCanvasAgg(figure)
@@ -174,7 +176,7 @@ class Strip:
         return picture, (left, right, bottom, height - top)
 
     def _curves(self, axes: Axes, start: float, end: float) -> list[float]:
-        """Draw rows of joints, then lower rows of feet, from the top down; return their places."""
+        """Draw rows of joints, then of feet, from the top down; return the rows' places."""
         signals = self._signals
         inside = (signals.time >= start) & (signals.time <= end)
         time = signals.time[inside]
@@ -203,7 +205,7 @@ class Strip:
         return places
 
     def _legend(self, figure: Figure, left: float, top: float, points: float) -> None:
-        """Write in a line above them what the lines and bars are."""
+        """Write a legend of the lines and bars in a line above them."""
         signals = self._signals
         colours = _DARK if self._look.zenith is None else _BRIGHT
         degrees = np.degrees(signals.highest[0])
@@ -214,7 +216,7 @@ class Strip:
                 words.append((f"- - {signals.word}", colours[1]))
         if signals.feet:
             words.append(("on the ground", colours[2]))
-        # Smaller where they would run out of the picture.
+        # Shrink the text if it would run out of the picture.
         per_letter = self._letter / self._size[0]
         needed = sum(_WIDTH * len(word) + 2 for word, _ in words) * per_letter
         smaller = min(1.0, (1.0 - left) / max(needed, 1e-9))
@@ -227,15 +229,15 @@ def _shown(signals: Signals, room: float) -> Signals:
     """Return the joints and the feet that have room.
 
     Args:
-        signals: all of them.
-        room: for the rows together, pixels, if they are as low as can be.
+        signals: signals of all joints and feet.
+        room: height for all rows of least height, pixels.
     """
     steps = [len(footfalls.touch_downs(foot, 1.0)) for foot in signals.touched.T]
-    # A foot that hardly ever comes down would leave its row empty.
+    # A foot that hardly ever touches down would leave its row empty.
     often = [i for i, count in enumerate(steps) if count >= _SELDOM * max(steps)]
     most = max(int(0.45 * room / _FOOT), 1)
     feet = sorted(sorted(often, key=lambda i: -steps[i])[:most])
-    # Every second or third joint, so that they are evenly along the body.
+    # Choose every second or third joint, so that they lie evenly along the body.
     left = max(int((room - len(feet) * _FOOT) / _ROW), 1)
     every = max(-(-len(signals.names) // left), 1)
     return signals._replace(
@@ -248,5 +250,5 @@ def _shown(signals: Signals, room: float) -> Signals:
 
 
 def _highest(values: Float[np.ndarray, "t d"]) -> float:
-    """Return what hardly any absolute value exceeds."""
+    """Return the bound that hardly any absolute value exceeds."""
     return max(float(np.quantile(np.abs(values), _TYPICAL)), 1e-3) if values.size else 1.0

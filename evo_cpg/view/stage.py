@@ -1,4 +1,4 @@
-"""A scene in front of a camera: what every part of a picture needs to know to be drawn."""
+"""A scene in front of a camera: shared data for drawing every part of a picture."""
 
 import dataclasses
 import functools
@@ -15,13 +15,13 @@ from evo_cpg.view.obstacles import obstacle_top
 from evo_cpg.view.scene import Scene, animal_reach
 from evo_cpg.view.terrain import Level, Terrain, heights
 
-# Elevations of the camera that are tried in turn where something stands in its way, rad, and its
-# least height above the ground, in radii of the animal. This fraction of all bodies and instants
-# may be hidden: stones that pass in front show how far away they are.
+# Elevations of the camera to try in turn if something stands in its way, rad, and its least height
+# above the ground, in radii of the animal. Fraction of all bodies and instants that may be hidden:
+# stones that pass in front show their distance.
 _ELEVATIONS, _CLEARANCE, _HIDDEN = np.radians([16.0, 22.0, 28.0, 35.0, 45.0]), 0.3, 0.03
-# The mesh of the ground ends so many visibilities from the path, where it has faded to nothing.
+# The mesh of the ground ends this many visibilities from the path, where it has faded to nothing.
 _HORIZON = 2.4
-# What lies on the ground is lifted by this fraction of the animal's radius.
+# Things on the ground are lifted by this fraction of the animal's radius.
 _LIFT = 0.008
 
 
@@ -30,12 +30,12 @@ class Shot(NamedTuple):
 
     Attributes:
         position: centres of the bodies, m.
-        rotation: bodies to world.
-        number: of the frame.
-        time: of the recording, s.
-        focus: what the camera looks at, m.
+        rotation: rotations from bodies to world.
+        number: number of the frame.
+        time: time of the recording, s.
+        focus: point at which the camera looks, m.
         eye: place of the camera, m.
-        turned: how far the camera has turned about the vertical since the first frame, rad.
+        turned: turn of the camera about the vertical since the first frame, rad.
     """
 
     position: Float[np.ndarray, "b 3"]
@@ -47,18 +47,18 @@ class Shot(NamedTuple):
     turned: float
 
 
-# Brings a part of the picture up to date.
+# Function that updates a part of the picture.
 Update = Callable[[Shot], None]
 
 
 @dataclasses.dataclass(frozen=True)
 class Stage:
-    """A scene that is about to be drawn.
+    """A scene and its camera, ready for drawing.
 
     Attributes:
-        plotter: draws it.
+        plotter: plotter of the picture.
         scene: the animal and its world.
-        camera: over the frames.
+        camera: camera in every frame.
         oversampling: pixels rendered per pixel of the film, a side.
     """
 
@@ -79,7 +79,7 @@ class Stage:
 
     @property
     def lift(self) -> float:
-        """Height above the ground of what lies on it, m."""
+        """Height of things that lie on the ground, m."""
         return _LIFT * self.radius
 
     @property
@@ -89,7 +89,7 @@ class Stage:
 
     @functools.cached_property
     def ground(self) -> Level | Terrain:
-        """The ground as it is drawn."""
+        """Ground for drawing."""
         level = self.scene.level
         return self.scene.terrain(_HORIZON * self.visible) if level is None else Level(level)
 
@@ -116,7 +116,7 @@ class Stage:
         return np.where(np.abs(np.sin(turned / 2)) < 1e-9, 0.0, turned)
 
     def shot(self, number: int) -> Shot:
-        """Return what a frame shows."""
+        """Return the contents of a frame."""
         clip, camera = self.scene.clip, self.camera
         return Shot(
             clip.position[number],
@@ -130,10 +130,10 @@ class Stage:
 
 
 def camera_path(scene: Scene, camera: str, aspect: float) -> CameraPath:
-    """Plan a camera that looks at all frames, over whatever stands in its way.
+    """Plan a camera that sees all frames, over anything that stands in its way.
 
     Args:
-        scene: what it looks at.
+        scene: the animal and its world.
         camera: one of `evo_cpg.view.camera.CAMERAS`.
         aspect: width of the picture over its height.
     """

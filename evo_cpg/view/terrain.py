@@ -1,7 +1,7 @@
-"""Ground as it is drawn: level, or a mesh of its heights.
+"""Ground for drawing: level, or a mesh of its heights.
 
-The mesh is a grid whose lines are close together along the animal's path and ever further apart
-towards the horizon; they run along the creases of the ground, where it has any.
+The mesh is a grid. Its lines are close together along the animal's path and ever further apart
+towards the horizon. Lines run along the creases of the ground, if it has any.
 """
 
 from typing import NamedTuple
@@ -13,13 +13,13 @@ from jaxtyping import Array, Float
 
 from evo_cpg.physics.terrain import Part, Plane, Relief, Shore
 
-# Distance of the grid's lines near the path and how far to both sides they are as close, in radii
-# of the animal; most lines of that kind; growth of their distance further out. A frame of 960 x 540
-# with 100,000 crossings took 126 ms on one core of a software renderer.
+# Distance between the grid's lines near the path, and the margin with this distance, in radii of
+# the animal. Most lines with this distance, and growth of the distance further out. A frame of 960
+# x 540 with 100,000 crossings took 126 ms on one core of a software renderer.
 _STEP, _NEAR, _LINES, _GROWTH = 0.08, 5.0, 100, 1.18
 
-# Places whose heights are asked for at once: a mesh has tens of thousands, the camera's path some
-# hundreds, and each number of them would be a program of its own to compile.
+# Places per call. A mesh has tens of thousands, the camera's path some hundreds, and every new
+# number of places would compile another program.
 _BLOCK = 4096
 
 
@@ -27,7 +27,7 @@ class Level(NamedTuple):
     """Level ground.
 
     Attributes:
-        z: its height, m.
+        z: height of the ground, m.
     """
 
     z: float
@@ -41,9 +41,9 @@ class Terrain(NamedTuple):
     """Heights at the crossings of grid lines; two triangles make each cell.
 
     Attributes:
-        x: of the lines, ascending, m.
-        y: coordinates of the other lines, ascending, m.
-        z: heights, m.
+        x: coordinates of the lines across x, ascending, m.
+        y: coordinates of the lines across y, ascending, m.
+        z: heights of the crossings, m.
     """
 
     x: Float[np.ndarray, " nx"]
@@ -51,7 +51,7 @@ class Terrain(NamedTuple):
     z: Float[np.ndarray, "nx ny"]
 
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """Return the crossings, m; the last axis of the grid counts fastest."""
+        """Return the crossings, m; the last axis of the grid varies fastest."""
         x, y = np.meshgrid(self.x, self.y, indexing="ij")
         return np.stack([x, y, self.z], -1).reshape(-1, 3)
 
@@ -62,16 +62,16 @@ class Terrain(NamedTuple):
         return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
     def triangles(self) -> np.ndarray:
-        """Return the numbers of their corners among the crossings ``(m, 3)``."""
+        """Return the triangles as indices of their corners among the crossings ``(m, 3)``."""
         first = np.arange(self.z.size).reshape(self.z.shape)
         a, b, c, d = first[:-1, :-1], first[1:, :-1], first[1:, 1:], first[:-1, 1:]
         return np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2).reshape(-1, 3)
 
     def height(self, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-        """Return the height of the mesh, m; beyond its edges that of the nearest edge.
+        """Return the height of the mesh, m; beyond the mesh the height of its nearest edge.
 
         Args:
-            place: x and y, m.
+            place: coordinates x and y, m.
         """
         (i, u), (j, v) = (
             _cell(place[..., axis], lines) for axis, lines in enumerate((self.x, self.y))
@@ -85,15 +85,15 @@ class Terrain(NamedTuple):
 def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
     """Return the height of the ground above the world's origin, m.
 
-    From a point at z = 0 the surface is ``gap / n_z`` straight down, for planes exactly and for
-    z = H(x, y) by what their distance is.
+    The surface lies ``gap / n_z`` straight below a point at z = 0. This is exact for planes, and
+    follows from the definition of the distance for z = H(x, y).
 
     Args:
-        floor: of the ground.
-        place: x and y, m.
+        floor: floor of the ground.
+        place: coordinates x and y, m.
 
     Raises:
-        TypeError: ground of a kind that has no heights.
+        TypeError: ground of this kind has no heights.
     """
     if not isinstance(floor, Plane | Shore | Relief):
         raise TypeError(
@@ -111,10 +111,10 @@ def make_terrain(floor: Part, path: Float[np.ndarray, "n 2"], radius: float, far
     """Mesh the ground around a path.
 
     Args:
-        floor: its shape.
-        path: x and y of what is filmed, m.
-        radius: of the animal, m.
-        far: how far beyond the path the mesh reaches, m.
+        floor: floor of the ground.
+        path: coordinates x and y of the filmed points, m.
+        radius: radius of the animal, m.
+        far: distance by which the mesh reaches beyond the path, m.
     """
     low, high = path.min(0) - _NEAR * radius, path.max(0) + _NEAR * radius
     step = max(_STEP * radius, float((high - low).max()) / _LINES)
@@ -136,15 +136,15 @@ def _lines(
     count = int(np.ceil(np.log1p(far * (_GROWTH - 1) / step) / np.log(_GROWTH)))
     beyond = step * (_GROWTH ** np.arange(1, count + 1) - 1) / (_GROWTH - 1)
     even = np.concatenate([low - beyond[::-1], near, high + beyond])
-    # An even line makes way for a crease, unless creases are finer than the lines; then heights
-    # are only right at the lines.
+    # A crease replaces an even line, unless creases are finer than the lines. Heights are then
+    # exact only at the lines.
     width = np.gradient(even)
     inside = creases[(creases > even[0]) & (creases < even[-1])]
     room = np.interp(inside, even, width)
     if len(inside) > 1 and np.diff(inside).min() < 0.7 * step:
         inside = inside[:0]
     elif len(inside) > 2:
-        # Of a grid's creases those count that lie where lines are as close.
+        # Keep a grid's creases only where lines are equally close.
         inside = inside[room <= 1.5 * np.diff(inside).min()]
     if not len(inside):
         return even
@@ -163,7 +163,7 @@ def _creases(floor: Part, axis: str) -> np.ndarray:
 
 
 def _cell(value: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of the cell between lines, and the place in it from 0 to 1."""
+    """Return the index of the cell between lines, and the fraction within the cell, 0 to 1."""
     inside = np.clip(value, lines[0], lines[-1])
     cell = np.clip(np.searchsorted(lines, inside, "right") - 1, 0, len(lines) - 2)
     return cell, (inside - lines[cell]) / (lines[cell + 1] - lines[cell])

@@ -1,13 +1,12 @@
-"""Pictures that are laid on the floor and on soft spots, made from seeded noise.
+"""Pictures for the floor and for soft spots, made from seeded noise.
 
-A floor tile's left and right edges match up, and its upper and lower ones, so that it repeats
-without a seam.
+Opposite edges of a floor tile match, so that it repeats without a seam.
 """
 
 import numpy as np
 import pyvista as pv
 
-# A floor tile carries this many grid cells a side, and is this many texels wide.
+# Grid cells along a side of a floor tile, and texels along a side.
 CELLS = 4
 _TEXELS = 1024
 _SEED = 20100
@@ -20,9 +19,10 @@ def floor_texture(
     """Return ground with soft relief and a grid: a checkered one, or one under a net of light.
 
     Args:
-        tints: of the ground, from dark to light.
+        tints: tints of the ground, from dark to light.
         grid: colour of the lines.
-        checkered: whether alternate grid cells differ in tone; light plays on it otherwise.
+        checkered: whether alternate grid cells differ in tone; if not, the ground has a net of
+            light.
         marked: whether the tile's own borders are strong lines.
     """
     dark, light = (np.array(pv.Color(color).int_rgb, float) for color in tints)
@@ -52,7 +52,7 @@ def tile_texture(image: np.ndarray) -> pv.Texture:
     texture.repeat = True
     texture.interpolate = True
     texture.mipmap = True
-    # VTK's default of 4 samples doubles the time of a frame; the fading hides the far blur.
+    # VTK's default of 4 samples doubles the time of a frame, and fading hides the far blur.
     texture.SetMaximumAnisotropicFiltering(1)
     return texture
 
@@ -61,9 +61,9 @@ def spot_texture(color: str, strength: float, sharpness: float) -> pv.Texture:
     """Return a round spot whose opacity falls smoothly from ``strength`` to 0 at the edge.
 
     Args:
-        color: of the spot.
+        color: colour of the spot.
         strength: largest opacity, 0 to 1.
-        sharpness: how narrow the bright middle is; the spot is ``exp(-sharpness r^2)``.
+        sharpness: narrowness of the bright middle in ``exp(-sharpness r^2)``.
     """
     axis = np.linspace(-1, 1, _SPOT_TEXELS)
     distance = np.hypot(axis[:, None], axis)
@@ -90,7 +90,7 @@ def _periodic_noise(lowest: float, highest: float) -> np.ndarray:
 
 
 def _caustics() -> np.ndarray:
-    """Return light that waves gather into a net, 0 to 1: the borders of warped random cells."""
+    """Return a net of light made by waves, 0 to 1: borders of warped random cells."""
     generator = np.random.default_rng(_SEED)
     seeds = generator.random((45, 2))
     axis = np.arange(_TEXELS, dtype=np.float32) / _TEXELS

@@ -1,8 +1,8 @@
-"""Units of a task's terms and of measures of gait, as pictures tell them."""
+"""Units of a task's terms and of measures of gait, for pictures."""
 
 from evo_cpg.view.legible import legible
 
-# Others have none.
+# Units by name; all other terms have no unit.
 UNITS = {
     "amplitude": "rad", "bounce": "m", "distance": "m", "energy": "J", "forward": "m",
     "frequency": "Hz", "power": "W", "speed": "m/s", "turning": "rad/s",

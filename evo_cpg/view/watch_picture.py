@@ -16,7 +16,7 @@ from evo_cpg.view.output import save_picture
 from evo_cpg.view.plots import fitness_figure, path_figure
 from evo_cpg.view.scene import panel_of
 
-# Of the animal, pixels; the charts below are as wide together.
+# Size of the animal's picture, pixels. The charts below are together as wide.
 _SIZE = (1280, 560)
 
 
@@ -27,20 +27,20 @@ def watch_picture(
     title: str,
     path: Path,
 ) -> Path:
-    """Draw it.
+    """Draw the picture of the newest champion.
 
     Args:
-        experiment: that the animal lives in.
-        recording: its motion.
+        experiment: experiment of the champion.
+        recording: motion of the champion.
         history: columns of metrics.csv.
-        title: of the animal.
+        title: title of the animal.
         path: a .png file, which is replaced.
 
     Returns:
         The path.
     """
     charts = [_pixels(fitness_figure(history)), _pixels(path_figure(recording))]
-    # As high as makes them as wide as the animal.
+    # Height at which the charts are together as wide as the animal's picture.
     height = round(_SIZE[0] / sum(chart.width / chart.height for chart in charts))
     sizes = [(round(chart.width * height / chart.height), height) for chart in charts]
     scaled = [chart.resize(size) for chart, size in zip(charts, sizes, strict=True)]

@@ -1,9 +1,9 @@
 """The surface of the water, seen from above.
 
-Two sheets lie on each other. The lower one tints what is below it, the more the deeper the ground;
-the upper one mirrors the sky in ripples. These are waves of a seeded random spectrum that run as
-waves on deep water do, omega^2 = g k, on a tile that repeats. They are for the eye only: the
-physics' surface is level, and so are both sheets.
+Two sheets lie on each other. The lower sheet tints things below it, more above deeper ground. The
+upper sheet mirrors the sky in ripples. The ripples have a seeded random spectrum and the dispersion
+of deep water, omega^2 = g k, on a tile that repeats. They are only decoration: the physics' surface
+is level, and so are both sheets.
 """
 
 import numpy as np
@@ -18,19 +18,20 @@ from evo_cpg.view.terrain import Level, Terrain
 from evo_cpg.view.textures import spot_texture, tile_texture
 
 _SHALLOW, _DEEP = "#bfeae4", "#4cadd2"
-# Opacity of the lower sheet where it is shallow and deep; depth of two thirds of the change and
-# depth up to which it clears away towards the shore, in radii of the animal.
+# Opacity of the lower sheet where the water is shallow and deep. Depth of two thirds of the change,
+# and depth below which the sheet clears towards the shore, in radii of the animal.
 _CLEAR, _OPAQUE, _DEEPENS, _SHORE = 0.26, 0.52, 0.5, 0.1
-# A tile's side in radii of the animal, its texels, and its longest and shortest waves as parts of
-# the side. Their steepness is the root of the mean square of their slopes.
+# Side of a tile in radii of the animal, its texels, and wave counts per side of its longest and
+# shortest waves. The steepness is the root mean square of the slopes.
 _TILE, _TEXELS, _LONGEST, _SHORTEST, _STEEPNESS = 5.0, 256, 6.0, 50.0, 0.12
 _SEED = 20103
 _GRAVITY = 9.81
-# Fraction of light that water mirrors when it falls straight down, 0 to 1 (Schlick 1994).
+# Fraction of light that water mirrors at vertical incidence, 0 to 1 (Schlick 1994).
 _REFLECTION = 0.02
-# Glints are sharp and bright where a ripple throws the sun towards the viewer.
+# Glints are sharp and bright where a ripple reflects the sun towards the viewer.
 _GLINT, _GLINT_SHARPNESS, _GLINT_HEIGHT = 0.8, 320.0, 0.62
-# The ring where a body breaks through the surface: opacity, and width beyond the body.
+# Opacity of the ring around a body that breaks through the surface, and its width relative to the
+# body.
 _RING, _RING_WIDTH = 0.8, 1.9
 
 
@@ -38,7 +39,7 @@ class Ripples:
     """Slopes of a sea of small waves on a square tile.
 
     Args:
-        side: of the tile, m.
+        side: side of the tile, m.
     """
 
     def __init__(self, side: float):
@@ -51,7 +52,7 @@ class Ripples:
         wind = 0.35 + (along / np.where(number > 0, number, 1.0)) ** 2
         self._start = band * wind * np.exp(1j * phase) / np.where(number > 0, number, 1.0) ** 2.3
         self._number = along, across
-        # Half of the waves run against the other half, as those of a pond.
+        # Waves run in random directions, half of them each way, as on a pond.
         self._rate = np.sqrt(_GRAVITY * number) * generator.choice([-1.0, 1.0], number.shape)
         steepness = np.sqrt(np.mean(np.square(self.slopes(0.0))) * 2)
         self._start *= _STEEPNESS / steepness
@@ -64,14 +65,14 @@ class Ripples:
 
 
 def add_waterlines(stage: Stage, surface: float) -> Update:
-    """Draw bright rings where bodies break through the surface at a height (m)."""
+    """Draw bright rings around bodies that break through the surface at a height (m)."""
     half_extents = stage.scene.half_extents
     texture = spot_texture("#ffffff", _RING, sharpness=2.0)
     level = Level(surface)
     rings = Spots(stage.plotter, texture, level, 0.004 * stage.radius, len(half_extents))
 
     def update(shot: Shot) -> None:
-        # Ellipsoids of these half axes, cut by the surface.
+        # Cut ellipsoids with these half axes by the surface.
         shape = (shot.rotation * half_extents[:, None] ** 2) @ shot.rotation.mT
         off = surface - shot.position[:, 2]
         inside = 1 - off**2 / shape[:, 2, 2]
@@ -86,8 +87,8 @@ def add_waterlines(stage: Stage, surface: float) -> Update:
 
 
 def add_tint(stage: Stage, terrain: Terrain, surface: float) -> Update:
-    """Draw the lower sheet, at a height (m), which colours what is below it."""
-    # Its corners lie over those of the ground, where the depth is known.
+    """Draw the lower sheet at a height (m), which tints things below it."""
+    # Its corners lie over the corners of the ground, where the depth is known.
     points, triangles = terrain.points(), terrain.triangles()
     depth = (surface - points[:, 2]) / stage.radius
     wet = triangles[(depth[triangles] > 0).any(1)]
@@ -115,7 +116,7 @@ def add_tint(stage: Stage, terrain: Terrain, surface: float) -> Update:
 
 
 def add_mirror(stage: Stage, surface: float) -> Update:
-    """Draw the upper sheet, at a height (m), which mirrors the sky: a disc below the focus."""
+    """Draw the upper sheet at a height (m), a disc below the focus that mirrors the sky."""
     sight, look = stage.sight, stage.look
     disc, place, fade = fading_disc(stage.visible, 0.02)
     rgba = np.full((len(place), 4), 255, np.uint8)
@@ -126,7 +127,7 @@ def add_mirror(stage: Stage, surface: float) -> Update:
     actor = add_faded(stage.plotter, disc, rgba, texture=texture)
     pixels = pv.wrap(texture.GetInput())
     haze, zenith = (np.array(pv.Color(c).int_rgb) for c in (look.distance, look.zenith))
-    # A sun that stands ahead of the viewer at first.
+    # Sun that initially stands ahead of the viewer.
     _, ahead = level_axes(sight)
     sun = ahead * np.sqrt(1 - _GLINT_HEIGHT**2) + [0.0, 0.0, _GLINT_HEIGHT]
 
@@ -143,13 +144,13 @@ def add_mirror(stage: Stage, surface: float) -> Update:
         sky = haze + np.minimum(1.2 * mirrored, 1.0) * (zenith - haze)
         rgb = sky + glint[..., None] * (255 - sky)
         opacity = 255 * np.clip(reflected + glint, 0, 0.95)[..., None]
-        # Texels count along x fastest.
+        # Texels vary fastest along x.
         shown = np.concatenate([rgb, opacity], -1).swapaxes(0, 1)
         pixels.point_data.active_scalars[:] = shown.reshape(-1, 4)
         pixels.Modified()
         actor.position = (focus[0], focus[1], surface)
         disc.active_texture_coordinates = (place + focus[:2]) / side
-        # The lower the view, the more the water mirrors.
+        # Water mirrors more if the view is lower.
         away = np.hypot(*(place + focus[:2] - eye[:2]).T)
         slant = (eye[2] - surface) / np.hypot(away, eye[2] - surface)
         more = ((1 - slant) / (1 + sight[2])) ** 4

@@ -1,4 +1,4 @@
-"""Charts of a page, as SVG that takes the page's colours and whose text is text."""
+"""Charts of a page, as SVG in the page's colours and with real text."""
 
 import io
 import re
@@ -37,10 +37,10 @@ def chart(figure: Figure, words: str, timed: bool = False) -> Html:
     """Return a figure with its caption; ink becomes the page's ink and white its paper.
 
     Args:
-        figure: to be drawn.
-        words: what it shows.
-        timed: whether the first axes have time, in seconds, to the right: a cursor moves with the
-            animal there, and a click brings it to an instant.
+        figure: figure to draw.
+        words: caption of the figure.
+        timed: whether the first axes have time, in seconds, to the right. A cursor then moves with
+            the animal, and a click brings the animal to an instant.
     """
     text = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "font.family": ["sans-serif"]}):
@@ -50,7 +50,7 @@ def chart(figure: Figure, words: str, timed: bool = False) -> Html:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
-    # Ids of groups are the same in every figure, and nothing refers to them.
+    # Ids of groups are equal in every figure, and nothing refers to them.
     svg = re.sub(r'<g id="[^"]*">', "<g>", svg)
     svg = re.sub(rf"#(?:000000|000)\b|{INK}", "currentColor", svg)
     svg = re.sub(r"#(?:ffffff|fff)\b", "var(--paper)", svg)
@@ -59,7 +59,7 @@ def chart(figure: Figure, words: str, timed: bool = False) -> Html:
     if timed:
         axes = figure.axes[0]
         box = axes.get_position()
-        # Where the axes show which time, for a cursor that moves with the animal.
+        # Place and range of the time axis, for a cursor that moves with the animal.
         instants = dict(zip(_TIMED, (box.x0, box.x1, *axes.get_xlim()), strict=True))
         instants = {name: f"{value:.6g}" for name, value in instants.items()}
     sheet = tag("div", Html(svg), class_="sheet timed" if timed else "sheet", **instants)
@@ -72,9 +72,9 @@ def footfall_figure(feet: Feet, step: float, window: tuple[float, float]) -> Fig
     """Draw a bar for every stance, a row for every foot (Hildebrand 1965).
 
     Args:
-        feet: what touches the ground.
-        step: between samples, s.
-        window: that is shown, s.
+        feet: bodies that touch the ground.
+        step: time between samples, s.
+        window: first and last shown instant, s.
     """
     figure = new_figure(_WIDTH, 0.9 + 0.27 * len(feet.names))
     axes = figure.subplots()
@@ -93,13 +93,13 @@ def wave_figure(
     window: tuple[float, float],
     names: Sequence[str],
 ) -> Figure:
-    """Draw bending along the body over time: a wave that runs is a slanting stripe.
+    """Draw bending along the body over time; a running wave is a slanting stripe.
 
     Args:
-        bending: of every joint along the body, rad.
-        step: between samples, s.
-        window: that is shown, s.
-        names: of the joints.
+        bending: bending of every joint along the body, rad.
+        step: time between samples, s.
+        window: first and last shown instant, s.
+        names: names of the joints.
     """
     first, last = (round(instant / step) for instant in window)
     shown = np.degrees(bending[first:last]).T
@@ -128,8 +128,8 @@ def lag_figure(wave: BodyWave, place: Float[np.ndarray, " j"]) -> Figure:
     """Draw phase and amplitude along the body.
 
     Args:
-        wave: along the body.
-        place: of its joints, m behind the first.
+        wave: wave along the body.
+        place: places of the joints, m behind the first.
     """
     figure = new_figure(_WIDTH, 2.7)
     left, right = figure.subplots(1, 2)
@@ -152,10 +152,10 @@ def effort_figure(
     """Draw power and speed over the whole trial.
 
     Args:
-        time: of the control steps, s.
-        power: in each, W.
-        instant: at which the speed is known, s.
-        speed: smoothed, m/s.
+        time: time of the control steps, s.
+        power: power in each control step, W.
+        instant: instants of the speeds, s.
+        speed: smoothed speed, m/s.
     """
     figure = new_figure(_WIDTH, 2.6)
     axes = figure.subplots()

@@ -1,7 +1,7 @@
-"""The page of a run: one HTML file that needs nothing else, on a screen and on paper.
+"""The page of a run: one self-contained HTML file for screen and paper.
 
-Its scripts are ours and named by their digests in the page's content security policy, which allows
-no others and no request: what a configuration from a stranger says is text, and stays text.
+Its scripts are ours. The page's content security policy names them by their digests and allows no
+other script and no request. Text from a stranger's configuration stays text.
 """
 
 import base64
@@ -65,7 +65,7 @@ def document(subject: Subject, motion: Motion) -> str:
 
 
 def _changed(subject: Subject) -> Html | None:
-    """Return a warning that the configuration changed after training; None if it did not."""
+    """Return a warning that the configuration changed after training, or None if it did not."""
     if subject.changed is None:
         return None
     words = f"{subject.changed}: all that is measured here is of its trial as it comes out now."
@@ -121,7 +121,7 @@ def _asset(name: str) -> str:
 
 
 def _json_script(name: str, values: Mapping[str, Any]) -> Html:
-    # Within a script nothing is escaped, and its end is wherever "</" stands.
+    # Text within a script is not escaped, and "</" would end the script.
     text = json.dumps(values, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     return Html(f'<script type="application/json" id="{name}">{text}</script>')
 

@@ -1,4 +1,4 @@
-"""HTML that cannot be injected into: anything but `Html` is text, and escaped."""
+"""HTML that is safe from injection: everything but `Html` is escaped as text."""
 
 import html
 from typing import Any
@@ -14,10 +14,10 @@ def tag(name: str, /, *children: Any, **attributes: Any) -> Html:
     """Return an element.
 
     Args:
-        name: of the element.
-        children: `Html` as it is, anything else as text; None is left out.
-        attributes: of the element, with ``_`` for ``-`` and a trailing ``_`` dropped (``class_``);
-            True is an attribute without a value, None and False are left out.
+        name: name of the element.
+        children: contents; `Html` is kept, other values become text, and None is left out.
+        attributes: attributes of the element, with ``_`` for ``-`` and a trailing ``_`` dropped
+            (``class_``). True is an attribute without a value. None and False are left out.
     """
     words = [name]
     for key, value in attributes.items():
@@ -33,7 +33,7 @@ def tag(name: str, /, *children: Any, **attributes: Any) -> Html:
 
 
 def join(*parts: Any) -> Html:
-    """Join parts: `Html` as it is, anything else as text; None is left out."""
+    """Join parts: `Html` is kept, other values become text, and None is left out."""
     return Html("".join(_inner(part) for part in parts if part is not None))
 
 
@@ -41,8 +41,8 @@ def table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = 
     """Return a table.
 
     Args:
-        head: of the columns.
-        rows: cells.
+        head: headings of the columns.
+        rows: cells of each row.
         numbers: columns that are set flush right.
     """
 
@@ -59,7 +59,7 @@ def table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = 
 
 
 def long_table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = ()) -> Html:
-    """Return a table whose rows beyond the first dozen are folded away."""
+    """Return a table whose rows after the first dozen are folded away."""
     first = table(head, rows[:_DOZEN], numbers=numbers)
     if len(rows) <= _DOZEN:
         return first

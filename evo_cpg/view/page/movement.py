@@ -1,4 +1,4 @@
-"""Sections on how the animal moves: gait, signals, effort, and all that was measured."""
+"""Sections on the animal's movement: gait, signals, effort, and all measured numbers."""
 
 import itertools
 import math
@@ -15,9 +15,9 @@ from evo_cpg.view.page.subject import Motion, Subject
 from evo_cpg.view.page.words import number
 from evo_cpg.view.plots import joint_signals_figure, path_figure
 
-# The part of a trial that charts of signals and footfalls show, s and strides.
+# Shortest and longest time on charts of signals and footfalls, s, and number of strides.
 _LEAST_SHOWN, _MOST_SHOWN, _STRIDES_SHOWN = 2.0, 8.0, 6.0
-# Of the path only so many places are drawn.
+# Number of points with which the path is drawn.
 _PLACES = 400
 
 
@@ -74,7 +74,7 @@ def gait(motion: Motion) -> Html:
 
 
 def signals(subject: Subject, motion: Motion) -> Html | None:
-    """Show joint angles, the signals that drive them, and phase lags; None without joints."""
+    """Show joint angles, the controller's signals, and phase lags, or None without joints."""
     recording, numbers = motion.recording, motion.numbers
     if not recording.dof_names:
         return None
@@ -144,7 +144,7 @@ def effort(motion: Motion) -> Html:
 
 
 def all_numbers(quantities: Sequence[Quantity]) -> Html:
-    """Show a table of all that was measured, each with its definition."""
+    """Show a table of all measured numbers, each with its definition."""
     rows = [
         [
             each.name,
@@ -176,7 +176,7 @@ def _feet_table(numbers: GaitNumbers) -> Html:
 
 
 def _window(recording: Recording, frequency: float) -> tuple[float, float]:
-    """Return the time that charts show: some strides in the middle of the second half, s."""
+    """Return the window of the charts: some strides in the middle of the second half, s."""
     start, end = float(recording.time[0]), float(recording.time[-1])
     length = _STRIDES_SHOWN / frequency if frequency > 0 else _MOST_SHOWN
     length = min(max(length, _LEAST_SHOWN), _MOST_SHOWN, end - start)

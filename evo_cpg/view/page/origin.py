@@ -1,4 +1,4 @@
-"""Sections on the origin of the champion: evolution, audit, the paper, how to repeat it."""
+"""Sections on the origin of the champion: evolution, audit, the paper, and repetition."""
 
 import hashlib
 import shlex
@@ -37,7 +37,7 @@ def evolution(subject: Subject, motion: Motion) -> Html:
 
 
 def audit(subject: Subject) -> Html:
-    """Show verdict and checks of the audit, or how to make one."""
+    """Show verdict and checks of the audit, or the command that makes one."""
     found, command = subject.audit, tag("code", "evo-cpg audit RUN")
     look: Any = None
     if subject.half_step is not None:
@@ -76,7 +76,7 @@ def audit(subject: Subject) -> Html:
 
 
 def paper(subject: Subject) -> Html | None:
-    """List differences from the shipped configuration and its paper; None without one."""
+    """List differences from the shipped configuration and its paper; None without a shipped one."""
     found = subject.differences
     if found is None:
         return None
@@ -104,7 +104,7 @@ def paper(subject: Subject) -> Html | None:
 
 
 def _refined(done: Sequence[Mapping[str, Any]]) -> Html:
-    """List what `evo-cpg refine` changed after evolution."""
+    """List the changes that `evo-cpg refine` made after evolution."""
     rows = []
     for one in done:
         words = [without_folders(str(word)) for word in listed(one.get("command"))]

@@ -11,7 +11,7 @@ from evo_cpg.view.clip import Clip
 
 
 class Difference(NamedTuple):
-    """A value that is not that of the shipped configuration; None where there is none."""
+    """A value that differs from the shipped configuration, or None for a missing value."""
 
     key: str
     shipped: Any
@@ -22,10 +22,10 @@ class Note(NamedTuple):
     """Comment of a shipped file on one of its values.
 
     Attributes:
-        key: of the value, within its file.
-        value: as it is written.
+        key: key of the value, within its file.
+        value: text of the value in the file.
         text: the comment.
-        ours: whether it is ours, and not the paper's.
+        ours: whether the value is ours, and not the paper's.
     """
 
     key: str
@@ -39,8 +39,8 @@ class PaperDifferences(NamedTuple):
 
     Attributes:
         about: the comment at the top of the shipped file.
-        differences: what differs from it.
-        notes: what the shipped files say of their values.
+        differences: values that differ from the shipped file.
+        notes: comments of the shipped files on their values.
     """
 
     about: str
@@ -52,29 +52,28 @@ class Subject(NamedTuple):
     """Subject of a page.
 
     Attributes:
-        name: of the experiment.
-        changed: what is to be said of a configuration that the champion did not evolve in; None
-            where it is the one.
+        name: name of the experiment.
+        changed: remark on a configuration that changed after training; None if it did not change.
         folder: name of the run folder.
-        sentence: what evolved, where, for what.
+        sentence: summary of the animal, its world and its task.
         champion: fitness and terms, by name.
-        generation: that the champion comes from.
-        generations: that are done.
-        run: which of several runs; None where there is one.
-        trial: which of several trials; None where there is one.
-        seed: of the experiment.
-        chains: degrees of freedom in rows, as `joint_signals_figure` has them.
-        signal: what the controller's signal is, with its unit.
-        config: the resolved configuration, as a file.
+        generation: generation of the champion.
+        generations: number of finished generations.
+        run: number of the run among several, or None for a single run.
+        trial: number of the trial among several, or None for a single trial.
+        seed: seed of the experiment.
+        chains: degrees of freedom in rows, as in `joint_signals_figure`.
+        signal: name of the controller's signal, with its unit.
+        config: text of the resolved configuration.
         meta: contents of meta.json.
-        audit: contents of audit.json; None where no audit was made.
-        stale: whether that audit was of another champion.
-        half_step: fraction of its displacement that it kept at half the physics step when training
-            ended; None if unknown.
-        differences: from the shipped configuration and the paper; None where there is none of the
-            name.
-        program: that made the page, with its version.
-        made: when.
+        audit: contents of audit.json, or None without an audit.
+        stale: whether the audit belongs to another champion.
+        half_step: fraction of its displacement that the champion kept at half the physics step when
+            training ended, or None if unknown.
+        differences: differences from the shipped configuration and the paper, or None if no shipped
+            configuration has this name.
+        program: program that made the page, with its version.
+        made: time at which the page was made.
     """
 
     name: str
@@ -104,12 +103,12 @@ class Motion(NamedTuple):
 
     Attributes:
         recording: the motion.
-        clip: the same at the viewer's frames.
-        numbers: measured from it.
-        scene: for the viewer.
-        still: a picture, JPEG.
+        clip: motion at the viewer's frames.
+        numbers: numbers measured from the motion.
+        scene: data of the viewer.
+        still: picture of the animal, JPEG.
         history: columns of metrics.csv.
-        chain_places: of the joints along the body, m behind the first.
+        chain_places: places of the joints along the body, m behind the first.
     """
 
     recording: Recording

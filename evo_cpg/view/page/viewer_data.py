@@ -1,6 +1,6 @@
 """Data of a page's viewer: meshes, places and colours, as JSON.
 
-Arrays are base64 of little-endian numbers; equal ones, such as the triangles of all boxes, are
+Arrays are base64 of little-endian numbers. Equal arrays, such as the triangles of all boxes, are
 written once.
 """
 
@@ -18,18 +18,18 @@ from evo_cpg.view.meshes import head_index, pieces
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.scene import Panel, Scene, scene_of
 
-# Places a second: between them the viewer interpolates.
+# Places per second, between which the viewer interpolates.
 RATE = 30.0
 # Window over which the path of the camera's focus is smoothed, s.
 _CALM = 1.0
-# The mesh of uneven ground ends so many radii from the path.
+# The mesh of uneven ground ends this many radii from the path.
 _FAR = 14.0
 # Range of a signed number of 16 bits.
 _SHORT = 32767
 # Corners of a stone that are enough for a page.
 _FINE = 1500
 _STONE = "#999188"
-# What the viewer needs to know of a look.
+# Fields of a look that the viewer uses.
 _LOOK = (
     "distance", "floor", "grid", "sun", "fill", "trail", "light", "halo", "zenith", "checkered",
     "text", "particles",
@@ -52,7 +52,7 @@ class _Arrays:
 
 
 def viewer_data(panel: Panel) -> dict[str, Any]:
-    """Return all that moves and stands in the scene of an animal."""
+    """Return all moving and fixed things in the scene of an animal."""
     clip = sample(panel.recording, RATE)
     scene, arrays = scene_of(panel, clip), _Arrays()
     level, head = scene.level, head_index(scene.creature)
@@ -78,7 +78,7 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
         "surface": None if scene.surface is None else float(scene.surface),
         "water": panel.world == "water" and scene.surface is None,
         "look": {name: getattr(scene.look, name) for name in _LOOK},
-        # The last, because those above add to them.
+        # Last, because the entries above add arrays.
         "arrays": arrays.written,
     }
 
