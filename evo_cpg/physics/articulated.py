@@ -1,4 +1,4 @@
-"""The articulated-body algorithm with implicit forces, in O(bodies).
+"""Articulated-body algorithm with implicit forces, in O(bodies).
 
 A force on a body enters as the wrench ``f_i`` at the present velocity and its decrease per change
 of velocity, ``D_i``. A joint torque enters as its value ``tau`` at the present rates and its

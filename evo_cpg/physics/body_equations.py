@@ -110,7 +110,7 @@ def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6
     small = _turn_easily(world.tree)
     # Drag slows falling bodies in deep water.
     if not world.submerged and (is_traced(small) or small.any()):
-        # The part m v of the momentum adds nothing but rounding to the moment v x m v.
+        # The part m v of the momentum adds only rounding to the moment v x m v.
         without = xp.where(small[None, None], 0.0, world.tree.inertia[3:, 3:])
         rows = xp.concatenate([world.tree.inertia[3:, :3], without], 1)
         across = matvec(expand_dims_like(rows, velocity, velocity.ndim + 1), velocity)

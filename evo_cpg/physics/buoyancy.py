@@ -90,7 +90,7 @@ class Cells(eqx.Module):
 
 
 class Displacement(NamedTuple):
-    """The part of each body that is under water.
+    """Part of each body that is under water.
 
     Attributes:
         volume: volume under water, m^3.
@@ -206,7 +206,7 @@ def _box(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
     squares = stretched * up
     least = _LEAST_REACH**2
     reach = jnp.sqrt((1 - least) * squares + least * squares.sum(0, keepdims=True))
-    # Further out nothing changes, and the powers of large depths would cancel badly.
+    # The result is constant beyond the limit, and powers of large depths would cancel badly.
     limit = reach.sum(0)
     depth = jnp.clip(depth, -limit, limit)
     scale = 1.0 / (48.0 * reach[0] * reach[1] * reach[2])
@@ -231,7 +231,7 @@ def _polyhedron(cells: Cells, up: Array, depth: Array) -> tuple[Array, Array]:
     corners = jnp.asarray(triangles.swapaxes(0, 1), up.dtype)
     a, b, c = triangles.swapaxes(0, 1)
     faces = jnp.asarray(np.cross(b - a, c - a) / cells.volume[0], up.dtype)
-    # Further out nothing changes, and the powers of large depths would cancel badly.
+    # The result is constant beyond the limit, and powers of large depths would cancel badly.
     limit = float(np.linalg.norm(triangles, axis=-1).max())
     flat_up, flat_depth = up.reshape(3, -1), jnp.clip(depth, -limit, limit).reshape(-1)
     first, second, third = (flat_depth[None] - corner @ flat_up for corner in corners)

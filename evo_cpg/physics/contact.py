@@ -57,7 +57,7 @@ from evo_cpg.spatial.numerics import Numbers
 # (m/s).
 BAUMGARTE_FRACTION, BAUMGARTE_SPEED = 0.2, 0.5
 
-# Restitution threshold: below this speed of approach (m/s) nothing bounces, above twice that
+# Restitution threshold: below this speed of approach (m/s) nothing bounces, above twice this speed
 # everything does.
 _RESTITUTION_THRESHOLD = 0.1
 
@@ -131,7 +131,7 @@ def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Con
     push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
     fraction = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
     bounce = expand_dims_like(contact_model.restitution, approach) * fraction * approach
-    # Multiply by a reciprocal: a division takes a processor many times as long.
+    # Multiply by a reciprocal: a division costs a processor many times as much.
     rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
     # The law yields by a fraction of the speed. A point that moves farther in a step than the
     # margin would sink in by millimetres.

@@ -25,7 +25,7 @@ from evo_cpg.spatial.numerics import Numbers, xp
 # falls flat at 5 rad/s are found 5 steps ahead.
 _TILT = 0.1
 
-# Squared length (m^2) added under a root so that it has a gradient at zero.
+# Squared length (m^2) added under a root, so that the root has a gradient at zero.
 _FLOOR = 1e-20
 
 
