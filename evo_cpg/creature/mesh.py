@@ -1,14 +1,14 @@
-"""Convex meshes as shapes: polyhedra, whose mass, buoyancy and moments are exact.
+"""Convex meshes as shapes: polyhedra with exact mass and moments.
 
-A `ConvexMesh` is centred on its own frame as every shape is; `convex_mesh` moves it there. Two
-things are bounded, so that a fine mesh does not make every step slow:
+`convex_mesh` moves a mesh so that it is centred on its own frame. Two bounds keep steps fast with a
+fine mesh:
 
-- What touches the ground and what floats are the hull of at most `MOST_CORNERS` of its corners:
-  those at which three of its planes meet, and of more than that each the farthest from those taken
-  before, the first of all the farthest from the centre. A hull with fewer corners than the mesh is
-  blown up to the mesh's volume about the mesh's centre where it floats.
-- Water streams against about as many points as against an ellipsoid. Coplanar triangles are one
-  facet; more facets than points share them with their neighbours.
+- Contact with the ground and buoyancy use the hull of at most `MOST_CORNERS` corners at which three
+  planes meet. If the mesh has more corners, the farthest from the centre is first, and each further
+  one is the farthest from those chosen before. For buoyancy the hull is scaled to the mesh's volume
+  about the mesh's centre.
+- The surface has about as many points in water as an ellipsoid. Coplanar triangles are one facet.
+  If there are more facets than points, neighbouring facets share a point.
 """
 
 import dataclasses
@@ -31,46 +31,46 @@ from evo_cpg.creature.shapes import (
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# More triangles tell nothing that the physics would feel, and go into the run folder's config.
+# More triangles do not change the physics, but fill the run folder's config.
 MOST_TRIANGLES = 2000
 MOST_CORNERS = 64
-# Longest side, m: what lies outside has most likely been drawn in other units.
+# Bounds of the longest side, m: other meshes have most likely been drawn in other units.
 SHORTEST, LONGEST = 1e-3, 100.0
-# How far a corner may lie beyond the plane of a face, and volume of something flat, as shares of
-# the longest side and of its cube.
+# Largest distance of a corner beyond the plane of a face, as a fraction of the longest side, and
+# largest volume of a flat mesh, as a fraction of the cube of that side.
 _DENT, _FLAT = 1e-3, 1e-9
 
 # Height of a triangle below which rounding in files (single precision) turns it noticeably, as a
-# share of the longest side.
+# fraction of the longest side.
 _THIN = 1e-4
-# Share of the surface that thin triangles may have.
+# Largest fraction of the surface in thin triangles.
 _LOST = 1e-4
-# Planes that differ by less than so many radians are one: rounding in files turns them by 1e-6.
+# Angle (rad) below which planes count as one. Rounding in files turns planes by 1e-6.
 _SAME_PLANE = 1e-4
-# Of the smallest of three planes' spread at a corner; squared radians.
+# Least spread of the planes at a corner, smallest over largest; squared radians.
 _SPREAD = 1e-7
-# Corners farther along a direction than all others but for this share of the reach share the lead.
+# Difference in reach, as a fraction of its range, below which corners count as equally far.
 _EQUALLY_FAR = 1e-9
-# Steps after which the shares of the surface points no longer change much.
+# Steps of Lloyd's iteration, after which facets hardly change their points.
 _SHARING_STEPS = 20
-# Fewest surface points between which facets are shared: an icosahedron's half.
+# Fewest surface points that share facets: an icosahedron's vertices.
 _FEWEST_POINTS = 12
 # Relative difference of the second moments of a facet below which it has no axes of its own.
 _ROUND = 1e-6
-# Points by triangles for which distances are found at a time: some 100 MB.
+# Pairs of points and triangles for which distances are computed at a time: some 100 MB.
 _PAIRS = 400_000
 
 
 class MeshError(ValueError):
-    """A mesh that cannot be a body; the message is for the user."""
+    """A mesh that cannot be a body. The message is for the user."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ConvexMesh(Shape):
-    """Convex polyhedron with its centre of mass at the origin; made by `convex_mesh`.
+    """Convex polyhedron with its centre of mass at the origin, made by `convex_mesh`.
 
     Attributes:
-        vertices: m.
+        vertices: positions of the vertices, m.
         faces: triangles of three vertices' indices, counterclockwise seen from outside.
     """
 
@@ -119,17 +119,17 @@ class ConvexMesh(Shape):
     @property
     @override
     def stretch(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of a box with the same second moments."""
+        """Half lengths and axes of a box with the same second moments."""
         tensor = self.inertia_tensor(1.0)
         moments, turn = np.linalg.eigh(np.trace(tensor) / 2 * np.eye(3) - tensor)
         return np.sqrt(3 * moments), turn
 
     @functools.cached_property
     def inner_ellipsoid(self) -> tuple[np.ndarray, np.ndarray]:
-        """The largest ellipsoid within it about its centre with the shape of its second moments.
+        """Largest ellipsoid in the mesh about its centre, with the shape of its second moments.
 
         Returns:
-            Semi-axes, m, and its axes as columns.
+            Semi-axes, m, and axes as columns.
         """
         half, turn = self.stretch
         normals, _ = self.planes
@@ -142,7 +142,7 @@ class ConvexMesh(Shape):
 
     @functools.cached_property
     def broad(self) -> np.ndarray:
-        """The triangles that are not thin, on which the surface is looked at, ``(f, 3, 3)``, m."""
+        """Triangles that are not thin, which represent the surface, ``(f, 3, 3)``, m."""
         return self.triangles[_is_broad(self.triangles, np.ptp(self.points, axis=0).max())]
 
     @functools.cached_property
@@ -190,13 +190,13 @@ class ConvexMesh(Shape):
 
     @override
     def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
-        """One: an ellipsoid within it, and the corners."""
+        """Return one part: an ellipsoid in the mesh, and the corners."""
         half, axes = self.inner_ellipsoid
         return (ObstaclePart("ellipsoid", np.zeros(3), half, 0.0, axes, self.corners @ axes),)
 
     @override
     def skin(self) -> Skin:
-        """Of sharp edges: each triangle has points of its own; one without area is left out."""
+        """Return a skin with sharp edges: separate points for each triangle that has an area."""
         normals, areas = _planes(self.triangles)
         points = self.triangles[areas > 0].reshape(-1, 3)
         faces = np.arange(len(points)).reshape(-1, 3)
@@ -204,7 +204,7 @@ class ConvexMesh(Shape):
 
     @functools.cached_property
     def corners(self) -> np.ndarray:
-        """The corners that may touch the ground ``(k, 3)``, at most `MOST_CORNERS`, m."""
+        """Corners that may touch the ground ``(k, 3)``, at most `MOST_CORNERS`, m."""
         normals, _ = _planes(self.triangles)
         spread = np.zeros((len(self.points), 3, 3))
         for corner in np.array(self.faces).T:
@@ -216,7 +216,7 @@ class ConvexMesh(Shape):
 
     @override
     def cells(self) -> tuple[Cell, ...]:
-        """One: the hull of the corners, with the mesh's volume and centre."""
+        """Return one cell: the hull of the corners, with the mesh's volume and centre."""
         corners = self.corners
         triangles = corners[_hull(corners)]
         volume, centre, _ = _mass_properties(triangles)
@@ -228,14 +228,15 @@ class ConvexMesh(Shape):
 
     @override
     def surface(self, resolution: int) -> Surface:
-        """Points in which a facet has its area, centre and second moments; on many facets, fewer.
+        """Return points with the area, centre and second moments of each facet.
 
-        Four points at one standard deviation along the facet's principal axes lie within it,
-        whatever convex polygon it is (Kannan, Lovasz and Simonovits 1995); on a rectangle they are
-        Gauss's. Resolution 1 has one point in the middle of each facet; above 2 facets are cut into
-        quarters. Where there are more facets than points (of which an ellipsoid has 8 times the
-        square of the resolution), a point stands for neighbouring ones: for their whole area at
-        their mean place and along their mean normal.
+        Four points at one standard deviation along the facet's principal axes lie within any convex
+        facet (Kannan, Lovasz and Simonovits 1995). They are Gauss points on a rectangle. Resolution
+        1 has one point in the middle of each facet. Facets are cut into quarters above 2.
+
+        The number of points is limited to an ellipsoid's, 8 times the squared resolution. If there
+        are more facets, neighbouring facets share a point with their whole area, at their mean
+        position and along their mean normal.
         """
         facets = self._facets()
         budget = max(8 * resolution**2, _FEWEST_POINTS)
@@ -251,14 +252,14 @@ class ConvexMesh(Shape):
         return _join([_moments(piece) for piece in pieces], spread=True)
 
     def _facets(self) -> list[np.ndarray]:
-        """Indices of the broad triangles in each plane."""
+        """Return the indices of the broad triangles in each plane."""
         normals, _ = self.planes
         alike = normals @ normals.T > 1 - _SAME_PLANE**2 / 2
         first = alike.argmax(1)
         return [np.flatnonzero(first == i) for i in np.unique(first)]
 
     def _shared_surface(self, facets: list[np.ndarray], count: int) -> Surface:
-        """Facets shared out among points by place and normal (Lloyd's iteration)."""
+        """Assign facets to points by position and normal (Lloyd's iteration)."""
         normals, areas = self.planes
         area = np.array([areas[facet].sum() for facet in facets])
         middle = np.array(
@@ -283,15 +284,15 @@ class ConvexMesh(Shape):
 
 
 def convex_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[ConvexMesh, np.ndarray]:
-    """A mesh as a shape, and its centre of mass ``(3,)`` in the frame that it was given in.
+    """Return a mesh as a shape, and its centre of mass ``(3,)`` in the frame of the vertices.
 
     Args:
-        vertices: ``(v, 3)``, m.
-        faces: ``(f, 3)`` indices of vertices, counterclockwise seen from outside; those that name
-            a vertex twice, which are lines, are left out.
+        vertices: positions of the vertices ``(v, 3)``, m.
+        faces: ``(f, 3)`` indices of vertices, counterclockwise seen from outside. Faces with a
+            vertex twice are lines, and left out.
 
     Raises:
-        MeshError: it is no closed convex body of a sensible size.
+        MeshError: the mesh is no closed convex body of a sensible size.
     """
     vertices, faces = np.asarray(vertices, float), np.asarray(faces, int)
     first, second, third = faces.T
@@ -325,7 +326,7 @@ def _require_triangles(vertices: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _sensible_length(vertices: np.ndarray) -> float:
-    """The longest side of the bounding box, m."""
+    """Return the longest side of the bounding box, m."""
     with np.errstate(over="ignore"):
         longest = float(np.ptp(vertices, axis=0).max())
     if longest > LONGEST:
@@ -367,7 +368,7 @@ def _require_one_closed_surface(faces: np.ndarray) -> None:
 
 
 def _require_broad(triangles: np.ndarray, longest: float) -> None:
-    """Thin triangles do not tell where they look: of a body of little else, nothing is known."""
+    """Raise an error if too much of the surface is in thin triangles with uncertain normals."""
     areas, thin = _planes(triangles)[1], ~_is_broad(triangles, longest)
     if areas[thin].sum() > _LOST * areas.sum():
         raise MeshError(
@@ -392,7 +393,7 @@ def _require_convex(vertices: np.ndarray, faces: np.ndarray, longest: float) -> 
 
 
 def _planes(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals ``(f, 3)`` and areas ``(f,)`` of triangles; without area, zero."""
+    """Return unit normals ``(f, 3)`` and areas ``(f,)`` of triangles. No area: a zero normal."""
     a, b, c = triangles.swapaxes(0, 1)
     normals = np.cross(b - a, c - a)
     doubled = np.linalg.norm(normals, axis=1)
@@ -400,7 +401,7 @@ def _planes(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _is_broad(triangles: np.ndarray, longest: float) -> np.ndarray:
-    """Which triangles ``(f,)`` are high enough for their normals to be known."""
+    """Return which triangles ``(f,)`` are high enough for a certain normal."""
     sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=-1)
     return 2 * _planes(triangles)[1] > _THIN * longest * sides.max(1)
 
@@ -408,14 +409,14 @@ def _is_broad(triangles: np.ndarray, longest: float) -> np.ndarray:
 def _mass_properties(
     triangles: np.ndarray, longest: float | None = None
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """Volume, centre ``(3,)``, and inertia ``(3, 3)`` about it at a density of 1.
+    """Return volume, centre ``(3,)``, and inertia ``(3, 3)`` about the centre at a density of 1.
 
     Raises:
-        MeshError: with ``longest``, the longest side: there is no volume, or it is negative.
+        MeshError: the volume is zero or negative. Checked only with ``longest``, the longest side.
     """
     from trimesh.triangles import mass_properties
 
-    # About a point of its own a mesh far from its origin loses no digits.
+    # A mesh far from its origin would lose digits in moments about the origin.
     middle = triangles.mean((0, 1))
     volume = float(np.linalg.det(triangles - middle).sum() / 6)
     if longest is not None and abs(volume) <= _FLAT * longest**3:
@@ -427,7 +428,7 @@ def _mass_properties(
 
 
 def _hull(corners: np.ndarray) -> np.ndarray:
-    """Triangles ``(f, 3)`` of the convex hull of points, counter-clockwise seen from outside."""
+    """Return the convex hull's triangles ``(f, 3)``, counterclockwise seen from outside."""
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(corners)
@@ -437,7 +438,7 @@ def _hull(corners: np.ndarray) -> np.ndarray:
 
 
 def _far_apart(points: np.ndarray, first: int, count: int) -> list[int]:
-    """Indices of points, each the farthest from all before it."""
+    """Return indices of points, each the farthest from all points before it."""
     chosen = [first]
     away = np.full(len(points), np.inf)
     while len(chosen) < count:
@@ -456,17 +457,20 @@ class _Moments(NamedTuple):
 
 
 def _moments(triangles: np.ndarray) -> _Moments:
-    """Of triangles ``(t, 3, 3)`` in one plane; deviations are two vectors along its axes."""
+    """Return the moments of triangles ``(t, 3, 3)`` in one plane.
+
+    Deviations are two vectors along the principal axes.
+    """
     a, b, c = triangles.swapaxes(0, 1)
     doubled = np.cross(b - a, c - a)
     weights = np.linalg.norm(doubled, axis=1)
     total = doubled.sum(0)
     normal = total / np.linalg.norm(total)
     centre = np.average(triangles.mean(1), 0, weights)
-    # Of a triangle: a twelfth of the sum over its corners, and nine twelfths from its middle.
+    # Second moments of a triangle: a twelfth from each corner, nine twelfths from its middle.
     nodes = np.concatenate([triangles.reshape(-1, 3), triangles.mean(1)]) - centre
     parts = np.concatenate([np.repeat(weights, 3) / 12, weights * 9 / 12]) / weights.sum()
-    # Where a square leaves the axes open they are as near to the frame's as they can be.
+    # A square has no unique axes. They are then as near to the frame's axes as possible.
     first = np.eye(3)[np.abs(normal).argmin()]
     first = first - (first @ normal) * normal
     first /= np.linalg.norm(first)
@@ -481,7 +485,7 @@ def _moments(triangles: np.ndarray) -> _Moments:
 
 
 def _halves(triangles: np.ndarray) -> list[np.ndarray]:
-    """A flat piece, cut through its middle across its longest axis."""
+    """Cut a flat piece through its middle across its longest axis."""
     piece = _moments(triangles)
     height = (triangles - piece.centre) @ piece.deviations[1]
     halves: list[np.ndarray] = []
@@ -502,7 +506,7 @@ def _halves(triangles: np.ndarray) -> list[np.ndarray]:
 
 
 def _join(pieces: list[_Moments], spread: bool) -> Surface:
-    """One point in the middle of each piece, or four around it."""
+    """Return the surface with one point in the middle of each piece, or four around the middle."""
     signs = list(itertools.product((1.0, -1.0), repeat=2)) if spread else [(0.0, 0.0)]
     points = [
         piece.centre + sign @ piece.deviations for piece in pieces for sign in np.array(signs)

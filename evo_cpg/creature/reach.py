@@ -61,7 +61,7 @@ def chain_to_root(tree: Tree, body: int) -> list[int]:
 
 
 def _swept(tree: Tree, chain: list[int], box: Interval, most: int) -> Interval:
-    """Return ranges ``(3, pieces)`` of a box's coordinates, in the frame before a joint chain."""
+    """Return ranges ``(3, pieces)`` of a box's coordinates, in the frame that a chain starts in."""
     axes = [tree.dof_bodies.count(body) for body in chain]
     pieces = max(1, int(most ** (1 / max(1, sum(axes)))))
     low, high = (x[:, None] for x in box)

@@ -1,13 +1,15 @@
-"""Rigid shapes, and all that the rest of the package asks of a shape.
+"""Rigid shapes, and their interface for the rest of the package.
 
-Mass and water: volume, inertia, cells, and a quadrature over the surface. Contact: parts that touch
-the floor, parts that meet obstacles, and a rounded box for other limbs. Pictures: the skin. A new
-kind of shape is a class here. Only the exchange with MuJoCo asks for its type.
+- Mass and water: volume, inertia, cells, and a quadrature over the surface.
+- Contact: parts that touch the floor, parts that meet obstacles, and a rounded box for other limbs.
+- Pictures: the skin.
 
-Every shape is centred on its own frame. Elongated shapes point along their x axis, which is the
-direction an animal faces. ``surface(resolution)`` returns points ``(n, 3)`` in m, unit outward
-normals ``(n, 3)`` and areas ``(n,)`` in m^2; the layouts are symmetric, so a still shape in a
-uniform stream feels no sideways force, and they converge as the resolution grows.
+A new kind of shape is a class here. Only the exchange with MuJoCo depends on its type.
+
+Every shape is centred on its own frame. Elongated shapes point along their x axis, the direction
+that an animal faces. ``surface(resolution)`` returns points ``(n, 3)`` in m, unit outward normals
+``(n, 3)`` and areas ``(n,)`` in m^2. The points are symmetric, so a uniform flow causes no sideways
+force on a shape at rest. The quadrature converges as the resolution grows.
 """
 
 import abc
@@ -22,19 +24,19 @@ from typing_extensions import override
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
 
-# Discs into which the cylinder of a capsule is cut. Between them they have its second moment; a
-# capsule that floats level rights itself 33 % / n^2 too strongly about its short axes: 2 %.
+# Number n of discs that a capsule's cylinder is cut into. Together they have its second moment. The
+# righting moment of a level capsule about its short axes is 33 % / n^2 = 2 % too large.
 _SLICES = 4
 
-# Edge radius of a box in pictures, as a fraction of its smallest half size; vertices of pictures
-# along a quarter circle: 6 look round on a body that fills a third of a frame.
+# Edge radius of a box in pictures, as a fraction of its smallest half size. Vertices along a
+# quarter circle: 6 look round on a body that fills a third of a frame.
 _ROUNDING, _QUARTER = 0.28, 6
 
 Profile = Literal["box", "ball", "disc", "polyhedron"]
 
 
 class Surface(NamedTuple):
-    """Quadrature points on a surface: places (m), unit outward normals and areas (m^2)."""
+    """Quadrature points on a surface: positions (m), unit outward normals and areas (m^2)."""
 
     points: Numbers
     normals: Numbers
@@ -42,15 +44,15 @@ class Surface(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """Part of a body's volume, of which the share below any plane is known in closed form.
+    """Part of a body's volume whose fraction below any plane is known in closed form.
 
     Attributes:
-        profile: how height is distributed over it: as in a box, as in a ball stretched along
-            the axes, as in a disc that stands upright, or as in the polyhedron of its triangles.
-        centre: in the shape's frame, m.
-        half_axes: along x, y and z, m.
-        volume: m^3.
-        triangles: of a polyhedron ``(f, 3, 3)``: their corners about the centre,
+        profile: distribution of height: that of a box, of a ball stretched along the axes, of an
+            upright disc, or of a polyhedron.
+        centre: centre in the shape's frame, m.
+        half_axes: half axes along x, y and z, m.
+        volume: volume of the cell, m^3.
+        triangles: corners ``(f, 3, 3)`` of a polyhedron's triangles about the centre,
             counterclockwise seen from outside, m.
     """
 
@@ -65,11 +67,11 @@ class FloorPart(NamedTuple):
     """Part of a shape that may touch the floor.
 
     Attributes:
-        kind: a box and a mesh touch it with corners, a ball and an ellipsoid with their lowest
-            point.
+        kind: a box and a mesh touch the floor with corners, a ball and an ellipsoid with their
+            lowest point.
         size: half edges ``(3,)`` of a box, corners ``(k, 3)`` of a mesh, the radius of a ball, or
             semi-axes ``(3,)`` of an ellipsoid, m.
-        centre: in the shape's frame, m; None for the middle.
+        centre: centre in the shape's frame, m, or None for the frame's origin.
     """
 
     kind: Literal["box", "mesh", "ball", "ellipsoid"]
@@ -82,12 +84,12 @@ class ObstaclePart(NamedTuple):
 
     Attributes:
         kind: a box with sharp edges, a line along x, a ball, or an ellipsoid.
-        centre: in the shape's frame, m.
-        half_extents: of a box, of a line, or semi-axes of an ellipsoid, m.
-        radius: of the ball that sweeps it, m.
-        axes: there, as columns; None where they are the frame's.
-        corners: of a mesh around an ellipsoid, along ``axes``, ``(k, 3)``, m; None where there is
-            no mesh.
+        centre: centre in the shape's frame, m.
+        half_extents: half extents of a box or a line, or semi-axes of an ellipsoid, m.
+        radius: radius of the ball that sweeps the part, m.
+        axes: axes in the shape's frame, as columns, or None for the frame's axes.
+        corners: corners ``(k, 3)`` of a mesh around an ellipsoid, along ``axes``, m, or None
+            without a mesh.
     """
 
     kind: Literal["box", "line", "ball", "ellipsoid"]
@@ -102,8 +104,8 @@ class Skin(NamedTuple):
     """Triangles of a shape's picture.
 
     Attributes:
-        points: ``(n, 3)``, m.
-        normals: ``(n, 3)``, for smooth shading.
+        points: positions ``(n, 3)``, m.
+        normals: unit normals ``(n, 3)`` for smooth shading.
         faces: indices of points ``(f, 3)``, counterclockwise seen from outside.
     """
 
@@ -116,9 +118,9 @@ class RoundedBox(NamedTuple):
     """All points within some distance of a box, which may be a rectangle, a line or a point.
 
     Attributes:
-        centre: of the box in the shape's frame, m.
-        half_extents: its half edges along x, y and z, m.
-        radius: the distance, m.
+        centre: centre of the box in the shape's frame, m.
+        half_extents: half edges of the box along x, y and z, m.
+        radius: largest distance from the box, m.
     """
 
     centre: Numbers
@@ -141,50 +143,54 @@ class Shape(abc.ABC):
 
     @property
     def reach(self) -> Number:
-        """Largest distance from the centre that a part of it may have, m."""
+        """Upper bound of the distance of the shape's points from the centre, m."""
         return xp.linalg.norm(self.half_extents)
 
     @abc.abstractmethod
     def inertia(self, mass: Number) -> Numbers:
-        """Moments of inertia ``(3,)`` about x, y and z through the centre, uniform mass, kg m^2."""
+        """Return moments of inertia ``(3,)`` of uniform mass, about x, y, z at the centre, kg m^2.
+
+        Meshes also have products of inertia; see `inertia_tensor`.
+        """
 
     def inertia_tensor(self, mass: Number) -> Numbers:
-        """Inertia ``(3, 3)`` about the centre; diagonal but for meshes, kg m^2."""
+        """Return the inertia ``(3, 3)`` about the centre, diagonal except for meshes, kg m^2."""
         return xp.diag(self.inertia(mass))
 
     @property
     def stretch(self) -> tuple[Numbers, Numbers]:
-        """Half lengths ``(3,)`` along its principal axes, m, and the axes as columns ``(3, 3)``."""
+        """Half lengths ``(3,)`` along the principal axes, m, and these as columns ``(3, 3)``."""
         return self.half_extents, xp.eye(3)
 
     @property
     def rounded_box(self) -> "RoundedBox":
-        """A box swept by a ball that holds the shape, and is it but for ellipsoids and meshes."""
+        """Rounded box around the shape, equal to the shape except for ellipsoids and meshes."""
         return RoundedBox(np.zeros(3), self.half_extents, 0.0)
 
     @property
     def fills_rounded_box(self) -> bool:
-        """Whether `rounded_box` holds no more than the shape."""
+        """Whether the shape fills its `rounded_box`."""
         return True
 
     @abc.abstractmethod
     def distance(self, points: Numbers) -> Numbers:
-        """Signed distance ``(n,)`` of points ``(n, 3)`` from the surface, m; negative inside.
+        """Return the signed distance ``(n,)`` of points ``(n, 3)``, m, negative inside.
 
-        Its sign is exact for every shape; its size is exact but for the ellipsoid.
+        The sign is exact for every shape. The size is exact except for ellipsoids.
         """
 
     @abc.abstractmethod
     def support(self, direction: Numbers) -> Numbers:
-        """The point ``(3,)`` of the shape that lies farthest along a direction ``(3,)``, m.
+        """Return the point ``(3,)`` of the shape that lies farthest along a direction, m.
+
+        The middle of several equally far points is returned.
 
         Args:
-            direction: of any length but zero. Where several points lie equally far, the one in
-                their middle is returned.
+            direction: vector ``(3,)`` of any nonzero length.
         """
 
     def height(self, directions: np.ndarray) -> np.ndarray:
-        """How far a shape of known size reaches along unit vectors ``(..., 3)``, m."""
+        """Return the extent of a shape of known size along unit vectors ``(..., 3)``, m."""
         box = self.rounded_box
         half = np.asarray(box.half_extents, float)
         middle = directions @ np.asarray(box.centre, float)
@@ -192,17 +198,17 @@ class Shape(abc.ABC):
 
     @abc.abstractmethod
     def surface(self, resolution: int) -> Surface:
-        """Quadrature over the whole surface; the number of points grows with the resolution."""
+        """Return a quadrature over the whole surface, with more points at a higher resolution."""
 
     @abc.abstractmethod
     def cells(self) -> tuple[Cell, ...]:
-        """The volume in parts that have its first and second moments between them."""
+        """Return the parts of the volume, which together have its first and second moments."""
 
     def floor_parts(self) -> tuple[FloorPart, ...]:
         """Return the parts that may touch the floor.
 
         Raises:
-            TypeError: a shape that lives in water alone.
+            TypeError: the shape is for use in water only.
         """
         raise TypeError(f"no contact points for a {type(self).__name__}; define floor_parts")
 
@@ -210,17 +216,17 @@ class Shape(abc.ABC):
         """Return the parts that may meet obstacles.
 
         Raises:
-            TypeError: a shape that lives in water alone.
+            TypeError: the shape is for use in water only.
         """
         raise TypeError(f"no contact points for a {type(self).__name__}; define obstacle_parts")
 
     @property
     def corners(self) -> np.ndarray | None:
-        """Corners that may touch the floor ``(k, 3)``, m; None of a round shape."""
+        """Corners that may touch the floor ``(k, 3)``, m, or None for a round shape."""
         return None
 
     def skin(self) -> Skin:
-        """Return the triangles of its picture; by default those between support points."""
+        """Return the triangles of the shape's picture, by default between support points."""
         directions, _, faces = _split_sphere()
         return Skin(np.array([self.support(each) for each in directions]), directions, faces)
 
@@ -258,7 +264,7 @@ class Box(Shape):
 
     @override
     def surface(self, resolution: int) -> Surface:
-        """Gauss-Legendre points, ``resolution`` squared on each of the six faces."""
+        """Return Gauss-Legendre points, ``resolution`` squared on each of the six faces."""
         places, normals, weights = _cube_rule(resolution)
         axis = np.abs(normals).argmax(-1)
         half = self.half_extents
@@ -287,7 +293,7 @@ class Box(Shape):
 
     @override
     def skin(self) -> Skin:
-        """Of a box with rounded edges."""
+        """Return the skin of a box with rounded edges."""
         directions, signs, faces = _split_sphere()
         radius = _ROUNDING * self.half_extents.min()
         return Skin(signs * (self.half_extents - radius) + radius * directions, directions, faces)
@@ -336,7 +342,7 @@ class Ellipsoid(Shape):
 
     @override
     def surface(self, resolution: int) -> Surface:
-        """The sphere's product rule (Gauss in x, uniform around x), mapped to the ellipsoid."""
+        """Map the sphere's product rule (Gauss in x, uniform around x) to the ellipsoid."""
         directions, solid_angles = _sphere_rule(resolution)
         scaled = directions / self.half_extents
         stretch = xp.linalg.norm(scaled, axis=-1)
@@ -400,8 +406,8 @@ class Capsule(Shape):
     """Cylinder along x with half-spherical ends.
 
     Attributes:
-        radius: m.
-        length: of the cylindrical part, m; the whole capsule is ``length + 2 radius`` long.
+        radius: radius of the cylinder and its ends, m.
+        length: length of the cylinder, m. The whole capsule is ``length + 2 radius`` long.
     """
 
     radius: Number
@@ -446,7 +452,7 @@ class Capsule(Shape):
 
     @override
     def surface(self, resolution: int) -> Surface:
-        """Rings on the cylinder, and the two halves of the sphere's rule as its ends."""
+        """Return rings of points on the cylinder, and a product rule on each half-sphere."""
         nodes, weights = np.polynomial.legendre.leggauss(resolution)
         around = _ring(resolution)
         points = xp.concatenate(
@@ -458,7 +464,7 @@ class Capsule(Shape):
         normals = xp.tile(xp.column_stack([xp.zeros(len(around)), around]), (resolution, 1))
         ring_area = 2 * xp.pi * self.radius * self.length / len(around)
         side = Surface(points, normals, xp.repeat(weights / 2 * ring_area, len(around)))
-        # A rule on either half: one across both would not see the step between them.
+        # Each half-sphere has its own rule. A rule across both would ignore the step in between.
         half, part = (nodes + 1) / 2, weights / 2
         directions, solid_angles = _around_x(
             xp.concatenate([-half[::-1], half]), xp.concatenate([part[::-1], part]), around
@@ -469,10 +475,10 @@ class Capsule(Shape):
 
     @override
     def cells(self) -> tuple[Cell, ...]:
-        """Discs in a row, and an ellipsoid for each half-spherical end.
+        """Return a row of discs, and an ellipsoid for each half-spherical end.
 
-        A half-sphere's centre of volume lies 3/8 r from its base; its second moment along the axis
-        about there is that of a half axis of sqrt(19/64) r.
+        A half-sphere's centre of volume is 3/8 r from its base. Its second moment about that centre
+        along the axis is that of an ellipsoid with a half axis of sqrt(19/64) r.
         """
         r, slices = self.radius, _SLICES if chosen(lambda: self.length > 0) else 0
         half_slice = self.length / (2 * _SLICES)
@@ -480,7 +486,7 @@ class Capsule(Shape):
             Cell(
                 "disc",
                 ((2 * i + 1) * half_slice - self.length / 2, 0.0, 0.0),
-                # A disc's variance is a quarter of the square of its half axis, not a third.
+                # A disc's variance is a quarter of its squared half axis, not a third.
                 (xp.sqrt(4 / 3) * half_slice, r, r),
                 xp.pi * r**2 * 2 * half_slice,
             )
@@ -514,14 +520,14 @@ class Capsule(Shape):
 
 
 def _ring(resolution: int) -> Numbers:
-    """Unit vectors ``(4 resolution, 2)`` evenly around a circle, symmetric about both axes."""
+    """Return unit vectors ``(4 resolution, 2)`` evenly on a circle, symmetric about both axes."""
     count = 4 * resolution
     angles = (xp.arange(count) + 0.5) * 2 * xp.pi / count
     return xp.column_stack([xp.cos(angles), xp.sin(angles)])
 
 
 def _cube_rule(resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places ``(n, 3)`` on the cube from -1 to 1, normals, and weights: 1 on each face."""
+    """Return points ``(n, 3)`` on the cube from -1 to 1, normals, and weights: 1 on each face."""
     nodes, weights = np.polynomial.legendre.leggauss(resolution)
     u, v = (grid.ravel() for grid in np.meshgrid(nodes, nodes, indexing="ij"))
     unit = np.eye(3)
@@ -538,12 +544,12 @@ def _cube_rule(resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _sphere_rule(resolution: int) -> tuple[Numbers, Numbers]:
-    """Directions ``(n, 3)`` and solid angles ``(n,)``: Gauss-Legendre in x, uniform around x."""
+    """Return directions ``(n, 3)``, solid angles ``(n,)``: Gauss-Legendre in x, uniform around."""
     return _around_x(*np.polynomial.legendre.leggauss(2 * resolution), _ring(resolution))
 
 
 def _around_x(nodes: Numbers, weights: Numbers, around: Numbers) -> tuple[Numbers, Numbers]:
-    """Directions and solid angles of a product rule: ``nodes`` in x times a ring around x."""
+    """Return directions and solid angles of a product rule: ``nodes`` in x, a ring around x."""
     directions = xp.concatenate(
         [xp.column_stack([xp.full(len(around), x), xp.sqrt(1 - x * x) * around]) for x in nodes]
     )
@@ -556,12 +562,12 @@ def _join(parts: list[Surface]) -> Surface:
 
 @functools.cache
 def _split_sphere() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a cube blown up to a sphere, cut along the three coordinate planes.
+    """Return a cube projected to a sphere, cut along the three coordinate planes.
 
-    Moving each octant outwards turns it into a rounded box or a capsule.
+    Moving each octant outwards makes a rounded box or a capsule.
 
     Returns:
-        Unit vectors ``(n, 3)``, the octant's signs ``(n, 3)``, and triangles ``(m, 3)``.
+        Unit vectors ``(n, 3)``, signs of their octants ``(n, 3)``, and triangles ``(m, 3)``.
     """
     half = np.linspace(0, np.pi / 4, _QUARTER)
     along = np.tan(np.concatenate([-half[::-1], half]))

@@ -1,7 +1,7 @@
-"""Surface points on the outside of a creature: where water meets its skin.
+"""Surface points on the outside of a creature, at which water acts on it.
 
-Faces of neighbouring bodies that look at each other across a joint are sheltered: water does not
-stream against them. Counting them made a 10-body chain swim at 0.05 m/s instead of 0.50 m/s.
+Faces of neighbouring bodies that face each other across a joint are sheltered from the flow.
+Counting them made a 10-body chain swim at 0.05 m/s instead of 0.50 m/s.
 """
 
 import functools
@@ -15,37 +15,37 @@ from evo_cpg.creature.shapes import Surface
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# Layout of the surface points of a model. Usually sheltered points are left out, and those that
-# feel the same water are merged. Bodies of a batch need one layout: "separate" merges nothing,
-# and "complete" also keeps the sheltered points, with no area.
+# Layout of the surface points of a model. "merged" leaves sheltered points out, and merges points
+# that move alike in the water. Bodies of a batch need one layout: "separate" merges nothing, and
+# "complete" also keeps the sheltered points, with no area.
 PointLayout = Literal["merged", "separate", "complete"]
 
 # A point is sheltered when a step of this many joint gaps along its normal ends in another body.
 _SHELTER_GAPS = 1.5
 
-# Places along the normal (as fractions of the sheltering distance) that are probed.
+# Probes along the normal, as fractions of the sheltering distance.
 _PROBES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 # Pairs of bodies are checked for cover up to this multiple of the distance at which they can cover
-# each other, because other bodies of a plan are larger. The second is for the layout "complete".
+# each other, because other bodies of a plan are larger. The second value is for "complete".
 _NEAR, _NEAR_IN_COMPLETE = 1 / 0.8, 3.0
 
-# Two bodies have the same skin where it is no farther apart (m), and so far outside of it (m)
-# neither is.
+# Largest distance (m) of surfaces that two bodies share, and distance (m) outside a shared surface
+# at which no body may be.
 _SAME_SKIN, _OUTWARDS = 1e-9, 1e-6
 
 
 def outer_surfaces(
     creature: Creature, resolution: int, sheltered: bool = True, layout: PointLayout = "merged"
 ) -> tuple[Surface, ...]:
-    """Quadrature points on the outer surface of each body, in the body's geometric frame.
+    """Return quadrature points on the outer surface of each body, in its geometric frame.
 
     Args:
-        creature: the animal.
-        resolution: see `Shape.surface`.
-        sheltered: drop the points that another body covers in the neutral pose; False counts
+        creature: the creature.
+        resolution: resolution of `Shape.surface`.
+        sheltered: whether to drop points that another body covers in the neutral pose. False counts
             every face, as a literal reading of Iwadate 2010 would.
-        layout: with "complete", sheltered points remain and their area is 0.
+        layout: layout of the points. With "complete", sheltered points remain and their area is 0.
 
     Returns:
         One surface per body, in the order of ``creature.bodies``.
@@ -90,15 +90,15 @@ def outer_surfaces(
 def random_surfaces(
     surfaces: tuple[Surface, ...], count: int, rng: np.random.Generator
 ) -> tuple[Surface, ...]:
-    """Points drawn at random on given surfaces, area for area (Iwadate 2010, section 4).
+    """Draw random points on surfaces, with probability by area (Iwadate 2010, section 4).
 
     Args:
         surfaces: dense quadratures, one per body.
-        count: points on each body.
+        count: number of points on each body.
         rng: the source of randomness.
 
     Returns:
-        For each body ``count`` points that share its area equally.
+        ``count`` points for each body, with equal areas.
     """
     drawn = []
     for surface in surfaces:
@@ -125,11 +125,11 @@ def _draw(areas: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray
 def _nearness(
     creature: Creature, pose: tuple[Numbers, Numbers], reach: Number
 ) -> Float[Numbers, "b b"]:
-    """Return the distance of every two bodies, as a multiple of one at which none covers the other.
+    """Return the distance of every two bodies, relative to the largest at which one covers another.
 
     Args:
-        creature: the animal.
-        pose: its bodies' centres and rotations.
+        creature: the creature.
+        pose: centres and rotations of its bodies.
         reach: distance at which a body shelters, m.
     """
     centres, _ = pose
@@ -145,16 +145,16 @@ def _exposed(
     surfaces: tuple[Surface, ...],
     near: Bool[np.ndarray, "b b"],
 ) -> list[Numbers]:
-    """Which points of each body no other body covers.
+    """Return which points of each body no other body covers.
 
-    Where two bodies share a piece of skin, it is the first one's.
+    A piece of surface that two bodies share belongs to the first body.
 
     Args:
-        creature: the animal.
-        pose: its bodies' centres and rotations.
+        creature: the creature.
+        pose: centres and rotations of its bodies.
         reach: distance at which a body shelters, m.
-        surfaces: of the bodies.
-        near: which bodies can cover which.
+        surfaces: surface points of the bodies.
+        near: table of the bodies that can cover each other.
     """
     centres, rotations = pose
     found = []
@@ -181,7 +181,7 @@ def _exposed(
 
 
 def _largest_gap(creature: Creature, pose: tuple[Numbers, Numbers]) -> Number:
-    """Widest opening (m) between a body and its parent in the neutral pose."""
+    """Return the widest gap (m) between a body and its parent in the neutral pose."""
     centres, rotations = pose
     gaps = [0.0]
     for i, body in enumerate(creature.bodies):

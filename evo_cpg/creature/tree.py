@@ -1,8 +1,8 @@
-"""The creature as the physics sees it: a static tree and constant arrays.
+"""The creature in the form of the physics: a static tree and constant arrays.
 
-Bodies stand level by level (see `topological_order`); those of one level from which limbs of the
-same build grow form a `Group`, which the recursions treat at once. Each body's working frame sits
-at its joint (the root's at its centre), with the axes of the body's own frame.
+Bodies are ordered level by level (see `topological_order`). Bodies of one level with limbs of the
+same build form a `Group`, which the recursions treat at once. The origin of each body's working
+frame is at its joint (the root's at its centre), with the axes of the body's own frame.
 
 | symbol | name |
 |---|---|
@@ -23,24 +23,24 @@ from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 
-# A soft limit is a critically damped spring on the inertia that the joint sees, slow enough for
-# a step of 1/120 s to resolve it; on top of that it balances the joint's own motor, which would
-# otherwise push through: one that asks for 1 rad/s, or pulls to 1 rad, beyond it gets 0.016 rad.
+# A soft limit is a critically damped spring on the effective inertia of the joint. A step of
+# 1/120 s resolves it. The spring also balances the joint's own motor, which would otherwise push
+# through. A motor that commands 1 rad/s, or 1 rad beyond the limit, gets 0.016 rad beyond it.
 LIMIT_FREQUENCY = 10.0
 LIMIT_DAMPING_RATIO = 1.0
 
 
 class Group(NamedTuple):
-    """Bodies of one level from which limbs of the same build grow, such as all four thighs.
+    """Bodies of one level with limbs of the same build, such as all four thighs.
 
-    The physics treats them side by side: of the same build are limbs with equally many joint axes
-    and, at each, as many limbs of the same build. A trunk segment beside two hands is a group of
-    its own.
+    The physics treats them side by side. Limbs have the same build if they have equally many joint
+    axes, and carry equally many limbs of the same build. A trunk segment beside two hands is a
+    group of its own.
 
     Attributes:
         bodies: slice of the tree's bodies.
         dofs: slice of the tree's degrees of freedom.
-        axes: joint axes of each body.
+        axes: number of joint axes of each body.
         parents: index of each body's parent.
     """
 
@@ -56,26 +56,26 @@ class Tree(eqx.Module):
     Attributes:
         names: body names.
         parents: index of each body's parent, -1 for the root.
-        groups: every body but the root, in groups that the recursions treat together.
-        dof_names: ``body.axis`` names.
+        groups: all bodies except the root, in groups that the recursions treat together.
+        dof_names: names of the degrees of freedom, ``body.axis``.
         dof_bodies: index of the body that each degree of freedom moves.
         joint_offset: joint position in the parent's frame, m.
         joint_orientation: child frame to parent frame in the neutral pose.
         joint_axes: unit vectors in the child's neutral frame.
-        mass: kg.
-        volume: m^3.
+        mass: mass of each body, kg.
+        volume: volume of each body, m^3.
         com: centre of mass (and of volume) in the working frame, m.
         inertia: spatial inertia in the working frame, kg m^2, kg m and kg.
-        stiffness: passive spring, N m/rad.
+        stiffness: stiffness of the passive springs, N m/rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
         lower: lower joint limit, rad.
         upper: upper joint limit, rad.
-        servo_gain: N m s/rad; 0 for a passive axis.
-        servo_stiffness: of the motors' springs, N m/rad.
-        torque_limit: N m.
-        limit_stiffness: of the soft limits, N m/rad.
-        limit_damping: of the soft limits, N m s/rad.
+        servo_gain: torque of the motors per rate error, N m s/rad, 0 for a passive axis.
+        servo_stiffness: stiffness of the motors' springs, N m/rad.
+        torque_limit: largest torque of the motors, N m.
+        limit_stiffness: stiffness of the soft limits, N m/rad.
+        limit_damping: damping of the soft limits, N m s/rad.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -108,7 +108,7 @@ class Tree(eqx.Module):
 
     @property
     def dof_count(self) -> int:
-        """Number of joint axes; the free root's six degrees are not counted."""
+        """Number of joint axes, without the free root's six degrees of freedom."""
         return len(self.dof_names)
 
 
@@ -125,8 +125,8 @@ def build_tree(creature: Creature) -> Tree:
     child_anchor = xp.array(
         [body.joint.child_anchor if body.joint else (0.0, 0.0, 0.0) for body in bodies], float
     )
-    # A joint's place is given in its parent's geometric frame, whose origin lies at
-    # -child_anchor of the parent's working frame.
+    # `parent_anchor` is in the parent's geometric frame. The origin of that frame is at
+    # -child_anchor in the parent's working frame.
     parent_anchor = xp.array(
         [body.joint.parent_anchor if body.joint else (0.0, 0.0, 0.0) for body in bodies], float
     )
@@ -184,10 +184,10 @@ def build_tree(creature: Creature) -> Tree:
 
 
 def spatial_inertia(mass: Number, com: Numbers, inertia: Numbers) -> Float[Numbers, "6 6"]:
-    """Spatial inertia ``(6, 6)`` about a frame's origin, angular part first.
+    """Return the spatial inertia ``(6, 6)`` about a frame's origin, angular part first.
 
     Args:
-        mass: kg.
+        mass: mass, kg.
         com: centre of mass in the frame, m.
         inertia: rotational inertia ``(3, 3)`` about the centre of mass, kg m^2.
     """
@@ -202,10 +202,10 @@ def spatial_inertia(mass: Number, com: Numbers, inertia: Numbers) -> Float[Numbe
 
 
 def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, " d"]:
-    """Inertia ``(d,)`` that each axis sees in the neutral pose, kg m^2.
+    """Return the effective inertia ``(d,)`` of each axis in the neutral pose, kg m^2.
 
-    The two halves of the animal on either side of the joint turn against each other, so it is
-    the product of their inertias about the axis over the sum.
+    The two halves of the creature on either side of the joint turn against each other. The
+    effective inertia is the product of their inertias about the axis, divided by the sum.
     """
     centres, rotations = neutral_pose(creature)
     names = [body.name for body in creature.bodies]
