@@ -78,7 +78,7 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
 
 
 def _filled(x: jax.Array, lanes: int) -> jax.Array:
-    """Return rows with at least ``lanes`` numbers, padded with copies of their last number."""
+    """Return rows of ``lanes`` numbers, padded with copies of their last number."""
     missing = lanes - x.shape[1]
     return jnp.pad(x, ((0, 0), (0, missing)), mode="edge") if missing else x
 

@@ -23,7 +23,7 @@ def differentiate(
     program: Program,
     batch: tuple[int, ...],
 ) -> tuple[list[jax.Array], list[Any]]:
-    """Return the results of a program and their tangents. Integer results have no tangent."""
+    """Return the results of a program and their tangents, symbolic zeros for integer results."""
     if program.loops:
         # JAX differentiates the loop itself. The parts of the loop are fused.
         changes = [internals.instantiate_zeros(tangent) for tangent in tangents]

@@ -80,7 +80,7 @@ def _multiply_negative(b: "Builder", x: Node, y: Node) -> Node | None:
 
 
 def _divide_by_power(b: "Builder", x: Node, y: Node) -> Node | None:
-    """Multiply by the reciprocal, which is exact if the power of two is far from subnormal."""
+    """Multiply by the reciprocal of a power of two, which is exact if it is not subnormal."""
     if y.value is None or not _is_float(y):
         return None
     mantissa, exponent = math.frexp(float(y.value))
