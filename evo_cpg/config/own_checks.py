@@ -33,7 +33,7 @@ from evo_cpg.simulation.task import term_names
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
 
-# Number of individuals: an unusual number, unlikely to equal another axis by chance.
+# Number of individuals: a prime, so that the axis is rarely confused with another axis.
 _INDIVIDUALS = 7
 _BATCH = (_INDIVIDUALS,)
 
