@@ -317,7 +317,7 @@ def _is_pair(value: Any) -> bool:
 
 
 def _first(problems: Iterable[str | None]) -> str | None:
-    """Return the first problem; None if there is none."""
+    """Return the first problem, or None if there is none."""
     return next(filter(None, problems), None)
 
 
@@ -329,7 +329,7 @@ def is_real(value: Any) -> bool:
 
 
 def _type_of(value: Any) -> Any:
-    """Return the type of the numbers of an array; None if the value is not an array."""
+    """Return the type of the numbers of an array, or None if the value is not an array."""
     try:
         return jnp.result_type(value)
     except TypeError:

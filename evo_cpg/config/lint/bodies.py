@@ -118,7 +118,7 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def postures(case: Case) -> Iterator[LintWarning]:
-    """Warn of postures that differ by a few degrees; these keys lack ``_deg`` but are degrees."""
+    """Warn of postures that differ by a few degrees. These keys lack ``_deg`` but are degrees."""
     # Pyright cannot follow a class that is created at import.
     given: Any = case.config.controller
     if given.type != "postures":

@@ -118,7 +118,7 @@ class Case(NamedTuple):
 
     @property
     def lowest_ground(self) -> float | None:
-        """Height of the lowest ground, m; None if there is no ground, or it is unbounded."""
+        """Height of the lowest ground, m, or None if there is no ground, or it is unbounded."""
         ground = self.config.world.ground
         return ground and ground.floor.lowest
 

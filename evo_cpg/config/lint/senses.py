@@ -77,7 +77,7 @@ def light_never_in_view(case: Case) -> Iterator[LintWarning]:
 
 
 def _elevations(case: Case) -> list[float] | None:
-    """Return the elevations of the lights above the horizon, degrees; None if unknown."""
+    """Return the elevations of the lights above the horizon, degrees, or None if unknown."""
     goal, trials = case.config.task.goal, case.config.simulation.situations
     if goal is None:
         return None
