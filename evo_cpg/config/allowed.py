@@ -46,7 +46,7 @@ class Allowed:
         return self._words(self._at(place))
 
     def hint(self, place: Place, given: Any) -> str:
-        """Return how to write the probably intended value; empty if it is unknown."""
+        """Return how to write the probably intended value, or empty if it is unknown."""
         options = self._at(place)
         if place and isinstance(place[-1], int) and not isinstance(given, (list, dict)):
             # A flat list is given, but a list of lists is expected.
@@ -112,7 +112,7 @@ class Allowed:
         return exact or [o for o, kind in zip(options, kinds, strict=True) if kind is None]
 
     def _kind(self, option: Schema) -> str | None:
-        """Return the ``type`` of an alternative; None if it may be any, or does not exist."""
+        """Return the ``type`` of an alternative, or None if it may be any, or does not exist."""
         return option.get("properties", {}).get("type", {}).get("const")
 
     def _words(self, options: list[Schema]) -> str:
@@ -213,7 +213,7 @@ def _number_or_text(text: str) -> Any:
 
 
 def _entries(schema: Schema, part: str | int) -> list[Schema]:
-    """Return the schema of an entry of a list or a section, in a list; empty if there is none."""
+    """Return the schema of an entry of a list or a section, in a list, which may be empty."""
     if isinstance(part, int):
         first = schema.get("prefixItems", [])
         found = first[part] if part < len(first) else schema.get("items")

@@ -33,7 +33,7 @@ class BodyPlan:
 
     Attributes:
         batched: bodies that the plan was made from.
-        hindrance: reason why no program can build bodies; empty if a program can.
+        hindrance: reason why no program can build bodies, or empty if a program can.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class BodyPlan:
         numbers: Mapping[str, Float[np.ndarray, " n"]],
         task: Task | None = None,
     ):
-        """Make a plan from some bodies; see `build_batch` for the arguments and errors."""
+        """Make a plan from some bodies. See `build_batch` for the arguments and errors."""
         self._config, self._keys = config, tuple(numbers)
         self.batched, layout = _build(config, source, numbers, (), None, task)
         self._building = Building(config, layout, _pairs(self.batched.common), task)

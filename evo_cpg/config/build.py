@@ -67,7 +67,7 @@ def build_experiment(
             (`evo_cpg.config.trust`), its folder is searched for a user's own classes.
         folders: further folders to search if trusted, before the working folder.
         layout: layout of the surface points, common to the bodies of a batch.
-        pairs: pairs of bodies to check in all creatures of a plan; None to derive the pairs from
+        pairs: pairs of bodies to check in all creatures of a plan, or None to derive the pairs from
             the creature's own numbers.
 
     Raises:
@@ -152,7 +152,7 @@ def build_simulation(
     are known (`evo_cpg.spatial.decisions.replaying_decisions`).
 
     Args:
-        config: the configuration; a user's own classes can be imported.
+        config: the configuration, whose own classes can be imported.
         layout: layout of the surface points, see `build_experiment`.
         pairs: pairs of bodies to check, see `build_experiment`.
 
@@ -236,7 +236,7 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
 def _build_rules(
     config: ExperimentConfig, creature: Creature, world: World, pairs: PlanPairs | None
 ) -> Rules | None:
-    """Build the rules that disqualify an individual; return None if there are none.
+    """Build the rules that disqualify an individual, or None if there are none.
 
     Raises:
         KeyProblem: the limit of a rule is missing, or the rule cannot be broken.

@@ -32,13 +32,13 @@ class KeyProblem(UserError):
 
 
 class ConfigError(KeyProblem):
-    """An invalid configuration; the message is worded for the user.
+    """An invalid configuration, with a message for the user.
 
     Attributes:
         source: file, or another origin of the value.
         key: key of the value.
         problem: description of the problem.
-        line: line of the value in the file; None if it is unknown.
+        line: line of the value in the file, or None if it is unknown.
     """
 
     def __init__(self, source: str | Path, key: Key, problem: str, line: int | None = None):

@@ -1,7 +1,7 @@
 """The JSON Schema of a configuration file, for editors and for the reference in the docs.
 
 The schema gives the type, range, default and meaning of every key. Constraints between several
-values are not in the schema; they are checked when a file is read. A test requires a description
+values are not in the schema. They are checked when a file is read. A test requires a description
 of every key.
 """
 

@@ -33,7 +33,7 @@ def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
     """Return the differences between two fingerprints: configuration keys, then modules.
 
     Args:
-        before: earlier fingerprint; a missing kind is not compared.
+        before: earlier fingerprint, in which missing kinds are ignored.
         now: current fingerprint.
     """
     found = []
@@ -76,7 +76,7 @@ def _digest(module: ModuleType, path: Path, folder: Path, digests: dict[str, str
 
 
 def _imported(tree: ast.AST, module: ModuleType) -> Iterable[str]:
-    """Yield the names that a module's source imports; some are not modules."""
+    """Yield the names that a module's source imports, including some that are not modules."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)

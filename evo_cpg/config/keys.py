@@ -26,7 +26,7 @@ def follow(place: Any, key: Key) -> tuple[Any, int]:
 
 
 def value_at(place: Any, key: Key) -> Any:
-    """Return the value at a key; None if the key does not exist."""
+    """Return the value at a key, or None if the key does not exist."""
     value, known = follow(place, key)
     return value if known == len(key) else None
 

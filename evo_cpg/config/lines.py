@@ -19,7 +19,7 @@ def located(source: Path | str, data: Any = None) -> Iterator[None]:
 
     Args:
         source: file of the configuration.
-        data: contents with overrides; overridden values have no line. None for no lines.
+        data: contents with overrides, whose values have no line. None for no lines.
     """
     try:
         yield

@@ -32,7 +32,7 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
         overrides: texts ``key.path=value`` with a YAML value, applied in order.
 
     Raises:
-        ConfigError: the configuration is invalid; the message is worded for the user.
+        ConfigError: the configuration is invalid. The message is worded for the user.
     """
     path = Path(path)
     return complete_config(read_yaml(path), path, overrides)
@@ -45,11 +45,11 @@ def complete_config(
 
     Args:
         data: contents of the file.
-        source: path of the file; other files are relative to its folder.
+        source: path of the file, to whose folder other files are relative.
         overrides: texts ``key.path=value`` with a YAML value, applied in order.
 
     Raises:
-        ConfigError: the configuration is invalid; the message is worded for the user.
+        ConfigError: the configuration is invalid. The message is worded for the user.
     """
     data = copy.deepcopy(data)
     with located(source, data):
@@ -161,7 +161,7 @@ def _read_files(data: dict[str, Any], path: Path) -> None:
 
 
 def _read_meshes(data: dict[str, Any], path: Path) -> None:
-    """Replace the names of mesh files by their vertices and faces; read each file once."""
+    """Replace the names of mesh files by their vertices and faces, reading each file once."""
     found: dict[str, dict[str, Any]] = {}
     for key, entry in _mesh_entries(data):
         shape = entry["shape"]
@@ -218,7 +218,7 @@ def _elsewhere(path: Path) -> str:
 
 
 def _apply(data: dict[str, Any], override: str) -> None:
-    """Set one value of the raw configuration; create missing sections."""
+    """Set one value of the raw configuration, and create missing sections."""
     key, separator, text = override.partition("=")
 
     def refused(problem: str) -> ConfigError:

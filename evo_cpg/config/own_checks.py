@@ -33,7 +33,7 @@ from evo_cpg.simulation.task import term_names
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
 
-# Number of individuals: an unusual number, unlikely to equal another axis by chance.
+# Number of individuals: a prime, so that the axis is rarely confused with another axis.
 _INDIVIDUALS = 7
 _BATCH = (_INDIVIDUALS,)
 
@@ -317,7 +317,7 @@ def _is_pair(value: Any) -> bool:
 
 
 def _first(problems: Iterable[str | None]) -> str | None:
-    """Return the first problem; None if there is none."""
+    """Return the first problem, or None if there is none."""
     return next(filter(None, problems), None)
 
 
@@ -329,7 +329,7 @@ def is_real(value: Any) -> bool:
 
 
 def _type_of(value: Any) -> Any:
-    """Return the type of the numbers of an array; None if the value is not an array."""
+    """Return the type of the numbers of an array, or None if the value is not an array."""
     try:
         return jnp.result_type(value)
     except TypeError:

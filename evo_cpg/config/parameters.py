@@ -88,7 +88,7 @@ class Parameters:
         """Return the simulation at some values, which may be traced.
 
         Args:
-            values: values of the parameters, in the precision of the trial; see `require`.
+            values: values of the parameters, in the precision of the trial (see `require`).
 
         Raises:
             ConfigError: the simulation is differentiated with respect to a value at a kink.
@@ -121,7 +121,7 @@ class Parameters:
                 raise KeyProblem((), f"at {place} the simulation is laid out differently")
 
     def checked(self, values: Float[Array, " k"]) -> Float[Array, " k"]:
-        """Return the values; raise the error of `require` as soon as the values are known.
+        """Return the values, and raise the error of `require` as soon as the values are known.
 
         Traced values are known when the compiled function runs. JAX then raises its own error,
         with this message.
@@ -250,7 +250,7 @@ def _change(
         building: builder of simulations.
         config: the configuration.
         key: key of the number.
-        kinks: dict that gets the reason why there is no derivative at a kink; None to raise it.
+        kinks: dict that gets the reason why there is no derivative at a kink, or None to raise it.
 
     Raises:
         KeyProblem: more than leaves change, no leaf changes, or there is no derivative.
@@ -324,7 +324,7 @@ def _followed(
 
 
 def _hindrance(building: Building, config: ExperimentConfig, changes: dict[str, Change]) -> str:
-    """Return why traced leaves do not depend on some numbers; empty if they do."""
+    """Return why traced leaves do not depend on some numbers, or empty if they do."""
     places = sorted({place for change in changes.values() for place in change})
     constant: list[int] = []
 
@@ -349,7 +349,7 @@ def _is_searched(building: Building, place: int) -> bool:
 
 
 def _undifferentiated(value: Array, refusal: ConfigError) -> Array:
-    """Return the value; raise the refusal if the value is differentiated."""
+    """Return the value, and raise the refusal if the value is differentiated."""
 
     @jax.custom_jvp
     def same(value: Array) -> Array:

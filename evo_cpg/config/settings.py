@@ -53,7 +53,7 @@ def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> l
 
     Args:
         grid: values of each key.
-        named: settings by name; if empty, the grid is used alone.
+        named: settings by name (if empty, the grid is used alone).
 
     Raises:
         ValueError: there are too many settings, or two have the same name.
@@ -91,7 +91,7 @@ def _short_names(keys: Mapping[str, object]) -> dict[str, str]:
 
 
 def _word(value: Any) -> str:
-    """Return a value as part of a name; a section is named by its algorithm or type."""
+    """Return a value as part of a name. A section is named by its algorithm or type."""
     if isinstance(value, dict):
         known = [value[key] for key in ("algorithm", "type") if key in value]
         value = known[0] if known else value

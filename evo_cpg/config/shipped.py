@@ -27,7 +27,7 @@ class Shipped(NamedTuple):
         path: path of its file.
         about: comment at the top of the file, on one line.
         summary: first sentence of that comment.
-        study: study that it repeats or starts from, as "Fukui 2003"; empty if there is none.
+        study: study that it repeats or starts from, as "Fukui 2003", or empty if there is none.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Shipped(NamedTuple):
 
 
 def shipped_folder() -> Path | None:
-    """Return the folder of the shipped configurations; None if it is missing."""
+    """Return the folder of the shipped configurations, or None if it is missing."""
     if (_PACKAGE / "configs").is_dir():
         return _PACKAGE / "configs"
     checkout = _PACKAGE.parent
@@ -104,7 +104,7 @@ def find_config(given: Path | str, folders: bool = False) -> Path:
 
 
 def shipped_name(source: Path) -> str | None:
-    """Return the name of a shipped file; None if the file is not shipped."""
+    """Return the name of a shipped file, or None if the file is not shipped."""
     folder = shipped_folder()
     own = folder is not None and resolved(source).parent == resolved(folder)
     return source.stem if own and source.stem in shipped_names() else None

@@ -142,7 +142,7 @@ def _length(creature: Creature) -> Number:
 
 
 def out_of_reach(creature: Creature, world: World, start: Triple, light: Triple) -> str | None:
-    """Return why a light cannot be reached; None if it may be reached.
+    """Return why a light cannot be reached, or None if it may be reached.
 
     Args:
         creature: the creature.

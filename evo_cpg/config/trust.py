@@ -29,7 +29,7 @@ def trust() -> None:
 
 @contextlib.contextmanager
 def trusting(own: bool = True) -> Iterator[None]:
-    """Trust configurations within the context; change nothing if ``own`` is False."""
+    """Trust configurations within the context, unless ``own`` is False."""
     token = _trusted.set(own or _trusted.get())
     try:
         yield
@@ -117,7 +117,7 @@ def code_folders(folders: Iterable[Path]) -> list[Path]:
 
 
 def distrusted(module: str, folders: Iterable[Path]) -> str:
-    """Return a note that a module exists but is not trusted; empty if it does not exist."""
+    """Return a note that a module exists but is not trusted, or empty if it does not exist."""
     top = module.partition(".")[0]
     for folder in folders:
         if (folder / f"{top}.py").is_file() or (folder / top).is_dir():

@@ -37,7 +37,7 @@ def syntax_problem(text: str, error: yaml.YAMLError) -> tuple[str, str]:
 
 
 def lost_colour(text: str) -> str | None:
-    """Return the problem of a colour without quotes, read as a comment; None if there is none."""
+    """Return the problem of a colour without quotes, read as a comment, or None without one."""
     for line, words in enumerate(text.splitlines()):
         found = _COLOUR.search(words)
         if found and "#" not in words[: found.start()]:
@@ -64,7 +64,7 @@ def _code(error: Any) -> int:
 
 
 def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> str:
-    """Return a hint for the fix; empty if there is none."""
+    """Return a hint for the fix, or empty if there is none."""
     here = _line(lines, row)
     above = next((i for i in range(min(row, len(lines)) - 1, -1, -1) if lines[i].strip()), None)
     opened = getattr(error, "context_mark", None)
@@ -111,17 +111,17 @@ def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> 
 
 
 def _line(lines: list[str], number: int | None) -> str:
-    """Return a line; an empty text if the line does not exist."""
+    """Return a line, or an empty text if the line does not exist."""
     return "" if number is None or number >= len(lines) else lines[number]
 
 
 def _indent(line: str) -> int:
-    """Return the indentation of a line; the dash of a list entry counts as a space."""
+    """Return the indentation of a line. The dash of a list entry counts as a space."""
     return len(line) - len(re.sub(r"^[ -]*", "", line))
 
 
 def _unquoted_braces(line: str) -> str | None:
-    """Return an unquoted text with braces; None if there is none."""
+    """Return an unquoted text with braces, or None if there is none."""
     plain = re.sub(r"'[^']*'|\"[^\"]*\"", lambda found: " " * len(found[0]), line)
     for found in _BRACES.finditer(plain.split(" #")[0]):
         if not re.fullmatch(r"\{\w+\}", found[0]):

@@ -40,7 +40,7 @@ class _Loader(_SafeLoader):
     """
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Merge mappings; own keys override merged keys, and earlier mappings later ones.
+        """Merge mappings: own keys override merged keys, and earlier mappings later ones.
 
         See https://yaml.org/type/merge.html.
         """
@@ -142,7 +142,7 @@ def to_yaml(data: Any, flow: bool | None = False) -> str:
 
     Args:
         data: text, numbers, booleans, None, and lists and mappings of them.
-        flow: whether to write brackets, on one line; None for brackets at the innermost level.
+        flow: whether to write brackets, on one line, or None for brackets at the innermost level.
     """
     return yaml.dump(
         data,

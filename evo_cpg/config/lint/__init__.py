@@ -1,9 +1,9 @@
-"""Warnings about values of a configuration that are allowed but hardly meant.
+"""Warnings about values of a configuration that are allowed but probably unintended.
 
 The plausible range of a single field is metadata of the field (`config.schema.typical`). A rule
-compares several fields: it is a function, decorated with `rule`, that takes a `Case` and yields a
-warning for each value that was hardly meant. A new rule goes into the file of its kind; importing
-the files below fills `RULES`.
+compares several fields. It is a function, decorated with `rule`, that takes a `Case` and yields a
+warning for each unintended value. A new rule goes into the file of its kind. Importing the files
+below fills `RULES`.
 """
 
 from collections.abc import Iterator
@@ -23,11 +23,11 @@ from evo_cpg.config.schema.typical import Direction, TypicalRange
 
 
 def lint(config: ExperimentConfig, source: Path | str) -> list[LintWarning]:
-    """Return warnings about values that are hardly meant, one for each key.
+    """Return warnings about probably unintended values, at most one for each key.
 
     Args:
         config: the configuration.
-        source: file it came from, for messages.
+        source: file of the configuration, for messages.
 
     Raises:
         ConfigError: its bodies do not form one tree.
@@ -41,7 +41,7 @@ def lint(config: ExperimentConfig, source: Path | str) -> list[LintWarning]:
 
 
 def single_fields(case: Case) -> Iterator[LintWarning]:
-    """Fields that carry what is plausible."""
+    """Yield warnings about single fields outside their plausible ranges."""
     for key, problem in _of_fields((), case.config):
         yield case.warning(key, problem)
 

@@ -1,4 +1,4 @@
-"""Bodies and joints: lengths that look like those of another unit, places, limits, motors."""
+"""Rules about bodies and joints: lengths in wrong units, positions, limits, motors."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -12,32 +12,32 @@ from evo_cpg.creature.creature import Body
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.spatial.numerics import Triple
 
-# The longest edge of a body: from the limb of a small insect to a whale, m.
+# Range of the longest edge of a body, from the limb of a small insect to a whale, m.
 _BODIES = (0.001, 30.0)
 
-# How much larger or smaller than the median of all bodies a body may be, and how many have to be
-# there for a median to mean anything.
+# Largest ratio of a body's size to the median of all bodies, either way, and the smallest number of
+# bodies for a meaningful median.
 _UNLIKE, _SEVERAL = 50.0, 3
 
-# In float32 a body carries a limb of up to so many times its mass: with 8000 times the motion was
-# right, with 37,000 times it became infinite. A creature may have up to so many times the mass of
-# its lightest body: with 1e12 times the motion was right, with 1e15 times it became infinite.
+# Largest ratio of the mass of a limb to the body that carries it, and of the mass of a creature to
+# its lightest body. In float32 the motion was right at ratios of 8000 and 1e12, but became infinite
+# at 37,000 and 1e15.
 _CARRIES, _LIGHTER = 5000.0, 1e12
 
-# What a motor must be able to do to its own body in a trial, degrees.
+# Smallest rotation of its own body that a motor must achieve in a trial, degrees.
 _LEAST_TURN = 1.0
 
-# A place may stick out of its body by this share of the body's largest half extent: bodies are
-# joined with gaps between them, and eyes stand on stalks.
+# A position may lie outside its body by this fraction of the body's largest half extent. Joints
+# have gaps between bodies, and eyes stand on stalks.
 _OUT = 0.3
 
-# Bodies of a row that are each turned by so much against the one before it make a ring, degrees.
+# Bodies of a row form a ring if each is turned by this angle relative to its predecessor, degrees.
 _CURLS = 45.0
 
 
 @rule
 def body_size(case: Case) -> Iterator[LintWarning]:
-    """No body is as large as a house, as small as dust, or unlike all the others."""
+    """Warn of bodies that are very large, very small, or unlike the median of all bodies."""
     edges = [2 * float(body.shape.half_extents.max()) for body in case.creature.bodies]
     middle = float(np.median(edges))
     low, high = _BODIES
@@ -54,7 +54,7 @@ def body_size(case: Case) -> Iterator[LintWarning]:
             )
         else:
             continue
-        # A mesh has no key that says how large it is.
+        # A mesh has no key for its size.
         size = entry.shape.size_key
         place = (*key, "shape", size) if size else (*key, "shape")
         yield case.warning(place, problem, None if size else "mesh")
@@ -62,7 +62,7 @@ def body_size(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def masses(case: Case) -> Iterator[LintWarning]:
-    """No body carries a limb that is far heavier, or is a speck on the creature."""
+    """Warn of bodies that carry a far heavier limb, or are too light for the creature."""
     bodies = case.creature.bodies
     mass = {body.name: float(body.mass) for body in bodies}
     parents = {body.name: body.joint.parent for body in bodies if body.joint is not None}
@@ -92,7 +92,7 @@ def masses(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def joint_limits(case: Case) -> Iterator[LintWarning]:
-    """A joint that turns by three degrees at most, or by more than a full turn."""
+    """Warn of joints that turn by three degrees at most, or by more than a full turn."""
     for joint in case.joints():
         for lower, upper in joint.given.limits:
             widest = max(abs(lower), abs(upper))
@@ -118,12 +118,12 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def postures(case: Case) -> Iterator[LintWarning]:
-    """Postures that differ by a few degrees: these keys have no ``_deg`` but are degrees."""
-    # A class made while the schema is read, which pyright cannot follow.
+    """Warn of postures that differ by a few degrees. These keys lack ``_deg`` but are degrees."""
+    # Pyright cannot follow a class that is created at import.
     given: Any = case.config.controller
     if given.type != "postures":
         return
-    # However many: refused later.
+    # Too many bits are refused later; the limit avoids an overflow.
     reach = given.angle_step * (2.0 ** min(given.bits_per_joint, 60) - 1)
     if reach <= 2 * np.pi:
         yield case.warning(
@@ -143,7 +143,7 @@ def postures(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def no_motor(case: Case) -> Iterator[LintWarning]:
-    """Joints of which none has a motor."""
+    """Warn if no joint has a motor."""
     joints = list(case.joints())
     if joints and all(joint.given.actuator is None for joint in joints):
         yield case.warning(
@@ -155,8 +155,8 @@ def no_motor(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def no_rate(case: Case) -> Iterator[LintWarning]:
-    """Motors that are told to stand still."""
-    # A class made while the schema is read, which pyright cannot follow.
+    """Warn of a controller that commands a rate of 0 for every joint."""
+    # Pyright cannot follow a class that is created at import.
     given: Any = case.config.controller
     if given.type == "brain_cpg" and given.rate_gain == 0:
         yield case.warning(
@@ -168,7 +168,7 @@ def no_rate(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def weak_motors(case: Case) -> Iterator[LintWarning]:
-    """Motors of which none could turn even its own body by a degree in the whole trial."""
+    """Warn if no motor could turn even its own body by a degree in the whole trial."""
     simulation = case.config.simulation
     time = simulation.steps / simulation.control_rate_hz
     found = []
@@ -177,7 +177,7 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
         if motor is None:
             continue
         limit = np.inf if motor.torque_limit is None else motor.torque_limit
-        # Of a rod that turns about its end: other bodies and water only add to it.
+        # Inertia of a rod that turns about its end. Other bodies and water only increase it.
         mass = float(body.mass)
         inertia = mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
         turn = float(np.rad2deg(limit / inertia * time**2 / 2))
@@ -194,7 +194,7 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def repeated_place(case: Case) -> Iterator[LintWarning]:
-    """A row whose joint fits the first body's parent, but not the bodies of the row themselves."""
+    """Warn of a row whose joint position fits the first body's parent, but not the row's bodies."""
     for joint in case.joints():
         at, parent, body = joint.built.parent_anchor, joint.parent, joint.body
         fits, gap = _gap(parent.shape, at), _gap(body.shape, at)
@@ -212,7 +212,7 @@ def repeated_place(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def repeated_turn(case: Case) -> Iterator[LintWarning]:
-    """A row that curls up: each of its bodies is turned against the one before it."""
+    """Warn of a row that curls up, because each body is turned relative to its predecessor."""
     for joint in case.joints():
         most = max(map(abs, joint.given.rotation_deg))
         if joint.repeat > 1 and most >= _CURLS:
@@ -226,7 +226,7 @@ def repeated_turn(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def far_places(case: Case) -> Iterator[LintWarning]:
-    """A joint, an eye or a gauge that is nowhere near a body to which it belongs."""
+    """Warn of joints, eyes and gauges that lie far from their body."""
     places: list[tuple[Key, str, Body, Triple]] = []
     for joint in case.joints():
         parent, body, built = joint.parent, joint.body, joint.built

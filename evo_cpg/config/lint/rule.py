@@ -1,4 +1,4 @@
-"""What a rule is: what it gets, and what it yields."""
+"""Interface of the rules: their argument and their warnings."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -15,12 +15,12 @@ from evo_cpg.creature.creature import Body, Creature, Joint, neutral_pose
 
 
 class LintWarning(NamedTuple):
-    """A value that is allowed but hardly meant.
+    """A value that is allowed but probably unintended.
 
     Attributes:
-        key: its place in the configuration.
-        value: as it is written.
-        problem: what is odd about it, what is plausible, and what was probably meant.
+        key: key of the value.
+        value: value in the configuration.
+        problem: description of the problem, plausible values, and the probable intention.
     """
 
     key: Key
@@ -28,7 +28,7 @@ class LintWarning(NamedTuple):
     problem: str
 
     def __str__(self) -> str:
-        """The key, the value and what is odd about it."""
+        """Return the key, the value and the problem."""
         return f"{'.'.join(map(str, self.key))}: {_written(self.value)}: {self.problem}"
 
 
@@ -36,12 +36,12 @@ class Jointed(NamedTuple):
     """A body with a joint.
 
     Attributes:
-        key: of the joint in the configuration.
-        given: the joint there.
-        repeat: bodies in the row that the body is of.
-        built: the joint of the creature.
-        body: that hangs on it.
-        parent: on which it hangs.
+        key: key of the joint in the configuration.
+        given: joint in the configuration.
+        repeat: number of bodies in the row of the body.
+        built: joint of the creature.
+        body: body that hangs on the joint.
+        parent: body that carries the joint.
     """
 
     key: Key
@@ -53,11 +53,11 @@ class Jointed(NamedTuple):
 
 
 class Case(NamedTuple):
-    """What the rules look at.
+    """Argument of the rules.
 
     Attributes:
         config: the configuration.
-        creature: that it describes.
+        creature: creature of the configuration.
     """
 
     config: ExperimentConfig
@@ -67,21 +67,21 @@ class Case(NamedTuple):
         """Return a warning about a key.
 
         Args:
-            key: of the value.
-            problem: what is odd about it.
-            value: to be shown instead of that at the key.
+            key: key of the value.
+            problem: description of the problem.
+            value: value to show instead of the value at the key.
         """
         shown = value_at(self.config, key) if value is None else value
         return LintWarning(tuple(key), shown, problem)
 
     def bodies(self) -> Iterator[tuple[Key, BodyConfig, Body]]:
-        """Every body with its entry in the configuration and the key of that."""
+        """Yield every body, with the key of its entry in the configuration and the entry."""
         entries = self.config.creature.bodies
         for copy, body in zip(self.config.creature.copies(), self.creature.bodies, strict=True):
             yield ("creature", "bodies", copy.entry), entries[copy.entry], body
 
     def joints(self) -> Iterator[Jointed]:
-        """Every body that has a joint."""
+        """Yield every body that has a joint."""
         named = {body.name: body for body in self.creature.bodies}
         for key, entry, body in self.bodies():
             if entry.joint and body.joint:
@@ -89,12 +89,12 @@ class Case(NamedTuple):
                 yield Jointed(key, entry.joint, entry.repeat, body.joint, body, parent)
 
     def named(self, name: str) -> list[str]:
-        """The bodies that a name in the configuration stands for, placeholders filled in."""
+        """Return the names of the bodies that a name in the configuration stands for."""
         copies = self.config.creature.copies()
         return [copy.name for copy in copies_named(name, copies)]
 
     def sensors(self, kind: str) -> Iterator[tuple[int, Any, Any]]:
-        """Yield every sensor, with the number of its entry in the configuration and the entry.
+        """Yield every sensor, with the index of its entry in the configuration and the entry.
 
         Args:
             kind: ``light_sensors`` or ``depth_sensors``.
@@ -106,26 +106,26 @@ class Case(NamedTuple):
 
     @property
     def root(self) -> str:
-        """The name of the body without a joint."""
+        """Name of the body without a joint."""
         return next(body.name for body in self.creature.bodies if body.joint is None)
 
     @property
     def length(self) -> float:
-        """Of the creature in its neutral pose, from its first to its last centre and beyond, m."""
+        """Upper bound of the creature's length in its neutral pose, m."""
         centres, _ = neutral_pose(self.creature)
         reach = np.array([body.shape.reach for body in self.creature.bodies])
         return float(np.linalg.norm(np.ptp(centres, axis=0)) + 2 * reach.max())
 
     @property
     def lowest_ground(self) -> float | None:
-        """Height of the lowest ground, m; None if there is none, or it has no end."""
+        """Height of the lowest ground, m, or None if there is no ground, or it is unbounded."""
         ground = self.config.world.ground
         return ground and ground.floor.lowest
 
 
 Rule = Callable[[Case], Iterator[LintWarning]]
 
-# All rules, in the order in which they are looked at.
+# All rules, in the order of evaluation.
 RULES: list[Rule] = []
 
 
@@ -136,7 +136,7 @@ def rule(function: Rule) -> Rule:
 
 
 def _written(value: Any) -> str:
-    """A value as it stands in a configuration."""
+    """Return a value in the form of a configuration."""
     if value is None:
         return "null"
     if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""Sensors that can never feel anything, and animals that sense nothing of their task."""
+"""Rules about sensors that never respond, and animals that cannot sense their task."""
 
 from collections.abc import Iterator
 
@@ -8,16 +8,16 @@ from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.creature.creature import neutral_pose
 
-# By so much may an animal on the ground tilt an eye, degrees.
+# Largest tilt of an eye by an animal on the ground, degrees.
 _TILT = 45.0
 
-# Less of its range than this is too little for a depth gauge to tell anything.
+# Smallest useful fraction of the range of a depth gauge.
 _LEAST_READING = 0.01
 
 
 @rule
 def light_without(case: Case) -> Iterator[LintWarning]:
-    """Eyes where no trial has a light."""
+    """Warn of eyes if the task has no light."""
     task = case.config.task
     if task.goal is not None or isinstance(task, CustomConfig):
         return
@@ -31,7 +31,7 @@ def light_without(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def light_unseen(case: Case) -> Iterator[LintWarning]:
-    """A task about a light, and an animal that has no eye, or whose controller uses none."""
+    """Warn of a task with a light if the animal has no eye, or its controller uses no eye."""
     config = case.config
     if config.task.goal is None:
         return
@@ -54,7 +54,7 @@ def light_unseen(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def light_never_in_view(case: Case) -> Iterator[LintWarning]:
-    """Eyes of a walker that look away from every light, however it turns about the vertical."""
+    """Warn of eyes of a walker that see no light at any heading."""
     config = case.config
     if config.world.ground is None or config.world.water is not None:
         return
@@ -77,7 +77,7 @@ def light_never_in_view(case: Case) -> Iterator[LintWarning]:
 
 
 def _elevations(case: Case) -> list[float] | None:
-    """Of the lights above the horizon, degrees; None where they cannot be told."""
+    """Return the elevations of the lights above the horizon, degrees, or None if unknown."""
     goal, trials = case.config.task.goal, case.config.simulation.situations
     if goal is None:
         return None
@@ -88,9 +88,9 @@ def _elevations(case: Case) -> list[float] | None:
 
 @rule
 def touch_without_ground(case: Case) -> Iterator[LintWarning]:
-    """Pressure sensors, asked for by name, where there is nothing to touch."""
+    """Warn of pressure sensors, requested by name, if there is no ground to touch."""
     named = case.config.creature.pressure_sensors
-    # All is the default, and costs nothing.
+    # The default ``all`` costs nothing.
     if named == "all" or case.config.world.ground is not None:
         return
     for i in range(len(named)):
@@ -103,7 +103,7 @@ def touch_without_ground(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def touch_inside(case: Case) -> Iterator[LintWarning]:
-    """Pressure sensors on bodies that lie inside of another one at rest."""
+    """Warn of pressure sensors on bodies that lie inside another body at rest."""
     named = case.config.creature.pressure_sensors
     if named == "all" or case.config.world.ground is None:
         return
@@ -125,7 +125,7 @@ def touch_inside(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def depth_without_surface(case: Case) -> Iterator[LintWarning]:
-    """Depth gauges where there is no surface to be deep under."""
+    """Warn of depth gauges if there is no water surface."""
     water = case.config.world.water
     if water is not None and water.surface is not None:
         return
@@ -140,7 +140,7 @@ def depth_without_surface(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def depth_out_of_scale(case: Case) -> Iterator[LintWarning]:
-    """Depth gauges whose scale is so long that the deepest place is a tick on it."""
+    """Warn of depth gauges whose scale is far larger than the depth of the water."""
     water, lowest = case.config.world.water, case.lowest_ground
     if water is None or water.surface is None or lowest is None:
         return
@@ -159,7 +159,7 @@ def depth_out_of_scale(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def controller_without_senses(case: Case) -> Iterator[LintWarning]:
-    """Sensors of an animal that takes its postures in turn and senses nothing."""
+    """Warn of sensors if the controller uses no senses."""
     creature, controller = case.config.creature, case.config.controller
     if controller.uses_senses:
         return

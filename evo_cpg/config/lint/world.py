@@ -1,4 +1,4 @@
-"""World, trials and search: what was hardly meant, or with which the task means nothing."""
+"""Rules about world, trials and search: unintended values, and tasks without meaning."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -11,23 +11,23 @@ from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfig
 from evo_cpg.creature.creature import lowest_height
 
-# Of half the thickness of a body, the most that gravity may move it in a physics step. At 0.6 the
-# body sinks into the ground by a twentieth of that half. At 2 a floating body never comes to rest.
+# Largest movement by gravity in a physics step, as a fraction of a body's half thickness. At 0.6
+# the body sinks into the ground by 0.05. At 2 a floating body never comes to rest.
 _SINK = 0.5
 
-# An obstacle may be so many times the creature's length.
+# Largest size of an obstacle, in lengths of the creature.
 _OBSTACLE = 100.0
 
-# Of a body's length: so much may the floor rise between its ends.
+# Largest rise of the floor between the ends of a body, as a fraction of its length.
 _BUMP = 0.1
 
-# An animal that starts so many times its own length above what holds it falls for long.
+# Largest initial height above the ground or water, in lengths of the creature.
 _FALL = 10.0
 
 
 @rule
 def step_length(case: Case) -> Iterator[LintWarning]:
-    """A step is short enough for what rests on the ground, or floats, to come to rest."""
+    """Warn of a step that is too long for resting or floating bodies to come to rest."""
     world, simulation = case.config.world, case.config.simulation
     if world.ground is None and (world.water is None or world.water.surface is None):
         return
@@ -45,7 +45,7 @@ def step_length(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def obstacle_size(case: Case) -> Iterator[LintWarning]:
-    """No obstacle is a hundred times as large as the creature across."""
+    """Warn of obstacles more than a hundred times as large as the creature."""
     ground = case.config.world.ground
     most = _OBSTACLE * case.length
     for i, obstacle in enumerate(ground.obstacles if ground else ()):
@@ -61,7 +61,7 @@ def obstacle_size(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def floor_bumps(case: Case) -> Iterator[LintWarning]:
-    """A box feels the floor by the corners of its lowest face, and no bump between them."""
+    """Warn of bumps between the corners of a box, which only touches the floor with corners."""
     boxes = [
         (2 * float(body.shape.half_extents.max()), body.name)
         for body in case.creature.bodies
@@ -87,7 +87,7 @@ def floor_bumps(case: Case) -> Iterator[LintWarning]:
 
 
 def _bump(heights: np.ndarray, reach: int) -> float:
-    """The highest that a grid rises above the middle between places so many steps to both sides."""
+    """Return the largest rise of a grid above the mean of the points ``reach`` steps either way."""
     highest = 0.0
     for rows in (heights, heights.T):
         if 0 < reach < len(rows) / 2:
@@ -98,7 +98,7 @@ def _bump(heights: np.ndarray, reach: int) -> float:
 
 @rule
 def friction(case: Case) -> Iterator[LintWarning]:
-    """Nothing that slides is held more than what rests."""
+    """Warn of a dynamic friction above the static friction."""
     materials = case.config.creature.materials.items()
     places: dict[Key, Any] = {("creature", "materials", name): each for name, each in materials}
     if case.config.world.ground is not None:
@@ -114,7 +114,7 @@ def friction(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def water_by_default(case: Case) -> Iterator[LintWarning]:
-    """Ground that lies under water since nothing was written about water."""
+    """Warn of ground that lies under water because the key ``water`` is left out."""
     world = case.config.world
     if world.ground is None or "water" in world.model_fields_set:
         return
@@ -129,7 +129,7 @@ def water_by_default(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def water_below_ground(case: Case) -> Iterator[LintWarning]:
-    """Water that lies under the ground everywhere."""
+    """Warn of water that lies below the ground everywhere."""
     water, lowest = case.config.world.water, case.lowest_ground
     if water is None or water.surface is None or lowest is None or water.surface > lowest:
         return
@@ -142,7 +142,7 @@ def water_below_ground(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def nothing_to_hold_it(case: Case) -> Iterator[LintWarning]:
-    """Gravity, but neither water, ground nor a force law: the animal falls for ever."""
+    """Warn of gravity without water, ground or a force law, because the animal falls forever."""
     world = case.config.world
     if world.gravity and world.water is None and world.ground is None and not world.forces:
         yield case.warning(
@@ -154,7 +154,7 @@ def nothing_to_hold_it(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def ground_without_weight(case: Case) -> Iterator[LintWarning]:
-    """Ground on which nothing presses the animal."""
+    """Warn of ground without gravity or water, because nothing presses the animal onto it."""
     world = case.config.world
     if not world.gravity and world.water is None and world.ground is not None:
         yield case.warning(
@@ -165,7 +165,7 @@ def ground_without_weight(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def start_above(case: Case) -> Iterator[LintWarning]:
-    """A start high above the ground or the water, or above a ground that is not there."""
+    """Warn of a start high above the ground or water, or with clearance but no ground."""
     world, clearance = case.config.world, case.config.simulation.start_clearance
     key, most = ("simulation", "start_clearance"), _FALL * case.length
     if world.ground is None and clearance:
@@ -187,7 +187,7 @@ def start_above(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def walk_without_ground(case: Case) -> Iterator[LintWarning]:
-    """The task of walking where there is nothing to walk on."""
+    """Warn of a task that needs ground if there is no ground."""
     task = case.config.task
     if task.needs_ground and case.config.world.ground is None:
         yield case.warning(
@@ -199,7 +199,7 @@ def walk_without_ground(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def selection(case: Case) -> Iterator[LintWarning]:
-    """Lexicase selection goes through the trials of an individual, one after the other."""
+    """Warn of lexicase selection with one trial, because it compares trials one by one."""
     evolution = case.config.evolution
     lexicase = isinstance(evolution, RealEvolutionConfig) and evolution.selection == "lexicase"
     if lexicase and case.config.trial_count == 1:
@@ -209,7 +209,7 @@ def selection(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def trials_alike(case: Case) -> Iterator[LintWarning]:
-    """Several trials that differ in nothing."""
+    """Warn of several equal trials."""
     trials = case.config.simulation.trials
     if isinstance(trials, int):
         alike, count, hint = True, trials, "one is run"

@@ -1,1 +1,1 @@
-"""Schema of a configuration file: SI units; keys that end with ``_deg`` are in degrees."""
+"""Schema of a configuration file: SI units, and degrees for keys that end with ``_deg``."""

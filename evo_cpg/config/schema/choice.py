@@ -1,4 +1,4 @@
-"""Sections of several kinds; the key ``type`` selects the kind."""
+"""Sections of several kinds, selected by the key ``type``."""
 
 import importlib
 import inspect
@@ -69,7 +69,7 @@ class CustomConfig(Section):
 
         Args:
             kind: required base class.
-            about: keyword arguments; the constructor gets those that it names.
+            about: keyword arguments, of which the constructor gets those that it names.
 
         Raises:
             KeyProblem: the class does not exist, or cannot be built.
@@ -96,10 +96,10 @@ class CustomConfig(Section):
 
 
 def by_type(default: str | None) -> Discriminator:
-    """Return a discriminator by ``type``; the tag of a class of your own is ``custom``.
+    """Return a discriminator by ``type``, with the tag ``custom`` for a class of your own.
 
     Args:
-        default: kind of a section without ``type``; None if ``type`` is required.
+        default: kind of a section without ``type``, or None if ``type`` is required.
     """
 
     def kind(value: Any) -> str | None:

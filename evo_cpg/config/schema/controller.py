@@ -27,7 +27,7 @@ class _ControllerSection(Section):
 
     @property
     def genome(self) -> str | None:
-        """Type of genetic algorithm for its genomes, ``real`` or ``bits``; None for either."""
+        """Type of genetic algorithm for its genomes, ``real`` or ``bits``, or None for either."""
         return "real"
 
     def _settings(self) -> Any:
@@ -49,7 +49,7 @@ class _BrainCpgSection(_ControllerSection):
         depth_count: int,
         custom_count: int,
     ) -> Controller:
-        """Build the controller; see `build_brain_cpg`."""
+        """Build the controller (see `build_brain_cpg`)."""
         settings, counts = self._settings(), (depth_count, custom_count)
         return build_brain_cpg(tree, light_count, pressure_count, settings, control_step, *counts)
 
@@ -67,7 +67,7 @@ class _PosturesSection(_ControllerSection):
         return None if self.graded else "bits"
 
     def build(self, tree: Tree, control_step: float, **_: Any) -> Controller:
-        """Build the controller; see `build_posture_controller`."""
+        """Build the controller (see `build_posture_controller`)."""
         return build_posture_controller(tree, self._settings(), control_step)
 
 

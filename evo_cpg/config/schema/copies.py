@@ -33,7 +33,7 @@ class Entry(NamedTuple):
 
     Attributes:
         name: name with placeholders.
-        parent: name of the parent with placeholders; None for the root.
+        parent: name of the parent with placeholders, or None for the root.
         repeat: number of bodies in a row.
         radial: number of rows around the parent.
         mirror: normal of the mirror plane, or None.
@@ -81,10 +81,10 @@ class Copy(NamedTuple):
     Attributes:
         entry: index of its entry.
         name: name without placeholders.
-        parent: name of the parent without placeholders; None for the root.
+        parent: name of the parent without placeholders, or None for the root.
         marks: values of the placeholders of its entry.
         turn_deg: rotation of its joint about its parent's vertical axis, degrees.
-        mirror: normal of the mirror plane; None if it is not mirrored.
+        mirror: normal of the mirror plane, or None if it is not mirrored.
     """
 
     entry: int
@@ -137,7 +137,7 @@ def copies_named(name: str, among: Sequence[Copy]) -> list[Copy]:
 
 
 def fill(name: str, marks: dict[str, str]) -> str:
-    """Return a name with its placeholders filled; placeholders without a value stay."""
+    """Return a name with its placeholders filled, except placeholders without a value."""
     return _PLACEHOLDER.sub(lambda found: marks.get(found[1], found[0]), name)
 
 

@@ -32,7 +32,7 @@ _PRINTED = r"[^\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]"
 
 
 def _require_printed(name: str) -> str:
-    """Return a name; raise ValueError if it is empty or contains control characters."""
+    """Return a name, and raise ValueError if it is empty or contains control characters."""
     if not name:
         raise ValueError("'': must not be empty")
     if not re.fullmatch(f"{_PRINTED}+", name):
@@ -72,11 +72,11 @@ class BodyConfig(Section):
     """A rigid body, or several that differ only in their position.
 
     Attributes:
-        name: unique name; with copies it contains ``{i}``, ``{j}`` or ``{side}``
+        name: unique name, which with copies contains ``{i}``, ``{j}`` or ``{side}``
             (see "Limbs that are written once" in the guide).
         shape: shape, centred on the body's frame (a mesh keeps the frame of its file).
         material: name of one of the creature's materials.
-        joint: joint to the parent; the root has none.
+        joint: joint to the parent (the root has none).
         repeat: number of equal bodies in a row, counted from 1 by ``{i}``: the first hangs on
             the joint's ``parent``, each other one on its predecessor.
         radial: number of such rows, at equal angles about the parent's vertical axis, which
@@ -132,16 +132,16 @@ class SelfCollisionConfig(Section):
 
 
 class CreatureConfig(Section):
-    """A creature; a file of its own can be shared by several configurations.
+    """A creature, which can have a file of its own for several configurations.
 
     Attributes:
         name: name of the creature.
         materials: materials of its bodies, by a name of your own.
-        bodies: bodies in any order; exactly one, the root, has no joint.
+        bodies: bodies in any order, of which exactly one, the root, has no joint.
         light_sensors: eyes.
         pressure_sensors: ``all`` bodies, or a list of names.
         depth_sensors: depth gauges.
-        sensors: further sensors; ``type`` selects the kind.
+        sensors: further sensors, whose ``type`` selects the kind.
         self_collision: whether its bodies are kept from passing through each other, or exceptions
             to the rule; if left out, they are kept apart if there is ground.
     """
@@ -213,7 +213,7 @@ class CreatureConfig(Section):
         return creature
 
     def build_self_collision(self, on_ground: bool) -> SelfCollision | None:
-        """Build the rule that keeps bodies apart; return None if no bodies are kept apart."""
+        """Build the rule that keeps bodies apart, or None if no bodies are kept apart."""
         given = self.self_collision
         if given is None or isinstance(given, bool):
             return SelfCollision() if (on_ground if given is None else given) else None

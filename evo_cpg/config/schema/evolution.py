@@ -32,7 +32,7 @@ _MOST_CELLS = 100_000
 
 
 class IslandsConfig(Section):
-    """Sub-populations that evolve apart; a few of the best individuals migrate.
+    """Sub-populations that evolve apart, with migration of the best individuals.
 
     Attributes:
         count: number of islands, among which the population is divided equally.
@@ -141,7 +141,7 @@ class MapSection(Section):
         """
 
     def build_learning(self) -> Learning | None:
-        """Return the settings of the elites that learn; None if no elites learn."""
+        """Return the settings of the elites that learn, or None if no elites learn."""
         return None
 
     def build_axes(self) -> tuple[Axis, ...]:
@@ -154,7 +154,7 @@ class LearningConfig(Section):
 
     Attributes:
         every: generations between two rounds of learning.
-        elites: number of elites that learn, the best first; 16, or all if fewer, if left out.
+        elites: number of elites that learn, the best first (default: 16, or all if fewer).
         steps: gradient steps of each elite.
     """
 
@@ -180,9 +180,9 @@ class RealEvolutionConfig(MapSection):
         mutation_rate: probability that a gene changes.
         mutation_sigma: standard deviation of a change.
         gene_bound: largest magnitude of a gene.
-        learning: gradient ascent of some elites; none if left out.
-        islands: sub-populations, to each of which all keys but ``population`` apply; none if
-            left out.
+        learning: gradient ascent of some elites (default: none).
+        islands: sub-populations, to each of which all keys but ``population`` apply
+            (default: none).
     """
 
     type: Literal["real"] = "real"
@@ -199,7 +199,7 @@ class RealEvolutionConfig(MapSection):
     islands: IslandsConfig | None = None
 
     def build(self, genome: Genome, population: int) -> RealGenetics:
-        """Build the search; see `MapSection.build`."""
+        """Build the search (see `MapSection.build`)."""
         del genome
         return self.into(RealGenetics, population=population)
 
@@ -231,14 +231,14 @@ class BitEvolutionConfig(MapSection):
         type: ``bits``.
         generations: number of generations.
         population: number of individuals.
-        elites: number of best individuals that pass on unchanged; children fill the other places.
+        elites: number of best individuals that pass on unchanged (children fill the other places).
         best_copies: number of the elite places that hold the best individual.
         rank_probabilities: probability that a parent has each rank, best first.
         mutation_probability: probability that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes.
         mutation: whether a changed gene is redrawn or flipped.
-        islands: sub-populations, to each of which all keys but ``population`` apply; none if
-            left out.
+        islands: sub-populations, to each of which all keys but ``population`` apply
+            (default: none).
     """
 
     type: Literal["bits"] = "bits"
@@ -253,7 +253,7 @@ class BitEvolutionConfig(MapSection):
     islands: IslandsConfig | None = None
 
     def build(self, genome: Genome, population: int) -> BitGenetics:
-        """Build the search; see `MapSection.build`."""
+        """Build the search (see `MapSection.build`)."""
         _require_enough(genome, self.mutated_genes)
         return self.into(BitGenetics, population=population)
 
@@ -294,7 +294,7 @@ class MapElitesConfig(MapSection):
     mutation: Literal["redraw", "flip"] = "redraw"
 
     def build(self, genome: Genome, population: int) -> MapElites:
-        """Build the search; see `MapSection.build`."""
+        """Build the search (see `MapSection.build`)."""
         if genome.binary:
             _require_enough(genome, self.mutated_genes)
         vary = self.into(OfBits if genome.binary else AlongTheLine)
@@ -341,7 +341,7 @@ class PyribsConfig(MapSection):
     options: dict[str, bool | int | Finite] = Field(default_factory=dict)
 
     def build(self, genome: Genome, population: int) -> Strategy:
-        """Build the search; see `MapSection.build`."""
+        """Build the search (see `MapSection.build`)."""
         from evo_cpg.evolution.from_pyribs import Ribs
         from evo_cpg.evolution.pyribs_host import UnknownPyribsError
 
@@ -389,8 +389,8 @@ class EvosaxConfig(MapSection):
         learning_rate: learning rate of Adam, if the algorithm follows a gradient (``Open_ES``).
         params: parameters that differ from the defaults, by their names in evosax.
         options: arguments of its constructor.
-        islands: sub-populations, to each of which all keys but ``population`` apply; none if
-            left out.
+        islands: sub-populations, to each of which all keys but ``population`` apply
+            (default: none).
     """
 
     type: Literal["evosax"] = "evosax"
@@ -405,7 +405,7 @@ class EvosaxConfig(MapSection):
     islands: IslandsConfig | None = None
 
     def build(self, genome: Genome, population: int) -> Strategy:
-        """Build the search; see `MapSection.build`."""
+        """Build the search (see `MapSection.build`)."""
         from evo_cpg.evolution import from_evosax
 
         try:
@@ -443,7 +443,7 @@ class RandomSearchConfig(MapSection):
     population: Population = 200
 
     def build(self, genome: Genome, population: int) -> RandomSearch:
-        """Build the search; see `MapSection.build`."""
+        """Build the search (see `MapSection.build`)."""
         return RandomSearch(population, functools.partial(genome.random, batch=(population,)))
 
 
@@ -455,8 +455,8 @@ class CustomEvolutionConfig(CustomConfig, MapSection):
         generations: number of generations.
         population: number of individuals.
         options: keyword arguments of its constructor.
-        islands: sub-populations, to each of which all keys but ``population`` apply; none if
-            left out.
+        islands: sub-populations, to each of which all keys but ``population`` apply
+            (default: none).
     """
 
     generations: Count = 50
@@ -464,7 +464,7 @@ class CustomEvolutionConfig(CustomConfig, MapSection):
     islands: IslandsConfig | None = None
 
     def build(self, genome: Genome, population: int) -> Strategy:
-        """Build the search; see `MapSection.build`."""
+        """Build the search (see `MapSection.build`)."""
         about = {"population": population, "gene_count": genome.count, "binary": genome.binary}
         return self.instance(Strategy, **about)
 

@@ -16,11 +16,11 @@ from evo_cpg.fusion.engine import EngineName, InstructionSet
 
 
 class ExperimentConfig(Section):
-    """A whole experiment; every section but the creature has defaults.
+    """A whole experiment, with defaults for every section but the creature.
 
     Attributes:
         name: name of the run and of its folder.
-        seed: seed of all randomness; with several runs, the seed of the first.
+        seed: seed of all randomness (with several runs, the seed of the first).
         runs: number of independent populations that evolve in parallel, with the seeds ``seed``,
             ``seed + 1`` and so on.
         creature: creature, or the path of its own file.
@@ -35,7 +35,7 @@ class ExperimentConfig(Section):
         audit: limits for the champion.
         engine: engine of the trials: ``native`` compiles machine code, ``auto`` does so if
             possible, and ``jax`` uses JAX alone, many times slower.
-        instruction_set: instruction set of the machine code; ``host`` is the processor's largest.
+        instruction_set: instruction set of the machine code (``host``: the processor's largest).
     """
 
     name: Annotated[
@@ -61,7 +61,7 @@ class ExperimentConfig(Section):
 
     @property
     def trial_count(self) -> int:
-        """Number of trials of every individual; without noise, one in each situation."""
+        """Number of trials of every individual: one in each situation without noise."""
         trials = self.simulation.trials
         if isinstance(trials, list):
             return len(trials)

@@ -24,7 +24,7 @@ class FloorSection(Section):
 
     @property
     def lowest(self) -> float | None:
-        """Height of its lowest point, m; None if unknown or unbounded."""
+        """Height of its lowest point, m, or None if unknown or unbounded."""
         return None
 
 

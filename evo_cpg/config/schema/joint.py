@@ -34,7 +34,7 @@ class ActuatorConfig(Section):
 
     Attributes:
         gain: torque per velocity error, N m s/rad.
-        torque_limit: largest torque, N m; none if left out.
+        torque_limit: largest torque, N m, unlimited if left out.
         stiffness: torque per angle error, N m/rad; 0 for a pure velocity servo.
     """
 
@@ -91,7 +91,7 @@ class JointConfig(Section):
         stiffness: stiffness of the passive spring, N m/rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
-        actuator: motors; if left out, the joint is passive.
+        actuator: motors, without which the joint is passive.
     """
 
     parent: str

@@ -27,7 +27,7 @@ _SHOWN = 3
 
 
 def pattern(expression: str, words: str) -> tuple[AfterValidator, Any]:
-    """Return annotations that restrict a text to a regular expression; ``words`` is the error."""
+    """Return annotations that restrict a text to a regular expression, with an error message."""
 
     def check(text: str) -> str:
         if not re.fullmatch(expression, text):
@@ -38,7 +38,7 @@ def pattern(expression: str, words: str) -> tuple[AfterValidator, Any]:
 
 
 class Section(BaseModel):
-    """A part of a configuration file; unknown keys are refused."""
+    """A part of a configuration file, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -51,7 +51,7 @@ class Section(BaseModel):
         return repr(self)
 
     def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
-        """Yield the fields that differ from their defaults; a long list yields its length."""
+        """Yield the fields that differ from their defaults, with the length of a long list."""
         for name, value in self:
             default = type(self).model_fields[name].get_default(call_default_factory=True)
             if value != default:
@@ -67,7 +67,7 @@ class _Count(int):
 
 
 class OpenSection(Section):
-    """A section whose keys may all be null; keys that are null are not written."""
+    """A section whose keys may all be null, and are not written if null."""
 
     @model_serializer(mode="wrap")
     def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:

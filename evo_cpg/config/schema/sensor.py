@@ -15,7 +15,7 @@ class LightSensorConfig(Section):
     """A directional eye (Iwadate 2010, eq. 1).
 
     Attributes:
-        body: name of the body that carries it; a name with placeholders puts one on each copy.
+        body: name of the body that carries it (with placeholders, one on each copy).
         position: position in the frame of the body, m.
         axis: viewing direction in the frame of the body.
         field_of_view_deg: full opening angle, degrees.
@@ -40,7 +40,7 @@ class DepthSensorConfig(Section):
     """A depth gauge, which reads 0 at the water's surface and above, and 1 at depth.
 
     Attributes:
-        body: name of the body that carries it; a name with placeholders puts one on each copy.
+        body: name of the body that carries it (with placeholders, one on each copy).
         position: position in the frame of the body, m.
         full_scale: depth at which and below which it reads 1, m.
     """

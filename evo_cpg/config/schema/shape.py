@@ -31,11 +31,11 @@ class SolidConfig(Section):
 
     @property
     def centre(self) -> np.ndarray:
-        """Centre of mass ``(3,)`` in the body's frame, m; nonzero only for a mesh."""
+        """Centre of mass ``(3,)`` in the body's frame, m, nonzero only for a mesh."""
         return np.zeros(3)
 
     def mirrored(self, axis: MirrorAxis) -> Self:
-        """Return the mirror image in the frame's plane with this normal; most shapes are equal."""
+        """Return the mirror image in the frame's plane with this normal (often equal)."""
         del axis
         return self
 

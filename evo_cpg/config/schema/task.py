@@ -59,7 +59,7 @@ class LightConfig(OpenSection):
         return seen.model_copy(update=given)
 
     def position(self, start: Triple, heading: Number) -> Triple:
-        """Return the position of the light, m; open keys give NaN.
+        """Return the position of the light, m, or NaN if a key is open.
 
         Args:
             start: position of the root at the start, m.
@@ -90,7 +90,7 @@ class _TaskSection(Section):
 
     @property
     def goal(self) -> LightConfig | None:
-        """Light that is the goal, in trials without their own light; None if there is no goal."""
+        """Light that is the goal, for trials without their own light, or None without a goal."""
         return None
 
 
@@ -161,13 +161,13 @@ class DistanceConfig(_TaskSection):
     heading: Heading = "any"
 
     def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
-        """Build the task; see `ReachLightConfig.build`."""
+        """Build the task (see `ReachLightConfig.build`)."""
         del creature, light, control_rate
         return self.into(Distance)
 
 
 class WalkConfig(_TaskSection):
-    """Distance minus penalties for tilting, bouncing and flight; weights in torso lengths.
+    """Distance minus penalties for tilting, bouncing and flight, with weights in torso lengths.
 
     Attributes:
         type: ``walk``.
@@ -188,7 +188,7 @@ class WalkConfig(_TaskSection):
     needs_ground: ClassVar[bool] = True
 
     def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
-        """Build the task; see `ReachLightConfig.build`."""
+        """Build the task (see `ReachLightConfig.build`)."""
         del light, control_rate
         torso = next(body for body in creature.bodies if body.joint is None)
         return self.into(Walk, torso_length=2 * torso.shape.half_extents[0])

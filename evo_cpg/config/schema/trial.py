@@ -19,7 +19,7 @@ _MOST_TRIALS = 10_000
 
 
 class SituationConfig(OpenSection):
-    """Initial situation of one trial; open keys keep the values for all trials.
+    """Initial situation of one trial. Open keys keep the values for all trials.
 
     Attributes:
         start: x and y of the root's centre at the start, m.
@@ -69,7 +69,7 @@ class SimulationConfig(Section):
 
     @property
     def situations(self) -> list[SituationConfig]:
-        """Situations of the trials; empty if only a number of trials is given."""
+        """Situations of the trials, or empty if only a number of trials is given."""
         return self.trials if isinstance(self.trials, list) else []
 
     @field_validator("trials", mode="before")
@@ -81,7 +81,7 @@ class SimulationConfig(Section):
 
 
 class NoiseConfig(Section):
-    """Random disturbances in a trial; none by default.
+    """Random disturbances in a trial (default: none).
 
     Attributes:
         joint_angle_deg: standard deviation of every joint angle at the start, degrees.
@@ -98,5 +98,5 @@ class NoiseConfig(Section):
 
     @property
     def silent(self) -> bool:
-        """Whether all disturbances are 0."""
+        """Return whether all disturbances are 0."""
         return not any(self.model_dump().values())

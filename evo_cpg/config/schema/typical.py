@@ -35,7 +35,7 @@ class TypicalRange(NamedTuple):
     about: str = ""
 
     def problem(self, value: float) -> str | None:
-        """Return a description of what is wrong with a value; None if it is plausible."""
+        """Return a description of what is wrong with a value, or None if it is plausible."""
         if self.low <= value <= self.high:
             return None
         likely = self.about

@@ -36,7 +36,7 @@ class WaterConfig(Section):
         density: mass per volume, kg/m^3.
         form_drag: coefficient C_d for the normal velocity at every surface point.
         skin_drag: coefficient C_f for the tangential velocity at every surface point.
-        surface: height of the water's surface, m; ``null`` for water everywhere.
+        surface: height of the water's surface, m, or ``null`` for water everywhere.
         added_mass: whether bodies accelerate the water around them, as in ideal fluid.
         current: velocity of the water, m/s; with a gradient, at the origin.
         current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
@@ -91,8 +91,8 @@ class WorldConfig(Section):
 
     Attributes:
         gravity: downward acceleration, m/s^2.
-        water: water around the creature; ``null`` for none.
-        ground: ground below the creature; none if left out.
+        water: water around the creature, or ``null`` for none.
+        ground: ground below the creature (default: none).
         forces: force laws of your own, in addition to the forces of the water.
     """
 
