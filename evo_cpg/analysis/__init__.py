@@ -1,1 +1,1 @@
-"""What an evolved animal does: gaits."""
+"""Analysis of evolved animals: gaits, energy and rhythms."""

@@ -1,4 +1,4 @@
-"""What follows from the physics steps of a trial, in float64: time is the batch axis."""
+"""Evaluation of functions of a trial's physics steps in float64, with time as batch axis."""
 
 import functools
 from collections.abc import Callable
@@ -7,15 +7,15 @@ from typing import Any
 import jax
 import numpy as np
 
-# Steps that are looked at together: the arrays of surface points are large.
+# Number of steps in a block; the arrays of surface points are large.
 _BLOCK = 1024
 
 
 def along_time(function: Callable, *steps: Any) -> Any:
-    """``function(*steps)``, block by block, so that one program serves trials of any length.
+    """Return ``function(*steps)``, block by block: one program serves trials of any length.
 
     Args:
-        function: treats every step alike; time is the last axis of what it takes and gives.
+        function: function of each step alone; time is the last axis of arguments and results.
         steps: pytrees of arrays.
     """
     with jax.enable_x64(True):

@@ -1,14 +1,14 @@
-"""The wave of bending that runs along a body: how many there are of it, how fast it runs.
+"""Bending wave along a body: number of waves, speed and travelling index.
 
     phi(s) = phi_0 - k s,    wave length = 2 pi / k,    waves on the body = L k / (2 pi)
     speed along the body = wave length x frequency               (Gray 1933; Lighthill 1960)
 
 with the phase phi of the bending at the place s along the body, whose length is L. A wave runs from
-head to tail where all of these are positive.
+head to tail if all of these are positive.
 
-Whether it runs at all is told by the travelling index of Feeny 2008: of the complex amplitudes w of
-all places the reciprocal condition number of (Re w, Im w), 0 for a wave that stands and 1 for whole
-waves that run.
+The travelling index of Feeny 2008 measures whether the wave travels. It is the reciprocal condition
+number of (Re w, Im w) with the complex amplitudes w of all places: 0 for a standing wave, 1 for
+whole travelling waves.
 """
 
 from typing import NamedTuple
@@ -22,17 +22,17 @@ _NOT_A_NUMBER = float("nan")
 
 
 class BodyWave(NamedTuple):
-    """The wave; all NaN where nothing bends, or fewer than three places do.
+    """Bending wave; numbers are NaN if nothing bends or there are fewer than three places.
 
     Attributes:
-        count: waves on the body.
-        length: of a wave, m.
-        speed: along the body, m/s.
-        lag: mean of neighbours, degrees; positive where it runs from head to tail.
-        travelling: 0 stands, 1 runs.
-        straightness: how much of the phases' variance a constant lag by length explains, up to 1.
-        phase: at each place behind the first, degrees, without jumps.
-        amplitude: at each place, unit of the signals.
+        count: number of waves on the body.
+        length: wave length, m.
+        speed: wave speed along the body, m/s.
+        lag: mean phase lag of neighbours, degrees; positive from head to tail.
+        travelling: travelling index, from 0 (standing) to 1 (travelling).
+        straightness: fraction of the phases' variance explained by a constant lag per length.
+        phase: phase lag of each place behind the first, degrees, without jumps.
+        amplitude: amplitude at each place, unit of the signals.
     """
 
     count: float
@@ -52,14 +52,14 @@ def body_wave(
     step: float,
     frequency: float,
 ) -> BodyWave:
-    """See `BodyWave`.
+    """Measure the bending wave.
 
     Args:
-        bending: at each place, such as the angles of the joints about one axis, rad.
-        place: along the body from the head, ascending, m.
-        length: of the body, m.
-        step: between samples, s.
-        frequency: of the wave, Hz.
+        bending: bending at each place, such as joint angles about one axis, rad.
+        place: places along the body from the head, ascending, m.
+        length: length of the body, m.
+        step: time between samples, s.
+        frequency: frequency of the wave, Hz.
     """
     number = bending.shape[1]
     nothing = np.full(number, np.nan)

@@ -1,4 +1,4 @@
-"""Chains of oscillators: from a first one to its child's, and on to the last."""
+"""Chains of oscillators, each the child of the one before."""
 
 import dataclasses
 import itertools
@@ -14,7 +14,7 @@ from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matr
 from evo_cpg.creature.tree import Tree
 from evo_cpg.simulation.simulation import Simulation
 
-# Axes are square to each other if the cosine of their angle is less.
+# Axes count as perpendicular if the cosine of their angle is less.
 _SQUARE = 1e-6
 
 
@@ -22,12 +22,12 @@ class Chain(NamedTuple):
     """Oscillators of one axis, each inhibited by the one before it as by its parent.
 
     Attributes:
-        name: of its first degree of freedom, and how many follow.
-        oscillators: from head to tail.
-        part: all oscillators that are joined to it, directly or not, where neighbours are coupled.
-        places: of the chain's in the part.
-        sides: of each gap, 1 where neighbours inhibit each other's other side, so that they swing
-            together but for the lag, and -1 where their own, so that they swing against each other.
+        name: name of the first degree of freedom, and number of followers.
+        oscillators: oscillators from head to tail.
+        part: all oscillators connected to the chain, directly or not, with coupled neighbours.
+        places: places of the chain's oscillators in the part.
+        sides: sign of each gap: 1 if neighbours inhibit opposite sides, so that they swing together
+            except for the lag; -1 if they inhibit equal sides, so that they swing in opposition.
     """
 
     name: str
@@ -38,13 +38,13 @@ class Chain(NamedTuple):
 
 
 def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
-    """All chains that cannot be made longer; the longest first, else in the order of the bodies."""
+    """Return all maximal chains, the longest first, then in the order of the bodies."""
     down = CpgSettings(pair_weight=1.0, child_weight=0.0, opposite=settings.opposite)
     links = inhibition_matrix(tree, down) - np.eye(tree.dof_count)
     for place in explicit_weights(tree, settings.couplings, settings.rings):
-        # Something else is written in the place of the parent's coupling.
+        # An explicit weight replaces the parent's coupling.
         links[place] = 0
-    # Whether neighbours are coupled at present or not.
+    # Treat neighbours as coupled, whatever the present settings.
     coupled = dataclasses.replace(settings, pair_weight=1.0, parent_weight=1.0, child_weight=1.0)
     joined = parts(build_network(tree, coupled))
     found = []
@@ -66,22 +66,22 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
 
 
 def joint_rows(simulation: Simulation) -> list[tuple[int, ...]]:
-    """The degrees of freedom of each of `chains`; as by default if there are no oscillators."""
+    """Return the degrees of freedom of each chain; default settings without oscillators."""
     oscillators = simulation.controller.rhythm_generator
     settings = CpgSettings() if oscillators is None else oscillators.settings
     return [chain.oscillators for chain in chains(simulation.world.tree, settings)]
 
 
 def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, " d"]:
-    """Signs with which the angles of joints in a row are about the same direction.
+    """Return signs that make joint angles in a row refer to one direction.
 
     -1 where, in the neutral pose, an axis points against that of the first of its row; 1 elsewhere,
     also where it is square to it.
 
     Args:
         tree: the creature.
-        rows: degrees of freedom along a body, such as `joint_rows`, which share none but with rows
-            that begin with the same one.
+        rows: degrees of freedom along a body, such as `joint_rows`. Rows share some only if
+            they begin with the same one.
     """
     turns: list[np.ndarray] = []
     for i, parent in enumerate(tree.parents):

@@ -1,9 +1,9 @@
-"""Several settings, several runs of each: who is better, and how sure is that?
+"""Statistical comparison of settings with several runs each.
 
-Runs of an evolutionary search differ by luck, seldom normally, so settings are compared by ranks:
-the two-sided test of Mann and Whitney (exact for few runs), Holm's correction for as many tests as
-are made, and the effect size of Vargha and Delaney (2000), the chance that a run of one setting
-beats a run of the other.
+Results of an evolutionary search are random and seldom normally distributed, so ranks are compared.
+The test is the two-sided one of Mann and Whitney (exact for few runs), with Holm's correction for
+the number of tests. The effect size of Vargha and Delaney (2000) is the chance that a run of one
+setting beats a run of the other.
 """
 
 import itertools
@@ -16,16 +16,16 @@ from scipy.stats import mannwhitneyu
 
 
 class Spread(NamedTuple):
-    """The runs of one setting.
+    """Distribution of the runs of one setting.
 
     Attributes:
-        name: of the setting.
-        runs: that have a champion.
-        median: of their fitness.
-        low: quartile below it.
-        high: quartile above it.
-        worst: of all.
-        best: of all.
+        name: name of the setting.
+        runs: number of runs with a champion.
+        median: median of the fitness.
+        low: lower quartile.
+        high: upper quartile.
+        worst: smallest fitness.
+        best: largest fitness.
     """
 
     name: str
@@ -38,14 +38,14 @@ class Spread(NamedTuple):
 
 
 class Comparison(NamedTuple):
-    """Two settings beside each other.
+    """Comparison of two settings.
 
     Attributes:
-        first: name of one.
-        second: name of the other.
-        wins: chance that a run of the first beats one of the second; ties count half.
-        p_value: of the test that the two do not differ.
-        adjusted: the same for as many tests as were made (Holm 1979).
+        first: name of the first setting.
+        second: name of the second setting.
+        wins: chance that a run of the first beats a run of the second; ties count half.
+        p_value: p value of the hypothesis that the two do not differ.
+        adjusted: p value corrected for the number of tests (Holm 1979).
     """
 
     first: str
@@ -56,7 +56,7 @@ class Comparison(NamedTuple):
 
 
 def spread(name: str, fitness: Sequence[float]) -> Spread:
-    """What the runs of a setting came to; NaN where none has a champion."""
+    """Return the distribution of a setting's runs; NaN if none has a champion."""
     known = np.asarray(fitness, float)
     known = known[np.isfinite(known)]
     if not known.size:
@@ -67,10 +67,10 @@ def spread(name: str, fitness: Sequence[float]) -> Spread:
 
 
 def compare(settings: Mapping[str, Sequence[float]]) -> list[Comparison]:
-    """Every setting beside every other; those with fewer than two runs are left out.
+    """Compare all pairs of settings with at least two runs.
 
     Args:
-        settings: the fitness of their runs, to be maximised, by name.
+        settings: fitness of the runs, to be maximised, by name of the setting.
     """
     known = {name: _finite(fitness) for name, fitness in settings.items()}
     names = [name for name, fitness in known.items() if fitness.size > 1]
@@ -84,7 +84,7 @@ def compare(settings: Mapping[str, Sequence[float]]) -> list[Comparison]:
 
 
 def holm(p_values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """P values for that many tests (Holm 1979): the smallest times n, the next times n - 1, ..."""
+    """Return corrected p values (Holm 1979): the smallest times n, the next times n - 1, ..."""
     order = np.argsort(p_values, kind="stable")
     scaled = p_values[order] * np.arange(len(p_values), 0, -1)
     adjusted = np.empty_like(p_values)
@@ -93,7 +93,7 @@ def holm(p_values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 
 
 def _test(first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
-    """The chance that the first wins, and the p value."""
+    """Return the chance that the first wins, and the p value."""
     found = mannwhitneyu(first, second, alternative="two-sided")
     return float(found.statistic / (first.size * second.size)), float(found.pvalue)
 

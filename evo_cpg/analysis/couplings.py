@@ -1,4 +1,4 @@
-"""The oscillators of a chain as a function of three unknowns: b and the couplings between bodies.
+"""Oscillators of a chain as a function of three unknowns: b and the couplings between bodies.
 
     x = log(b, s, r)
 
@@ -25,25 +25,25 @@ from evo_cpg.control.matsuoka import (
 )
 from evo_cpg.creature.tree import Tree
 
-# Bounds of b, s and r. Beyond them there are waves that are ragged (r near 1: neighbours that are
-# equally strong make none), take long to recover (r near 0) or are faint (large b).
+# Bounds of b, s and r. Beyond them waves are ragged (r near 1: equally strong neighbours make no
+# wave), recover slowly (r near 0) or are faint (large b).
 GAINS, STRONGER, RATIOS = (1.0, 20.0), (0.5, 2.0), (0.05, 0.5)
 
 
 class Problem(eqx.Module):
-    """What the lag depends on, but for the unknowns.
+    """Fixed inputs of the lag, without the unknowns.
 
     Attributes:
-        template: the part with any couplings.
+        template: network of the part, with any couplings.
         parts: its ``weights`` and ``own_weights`` without couplings between bodies, what the
             stronger coupling adds when it is 1, and what the weaker adds.
-        head_to_tail: whether the parent's coupling is the stronger.
+        head_to_tail: whether the parent's coupling is the stronger one.
         drive: tonic input and sensory feedback of each neuron.
-        chain: places of its oscillators in the part.
-        sides: 1 where neighbours inhibit each other's other side, -1 where their own.
-        present: x0.
-        free: 1 for the unknowns that may change, else 0.
-        bounds: of x, lowest first.
+        chain: places of the chain's oscillators in the part.
+        sides: 1 if neighbours inhibit opposite sides, -1 if equal sides.
+        present: present unknowns, x0.
+        free: 1 for unknowns that may change, else 0.
+        bounds: lower and upper bounds of x.
     """
 
     template: MatsuokaNetwork
@@ -65,15 +65,15 @@ def problem_of(
     head_to_tail: bool,
     hold_gain: bool,
 ) -> Problem:
-    """State the problem.
+    """Set up the problem of a chain.
 
     Args:
         tree: the creature.
-        settings: at present.
-        chain: whose lag is meant.
-        gain: b at present.
-        head_to_tail: which way the wave is to run.
-        hold_gain: b is no unknown.
+        settings: present settings.
+        chain: chain whose lag is computed.
+        gain: present value of b.
+        head_to_tail: whether the wave runs from head to tail.
+        hold_gain: whether b is fixed.
     """
     part = list(chain.part)
     template = sub_network(
@@ -115,7 +115,7 @@ def problem_of(
 
 
 def network_at(problem: Problem, x: Array) -> tuple[MatsuokaNetwork, Array]:
-    """The part with the couplings of x, and b of each oscillator."""
+    """Return the part with the couplings of x, and b of each oscillator."""
     gain, stronger, ratio = jnp.exp(x)
     weights = [
         none + stronger * (one + ratio * other)

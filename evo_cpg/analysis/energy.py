@@ -1,4 +1,4 @@
-"""The energy and momentum of a trial: where they come from, and what nobody accounts for.
+"""Energy and momentum balance of a trial, with the part that no force explains.
 
 Over every physics step
 
@@ -12,7 +12,7 @@ the user's own are the laws themselves at the mean velocity, so that what the so
 is checked, too.
 What is left over is the simulator's, and vanishes with the step. A gait that lives on it is none.
 
-Momentum likewise: what changes it, and no force explains, is the simulator's.
+Momentum that no force explains is also an error of the simulator.
 
 All is computed in float64 from the states.
 """
@@ -44,22 +44,22 @@ from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
 
 
 class Ledger(NamedTuple):
-    """Work and energy in every physics step, J; see the module's docstring.
+    """Work and energy in every physics step, J; the module's docstring has the balance.
 
     Attributes:
-        stored: by which E rose.
-        motors: work of the motors; negative where they brake.
-        dampers: of the joints.
-        limits: of the joints' soft limits.
-        lift: of the ground's normal forces.
-        friction: of the ground.
-        limbs: of limbs that push each other apart.
-        water: drag, buoyancy and carried water.
-        own: force laws of the user's own.
-        pushes: of chance, before the step.
-        push_out: of `lift`, what lifts points out of the ground that have sunk into it, no faster
-            than the law wants.
-        impulse: that no force explains, world axes, N s.
+        stored: increase of E.
+        motors: work of the motors; negative when they brake.
+        dampers: work of the joints' dampers.
+        limits: work of the joints' soft limits.
+        lift: work of the ground's normal forces.
+        friction: work of the ground's friction.
+        limbs: work of limbs that push each other apart.
+        water: work of drag, buoyancy and carried water.
+        own: work of the user's force laws.
+        pushes: energy of random pushes before the step.
+        push_out: part of `lift` that lifts sunken points out of the ground, up to the speed of the
+            contact law.
+        impulse: impulse that no force explains, world axes, N s.
         given: sizes of the impulses of ground, water and own force laws on points and bodies,
             without weight and buoyancy, N s.
     """
@@ -80,27 +80,27 @@ class Ledger(NamedTuple):
 
     @property
     def work(self) -> dict[str, Float[np.ndarray, " t"]]:
-        """Of everything that does work, by name."""
+        """Work in every physics step by source, J."""
         return {name: getattr(self, name) for name in self._fields[1:10]}
 
     @property
     def left_over(self) -> Float[np.ndarray, " t"]:
-        """What the simulator added, J; negative where it lost energy."""
+        """Unexplained energy in every step, J; negative if the simulator lost energy."""
         return self.stored - sum(self.work.values())
 
     @property
     def effort(self) -> float:
-        """Work of the motors without regard to its sign, J."""
+        """Sum of the absolute work of the motors, J."""
         return float(np.abs(self.motors).sum())
 
 
 def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
-    """The books of a trial.
+    """Compute the ledger of a trial.
 
     Args:
-        world: it was lived in.
-        steps: of the trial.
-        h: length of a physics step, s.
+        world: world of the trial.
+        steps: physics steps of the trial.
+        h: duration of a physics step, s.
     """
     previous = jax.tree.map(_delayed, steps.after, steps.before)
 
@@ -111,7 +111,7 @@ def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
 
 
 def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tuple[Array, ...]:
-    """The fields of `Ledger`."""
+    """Return the fields of `Ledger`."""
     tree, before, after = world.tree, steps.before, steps.after
     # Velocities are half a step behind the poses.
     earlier, first, last = (
@@ -147,7 +147,7 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
 
 
 def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
-    """E: kinetic, of bodies and rotors, of weight, and of passive springs, J."""
+    """Return E, J: kinetic (bodies and rotors), gravitational, and of passive springs."""
     tree, state, kin = snapshot.world.tree, snapshot.state, snapshot.kinematics
     velocity = body_velocity(kin)
     momentum = matvec(expand_dims_like(tree.inertia, velocity, velocity.ndim + 1), velocity)
@@ -160,7 +160,7 @@ def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
 
 
 def _limit_torques(world: World, before: State, after: State, h: float) -> Float[Array, "d t"]:
-    """As the solver has them."""
+    """Return the torques of the joint limits as in the solver, N m."""
     if needs_iteration(world):
         return limit_torque(world.tree, before.q, after.qd, h)[0]
     torque, slope = expected_limit_torque(world.tree, before, h)
@@ -170,7 +170,7 @@ def _limit_torques(world: World, before: State, after: State, h: float) -> Float
 def _ground_work(
     world: World, force: Float[Array, "3 p t"], first: Kinematics, middle: Kinematics, h: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Work of normal forces, of friction and of push-out, J, and the force on every point, N."""
+    """Return work of normal forces, friction and push-out, J, and force on every point, N."""
     if world.contact_model is None:
         none = jnp.zeros_like(first.origin[0, 0])
         return none, none, none, force
@@ -179,7 +179,7 @@ def _ground_work(
     velocity = take(middle.linear, bodies) + cross(take(middle.angular, bodies), contacts.offset)
     local, moving = matvec(contacts.frame, force), matvec(contacts.frame, velocity)
     lift, friction = local[2] * moving[2], dot(local[:2], moving[:2])
-    # Of a point that rests the law wants `rest`, with which it does not move.
+    # A resting point does not move, although its `rest_velocity` may be positive.
     risen = jnp.clip(moving[2], 0.0, jnp.maximum(contacts.rest_velocity, 0.0))
     push_out = h * (local[2] * risen).sum(0)
     return h * lift.sum(0), h * friction.sum(0), push_out, force
@@ -215,5 +215,5 @@ def _law_work(
 
 
 def _delayed(after: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """The states that the steps before came to; of the first, its own start."""
+    """Return the final state of the step before; for the first step, its initial state."""
     return np.concatenate([before[..., :1], after[..., :-1]], -1)

@@ -1,4 +1,4 @@
-"""How far a trial goes to the limits of what is simulated: peaks, depths, shares of time."""
+"""Extremes of a trial that an audit limits: peaks, depths, fractions of time."""
 
 import functools
 from collections.abc import Callable
@@ -35,7 +35,7 @@ _POINTS, _WITHIN = 128, 1e-3
 
 
 class Excursions(NamedTuple):
-    """One trial's.
+    """Extremes of one trial.
 
     Attributes:
         displacement: of the root, towards the light or over the ground from its start, m.
@@ -78,7 +78,7 @@ def excursions(
     steps: PhysicsSteps,
     situation: int = 0,
 ) -> Excursions:
-    """See `Excursions`.
+    """Measure the extremes of a trial.
 
     Args:
         simulation: the trial was lived in.
@@ -127,7 +127,7 @@ def excursions(
 def displacement(
     path: Float[np.ndarray, "3 t"], light: tuple[float, float, float] | np.ndarray | None
 ) -> float:
-    """How much nearer to the light a path comes, or how far over the ground, m.
+    """Return the decrease in distance to the light, or the horizontal displacement, m.
 
     Args:
         path: places, the start first.
@@ -140,7 +140,7 @@ def displacement(
 
 
 def _clearance(world: World, kin: Kinematics) -> Float[Array, "p t"]:
-    """Of the contact points above the ground, m."""
+    """Return the height of the contact points above the ground, m."""
     if world.contact_model is None:
         return kin.origin[0, :0]
     return contact_points(world.contact_model, kin).gap

@@ -67,13 +67,13 @@ _LEAST_FREEDOM = 1e-3
 
 
 class Fit(NamedTuple):
-    """What the data say.
+    """Result of a fit.
 
     Attributes:
-        values: of the parameters.
+        values: values of the parameters.
         errors: standard errors of theta: of the logarithms where these are fitted.
-        lower: end of the 95 % interval.
-        upper: likewise.
+        lower: lower end of the 95 % interval.
+        upper: upper end of the 95 % interval.
         correlation: of the parameters' errors.
         noise: of each kind of column.
         freedom: n - k.
@@ -250,7 +250,7 @@ def student_quantile(
 
 
 def fit_warnings(keys: tuple[str, ...], positive: np.ndarray, result: Fit) -> list[str]:
-    """What cannot be told from the data, in words."""
+    """Return warnings about parameters that the data do not determine."""
     words = []
     correlation = np.asarray(result.correlation)
     for i, key in enumerate(keys):

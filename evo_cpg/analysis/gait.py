@@ -1,4 +1,4 @@
-"""Frequency, amplitude and phase lag of the joints: is there a wave along the body?
+"""Frequency, amplitude and phase lag of the joints, to detect a wave along the body.
 
 Iwadate 2010, section 6, reports "a smooth phase lag from the front to the back of the animal".
 The joint angles about one axis, from the front backwards, are taken over the last part of the
@@ -23,9 +23,9 @@ class Gait(NamedTuple):
     """The rhythm of the joints about one axis, in the order of the degrees of freedom.
 
     Attributes:
-        axis: its name.
-        frequency: of each joint, Hz.
-        amplitude: of each joint at the common frequency, rad.
+        axis: name of the axis.
+        frequency: frequency of each joint, Hz.
+        amplitude: amplitude of each joint at the common frequency, rad.
         lag: of each joint behind the one before it, degrees from -180 to 180; positive where the
             wave runs backwards along the body.
     """
@@ -36,7 +36,7 @@ class Gait(NamedTuple):
     lag: Float[np.ndarray, " gaps"]
 
     def has_wave(self, spread: float = 0.02, lags: tuple[float, float] = (10.0, 70.0)) -> bool:
-        """Whether all joints share one frequency and every gap has a lag within bounds.
+        """Return whether all joints share a frequency and all lags are within bounds.
 
         Args:
             spread: allowed relative difference of a frequency from the median.
@@ -87,7 +87,7 @@ def gait(
 def ring_lags(
     recording: Recording, joints: Sequence[str], last: float = 0.5
 ) -> Float[np.ndarray, " n"]:
-    """By how much each joint is behind the one before it, and the first behind the last, degrees.
+    """Return the lag of each joint behind the one before, the first behind the last, degrees.
 
     Each joint's angle is about its own axis, which turns with the limb around the ring: what is
     alike in all limbs, such as lifting, has the same sign in all.
@@ -138,7 +138,7 @@ def fourier_component(
 
 
 def level(signals: Float[np.ndarray, "t j"]) -> Float[np.ndarray, "t j"]:
-    """The signals without their means and linear trends."""
+    """Return the signals without their means and linear trends."""
     time = np.linspace(-1.0, 1.0, len(signals))[:, None]
     centred = signals - signals.mean(0)
     return centred - time * (time * centred).sum(0) / (time * time).sum(0)

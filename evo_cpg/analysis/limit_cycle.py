@@ -1,4 +1,4 @@
-"""The rhythm of a Matsuoka network as a periodic orbit: its period, shape and stability.
+"""Rhythm of a Matsuoka network as a periodic orbit: period, shape and stability.
 
 A network may be simulated exactly, one linear piece at a time (`evo_cpg.control.piecewise`). The
 search for a rhythm has three outcomes, which are never taken for one another:
@@ -110,12 +110,12 @@ class LimitCycle(NamedTuple):
 
     @property
     def frequency(self) -> float:
-        """Hz."""
+        """Frequency, Hz."""
         return 1.0 / self.period
 
     @property
     def stable(self) -> bool:
-        """Whether pushes certainly die away."""
+        """Return whether small perturbations decay."""
         return bool(np.abs(self.multipliers[0]) < 1)
 
     @property
@@ -139,7 +139,7 @@ class LimitCycle(NamedTuple):
 
     @property
     def amplitude(self) -> Float[np.ndarray, " o"]:
-        """Half of what each signal swings by."""
+        """Half the peak-to-peak range of each signal."""
         return np.ptp(self.outputs, axis=1) / 2
 
     @property
@@ -375,7 +375,7 @@ def _neutral_error(flow: Flow, orbit: Orbit) -> float:
 
 
 def _rest_words(flow: Flow, rest: Rest, time: float) -> str:
-    """What it is to be at rest there, and which way out."""
+    """Return the message for a network at rest, with advice."""
     rate = rest.rates[0].real * flow.second
     push = f"a push decays within {-1 / rate:.3g} s" if rate < 0 else "a push does not grow"
     if rest.firing.all():
@@ -390,7 +390,7 @@ def _rest_words(flow: Flow, rest: Rest, time: float) -> str:
 
 
 def _border_words(flow: Flow, time: float) -> str:
-    """What a state that neither moves nor is certain to stay says."""
+    """Return the message for a state at the border between rest and rhythm."""
     return (
         "the search failed, so nothing is known of the network: after "
         f"{time / flow.second:.3g} s it stands still at the very border between rest and a "
@@ -399,7 +399,7 @@ def _border_words(flow: Flow, time: float) -> str:
 
 
 def _failure_words(flow: Flow, state: np.ndarray, time: float, swing: float) -> str:
-    """What the search saw when its budget ended."""
+    """Return the message for a search that used up its budget."""
     words = (
         "the search failed, so nothing is known of the network: in "
         f"{time / flow.second:.3g} s of simulation it neither came to rest nor repeated itself"

@@ -1,4 +1,4 @@
-"""How deep two convex shapes are in each other, whatever they are."""
+"""Overlap depth of two arbitrary convex shapes."""
 
 import numpy as np
 from jaxtyping import Float

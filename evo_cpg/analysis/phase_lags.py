@@ -20,7 +20,7 @@ _PERIODS = 4.0
 
 
 class PhaseLags(NamedTuple):
-    """How signals follow each other.
+    """Phase lags and coherence of signals.
 
     Attributes:
         lag: of signal j behind signal i, degrees from -180 to 180; NaN where one of them does not
@@ -34,7 +34,7 @@ class PhaseLags(NamedTuple):
 
 
 def phase_lags(signals: Float[np.ndarray, "t j"], step: float, frequency: float) -> PhaseLags:
-    """See `PhaseLags`.
+    """Measure phase lags and coherence.
 
     Args:
         signals: any unit.

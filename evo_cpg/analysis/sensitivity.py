@@ -1,4 +1,4 @@
-"""How much what an animal does depends on each number behind it.
+"""Sensitivity of an animal's speed and fitness to each parameter.
 
 With a measure m (a speed, a fitness) and a parameter p the elasticity is
 
@@ -48,11 +48,11 @@ _SPEED = "(speed of the root)"
 
 
 class Sensitivity(NamedTuple):
-    """What a measure has to do with one parameter.
+    """Sensitivity of a measure to one parameter.
 
     Attributes:
-        key: of the parameter.
-        value: of the parameter.
+        key: key of the parameter.
+        value: value of the parameter.
         slope: dm/dp.
         change: m at the larger value that was tried, less m at the smaller one.
         step: from the smaller value to the larger one.
@@ -76,7 +76,7 @@ class Sensitivity(NamedTuple):
 
     @property
     def finite(self) -> float:
-        """The same from the finite change."""
+        """Elasticity from the finite change."""
         return self._relative(self.change / self.step if self.step else math.nan)
 
     def _relative(self, slope: float) -> float:
@@ -85,7 +85,7 @@ class Sensitivity(NamedTuple):
 
     @property
     def confirmed(self) -> bool:
-        """Whether the derivative says what a change of ``CHANGE`` does."""
+        """Return whether the derivative predicts the effect of ``CHANGE``."""
         predicted = self.step * self.slope
         larger = max(abs(predicted), abs(self.change))
         bound = _AGREEMENT * larger + _NEGLIGIBLE * abs(self.measure)
@@ -147,7 +147,7 @@ def measured(
     scales: dict[str, float],
     keys: Array | None = None,
 ) -> Float[Array, "2 *n"]:
-    """Speed and fitness, see `MEASURES`.
+    """Return speed and fitness, see `MEASURES`.
 
     Args:
         simulation: the trial, without `followed`.

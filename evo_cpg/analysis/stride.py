@@ -33,7 +33,7 @@ _NOWHERE = 1e-6
 
 
 def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
-    """Strides a second, by the autocorrelation of all joints together.
+    """Return the stride frequency from the autocorrelation of all joints together.
 
     The stride is the shortest time after which all joints are again as they were: the first peak
     of
@@ -77,7 +77,7 @@ def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
 
 
 def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) -> float:
-    """Speed along the way, smoothed over a stride so that swaying does not count, m/s.
+    """Return the speed along the path, m/s, smoothed over a stride to remove swaying.
 
     Args:
         path: of the animal's middle, m.
@@ -92,7 +92,7 @@ def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) ->
 
 
 def stride_length(speed: float, frequency: float) -> float:
-    """How far a stride carries, m: speed by frequency (Alexander 2003).
+    """Return the stride length, m: speed by frequency (Alexander 2003).
 
     Args:
         speed: m/s.
@@ -167,7 +167,7 @@ def cost_of_transport(energy: float, mass: float, gravity: float, distance: floa
 
 
 def _autocorrelation(level: Float[np.ndarray, "t j"], most: int) -> Float[np.ndarray, " lags"]:
-    """Of all signals together, for lags from 0 to ``most`` samples."""
+    """Return the autocorrelation of all signals, for lags from 0 to ``most`` samples."""
     count = len(level)
     spectrum = np.fft.rfft(level, 2 * count, axis=0)
     product = np.fft.irfft(np.square(np.abs(spectrum)).sum(1), 2 * count)[: most + 1]
@@ -179,7 +179,7 @@ def _autocorrelation(level: Float[np.ndarray, "t j"], most: int) -> Float[np.nda
 
 
 def _samples(step: float, frequency: float) -> int:
-    """Of a stride."""
+    """Return the number of samples in a stride."""
     return max(1, round(1.0 / (frequency * step)))
 
 
@@ -202,7 +202,7 @@ def _finer(
 def _over_strides(
     path: Float[np.ndarray, "t 3"], step: float, frequency: float
 ) -> Float[np.ndarray, "n 3"]:
-    """Means over every stride; a straight line where there is none."""
+    """Return means over every stride; a straight line without strides."""
     width = _samples(step, frequency) if frequency > 0 else len(path)
     if width >= len(path):
         return np.linspace(path[0], path[-1], len(path))

@@ -1,4 +1,4 @@
-"""What an audit asks of a champion, and what it says."""
+"""Limits, checks and verdict of an audit."""
 
 import dataclasses
 import difflib
@@ -16,21 +16,21 @@ _DEEPEST, _DEPTH, _FALL, _GRAVITY = 0.01, 0.02, 20.0, 9.81
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """What a sound gait stays within.
+    """Limits of a sound gait.
 
     Shares of a way are of the one that the champion makes under its own circumstances; energies are
     shares of what its motors put in and take out.
 
     Attributes:
-        half_step: least share of the way at half the physics step.
-        quarter_step: likewise at a quarter.
-        friction: likewise with 10 % more and less friction.
-        drag: likewise with 10 % more and less drag.
-        pose: likewise from slightly different poses.
-        surface_points: likewise with other points on the surfaces in water.
-        precision: likewise in float64.
-        other_engine: likewise computed by the other engine.
-        limp_way: largest share of the way with motors that do nothing.
+        half_step: least fraction of the displacement at half the physics step.
+        quarter_step: least fraction at a quarter of the physics step.
+        friction: least fraction with 10 % more and less friction.
+        drag: least fraction with 10 % more and less drag.
+        pose: least fraction from slightly different initial poses.
+        surface_points: least fraction with other surface points in water.
+        precision: least fraction in float64.
+        other_engine: least fraction with the other engine.
+        limp_way: largest fraction of the displacement with motors that exert no torque.
         simulator_energy: largest share of energy that no force accounts for, summed over stretches
             of a quarter of a second in which it is a gain.
         push_out_energy: largest share of energy that comes from lifting sunken points out.
@@ -39,7 +39,7 @@ class Limits:
         simulator_momentum: largest share of the surroundings' impulses that no force accounts for.
         penetration: deepest of the ground, m; if None 1 cm, or a fiftieth of the animal's length
             where that is less.
-        overlap: deepest of two bodies of the animal, m; likewise if None.
+        overlap: deepest overlap of two bodies, m; if None the default of ``penetration``.
         unsolved: largest share of steps whose equations are not solved to 1e-3.
         slipping: largest share of steps whose friction misses its cone by a tenth.
         airborne_way: largest share of the way while nothing touches the ground.
@@ -77,7 +77,7 @@ class Limits:
     seen_through_ground: float = 0.01
 
     def of_length(self, length: Number) -> "Limits":
-        """With what goes by the length of an animal (m) where it is not given."""
+        """Return the limits with defaults that depend on the animal's length (m)."""
         depth = xp.minimum(_DEEPEST, _DEPTH * length)
         found = {
             "penetration": depth,
@@ -89,14 +89,14 @@ class Limits:
 
 
 def limits_from(settings: Sequence[str], limits: Limits = Limits()) -> Limits:
-    """Limits with some of them changed.
+    """Return the limits with some of them changed.
 
     Args:
         settings: as on the command line, ``key=value``.
-        limits: the others.
+        limits: limits to change.
 
     Raises:
-        LimitError: a key that does not exist, or a value that is no limit.
+        LimitError: a key does not exist, or a value is no limit.
     """
     changed = {}
     for setting in settings:
@@ -118,20 +118,20 @@ def limits_from(settings: Sequence[str], limits: Limits = Limits()) -> Limits:
 
 
 class LimitError(UserError, ValueError):
-    """A limit that does not exist or cannot be."""
+    """Error for an unknown limit or an invalid value."""
 
 
 class Check(NamedTuple):
-    """One question, and its answer.
+    """Result of one check.
 
     Attributes:
-        key: of the limit in `Limits`; of what has none, a name of its own.
-        question: what was asked.
-        measured: the answer.
-        limit: what is allowed; None where it is only reported.
-        least: whether the limit is the least that is asked for, and not the most.
-        unit: of both.
-        detail: what else there is to say.
+        key: key of the limit in `Limits`, or a name of its own.
+        question: description of the measured quantity.
+        measured: measured value.
+        limit: allowed value; None if the value is only reported.
+        least: whether the limit is a minimum, not a maximum.
+        unit: unit of value and limit.
+        detail: additional text.
     """
 
     key: str
@@ -144,7 +144,7 @@ class Check(NamedTuple):
 
     @property
     def passed(self) -> bool | None:
-        """None where there is nothing to pass."""
+        """Return whether the check passed; None without a limit."""
         if self.limit is None:
             return None
         if math.isnan(self.measured):
@@ -153,7 +153,7 @@ class Check(NamedTuple):
 
     @property
     def reason(self) -> str:
-        """Why it did not pass, in words."""
+        """Text that states the violated limit."""
         bound = "less than" if self.least else "more than"
         return (
             f"{self.question}: {shown(self.measured, self.unit)}, {bound} "
@@ -162,7 +162,7 @@ class Check(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What an audit came to.
+    """Result of an audit.
 
     Attributes:
         checks: all of them.
@@ -172,17 +172,17 @@ class Verdict(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether nothing failed."""
+        """Return whether no check failed."""
         return all(check.passed is not False for check in self.checks)
 
     @property
     def reasons(self) -> list[str]:
-        """Why it did not pass."""
+        """Reasons of all failed checks."""
         return [check.reason for check in self.checks if check.passed is False]
 
 
 def shown(value: float | None, unit: str = "") -> str:
-    """A number with its unit, shares in per cent."""
+    """Return a number with its unit as text; fractions in per cent."""
     if value is None:
         return ""
     if math.isnan(value):

@@ -1,11 +1,11 @@
-"""The champions that a run had on its way: a genome for every generation in which one was found.
+"""Lineage: earlier champions of a run, a genome for every generation that found one.
 
-At most `KEPT` of each run are kept, so that the file cannot grow without bound. Where there would
-be more, one is given up that is no champion of a landmark (generation 0, 1, 2, 5, 10, 20, 50, ...)
-and whose neighbours lie closest together, counted in ratios of generations. So the champions of all
-landmarks stay exact however long a run lasts, and its beginning stays as fine as its end. The first
-and the newest always stay. What is given up depends on nothing but the generations in which
-champions were found: a run that is killed and resumed comes to the same lineage.
+At most `KEPT` champions of each run are kept, to limit the file. A champion is dropped if it is not
+the champion of a landmark (generation 0, 1, 2, 5, 10, 20, 50, ...) and its neighbours are closest
+together, in ratios of generations. So the champions of all landmarks stay exact however long a run
+lasts, and the resolution stays even. The first and the newest always stay. The choice depends only
+on the generations in which champions were found. So a resumed run has the lineage of an
+uninterrupted one.
 """
 
 import itertools
@@ -17,18 +17,18 @@ import numpy as np
 
 from evo_cpg.training.checkpoint import SCALE_PREFIX, TERM_PREFIX, Champion
 
-# Of each run. Landmarks take three in a factor of ten: 19 of a million generations.
+# Limit for each run. Landmarks take three per factor of ten: 19 for a million generations.
 KEPT = 32
 
 _OF_ALL = ("fitness", "generation", "run", "index")
 
 
 def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Champion]:
-    """A lineage with new champions, run by run, each in the order of generations.
+    """Return a lineage with new champions, run by run, in the order of generations.
 
     Args:
-        lineage: so far.
-        found: champions; one of the same run and generation is replaced.
+        lineage: champions so far.
+        found: new champions; they replace ones of equal run and generation.
     """
     known = {(each.run, each.generation): each for each in lineage}
     known |= {(each.run, each.generation): each for each in found}
@@ -43,34 +43,34 @@ def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Cha
 def until(
     lineage: Sequence[Champion], champions: Sequence[Champion | None], generation: int
 ) -> list[Champion]:
-    """What a lineage was when so many generations were done.
+    """Return the lineage after a number of generations.
 
     Args:
-        lineage: as it was written, perhaps a generation ahead of the checkpoint, or none at all.
-        champions: of the checkpoint, of every run.
-        generation: that many are done.
+        lineage: written lineage, perhaps empty or a generation ahead of the checkpoint.
+        champions: champion of every run in the checkpoint.
+        generation: number of finished generations.
     """
     done = [each for each in lineage if each.generation < generation]
     return extended(done, [each for each in champions if each is not None])
 
 
 def champion_at(lineage: Sequence[Champion], generation: int) -> Champion | None:
-    """Who was champion when a generation was done; None before there was one.
+    """Return the champion after a generation; None before the first champion.
 
     Args:
-        lineage: of one run.
-        generation: counted from 0.
+        lineage: lineage of one run.
+        generation: number of the generation, from 0.
     """
     found = [each for each in lineage if each.generation <= generation]
     return found[-1] if found else None
 
 
 def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
-    """The first champion, the last, and others in between, evenly in ratios of generations.
+    """Return the first champion, the last, and others evenly spaced in ratios of generations.
 
     Args:
-        lineage: of one run.
-        count: how many at most.
+        lineage: lineage of one run.
+        count: largest number of champions.
     """
     if count < 2 or len(lineage) <= count:
         return list(lineage)[-count:]
@@ -84,14 +84,14 @@ def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
 
 
 def lineage_arrays(lineage: Sequence[Champion]) -> dict[str, Any]:
-    """A lineage, of one champion or more, as named arrays with a row for each."""
+    """Return a lineage of at least one champion as named arrays with a row for each."""
     arrays: dict[str, Any] = {"genes": np.stack([each.genes for each in lineage])}
     arrays |= {name: np.array([getattr(each, name) for each in lineage]) for name in _OF_ALL}
     for prefix, rows in (
         (TERM_PREFIX, [each.terms for each in lineage]),
         (SCALE_PREFIX, [each.scales for each in lineage]),
     ):
-        # A configuration may have been given other measures on the way.
+        # The measures of a configuration may have changed during the run.
         names = dict.fromkeys(name for one in rows for name in one)
         arrays |= {
             prefix + name: np.array([one.get(name, math.nan) for one in rows]) for name in names
@@ -100,11 +100,11 @@ def lineage_arrays(lineage: Sequence[Champion]) -> dict[str, Any]:
 
 
 def read_lineage(arrays: Mapping[str, np.ndarray]) -> list[Champion]:
-    """The inverse of `lineage_arrays`.
+    """Read a lineage from `lineage_arrays`.
 
     Raises:
         KeyError: an array is missing.
-        ValueError: they have different numbers of rows, or are none of ours.
+        ValueError: the arrays have different numbers of rows, or hold something else.
     """
     genes = arrays["genes"]
     columns = {name: arrays[name].tolist() for name in _OF_ALL}
@@ -136,14 +136,14 @@ def read_lineage(arrays: Mapping[str, np.ndarray]) -> list[Champion]:
 
 
 def landmarks(last: int) -> list[int]:
-    """Generations 0, 1, 2, 5, 10, 20, 50, ... up to a last one."""
+    """Return the generations 0, 1, 2, 5, 10, 20, 50, ... up to a last one."""
     powers = range(len(str(max(last, 1))))
     round_ones = (step * 10**power for power in powers for step in (1, 2, 5))
     return [0, *(each for each in round_ones if each <= last)]
 
 
 def _thinned(own: list[Champion]) -> list[Champion]:
-    """At most `KEPT` champions of one run."""
+    """Return at most `KEPT` champions of one run."""
     while len(own) > KEPT:
         least = _least([each.generation for each in own])
         own = own[:least] + own[least + 1 :]
@@ -151,9 +151,9 @@ def _thinned(own: list[Champion]) -> list[Champion]:
 
 
 def _least(found: Sequence[int]) -> int:
-    """Which of the champions found in these generations is missed least."""
+    """Return the index of the champion to drop, given the generations of all."""
     marks = landmarks(found[-1])
-    # Champion from the generation in which it was found to that before the next one's.
+    # Each is champion from its generation until the generation before the next one's.
     free = [
         i
         for i in range(1, len(found) - 1)
@@ -163,5 +163,5 @@ def _least(found: Sequence[int]) -> int:
 
 
 def _age(generation: int) -> float:
-    """Generations on a scale of ratios."""
+    """Return a generation on a logarithmic scale."""
     return math.log1p(generation)

@@ -23,7 +23,7 @@ the patience of a team, so that the report names the process."""
 _HEAD = struct.Struct("<BQ")
 _DATA, _HEARTBEAT, _LOST, _GOODBYE = range(4)
 
-# Bytes that are sent at a time: each piece may take `SILENCE`.
+# Number of bytes that are sent at a time; each piece may take `SILENCE`.
 _PIECE = 1 << 20
 
 
@@ -31,8 +31,8 @@ class Link:
     """One end of a connection.
 
     Args:
-        connection: to the other process.
-        name: of the other process.
+        connection: connection to the other process.
+        name: name of the other process.
         on_lost: called with the reason, in a thread of the link, if the other process is lost.
     """
 
@@ -47,14 +47,14 @@ class Link:
         threading.Thread(target=self._read, name=f"link to {name}", daemon=True).start()
 
     def send(self, content: bytes) -> None:
-        """Send a frame. An error is not raised: the link reports a lost process by `on_lost`."""
+        """Send a frame. No error is raised: the link reports a lost process by `on_lost`."""
         self._send(_DATA, content)
 
     def receive(self, timeout: float) -> bytes | None:
         """Return the next frame; None if the other process has left or is lost.
 
         Raises:
-            queue.Empty: no frame comes in time.
+            queue.Empty: no frame arrives in time.
         """
         return self._frames.get(timeout=timeout)
 
@@ -63,11 +63,11 @@ class Link:
         self._send(_HEARTBEAT)
 
     def report(self, why: str) -> None:
-        """Send the reason why the team cannot go on."""
+        """Send the reason why the team cannot continue."""
         self._send(_LOST, why.encode())
 
     def leave(self) -> None:
-        """Part in good order: from now on the other process may end."""
+        """Leave in good order. After this the other process may end."""
         self._left = True
         self._send(_GOODBYE)
 
@@ -84,7 +84,7 @@ class Link:
         self._frames.put(None)
 
     def _listen(self) -> str | None:
-        """Take frames until the connection ends. Return why it did; None after a goodbye."""
+        """Receive frames until the connection ends. Return the reason; None after a goodbye."""
         try:
             while True:
                 kind, length = _HEAD.unpack(self._take(_HEAD.size))

@@ -1,8 +1,8 @@
-"""The generation loop: evolve one experiment, or several side by side in one program of trials.
+"""Generation loop: evolve one experiment, or several together in one program of trials.
 
-Experiments evolve side by side if their animals have the same trials. Their populations stand one
-after the other on the population axis. So a machine's vectors and cores are full however small each
-population is, and the program compiles once.
+Experiments evolve together if their animals have equal trials. Their populations are concatenated
+on the population axis. So a machine's vectors and cores are full however small each population is,
+and the program compiles once.
 """
 
 import itertools
@@ -49,7 +49,7 @@ def train_together(
 ) -> list[Checkpoint]:
     """Evolve several experiments, each from its folder's newest checkpoint to its last generation.
 
-    Each experiment has the result that it would have alone.
+    The result of each experiment does not depend on the others.
 
     Args:
         experiments: experiments with equal simulations and equally many trials of an individual.
@@ -57,15 +57,15 @@ def train_together(
         on_generation: called after each generation of an experiment, with its number and its new
             rows of metrics.csv, one for each run.
         mesh: devices to use; None for all of this process.
-        on_compiled: called once, when the program of the trials is compiled and has run: the
-            moment to compile in a thread what is needed later.
-        team: the processes that evolve together. Only their lead reads and writes the folders.
+        on_compiled: called once, after the program of the trials has been compiled and run. It can
+            start a thread that compiles later programs.
+        team: processes that evolve together. Only the lead reads and writes the folders.
 
     Returns:
         The checkpoint of each experiment after its last generation.
 
     Raises:
-        StrategyError: a strategy asks for genomes that are not finite, or a checkpoint comes from
+        StrategyError: a strategy returns genomes that are not finite, or a checkpoint comes from
             another strategy.
     """
     mesh = mesh or population_mesh()
@@ -87,7 +87,7 @@ def train_together(
         spent = time.perf_counter() - start
         parts = _split(outcome, widths, trials)
         for number, part, width in zip(behind, parts, widths, strict=True):
-            # Each experiment is charged its part of the common trials.
+            # Each experiment's time includes its part of the common trials.
             own_start = time.perf_counter() - spent * width / sum(widths)
             rows = running[number].tell(part, own_start)
             if rows:
@@ -98,7 +98,7 @@ def train_together(
 def _behind(running: Sequence[Running]) -> list[int]:
     """Return the unfinished experiments with the fewest generations done.
 
-    After a kill some may be ahead of the others by one generation.
+    After a kill some experiments may be one generation ahead of the others.
     """
     left = {i: each.checkpoint.generation for i, each in enumerate(running) if not each.finished}
     fewest = min(left.values(), default=0)
@@ -106,7 +106,7 @@ def _behind(running: Sequence[Running]) -> list[int]:
 
 
 def _joined(parts: Sequence[Trials]) -> Trials:
-    """Return the trials of all experiments, one after the other."""
+    """Return the trials of all experiments, concatenated."""
     if len(parts) == 1:
         return parts[0]
     return jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=-1), *parts)

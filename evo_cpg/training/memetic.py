@@ -1,7 +1,7 @@
-"""Learning on top of evolution: every few generations the elites climb along their slopes.
+"""Learning in addition to evolution: every few generations the elites take gradient steps.
 
-What they learn they pass on (Lamarck's way, as memetic algorithms have it): the genomes that they
-reach take their places in the population.
+The improved genomes replace the elites in the population (Lamarckian learning, as in memetic
+algorithms).
 """
 
 from collections.abc import Callable
@@ -21,13 +21,12 @@ _CLIMB = 3
 def compile_learning(
     experiment: Experiment, mesh: Mesh
 ) -> Callable[..., Float[np.ndarray, "g all"]]:
-    """The elites' steps uphill, on the devices of the mesh.
+    """Return a function that runs the elites' gradient ascent on the devices of the mesh.
 
     Returns:
-        A function of a population whose runs begin with their elites, the number of the generation
-        that will live with it, and the task's scales in each run; compiled at its first call.
-        It gives the population with the elites as they are afterwards. Each run draws from its own
-        seed.
+        A function of the population, the number of its generation, and the task's scales in each
+        run, compiled at its first call. Every run's part of the population begins with its elites.
+        The result is the population with improved elites. Each run draws from its own seed.
     """
     learning = experiment.learning
     assert learning is not None
@@ -60,7 +59,7 @@ def compile_learning(
 
 
 def _keys(experiment: Experiment, generation: int) -> np.ndarray | None:
-    """Of the trials that the elites of all runs will live, ``(w, trials, n)``."""
+    """Return keys of the trials of all runs' elites, ``(w, trials, n)``; None without noise."""
     assert experiment.learning is not None
     shape = experiment.runs, experiment.learning.elites, experiment.trials
     run, individual, trial = np.indices(shape).reshape(3, -1)

@@ -1,9 +1,8 @@
-"""How much memory a run needs, and whether the machine has it: known before it starts.
+"""Memory that a run needs, compared with the machine's memory before the run starts.
 
-Trials run in blocks that are small whatever the population; what grows with it are its genomes, of
-which breeding holds several copies: 20,000 to 500,000 individuals took four times their genomes.
-Beside them is what a search remembers from one generation to the next, such as a genome in every
-cell of a map of behaviour, or a covariance matrix.
+Trials run in blocks whose size does not depend on the population. Genomes do: breeding holds
+several copies of them, four for 20,000 to 500,000 individuals. The state of a search is added, such
+as a genome in every cell of a map of behaviour, or a covariance matrix.
 """
 
 import contextlib
@@ -17,11 +16,11 @@ from evo_cpg.errors import UserError
 from evo_cpg.system import described_by
 from evo_cpg.training.experiment import Experiment, begin
 
-# Bytes of everything else, and copies of all genomes, and of what a search remembers, at the worst
-# moment, with room to spare.
+# Bytes of everything else, and the largest number of copies of genomes and search state, with a
+# margin.
 _REST, _COPIES = 2**29, 6
 _GENE = 4  # bytes
-# What a search remembers is told from so many bytes on.
+# Size of a search's state, bytes, from which the error mentions it.
 _MENTIONED = 2**20
 
 _CONTROL_GROUPS = (
@@ -31,30 +30,30 @@ _CONTROL_GROUPS = (
 
 
 class TooLargeError(UserError):
-    """A run for which the machine has no memory; the message is for the user."""
+    """Error for a run that needs more memory than the machine has; shown to the user."""
 
 
 def needed(experiment: Experiment) -> int:
-    """Bytes that training will need at most."""
+    """Return an upper bound of the bytes that training needs."""
     genes = experiment.simulation.genome.count
     genomes = _GENE * genes * experiment.runs * experiment.strategy.population
     return _REST + _COPIES * (genomes + remembered(experiment))
 
 
 def remembered(experiment: Experiment) -> int:
-    """Bytes of what the searches of all runs remember beside their populations.
+    """Return the bytes of the search state of all runs, without their populations.
 
-    That is what checkpoints hold of them. Nothing is computed for it.
+    Checkpoints hold this state. Only shapes are evaluated here.
     """
     state = jax.eval_shape(lambda: begin(experiment))[1]
     return sum(math.prod(x.shape) * x.dtype.itemsize for x in jax.tree.leaves(state))
 
 
 def available() -> int | None:
-    """Bytes that the machine has, or its container; None where that cannot be known."""
+    """Return the bytes of the machine or its container; None if unknown."""
     found = []
     for file in _CONTROL_GROUPS:
-        # No such group, or one without a limit.
+        # The group may be missing or without a limit.
         with contextlib.suppress(ValueError):
             found.append(int(described_by(Path(file))))
     with contextlib.suppress(AttributeError, OSError, ValueError):
@@ -63,10 +62,10 @@ def available() -> int | None:
 
 
 def require_memory(experiment: Experiment) -> None:
-    """Check that a run fits.
+    """Check that a run fits into the memory.
 
     Raises:
-        TooLargeError: it does not.
+        TooLargeError: the run does not fit.
     """
     need, there = needed(experiment), available()
     if there is None or need <= there:

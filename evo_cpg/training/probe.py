@@ -1,4 +1,4 @@
-"""How an animal does in situations that it did not evolve in."""
+"""Test of an animal in situations that it did not evolve in."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -16,22 +16,22 @@ from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.devices import layout, population_mesh, run_in_blocks, sharded
 from evo_cpg.training.experiment import compile_trials
 
-# An animal that keeps this share of its displacement without eyes does not steer by them: one that
-# swims straight ahead, wherever the light is, keeps 87 % towards a light 30 degrees aside, where it
-# is by default, and loses more only where it has to turn farther.
+# An animal that keeps this fraction of its displacement without eyes does not steer by them. One
+# that swims straight ahead keeps 87 % towards a light 30 degrees aside, the default. It keeps less
+# only if the light is farther aside.
 UNSEEING = 0.8
 
 
 class Probe(NamedTuple):
-    """What became of one animal in several situations; arrays have a row for each.
+    """Results of one animal in several situations; arrays have a row for each.
 
     Attributes:
-        situations: what each began with; all have a light.
-        start_distance: from the light at the start, m.
-        distance: left at the end, as a share of that; NaN where the animal diverged.
-        light: seen by the best eye, mean over the trial, 0 to 1; NaN where the animal diverged.
-        alive: False where the animal diverged.
-        paths: of the root's centre, m, once per control step.
+        situations: initial situations; all have a light.
+        start_distance: initial distance from the light, m.
+        distance: final distance as a fraction of the initial one; NaN if the animal diverged.
+        light: light seen by the best eye, mean over the trial, 0 to 1; NaN if diverged.
+        alive: False if the animal diverged.
+        paths: positions of the root's centre, m, once per control step.
     """
 
     situations: tuple[Situation, ...]
@@ -42,26 +42,26 @@ class Probe(NamedTuple):
     paths: Float[np.ndarray, "n t 3"]
 
     def reached(self, fraction: float) -> Bool[np.ndarray, " n"]:
-        """Where no more than this share of the distance was left."""
+        """Return whether at most this fraction of the distance was left, per situation."""
         return self.alive & (self.distance <= fraction)
 
     @property
     def displacement(self) -> float:
-        """How much nearer the animal came to its lights, all of them together, m."""
+        """Sum over all situations of the decrease in distance to the light, m."""
         return float(np.nansum(self.start_distance * (1.0 - self.distance)))
 
 
 def probe(
     simulation: Simulation, genes: Float[np.ndarray, " g"], situations: tuple[Situation, ...]
 ) -> Probe:
-    """Let one animal live in several situations at once, without noise.
+    """Simulate one animal in several situations at once, without noise.
 
-    The distance is measured as by the task `ReachLight`, whatever the animal evolved for.
+    The task `ReachLight` measures the distance, whatever the animal evolved for.
 
     Args:
-        simulation: that it evolved in.
-        genes: of the animal.
-        situations: to put it into; each with a light.
+        simulation: simulation that the animal evolved in.
+        genes: genome of the animal.
+        situations: initial situations, each with a light.
     """
     final_steps = simulation.task.final_control_steps(simulation.control_rate)
     task = ReachLight(_light(situations[0]), final_steps=final_steps)
@@ -97,7 +97,7 @@ def probe(
 
 
 def blinded(simulation: Simulation) -> Simulation:
-    """The same, but that light sensors give 0."""
+    """Return the simulation with light sensors that return 0."""
     sensors = simulation.sensors._replace(blind=True)
     return dataclasses.replace(simulation, sensors=sensors)
 
@@ -105,12 +105,12 @@ def blinded(simulation: Simulation) -> Simulation:
 def around(
     situation: Situation, bearings: Iterable[float], distances: Iterable[float] = ()
 ) -> tuple[Situation, ...]:
-    """The situation with its light elsewhere, as high above the horizon as it is.
+    """Return copies of a situation with the light elsewhere, at an equal elevation.
 
     Args:
-        situation: with a light.
-        bearings: of the light, to the left of straight ahead, rad.
-        distances: of the light from the start, m; where it is if there are none.
+        situation: situation with a light.
+        bearings: bearings of the light, to the left of straight ahead, rad.
+        distances: distances of the light from the start, m; the present one if empty.
     """
     x, y, z = situation.start_position
     distance, _, elevation = seen_from_start(situation)
@@ -128,7 +128,7 @@ def around(
 
 
 def seen_from_start(situation: Situation) -> tuple[float, float, float]:
-    """Distance of the light (m), bearing to the left and elevation above the horizon (rad)."""
+    """Return the light's distance (m), bearing to the left and elevation (rad) at the start."""
     away = np.subtract(_light(situation), situation.start_position)
     level = float(np.hypot(away[0], away[1]))
     bearing = float(np.arctan2(away[1], away[0])) - situation.start_heading

@@ -1,23 +1,23 @@
 """A team of processes that evolve one population together.
 
-Every process holds the whole population and breeds it, from the same key: that takes milliseconds.
-The trials are shared. In each generation every process tries some of the individuals, and then all
-exchange the outcomes, as bytes. Nothing is summed, so the bits do not depend on the number of
-processes. A digest of the population goes along.
+Every process holds the whole population and breeds it from one common key, which takes
+milliseconds. The trials are divided. In each generation every process tries some individuals. Then
+all exchange the outcomes as bytes, with a digest of the population. Nothing is summed, so the bits
+do not depend on the number of processes.
 
 The lead, process 0, writes the run folder and sends the others the checkpoint. Every other process
 has a connection to the lead, which passes all rows on. A single process is a team of one, whose
 methods return their arguments.
 
-The connections are ours for two reasons. `jax.distributed` would do the exchange, but on a missing,
-lost or stopped process it ends the others from C++ (JAX 0.10.2): no message of ours, no exit code,
-and no clean-up. `multiprocessing.connection` has no time limits: `accept` waits for ever, and so
-does a receive of which the first byte has come. Each of these parts does what the operating system
-does not:
+The package has its own connections for two reasons. `jax.distributed` could do the exchange, but on
+a missing, lost or stopped process it ends the others from C++ (JAX 0.10.2): without a message of
+ours, an exit code or a clean-up. `multiprocessing.connection` has no time limits: `accept` waits
+for ever, and so does a receive after its first byte. Three parts fill the gaps of the operating
+system:
 
-- the roll call names the process that did not come, or that does not fit;
-- the heartbeat finds a process that is stopped, or whose machine or network is gone;
-- the limit of waiting (`PATIENCE`) finds a process that runs, but is stuck.
+- The roll call names a process that is missing or does not fit.
+- The heartbeat detects a process that is stopped, or whose machine or network is gone.
+- The limit of waiting (`PATIENCE`) detects a process that runs, but hangs.
 """
 
 import hashlib
@@ -53,18 +53,18 @@ _COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
 class TeamError(Exception):
-    """The team cannot go on; the message says what this process knows of the reason."""
+    """Error of a team that cannot continue; the message names the known reason."""
 
 
 class Team:
-    """The processes that evolve a population, as one of them sees them.
+    """Team of processes that evolve a population, seen from one of them.
 
     Args:
         index: number of this process; 0 leads.
         count: number of processes.
-        patience: see `PATIENCE`.
-        on_lost: called with a message when the team cannot go on, perhaps in another thread and
-            in the middle of a generation. If it returns, the next exchange raises a `TeamError`.
+        patience: time to wait for the others, s, see `PATIENCE`.
+        on_lost: called with a message if the team cannot continue, perhaps in another thread and
+            during a generation. If the call returns, the next exchange raises `TeamError`.
 
     Attributes:
         index: number of this process.
@@ -87,11 +87,11 @@ class Team:
 
     @property
     def leads(self) -> bool:
-        """Whether this process writes."""
+        """Return whether this process leads and writes files."""
         return self.index == 0
 
     def connect(self, place: Place, connections: Mapping[int, Any]) -> None:
-        """Take the connections to the lead, or of the lead to all (see `call_roll`)."""
+        """Start links over the connections from `call_roll`."""
         self._links = {
             index: Link(connections[index], place.name(index), self._lose)
             for index in sorted(connections)
@@ -102,13 +102,13 @@ class Team:
     def part(self, count: int, trials: int = 1) -> slice:
         """Return the individuals that this process tries.
 
-        Parts differ by a vector of trials at most, and only the last holds less than full vectors.
-        If there are fewer vectors than processes, the others try the last individual again, and
-        the result is ignored.
+        Parts differ by at most a vector of trials. Only the last part may have a vector that is not
+        full. If there are fewer vectors than processes, the others try the last individual again,
+        and the result is ignored.
 
         Args:
             count: number of individuals.
-            trials: trials of each individual.
+            trials: number of trials of each individual.
         """
         part = self._parts(count, trials)[self.index]
         return part if part.stop > part.start else slice(count - 1, count)
@@ -125,8 +125,8 @@ class Team:
         Args:
             part: outcome of this process's `part`: host arrays, trials on the last axis.
             population: the population, which should be equal in all processes.
-            generation: its number.
-            trials: trials of each individual.
+            generation: number of the generation.
+            trials: number of trials of each individual.
 
         Raises:
             TeamError: a process is lost, does not answer in time, or has another population.
@@ -158,14 +158,14 @@ class Team:
         file = io.BytesIO()
         if self.leads:
             np.savez(file, allow_pickle=False, **arrays)
-        # The lead may have to prepare the run first. Heartbeats show whether it is alive.
+        # The lead may have to prepare the run first. Heartbeats show whether the lead is alive.
         self._compiled = True
         lead = self.exchange(file.getvalue(), "the lead's checkpoint")[0]
         with np.load(io.BytesIO(lead)) as sent:
             return dict(sent)
 
     def leave(self) -> None:
-        """Leave the team in good order: from here on each process may end."""
+        """Leave the team in good order. After this each process may end."""
         for link in self._links.values():
             link.leave()
 
@@ -183,11 +183,11 @@ class Team:
         """Return the rows of all processes.
 
         Args:
-            row: of this process.
-            what: description of what this process waits for.
+            row: row of this process.
+            what: description of the awaited rows.
 
         Raises:
-            TeamError: a process is lost, or does not come in time.
+            TeamError: a process is lost, or does not answer in time.
         """
         start = time.monotonic()
         own = start - self._since
@@ -232,7 +232,7 @@ class Team:
             )
 
     def _lose(self, why: str) -> None:
-        """Report to all why the team cannot go on. Only the first reason counts."""
+        """Report to all why the team cannot continue. Only the first reason counts."""
         if self._lost is not None:
             return
         self._lost = why
@@ -269,14 +269,14 @@ def join(
     patience: float = PATIENCE,
     on_lost: Callable[[str], object] = lambda message: None,
 ) -> Team:
-    """Become one of several processes.
+    """Join a team of several processes.
 
     Args:
-        place: of this process.
+        place: place of this process in the team.
         common: values that must be equal in all processes, by name, such as versions.
-        timeout: time that the processes have to come, s.
-        patience: see `PATIENCE`.
-        on_lost: see `Team`.
+        timeout: time that the processes have to connect, s.
+        patience: time to wait for the others, s, see `PATIENCE`.
+        on_lost: called with a message if the team cannot continue, see `Team`.
 
     Raises:
         JoinError: a process is missing or does not fit.
@@ -287,11 +287,11 @@ def join(
 
 
 def difference(rows: Sequence[bytes]) -> str:
-    """Say which processes have unlike rows, the lead's group first; empty if all are alike."""
+    """Name the processes with different rows, the lead's group first; empty if all are equal."""
     groups: dict[bytes, list[int]] = {}
     for index, row in enumerate(rows):
         groups.setdefault(row, []).append(index)
-    # Most of many processes are alike.
+    # Most of many processes have equal rows, so long lists are cut.
     shown = [
         ", ".join(map(str, group[:8])) + (f" and {len(group) - 8} more" if len(group) > 8 else "")
         for group in list(groups.values())[:4]
@@ -300,14 +300,14 @@ def difference(rows: Sequence[bytes]) -> str:
 
 
 def _digest(population: np.ndarray, generation: int) -> bytes:
-    # Without a copy: with one it takes several times as long.
+    # Hash without a copy: a copy takes several times as long.
     digest = hashlib.sha256(np.int64(generation).tobytes())
     digest.update(np.ascontiguousarray(population).data)
     return digest.digest()[:_DIGEST]
 
 
 def _unpacked(content: bytes, leaves: list[Any], size: int) -> list[np.ndarray]:
-    """Return the arrays that a process has packed: like these, but of so many trials."""
+    """Return the arrays that a process packed: like ``leaves``, but with ``size`` trials."""
     start, found = 0, []
     for leaf in leaves:
         shape = (*leaf.shape[:-1], size)

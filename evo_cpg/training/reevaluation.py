@@ -1,13 +1,12 @@
-"""Who is champion where chance has a say: candidates are tried again until luck has averaged out.
+"""Choice of the champion under noise: re-evaluate candidates until luck averages out.
 
-Under noise the best fitness ever measured is that of somebody lucky. So when all generations are
-done, the fittest of the population that the run ends with, and the best that it ever measured, live
-again in fresh draws of chance, the same draws for all of them, by sequential halving (Karnin, Koren
-and Somekh 2013): whoever is not in the better half of a round drops out of the next, and those that
-are left have more of its lives. A candidate that diverged, or broke a rule, comes behind all that
-did so less often; otherwise the mean fitness decides.
+Under noise the best fitness ever measured is a lucky one. After the last generation, candidates are
+re-evaluated with fresh noise: the record and the fittest of the final population. All candidates of
+a round share the same noise. Sequential halving (Karnin, Koren and Somekh 2013) drops the worse
+half of every round, and gives the rest more evaluations. Candidates are ranked first by how often
+they diverged or broke a rule, then by mean fitness.
 
-A round is as large as a generation and uses its programs, so nothing is compiled for it.
+A round has the size of a generation and uses its programs, so nothing is compiled for a round.
 """
 
 from collections.abc import Sequence
@@ -31,17 +30,17 @@ comes to."""
 
 
 def is_finished(experiment: Experiment, checkpoint: Checkpoint) -> bool:
-    """Whether the last generation is done, and the champion known."""
+    """Return whether the last generation is done and the champion is known."""
     evolved = checkpoint.generation >= experiment.generations
     return evolved and (experiment.simulation.noise.silent or bool(checkpoint.chosen))
 
 
 class Places(NamedTuple):
-    """Who lives where in a round.
+    """Assignment of candidates to places in a round.
 
     Attributes:
         candidates: number of the candidate in each place of a run's population.
-        draws: place of the population whose random numbers it has.
+        draws: place of the population whose random numbers are used in each place.
     """
 
     candidates: Int[np.ndarray, " population"]
@@ -52,11 +51,11 @@ class Contest:
     """Sequential halving among the candidates of one run.
 
     Args:
-        candidates: the individuals; of those with the same genome the first counts.
-        population: lives in a round.
+        candidates: individuals; of those with equal genomes the first counts.
+        population: number of evaluations in a round.
 
     Attributes:
-        candidates: those that take part.
+        candidates: individuals that take part.
     """
 
     def __init__(self, candidates: Sequence[Champion], population: int):
@@ -72,14 +71,14 @@ class Contest:
 
     @property
     def done(self) -> bool:
-        """Whether one is left, or those that are have lived often enough."""
+        """Return whether one candidate is left or all left had enough evaluations."""
         results = self._evaluations[self._left]
         return not len(results) or bool(
             results[0] and (len(results) == 1 or results[0] >= EVALUATIONS)
         )
 
     def places(self) -> Places:
-        """Who lives where in the next round; places that are over repeat the last one's life."""
+        """Return the places of the next round; spare places repeat the last evaluation."""
         each = self._population // len(self._left)
         candidates = np.repeat(self._left, each)
         draws = np.tile(np.arange(each), len(self._left))
@@ -87,10 +86,10 @@ class Contest:
         return Places(*(np.pad(x, (0, over), mode="edge") for x in (candidates, draws)))
 
     def take(self, fitness: Float[np.ndarray, " population"]) -> None:
-        """What came of a round: the worse half drops out.
+        """Take the results of a round and drop the worse half.
 
         Args:
-            fitness: of every place; -inf where a life ended early.
+            fitness: fitness in every place; -inf if an evaluation ended early.
         """
         each = self._population // len(self._left)
         results = fitness[: each * len(self._left)].reshape(len(self._left), each)
@@ -103,13 +102,13 @@ class Contest:
             self._left = self._left[: -(-len(self._left) // 2)]
 
     def chosen(self) -> Champion | None:
-        """The best of those that are left, with what it came to; None without any candidate."""
+        """Return the best candidate with its results; None without any candidate."""
         if not len(self._left):
             return None
         return self._result(int(self._left[0]))
 
     def rows(self) -> list[dict[str, float]]:
-        """Of candidates.csv, one for each candidate."""
+        """Return the rows of candidates.csv, one for each candidate."""
         rows = []
         for number, one in enumerate(self.candidates):
             row = {"run": one.run, "generation": one.generation, "index": one.index}
@@ -128,19 +127,19 @@ class Contest:
         )
 
     def _means(self) -> Float[np.ndarray, " candidates"]:
-        """Mean fitness over the lives that did not end early; -inf where all did."""
+        """Return the mean fitness of evaluations that did not end early; -inf if all did."""
         completed = self._evaluations - self._failures
         return np.where(completed > 0, self._sum / np.maximum(completed, 1), -np.inf)
 
 
 class Choice:
-    """The contests of all runs, side by side as their populations are.
+    """Contests of all runs, in the order of the runs' populations.
 
     Args:
-        contests: of every run.
+        contests: contest of every run.
 
     Attributes:
-        generation: whose random numbers the next round takes.
+        generation: generation number that selects the random numbers of the next round.
     """
 
     def __init__(self, contests: Sequence[Contest]):
@@ -149,14 +148,14 @@ class Choice:
 
     @property
     def done(self) -> bool:
-        """Whether all are."""
+        """Return whether all contests are done."""
         return all(contest.done for contest in self._contests)
 
     def genes(self, genes: Float[np.ndarray, "g all"]) -> Float[np.ndarray, "g all"]:
-        """Who lives in the next round.
+        """Return the genomes of the next round.
 
         Args:
-            genes: of the populations, which a run keeps whose contest is over.
+            genes: genomes of the populations; runs with a finished contest keep them.
         """
         population = genes.shape[1] // len(self._contests)
         population_genes = genes.copy()
@@ -168,11 +167,11 @@ class Choice:
         return population_genes
 
     def keys(self, keys: UInt32[np.ndarray, "w n"], trials: int) -> UInt32[np.ndarray, "w n"]:
-        """Those of its trials.
+        """Return the random keys of the next round's trials.
 
         Args:
-            keys: of a generation of that number.
-            trials: of every individual.
+            keys: keys of the generation with the number ``generation``.
+            trials: number of trials of every individual.
         """
         by_place = keys.reshape(len(keys), len(self._contests), -1, trials).copy()
         for run, contest in enumerate(self._contests):
@@ -181,16 +180,16 @@ class Choice:
         return by_place.reshape(keys.shape)
 
     def take(self, fitness: Float[np.ndarray, "runs population"]) -> None:
-        """What came of a round."""
+        """Take the results of a round."""
         for contest, own in zip(self._contests, fitness, strict=True):
             if not contest.done:
                 contest.take(own)
         self.generation += 1
 
     def chosen(self) -> tuple[Champion | None, ...]:
-        """The best of every run, see `Contest.chosen`."""
+        """Return the best candidate of every run, see `Contest.chosen`."""
         return tuple(contest.chosen() for contest in self._contests)
 
     def rows(self) -> list[dict[str, float]]:
-        """Of candidates.csv."""
+        """Return the rows of candidates.csv."""
         return [row for contest in self._contests for row in contest.rows()]

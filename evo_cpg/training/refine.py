@@ -1,10 +1,10 @@
-"""Polishing a champion along the slope of its fitness.
+"""Refinement of a champion by gradient ascent on its fitness.
 
-In every round the lanes of all cores climb side by side for some steps, each in its own way (see
-`evo_cpg.training.ascent`), from one of the best individuals found so far, half of them with a kick.
-The shortest horizons double from round to round. After a round the best are tried in chunks as wide
-as those of training, so that a refined champion is evaluated, and replays, exactly like an evolved
-one.
+In every round the lanes of all cores take some gradient steps, each with its own settings (see
+`evo_cpg.training.ascent`). Each lane starts from one of the best individuals so far, half of them
+with a random kick. The shortest horizons double from round to round. After a round the best are
+evaluated in chunks as wide as those of training. So a refined champion is evaluated, and replays,
+exactly like an evolved one.
 """
 
 import time
@@ -28,21 +28,21 @@ from evo_cpg.training.experiment import (
     situation_numbers,
 )
 
-# Individuals that the lanes of the next round set out from.
+# Number of individuals from which the lanes of the next round start.
 _PARENTS = 4
-# Standard deviation of a kick in water, in units of genes, and the share of lanes that get one.
+# Range of a kick's standard deviation in water, in units of genes, and fraction of kicked lanes.
 _KICKS = 1e-2, 1e-1
 _KICKED = 0.5
 
 
 class Refinement(NamedTuple):
-    """How long to go on.
+    """Settings of a refinement.
 
     Attributes:
-        rounds: of climbing and choosing.
-        steps: moves of each lane in a round.
-        lanes: individuals that climb at once; None for a full vector of trials on each core.
-        seed: of the lanes' draws.
+        rounds: number of rounds of ascent and selection.
+        steps: number of moves of each lane in a round.
+        lanes: number of simultaneous individuals; None for a full vector of trials per core.
+        seed: seed of the lanes' draws.
     """
 
     rounds: int = 5
@@ -52,17 +52,17 @@ class Refinement(NamedTuple):
 
 
 class Round(NamedTuple):
-    """What came out of one round.
+    """Results of one round.
 
     Attributes:
-        number: from 0.
-        began: fitness before the first round.
-        champion: the best so far.
-        values: of the free numbers that it lives with.
-        gain: fitness that the round added.
-        slopes: gradients that were taken.
-        finite: of them, those that were numbers; the others count as none.
-        seconds: that it took.
+        number: number of the round, from 0.
+        initial_fitness: fitness before the first round.
+        champion: best individual so far.
+        values: free numbers of the champion.
+        gain: fitness gain of the round.
+        gradients: number of gradients that were computed.
+        finite: number of finite gradients; the others count as zero.
+        seconds: duration of the round, s.
     """
 
     number: int
@@ -76,11 +76,11 @@ class Round(NamedTuple):
 
 
 class _Parent(NamedTuple):
-    """An individual that lanes may set out from, and the free numbers that it lives with.
+    """Individual from which lanes may start, with its free numbers.
 
     Attributes:
         champion: the individual.
-        shifts: of the free numbers.
+        shifts: shifts of the free numbers.
     """
 
     champion: Champion
@@ -94,21 +94,20 @@ def compile_refinement(
     devices: int | None = None,
     free: Free | None = None,
 ) -> Callable[..., Champion]:
-    """Refining of any champion of an experiment.
+    """Return a function that refines any champion of an experiment.
 
     Args:
-        experiment: that it was evolved in.
-        settings: how long to go on.
+        experiment: experiment in which the champion evolved.
+        settings: settings of the refinement.
         mesh: devices to use; None for all.
-        devices: how many shared the population in training; None for as many.
-        free: numbers of the experiment that are refined as well; what is chosen lives in an
-            experiment that was built with them.
+        devices: number of devices in training; None for the number used here.
+        free: numbers of the experiment that are refined as well. The chosen individual is evaluated
+            in an experiment that is rebuilt with them.
 
     Returns:
-        A function of a champion and of what is called with the `Round` after every round; compiled
-        at its first call. It gives the champion after climbing or, if nothing better was found, as
-        it was. What counts is not the fitness that is recorded but the one that the champion has
-        in this experiment.
+        A function of a champion and of a callback for the `Round` after every round, compiled at
+        its first call. The result is the refined champion or, if nothing better was found, the
+        original. Fitness is compared in this experiment; the recorded fitness is ignored.
     """
     mesh = mesh or population_mesh()
     lanes = settings.lanes or mesh.size * max(1, LANES // experiment.trials)
@@ -121,7 +120,7 @@ def compile_refinement(
         if free is None:
             nothing = np.zeros(0, np.float32)
             return [_Parent(one, nothing) for one in evaluate(found, champion)]
-        # Each has a world of its own, which takes time to compile: the most promising alone.
+        # Each has its own world, which takes time to compile: evaluate only the first that builds.
         for genes, shifts in zip(found[:-count].T, found[-count:].T, strict=True):
             world = free.rebuild(np.asarray(free.at(shifts), float))
             if world is not None:
@@ -147,7 +146,7 @@ def compile_refinement(
             chosen = np.argsort(-climbed.fitness)[: 2 * _PARENTS]
             chosen = chosen[np.isfinite(climbed.fitness[chosen])]
             found = try_out(climbed.genes[:, chosen], champion) if len(chosen) else []
-            # Among equals the earlier one stays.
+            # Among equally fit individuals the earlier one stays.
             ranked = sorted([*parents, *found], key=lambda one: -one.champion.fitness)
             gain = ranked[0].champion.fitness - parents[0].champion.fitness
             parents = ranked[:_PARENTS]
@@ -164,15 +163,15 @@ def compile_refinement(
 def compile_evaluation(
     experiment: Experiment, mesh: Mesh, devices: int
 ) -> Callable[[Float[np.ndarray, "g n"], Champion], list[Champion]]:
-    """Trials of any genomes as the champion's were: in its place, with its noise and scales.
+    """Return a function that evaluates genomes with a champion's place, noise and scales.
 
     Args:
-        experiment: in which they live.
+        experiment: experiment of the genomes.
         mesh: the devices.
-        devices: how many shared the population in training.
+        devices: number of devices that shared the population in training.
 
     Returns:
-        A function of genomes and the champion whose place they take; it gives those that live.
+        A function of genomes and the champion that returns the individuals with finite fitness.
     """
     count = experiment.runs * experiment.strategy.population * experiment.trials
     width = chunk_width(count, devices)
@@ -207,11 +206,11 @@ def compile_evaluation(
 def _starts(
     parents: list[_Parent], rng: np.random.Generator, count: int, scale: float
 ) -> Float[np.ndarray, "p n"]:
-    """Genes and shifts that the lanes of a round set out from.
+    """Return the genes and shifts from which the lanes of a round start.
 
-    The first lane is the best as it is.
+    The first lane starts from the best individual without a kick.
     """
-    # The better a parent, the more often.
+    # Better parents are drawn more often.
     drawn = np.minimum(rng.exponential(1.0, count).astype(int), len(parents) - 1)
     kicked = rng.random(count) < _KICKED
     drawn[0], kicked[0] = 0, False
@@ -223,6 +222,6 @@ def _starts(
 
 
 def _keys_of(experiment: Experiment, champion: Champion, lanes: int) -> np.ndarray | None:
-    """The keys of the champion's trials for every lane, ``(w, trials, n)``."""
+    """Return the keys of the champion's trials for every lane, ``(w, trials, n)``."""
     keys = jax.device_get(champion_keys(experiment, champion))
     return None if keys is None else np.repeat(keys[..., None], lanes, -1)

@@ -1,4 +1,4 @@
-"""Replay: a champion repeats its trials with the noise that they had, and is recorded."""
+"""Replay and recording of a champion's trials with their original noise."""
 
 import functools
 from collections.abc import Callable
@@ -31,16 +31,16 @@ Frames = tuple[float, dict[str, float], dict[str, Array]]
 def replay_champion(
     experiment: Experiment, champion: Champion, devices: int, recorded: int = 0
 ) -> Replayed:
-    """Repeat the champion's trials with the noise that they had.
+    """Repeat the champion's trials with their original noise.
 
     Args:
-        experiment: that it was evolved in.
-        champion: the individual.
-        devices: how many shared the population in training.
-        recorded: number of the trial whose motion is wanted, from 0.
+        experiment: experiment in which the champion evolved.
+        champion: individual to replay.
+        devices: number of devices that shared the population in training.
+        recorded: number of the trial to record, from 0.
 
     Returns:
-        Its fitness, its terms and its motion in one trial.
+        Fitness, terms and the motion in one trial.
     """
     return compile_replay(experiment, devices, recorded)(champion)
 
@@ -50,9 +50,9 @@ def compile_replay(
 ) -> Callable[[Champion], Replayed]:
     """Compile `replay_champion` before there is a champion.
 
-    The program of the trials in training cannot serve: it computes a whole trial as one piece of
-    native code whose results are what the trial amounted to, and the frames of all its individuals
-    would take hundreds of megabytes. A recording takes a trial step by step.
+    The program of the training trials cannot serve. It computes a whole trial as one piece of
+    native code that returns only final results, and the frames of all its individuals would take
+    hundreds of megabytes. A recording runs a trial step by step.
     """
     program = compile_frames(experiment, devices, recorded)
     names = [body.name for body in experiment.creature.bodies]
@@ -68,9 +68,9 @@ def compile_replay(
 def compile_frames(
     experiment: Experiment, devices: int, recorded: int = 0, full: bool = False
 ) -> Callable[[Champion], Frames]:
-    """As `compile_replay`, with what was recorded of each control step in place of a motion.
+    """Compile `replay_champion` with recorded arrays of each control step instead of a motion.
 
-    With ``full`` that is all of it, see `evo_cpg.simulation.recording.Recorder`.
+    With ``full`` all quantities are recorded, see `evo_cpg.simulation.recording.Recorder`.
     """
     simulation, genes = experiment.simulation, experiment.simulation.genome.count
     numbers = situation_numbers(experiment)
@@ -78,7 +78,7 @@ def compile_frames(
     keys = jax.eval_shape(lambda: champion_keys(experiment, placeholder))
     program = jax.jit(functools.partial(replay, experiment, devices, recorded=recorded, full=full))
     lowered = program.lower(jax.ShapeDtypeStruct((genes,), jnp.float32), keys, numbers)
-    # Compiled as in training: a multiplication and an addition may become one operation, with one
+    # Compile as in training: a multiplication and an addition may become one operation, with one
     # rounding.
     scales = {name: jnp.float32(1.0) for name in placeholder_scales(experiment)}
     assess = jax.jit(functools.partial(judge, simulation.task))
@@ -109,19 +109,19 @@ def replay(
     """Run an individual's trials on one device, in chunks as wide as those of training.
 
     Compiled code may round differently for other array lengths, or if an array is a constant. With
-    equal lengths and the same arguments the numbers are those of training.
+    the lengths and arguments of training, the numbers are those of training.
 
     Args:
-        experiment: that the individual was evolved in.
-        devices: how many shared the population in training.
-        genes: of the individual.
-        keys: of its trials; None without noise.
-        numbers: of its trials, see `situation_numbers`.
-        recorded: which of its trials is recorded.
-        full: see `evo_cpg.simulation.recording.Recorder`.
+        experiment: experiment in which the individual evolved.
+        devices: number of devices that shared the population in training.
+        genes: genome of the individual.
+        keys: random keys of the trials; None without noise.
+        numbers: situation numbers of the trials, see `situation_numbers`.
+        recorded: number of the trial to record, from 0.
+        full: whether to record all quantities, see `evo_cpg.simulation.recording.Recorder`.
 
     Returns:
-        The outcome of each of its trials, and one of them step by step.
+        The outcome of each trial, and the recorded arrays of one trial.
     """
     simulation, trials = experiment.simulation, experiment.trials
     count = experiment.runs * experiment.strategy.population * trials
@@ -129,7 +129,7 @@ def replay(
     replicas = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
 
     def beginning_with(first: int) -> tuple[Array | None, Array | None]:
-        """Keys and numbers of the trials in all lanes."""
+        """Return keys and numbers of the trials in all lanes."""
         order = (np.arange(lanes) + first) % trials
         return jax.tree.map(lambda x: x[..., order], (keys, numbers))
 

@@ -1,9 +1,9 @@
 """Roll call: the processes of a team connect to their lead.
 
 The lead, process 0, listens at the address of the team. Every other process connects and sends one
-line: its number, and what all processes must have in common, such as versions. When all are there,
-the lead answers each, and the connections stay open. If a process is missing or does not fit, all
-that came are told which one, and why.
+line: its number, and all values that must be equal, such as versions. When all are connected, the
+lead answers each, and the connections stay open. If a process is missing or does not fit, all
+connected processes receive its name and the reason.
 """
 
 import contextlib
@@ -16,32 +16,32 @@ from typing import Any, NamedTuple
 
 from evo_cpg.errors import UserError
 
-# Bytes. Our lines are a few hundred; a longer one comes from another program.
+# Longest line, bytes. Ours have a few hundred; a longer one comes from another program.
 _LONGEST_LINE = 1 << 14
 
-# Between two attempts to reach the lead, s.
+# Time between two attempts to reach the lead, s.
 _PAUSE = 0.2
 
-# Time that a process has to send its line after it has connected, s. Others wait meanwhile.
+# Time for a connected process to send its line, s. Others wait meanwhile.
 _SILENCE = 2.0
 
-# The lead may start later than the others. They wait so much longer for its answer, s.
+# Additional time to wait for the lead's answer, s, as the lead may start later.
 _LATER = 30.0
 
 
 class JoinError(UserError):
-    """Processes that cannot become a team; the message says why."""
+    """Error of processes that cannot form a team; the message names the reason."""
 
 
 class Place(NamedTuple):
-    """A process's place in a team.
+    """Place of a process in a team.
 
     Attributes:
-        index: its number, from 0; 0 is the lead.
+        index: number of the process, from 0; 0 is the lead.
         count: number of processes.
         host: host of the lead.
         port: port at which the lead listens.
-        names: hosts of all processes; empty if they are not known.
+        names: hosts of all processes; empty if unknown.
     """
 
     index: int
@@ -56,7 +56,7 @@ class Place(NamedTuple):
         return f"{self.host}:{self.port}"
 
     def name(self, index: int) -> str:
-        """Return the name of a process, with its host if that is known."""
+        """Return the name of a process, with its host if known."""
         return f"process {index}" + (f" ({self.names[index]})" if self.names else "")
 
 
@@ -69,11 +69,11 @@ def call_roll(place: Place, common: Mapping[str, str], timeout: float) -> dict[i
         timeout: time that the processes have to connect, s.
 
     Returns:
-        Connections by the number of the other process. The lead has one to each process, every
+        Connections by the number of the other process. The lead has one to each process. Every
         other process has one to the lead.
 
     Raises:
-        JoinError: a process is missing or does not fit. All processes that came raise it.
+        JoinError: a process is missing or does not fit. All connected processes raise it.
     """
     if place.index == 0:
         return _lead(place, common, timeout)
@@ -162,7 +162,7 @@ def _reach(place: Place, timeout: float) -> socket.socket:
 
 
 def _common(place: Place, common: Mapping[str, str]) -> dict[str, str]:
-    """Return what must be equal in all processes."""
+    """Return the values that must be equal in all processes."""
     return {**common, "the number of processes": str(place.count)}
 
 
@@ -182,10 +182,10 @@ def _require_fit(
     present: Mapping[int, dict[str, Any]],
     hello: Mapping[str, Any],
 ) -> None:
-    """Check a process that has connected.
+    """Check that a connected process fits into the team.
 
     Raises:
-        JoinError: it does not fit.
+        JoinError: the process does not fit.
     """
     index, sender = hello["index"], f"the one of {hello['host']} (process id {hello['id']})"
     for name, value in _common(place, common).items():
@@ -218,9 +218,9 @@ def _send(connection: socket.socket, message: Mapping[str, Any]) -> None:
 
 
 def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
-    """Return the line that comes; empty if none comes, or it is not one of ours.
+    """Return the received line; empty if none arrives in time or the line is not ours.
 
-    It takes no byte after the line: frames may follow.
+    No byte after the line is read, as frames may follow.
     """
     connection.settimeout(timeout)
     line = bytearray()
@@ -237,5 +237,5 @@ def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
 
 
 def _reason(error: OSError) -> str:
-    """In the system's words; Python adds the address to some."""
+    """Return the system's text of an error, without the address that Python may add."""
     return os.strerror(error.errno) if error.errno else str(error)

@@ -1,29 +1,27 @@
-"""The run folder: everything a run leaves behind, written so that a kill at any moment is safe.
+"""Run folder: all files of a run, written so that a kill at any moment is safe.
 
     config.yaml      the resolved, complete configuration
     meta.json        versions, seed, host, devices, times
-    metrics.csv      a row per generation, and per run where there are several
-    start.npz        genomes that the first population had, where these were not random
-    checkpoints/     the last two generations; `resume` goes on from the newest
-    champion.npz     genome, fitness and terms of the best individual, its motion; of several runs
-                     the best, the champions of all are in the checkpoints
-    candidates.csv   where chance has a say: what those came to among whom the champion was chosen
-    lineage.npz      the champions on the way there, at most 32 of each run, see
-                     `evo_cpg.training.lineage`
-    refine.csv       what `refine` gained, round by round; champion_before.npz and
-                     config_before.yaml are what it began with
-    videos/, plots/  what `render` and `plot` make
-    analysis.html    a page of the run, by `analyse`
-    watch.png        the newest champion, by `watch`
-    tensorboard/     the columns of metrics.csv for TensorBoard, where these were asked for
-    probe.csv, sensitivity.csv, audit.json, and their pictures, what these commands find
-    .lock            names the process that writes here, while it does; see `evo_cpg.locks`
+    metrics.csv      a row per generation and run
+    start.npz        initial genomes, if not random
+    checkpoints/     last two generations; `resume` continues from the newest
+    champion.npz     genome, fitness, terms and motion of the best individual of all runs;
+                     checkpoints hold the champions of all runs
+    candidates.csv   with noise: results of the candidates for the champion
+    lineage.npz      earlier champions, at most 32 of each run, see `evo_cpg.training.lineage`
+    refine.csv       gain of every round of `refine`; champion_before.npz and
+                     config_before.yaml are its initial state
+    videos/, plots/  output of `render` and `plot`
+    analysis.html    page of the run, by `analyse`
+    watch.png        newest champion, by `watch`
+    tensorboard/     columns of metrics.csv for TensorBoard, on request
+    probe.csv, sensitivity.csv, audit.json and their pictures: output of these commands
+    .lock            name of the process that writes here, see `evo_cpg.locks`
 
-Files are written beside their place and then moved into it, which is atomic. Those that belong
-together gather in a folder of their own first; once that has its name, whoever opens the run next
-moves what is left in it. Checkpoints are
-plain ``.npz`` files rather than orbax checkpoints: a dozen arrays are written in 5 ms, and they
-open in NumPy without JAX.
+Files are written under another name and then moved, which is atomic. Files that belong together
+are first written to a folder of their own. After its renaming, the next process that opens the run
+moves any files left in it. Checkpoints are plain ``.npz`` files, not orbax checkpoints: a dozen
+arrays are written in 5 ms, and they open in NumPy without JAX.
 """
 
 import contextlib
@@ -62,29 +60,29 @@ CANDIDATES_FILE = "candidates.csv"
 """Of those among whom the champion was chosen, see `evo_cpg.training.reevaluation`."""
 
 _KEPT_CHECKPOINTS = 2
-# Where files that belong together gather, and where they wait to be moved to their places.
+# Folders in which files that belong together are written, and wait to be moved.
 _GATHERED, _DECIDED = ".gathered", ".decided"
 _RECORDING_PREFIX = "recording."
-# What is relied on in meta.json.
+# Keys of meta.json that code relies on, with their types.
 _META = {"devices": int, "config": str, "replaced": list, "fingerprint": dict}
 _MOST_DEVICES = 4096
 _DIGESTS = ("config_sha256", "genes_sha256", "outcome_sha256")
 
 
 class RunFolderError(UserError):
-    """A run folder that cannot be used as asked; the message says why and the way out."""
+    """Error of a run folder that cannot be used; the message names reason and remedy."""
 
 
 class RunFolder:
-    """A run folder on disk.
+    """Run folder on disk.
 
     Attributes:
-        path: of the folder.
+        path: path of the folder.
         config: path of the resolved configuration.
         metrics: path of the table of generations.
         champion: path of the best individual.
-        lineage: path of the champions on the way to it.
-        start: path of the genomes to begin with.
+        lineage: path of the earlier champions.
+        start: path of the initial genomes.
         meta: path of versions, host and times.
     """
 
@@ -96,22 +94,22 @@ class RunFolder:
         self.lineage = self.path / "lineage.npz"
         self.start = self.path / "start.npz"
         self.meta = self.path / "meta.json"
-        # The rows of metrics.csv written last, and their text.
+        # Last written rows of metrics.csv, and their text.
         self._table: tuple[list[dict[str, float]], str] = [], ""
-        # The rows of the checkpoint written last, and their columns.
+        # Rows of the last written checkpoint, and their columns.
         self._columns: tuple[list[dict[str, float]], dict[str, np.ndarray]] = [], {}
 
     @contextlib.contextmanager
     def locked(self, new: bool = False) -> Iterator[None]:
-        """Keep other processes from writing here for as long as the block lasts.
+        """Keep other processes from writing here while the block lasts.
 
         Args:
             new: whether the run begins here, so that the folder may be missing.
 
         Raises:
-            LockedError: another process does.
+            LockedError: another process writes here.
             OutputError: the folder cannot be written.
-            RunFolderError: there is no run, and none begins.
+            RunFolderError: there is no run, and ``new`` is False.
         """
         if not new:
             self._require_config()
@@ -129,11 +127,11 @@ class RunFolder:
         Args:
             config_text: the resolved configuration.
             meta: contents of meta.json.
-            start: genomes to begin with; None for random ones.
+            start: initial genomes; None for random ones.
 
         Raises:
             OutputError: the folder cannot be written.
-            RunFolderError: it holds a run or other files.
+            RunFolderError: the folder holds a run or other files.
         """
         try:
             if self.path.exists() and not self.path.is_dir():
@@ -158,12 +156,12 @@ class RunFolder:
         self.start.unlink(missing_ok=True)
         if start is not None:
             write_whole(self.start, lambda file: np.savez(file, genes=start))
-        # Then the config: a folder that has one can be resumed.
+        # Write the config last: a folder with a config can be resumed.
         self.reopen(config_text)
         self.update_meta(**meta)
 
     def _how_to_continue(self) -> str:
-        """How one may go on with the run that is here."""
+        """Return advice on how to continue the existing run."""
         if self.read_meta().get("replaced"):
             return (
                 "it was begun in Python, and goes on there in another folder only: `evo.train(..., "
@@ -173,15 +171,15 @@ class RunFolder:
         return f"go on with `evo-cpg resume {self.path}`{done} or choose another --out"
 
     def require(self) -> None:
-        """Check that there is a run here, and finish what was interrupted as it was written.
+        """Check that there is a run here, and finish interrupted writes.
 
         Raises:
-            RunFolderError: there is none.
+            RunFolderError: there is no run.
         """
         if locks.holds(self.path):
             self._move_decided()
         elif (self.path / _DECIDED).is_dir():
-            # Where another process works here, that puts it in order.
+            # If another process has the lock, that process moves the files.
             with contextlib.suppress(locks.LockedError), locks.locked(self.path):
                 self._move_decided()
         self._require_config()
@@ -191,7 +189,7 @@ class RunFolder:
             raise RunFolderError(f"{self.path} is not a run folder (it has no config.yaml)")
 
     def reopen(self, config_text: str) -> None:
-        """Write config.yaml and make the folders that are missing.
+        """Write config.yaml and make missing folders.
 
         Raises:
             RunFolderError: the folder cannot be written.
@@ -204,10 +202,10 @@ class RunFolder:
             raise cannot_write(self.path, error) from None
 
     def load_start(self) -> Float[np.ndarray, "g all"] | None:
-        """Genomes that the run begins with; None where these are random.
+        """Return the initial genomes of the run; None if random.
 
         Raises:
-            RunFolderError: their file is missing, cannot be read, or holds something else.
+            RunFolderError: the file is missing, cannot be read, or holds something else.
         """
         if not self.start.is_file():
             if given := self.read_meta().get("start"):
@@ -222,26 +220,26 @@ class RunFolder:
         return genes
 
     def read_meta(self) -> dict[str, Any]:
-        """The contents of meta.json; empty where it is missing or broken."""
+        """Return the contents of meta.json; empty if missing or broken."""
         try:
             meta = read_json(self.meta, dict[str, Any])
         except (OSError, ValueError):
             return {}
         sound = all(isinstance(meta[key], kind) for key, kind in _META.items() if key in meta)
-        # So many devices would take the machine's memory, whoever wrote the file.
+        # A larger number of devices would fill the machine's memory.
         return meta if sound and 0 < meta.get("devices", 1) <= _MOST_DEVICES else {}
 
     def update_meta(self, **values: Any) -> None:
-        """Add to meta.json."""
+        """Add or replace values in meta.json."""
         self.write_json(self.meta.name, self.read_meta() | values)
 
     def write_json(self, name: str, values: Mapping[str, Any]) -> None:
-        """Write a .json file of the folder; null stands for a number that is not finite."""
+        """Write a .json file of the folder; numbers that are not finite become null."""
         text = json.dumps(_finite(values), indent=2, allow_nan=False)
         write_text(self.path / name, text)
 
     def save(self, checkpoint: Checkpoint) -> None:
-        """Write a checkpoint, metrics.csv and, with it, the champion where it is new."""
+        """Write a checkpoint, metrics.csv and the champion if it is new."""
         champion = checkpoint.champion
         if champion is not None and (
             not self.champion.exists()
@@ -256,7 +254,7 @@ class RunFolder:
             old.unlink(missing_ok=True)
 
     def load(self) -> Checkpoint | None:
-        """The newest checkpoint that can be read; None before the first generation is done.
+        """Return the newest readable checkpoint; None before the first generation is done.
 
         Raises:
             RunFolderError: there are checkpoints, but none that can be read.
@@ -266,13 +264,13 @@ class RunFolder:
             try:
                 return read_checkpoint(read_arrays(path))
             except FileNotFoundError:
-                # The trainer took it away meanwhile.
+                # The training process deleted it meanwhile.
                 continue
             except DAMAGED as error:
                 reason = getattr(error, "strerror", None) or error
                 wrong.append(f"{path.name}: {reason}")
         if wrong:
-            # To begin at generation 0 would lose what may be had again.
+            # A start at generation 0 would lose generations that may be recoverable.
             raise RunFolderError(
                 f"{self.path / 'checkpoints'}: no checkpoint can be read ({'; '.join(wrong)}); "
                 "make them readable or put copies back, or delete them to begin the run anew"
@@ -280,7 +278,7 @@ class RunFolder:
         return None
 
     def save_champion(self, champion: Champion, recording: Recording | None = None) -> None:
-        """Write champion.npz, with its motion where there is one."""
+        """Write champion.npz, with the motion if recorded."""
         write_whole(self.champion, _champion_writer(champion, self.config_digest(), recording))
 
     def keep_before(self, champion: Champion, recording: Recording | None = None) -> None:
@@ -292,13 +290,13 @@ class RunFolder:
         write_whole(before, lambda file: file.write(config))
 
     def replace_champion(self, champion: Champion, config_text: str) -> None:
-        """Put a refined individual in the place of its run's champion, and what it lives by.
+        """Replace the champion of a run by a refined individual, with its configuration.
 
-        It also takes the last place in its run's population, so that evolution may go on from it.
+        It also takes the last place in the run's population, so that evolution can use it.
 
         Args:
-            champion: the individual.
-            config_text: the configuration that it lives by.
+            champion: refined individual.
+            config_text: configuration of the refined individual.
         """
         config = config_text.encode()
         writes: dict[Path, Callable[[IO[bytes]], object]] = {
@@ -324,15 +322,15 @@ class RunFolder:
         self._write_together(writes)
 
     def save_lineage(self, lineage: Sequence[Champion]) -> None:
-        """Write lineage.npz, of one champion or more."""
+        """Write lineage.npz with at least one champion."""
         arrays = lineage_arrays(lineage)
         write_whole(self.lineage, lambda file: np.savez(file, **arrays))
 
     def load_lineage(self) -> list[Champion]:
-        """The champions on the way, run by run, each in the order of generations.
+        """Return the earlier champions, run by run, in the order of generations.
 
         Raises:
-            RunFolderError: there are none, or their file cannot be read.
+            RunFolderError: there are none, or the file cannot be read.
         """
         if not self.lineage.is_file():
             raise RunFolderError(
@@ -352,10 +350,10 @@ class RunFolder:
         write_table(self.path / name, rows)
 
     def load_champion(self) -> tuple[Champion, Recording | None, dict[str, str]]:
-        """The champion, its motion if that was recorded, and the digests written with it.
+        """Return the champion, its motion if recorded, and the digests written with it.
 
         Raises:
-            RunFolderError: there is no champion yet, or its file cannot be read.
+            RunFolderError: there is no champion yet, or the file cannot be read.
         """
         if not self.champion.is_file():
             raise RunFolderError(f"{self.path} has no champion yet; train it first")
@@ -378,7 +376,7 @@ class RunFolder:
             ) from None
 
     def history(self) -> dict[str, np.ndarray]:
-        """Columns of metrics.csv.
+        """Return the columns of metrics.csv.
 
         Raises:
             RunFolderError: no generation is done yet.
@@ -389,7 +387,7 @@ class RunFolder:
         return history_columns(checkpoint.history)
 
     def config_digest(self) -> str:
-        """SHA-256 of config.yaml."""
+        """Return the SHA-256 of config.yaml."""
         return hashlib.sha256(self.config.read_bytes()).hexdigest()
 
     def _columns_of(self, history: list[dict[str, float]]) -> dict[str, np.ndarray]:
@@ -403,7 +401,7 @@ class RunFolder:
         return self.path / "checkpoints" / f"generation_{generation:06d}.npz"
 
     def _write_together(self, writes: Mapping[Path, Callable[[IO[bytes]], object]]) -> None:
-        """Write several files of the run, all of them or none, whenever this is stopped."""
+        """Write several files of the run: all or none, even after a kill."""
         gathered = self.path / _GATHERED
         try:
             shutil.rmtree(gathered, ignore_errors=True)
@@ -434,9 +432,9 @@ class RunFolder:
 
     @property
     def newest(self) -> int:
-        """Generations that are done, by the name of the newest checkpoint; 0 where there is none.
+        """Number of finished generations, from the newest checkpoint's name; 0 if there is none.
 
-        For whoever looks on: what the file holds is not looked at.
+        The file is not read, so this is quick.
         """
         found = self._checkpoints()
         return _generation_of(found[-1]) if found else 0
@@ -444,8 +442,8 @@ class RunFolder:
     def write_metrics(self, history: list[dict[str, float]]) -> None:
         """Write metrics.csv."""
         rows, text = self._table
-        # Putting every row into words again takes 0.2 s for 3000 generations of 8 runs, half as
-        # long as it takes to simulate one of them.
+        # Formatting every row again takes 0.2 s for 3000 generations of 8 runs, half as long as
+        # simulating one of them.
         if not rows or history[: len(rows)] != rows:
             rows, text = [], ""
         added = io.StringIO()
@@ -461,8 +459,8 @@ def read_checked(path: Path, is_sound: Callable[[Any], bool]) -> Any:
     """Return the contents of a JSON file; None if there is no file.
 
     Args:
-        path: of the file.
-        is_sound: whether the contents are what they should be.
+        path: path of the file.
+        is_sound: function that returns whether the contents are valid.
 
     Raises:
         RunFolderError: the file is damaged.
@@ -479,13 +477,13 @@ def read_checked(path: Path, is_sound: Callable[[Any], bool]) -> Any:
 
 
 def refinements(meta: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What `evo-cpg refine` did to a run, as meta.json has it: when, the command, and the gain."""
+    """Return the refinements of a run from meta.json: time, command and gain of each."""
     found = meta.get("refined")
     return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
 
 
 def _generation_of(checkpoint: Path) -> int:
-    """By its name; as text the millionth would come before those that have six digits."""
+    """Return the generation in a file name as a number, for sorting beyond six digits."""
     return int(checkpoint.stem.removeprefix("generation_"))
 
 
@@ -503,7 +501,7 @@ def _champion_writer(
 
 
 def _finite(value: Any) -> Any:
-    """As JSON can say it, which has no words for infinity and for what is no number."""
+    """Replace infinity and NaN, which JSON lacks, by None."""
     if isinstance(value, Mapping):
         return {name: _finite(each) for name, each in value.items()}
     if isinstance(value, list | tuple):

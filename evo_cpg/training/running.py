@@ -1,4 +1,4 @@
-"""A run in progress: the trials of its next generation, and what follows from their outcome."""
+"""Run in progress: trials of the next generation, and the use of their outcome."""
 
 import functools
 import time
@@ -47,9 +47,9 @@ class Evolution(NamedTuple):
     """Functions of one experiment, compiled at their first call.
 
     Attributes:
-        begin: see `evo_cpg.training.experiment.begin`.
-        keys: see `evo_cpg.training.experiment.generation_keys`.
-        breed: see `evo_cpg.training.experiment.breed`.
+        begin: compiled `evo_cpg.training.experiment.begin`.
+        keys: compiled `evo_cpg.training.experiment.generation_keys`.
+        breed: compiled `evo_cpg.training.experiment.breed`.
     """
 
     begin: Callable[..., tuple[Array, PyTree[Array]]]
@@ -58,22 +58,22 @@ class Evolution(NamedTuple):
 
 
 class Running:
-    """A run that continues from the newest checkpoint of its folder.
+    """Run that continues from the newest checkpoint of its folder.
 
-    With noise, some rounds of trials follow the last generation, in which the champion is chosen
-    (`evo_cpg.training.reevaluation`). The first round tries the final population.
+    With noise, rounds of trials follow the last generation to choose the champion
+    (`evo_cpg.training.reevaluation`). The first round evaluates the final population.
 
     Args:
-        experiment: what evolves.
-        folder: its run folder.
-        mesh: devices, for elites that learn.
-        team: the processes that evolve together. Only their lead reads and writes the folder.
+        experiment: experiment that evolves.
+        folder: run folder.
+        mesh: devices for the elites' gradient ascent.
+        team: processes that evolve together. Only the lead reads and writes the folder.
 
     Attributes:
-        checkpoint: the present state.
+        checkpoint: present state.
 
     Raises:
-        StrategyError: see `evo_cpg.training.loop.train_together`.
+        StrategyError: genomes are not finite, or the checkpoint is of another strategy.
     """
 
     checkpoint: Checkpoint
@@ -98,7 +98,7 @@ class Running:
             like = jax.eval_shape(lambda: begin(experiment))[1]
             self._state = state_from(checkpoint.state, like)
             if checkpoint.history and team.leads:
-                # A kill may have come between the checkpoint and the table.
+                # A kill may have prevented the writing of the table.
                 folder.write_metrics(checkpoint.history)
         self.checkpoint = checkpoint
         self._lineage = _lineage_until(folder, checkpoint) if team.leads else []
@@ -120,14 +120,14 @@ class Running:
         return Trials(self._genes()[:, part], keys, numbers)
 
     def tell(self, part: Outcome, start: float) -> list[dict[str, float]]:
-        """Take the outcome of the trials, breed, and leave a checkpoint.
+        """Take the outcome of the trials, breed, and write a checkpoint.
 
         Args:
             part: outcome of this process's trials.
             start: time at which the generation started, by `time.perf_counter`, s.
 
         Returns:
-            The new rows of metrics.csv; none after a round in which the champion is chosen.
+            The new rows of metrics.csv; none after a round that chooses champions.
         """
         experiment, before = self._experiment, self.checkpoint
         genes, number = self._genes(), self._number
@@ -135,7 +135,7 @@ class Running:
         index, scales = np.int32(number), _float32(before.scales)
         result = jax.device_get(self._programs.breed(genes, outcome, index, scales, self._state))
         if before.generation >= experiment.generations:
-            # Only the fitness counts: no generation follows.
+            # Only the fitness is used: no generation follows.
             self._choose(genes, number, result)
             return []
         done, self._state = before.generation + 1, result.state
@@ -158,7 +158,7 @@ class Running:
             done, population, records, history, scales, state_arrays(self._state)
         )
         if self._team.leads:
-            # Before the checkpoint: a kill in between leaves a lineage that is ahead of it.
+            # Save the lineage first: after a kill in between it is ahead of the checkpoint.
             found = [
                 new
                 for new, old in zip(records, before.records, strict=True)
@@ -168,7 +168,7 @@ class Running:
                 self._lineage = extended(self._lineage, found)
                 self._folder.save_lineage(self._lineage)
             if before.chosen and self.checkpoint.champion is not None:
-                # It was chosen at an earlier end of the run, which has been extended since.
+                # The champion was chosen before the run was extended.
                 self._folder.save_champion(self.checkpoint.champion)
             self._folder.save(self.checkpoint)
         return rows
@@ -203,11 +203,11 @@ class Running:
         return self._choice.generation if self._choice else self.checkpoint.generation
 
     def _genes(self) -> np.ndarray:
-        """Genomes that are tried next."""
+        """Return the genomes to evaluate next."""
         return self._choice.genes(self.checkpoint.genes) if self._choice else self.checkpoint.genes
 
     def _keys(self) -> np.ndarray | None:
-        """Random keys of all trials that are next."""
+        """Return the random keys of all next trials; None without noise."""
         keys = jax.device_get(self._programs.keys(np.int32(self._number)))
         return self._choice.keys(keys, self._experiment.trials) if self._choice else keys
 
@@ -228,7 +228,7 @@ def _load(folder: RunFolder, team: Team) -> Checkpoint | None:
 
 
 def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
-    """Return the champions up to a checkpoint; only its own ones if their file is lost."""
+    """Return the champions up to a checkpoint; only the checkpoint's if the file is lost."""
     try:
         lineage = folder.load_lineage()
     except RunFolderError:
@@ -242,10 +242,10 @@ def _float32(scales: dict[str, tuple[float, ...]]) -> dict[str, np.ndarray]:
 
 
 def _require_finite(experiment: Experiment, genes: Float[np.ndarray, "g all"], done: int) -> None:
-    """Check the genomes of a strategy, unless it wants no check.
+    """Check the genomes of a strategy, unless the strategy disables the check.
 
     Raises:
-        StrategyError: not all are finite.
+        StrategyError: not all genomes are finite.
     """
     wrong = int((~np.isfinite(genes)).any(0).sum())
     if wrong and experiment.strategy.checks_genes:
@@ -283,7 +283,7 @@ def _candidates(
 def _individual(
     genes: Float[np.ndarray, " g"], result: Generation, generation: int, run: int, index: int
 ) -> Champion:
-    """Return one of the individuals that were tried."""
+    """Return an evaluated individual of a generation."""
     fitness = float(result.fitness[run, index])
     terms = {name: float(values[run, index]) for name, values in result.terms.items()}
     scales = {name: float(values[run]) for name, values in result.scales.items()}

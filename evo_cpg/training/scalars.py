@@ -1,10 +1,10 @@
-"""Scalars for TensorBoard: the columns of metrics.csv, written while a run evolves.
+"""Scalars for TensorBoard: columns of metrics.csv, written while a run evolves.
 
-There is one event file for each run, in ``tensorboard/`` of the run folder, or, where runs evolve
-side by side, in ``tensorboard/run_0/`` and so on. A resumed run writes its file anew from the
-checkpoint's table, so no generation is missing or there twice, whatever a kill left. Rows before
-keep their distance in time, by the column ``seconds``. Records of equal rows are equally long, so
-a TensorBoard that reads the file meanwhile is not disturbed.
+There is one event file for each run, in ``tensorboard/`` of the run folder, or with several runs in
+``tensorboard/run_0/`` and so on. A resumed run rewrites its file from the checkpoint's table. So no
+generation is missing or duplicated after a kill. Earlier rows keep their distance in time, by the
+column ``seconds``. Records of equal rows have equal lengths, so a TensorBoard that reads the file
+meanwhile is not disturbed.
 """
 
 import math
@@ -16,24 +16,24 @@ from typing import Any, cast
 from evo_cpg.files import cannot_write
 from evo_cpg.installation import command_for
 
-# Name of the folder; in it of each file, of which TensorBoard looks for the first part.
+# Names of the folder and of each file; TensorBoard searches for the first part.
 FOLDER, _FILE = "tensorboard", "events.out.tfevents.evo-cpg"
-# Columns that say which generation of which run a row is of.
+# Columns with the generation and run of a row.
 _PLACE = ("generation", "run")
 
 Rows = Iterable[Mapping[str, float]]
 
 
 class MissingWriterError(Exception):
-    """The package that writes event files is not installed."""
+    """Error for a missing package that writes event files."""
 
 
 class Scalars:
-    """Event files that rows are added to.
+    """Event files, extended by rows.
 
     Args:
-        path: the run folder.
-        history: rows of the generations that are done.
+        path: path of the run folder.
+        history: rows of the finished generations.
 
     Raises:
         MissingWriterError: tensorboardX is not installed.
@@ -54,10 +54,10 @@ class Scalars:
         self._add(done, ends)
 
     def add(self, rows: Rows) -> None:
-        """Add rows of metrics.csv. Values that are not finite are left out.
+        """Add rows of metrics.csv, without values that are not finite.
 
         Raises:
-            OutputError: they cannot be written.
+            OutputError: a file cannot be written.
         """
         self._add(rows, {})
 
@@ -70,7 +70,7 @@ class Scalars:
     def _add(self, rows: Rows, ends: Mapping[float, float]) -> None:
         from tensorboardX.proto import event_pb2, summary_pb2
 
-        # Their members are made as they are imported.
+        # Members of these modules are created at import, so type checkers miss them.
         Event, Summary = cast(Any, event_pb2).Event, cast(Any, summary_pb2).Summary
         try:
             for row in rows:
@@ -110,7 +110,7 @@ def require_writer() -> None:
     """Check that event files can be written.
 
     Raises:
-        MissingWriterError: they cannot.
+        MissingWriterError: tensorboardX is not installed.
     """
     try:
         import tensorboardX.proto.event_pb2  # noqa: F401

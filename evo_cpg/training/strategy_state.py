@@ -1,7 +1,7 @@
-"""What a strategy remembers, as named arrays and back.
+"""Conversion of a strategy's state to named arrays and back.
 
-Files hold numbers of NumPy's own types. Of other ones, such as bfloat16, they hold the bits, and of
-random keys their data; the type is then a part of the name, as in ``best.bfloat16``.
+Files hold NumPy's own number types directly. For other types, such as bfloat16, they hold the bits,
+and for random keys the data. The type is then part of the name, as in ``best.bfloat16``.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,27 +16,27 @@ from evo_cpg.errors import UserError
 
 
 class StrategyError(UserError):
-    """A strategy that does not do what it must; the message is for the user."""
+    """Error of a strategy that breaks its contract; the message is for the user."""
 
 
 def state_arrays(state: PyTree) -> dict[str, np.ndarray]:
-    """The leaves of a state by their paths, such as ``archive.genes``; on the host.
+    """Return the leaves of a state on the host by path, such as ``archive.genes``.
 
-    Where two have the same path, the later one's has a prime.
+    If two leaves have equal paths, the later path gets a prime.
     """
     leaves, _ = jax.tree.flatten_with_path(jax.device_get(state))
     return {name: _stored(leaf) for name, leaf in _named(leaves).items()}
 
 
 def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
-    """The inverse of `state_arrays`.
+    """Return the state from `state_arrays`.
 
     Args:
-        arrays: by path.
-        like: a state of the same structure, of which only shapes and types are looked at.
+        arrays: arrays by path.
+        like: state of equal structure; only its shapes and types are used.
 
     Raises:
-        StrategyError: they are those of another strategy, or of other settings of it.
+        StrategyError: the arrays come from another strategy or from other settings.
     """
     leaves, structure = jax.tree.flatten_with_path(like)
     named = _named(leaves)
@@ -73,7 +73,7 @@ def _is_key(leaf: Any) -> bool:
 
 
 def _is_foreign(leaf: Any) -> bool:
-    """Whether its type comes from another package than NumPy, whose files lose it."""
+    """Return whether a leaf's type is not NumPy's own, so that files would lose the type."""
     return np.dtype(getattr(leaf, "dtype", bool)).isbuiltin == 2
 
 
@@ -82,7 +82,7 @@ def _bits(leaf: Any) -> np.dtype:
 
 
 def _stored(leaf: Any) -> np.ndarray:
-    """A leaf as files hold it."""
+    """Return a leaf as files hold it."""
     if _is_key(leaf):
         return np.asarray(jax.random.key_data(leaf))
     array = np.asarray(leaf)
@@ -90,14 +90,14 @@ def _stored(leaf: Any) -> np.ndarray:
 
 
 def _stored_like(leaf: Any) -> Any:
-    """Something of the shape and type that `_stored` gives."""
+    """Return an object with the shape and type of the result of `_stored`."""
     if _is_key(leaf):
         return jax.eval_shape(jax.random.key_data, leaf)
     return jax.ShapeDtypeStruct(leaf.shape, _bits(leaf)) if _is_foreign(leaf) else leaf
 
 
 def _restored(array: np.ndarray, like: Any) -> Any:
-    """The inverse of `_stored`."""
+    """Invert `_stored`."""
     if _is_key(like):
         made = []
         jax.eval_shape(lambda key: made.append(jax.random.key_impl(key)), like)

@@ -1,6 +1,6 @@
-"""One individual under conditions that it did not evolve in: how much displacement does it keep?
+"""Displacement of an individual under conditions that it did not evolve in.
 
-A gait that fails with a little more friction, half the step or a slightly different start exploits
+A gait that fails with slightly more friction, half the step or a slightly different start exploits
 one simulation.
 """
 
@@ -23,12 +23,12 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment, champion_keys, judge, situation_numbers
 
-# Of the random numbers that draws of the pose come from.
+# Seed of the draws of noise.
 _SEED = 20
 
 
 class Variation(NamedTuple):
-    """Conditions of one kind.
+    """Changed conditions of one kind.
 
     Attributes:
         name: name for tables.
@@ -103,12 +103,12 @@ def compile_variation(experiment: Experiment, variation: Variation) -> Callable[
 
 
 def finer(simulation: Simulation, times: int) -> Simulation:
-    """The same with each physics step divided into several."""
+    """Return the simulation with each physics step divided into several."""
     return dataclasses.replace(simulation, substeps=times * simulation.substeps)
 
 
 def with_friction(simulation: Simulation, factor: float) -> Simulation:
-    """The same on ground with more or less friction, static and dynamic.
+    """Return the simulation with the ground's static and dynamic friction scaled.
 
     Raises:
         ValueError: there is no ground.
@@ -117,7 +117,7 @@ def with_friction(simulation: Simulation, factor: float) -> Simulation:
 
 
 def with_drag(simulation: Simulation, factor: float) -> Simulation:
-    """The same in water with more or less drag of both kinds.
+    """Return the simulation with both kinds of the water's drag scaled.
 
     Raises:
         ValueError: there is no water.
@@ -126,10 +126,10 @@ def with_drag(simulation: Simulation, factor: float) -> Simulation:
 
 
 def shaken(simulation: Simulation, angle: float) -> Simulation:
-    """The same, starting from a pose that is a little different in every draw.
+    """Return the simulation with a slightly different initial pose in every draw.
 
     Args:
-        simulation: the trial.
+        simulation: simulation to change.
         angle: standard deviation of every joint angle, and of the root's roll and pitch, rad.
     """
     own = simulation.noise
@@ -140,7 +140,7 @@ def shaken(simulation: Simulation, angle: float) -> Simulation:
 
 
 def limp(simulation: Simulation) -> Simulation:
-    """The same with motors that do nothing."""
+    """Return the simulation with motors that exert no torque."""
     tree = simulation.world.tree
     weak = dataclasses.replace(
         tree,
@@ -151,7 +151,7 @@ def limp(simulation: Simulation) -> Simulation:
 
 
 def on_engine(simulation: Simulation, engine: Engine) -> Simulation:
-    """The same, computed by something else."""
+    """Return the simulation with another engine."""
     return dataclasses.replace(simulation, engine=engine)
 
 
