@@ -18,7 +18,7 @@ from evo_cpg.training.experiment import Experiment
 # Travelling wave of the target rates about z: amplitude (rad/s), frequency (Hz), and lag from joint
 # to joint (degrees).
 WAVE_RATE, WAVE_FREQUENCY, WAVE_LAG = 2.0, 1.0, 36.0
-# Largest difference between the amplitudes of individuals.
+# Largest relative difference between the amplitudes of individuals.
 _WAVE_SPREAD = 0.2
 # The fractional parts of its multiples fill the range from 0 to 1 evenly for any count. So the
 # first individuals are equal in every population.
@@ -38,7 +38,7 @@ class Exercise(abc.ABC):
 
     @abc.abstractmethod
     def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
-        """Return the differing inputs of individuals, float32; larger populations extend smaller."""
+        """Return the differing inputs of individuals, float32; larger populations begin alike."""
 
     @abc.abstractmethod
     def prepare(self, lanes: Float[Array, "k n"]) -> Array:

@@ -29,7 +29,7 @@ _PATIENCE = 5
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """Yield a row for each size; the ratio is the speed with the gradient over the speed without."""
+    """Yield a row for each size; the ratio is the speed with the gradient over that without."""
     seconds = _SHORT if plan.quick else _WHOLE
     for size in plan.sizes_or(*SIZES):
         yield _measure(plan, size, seconds)

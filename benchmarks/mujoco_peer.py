@@ -131,9 +131,8 @@ def places(states: Float[np.ndarray, "n steps state"]) -> Float[np.ndarray, "3 n
 def stopped(states: Float[np.ndarray, "n steps state"], seconds: float) -> Bool[np.ndarray, " n"]:
     """Return a mask of MuJoCo's diverged individuals.
 
-    `mujoco.rollout` stops a diverged individual. It resets its state, time included, and repeats
-    that
-    state to the end.
+    `mujoco.rollout` stops a diverged individual. It resets the state, time included, and
+    repeats it to the end.
 
     Args:
         states: states of all steps.

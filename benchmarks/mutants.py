@@ -535,7 +535,7 @@ def mutated(mutant: Mutant, text: str) -> str:
 
 
 def noticed(copy: Path, tests: list[str]) -> str:
-    """Return the first test that failed in the copy; an empty text if none failed.
+    """Return a phrase with the first test that failed in the copy, or with the survival.
 
     Raises:
         RuntimeError: the tests could not run.

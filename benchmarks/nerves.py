@@ -34,7 +34,8 @@ _MIDDLE, _SPREAD = 0.5, 0.2
 
 
 def measure_cpg(plan: Plan, peak: float) -> Iterator[Row]:
-    """Yield rows of the swimmer's oscillators with constant inputs, one control step after another."""
+    """Yield rows of the swimmer's oscillators with constant inputs, control step by control step.
+    """
     controller, mesh = _controller(), population_mesh()
     error = None
     for size in plan.sizes_or(200):

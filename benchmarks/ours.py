@@ -60,7 +60,7 @@ def compile_for_all(
 
 
 def full_lanes(count: int, mesh: Mesh) -> int:
-    """Return the number of individuals, rounded up to full chunks on every device, as in training."""
+    """Return the number of individuals, rounded up to full chunks on every busy device."""
     block = layout(count, mesh).block
     return -(-count // block) * block
 

@@ -47,7 +47,8 @@ class Plan(NamedTuple):
     say: Callable[[str], object] = lambda text: None
 
     def sizes_or(self, *own: int) -> tuple[int, ...]:
-        """Return the population sizes of a case: the chosen ones, or its own (the first if quick)."""
+        """Return the population sizes of a case: the chosen or its own (only the first if quick).
+        """
         return self.sizes or (own[:1] if self.quick else own)
 
 
