@@ -63,8 +63,7 @@ def peak_memory() -> int:
     """Return the peak memory of this process, bytes.
 
     Linux's `ru_maxrss` starts with the parent's memory at the start of this process. The peak in
-    /proc
-    starts anew.
+    /proc starts anew.
     """
     peak = _peak_of("self")
     if peak is not None:

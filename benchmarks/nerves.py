@@ -34,8 +34,7 @@ _MIDDLE, _SPREAD = 0.5, 0.2
 
 
 def measure_cpg(plan: Plan, peak: float) -> Iterator[Row]:
-    """Yield rows of the swimmer's oscillators with constant inputs, control step by control step.
-    """
+    """Yield rows of the swimmer's oscillators with constant inputs, per control step."""
     controller, mesh = _controller(), population_mesh()
     error = None
     for size in plan.sizes_or(200):

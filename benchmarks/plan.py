@@ -47,8 +47,7 @@ class Plan(NamedTuple):
     say: Callable[[str], object] = lambda text: None
 
     def sizes_or(self, *own: int) -> tuple[int, ...]:
-        """Return the population sizes of a case: the chosen or its own (only the first if quick).
-        """
+        """Return the population sizes of a case: chosen or its own (only the first if quick)."""
         return self.sizes or (own[:1] if self.quick else own)
 
 

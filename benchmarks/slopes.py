@@ -140,8 +140,7 @@ def _sloping(contact_model: ContactModel, angle: Array) -> ContactModel:
 
 
 def limit_of_statics(standing: Standing) -> float:
-    """Return the steepest slope, degrees to 0.1, on which the points can hold the centre of mass.
-    """
+    """Return the steepest slope, degrees to 0.1, on which the points hold the centre of mass."""
     turns = 2 * np.pi * np.arange(_EDGES) / _EDGES
     edges = np.stack([np.cos(turns), np.sin(turns), np.zeros(_EDGES)])
     columns = []
@@ -189,8 +188,7 @@ def steepest(stand: Callable[[float], Standing]) -> tuple[float, float, Standing
 
 
 def stands(standing: Standing, level: Standing) -> bool:
-    """Return whether an animal neither slides nor lies lower than two thirds of its level height.
-    """
+    """Return whether an animal neither slides nor lies below two thirds of its level height."""
     return standing.creep < SLIDES and standing.centre[2] > 2 / 3 * level.centre[2]
 
 
