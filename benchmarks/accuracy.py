@@ -1,12 +1,14 @@
-"""How far a motion is from the one that smaller steps give.
+"""Error of a motion, relative to a motion with smaller steps.
 
-The error of a motion is the median over 16 individuals of the distance, after 1 s in water or
-0.25 s on the ground, between where the root is and where it is in a *reference*: the same program
-with a sixteenth of the step and the same commands, held over the same times. It is given as a share
-of the body length, the largest distance between two bodies' centres in the neutral pose, so that
-animals and programs can be compared. Each program is held against a reference of its own: what is
-measured is what the step costs in accuracy, not whose water or ground is the right one. Our
-reference is in float64, so our error contains the rounding of float32.
+The error is the median over 16 individuals of a distance, after 1 s in water or 0.25 s on the
+ground. It is the distance between the root's place and its place in a *reference*. The reference is
+the same program with a sixteenth of the step and the same commands, held over the same times.
+Errors are fractions of the body length, so that animals and programs can be compared. The body
+length is the largest distance between two bodies' centres in the neutral pose.
+
+Each program has its own reference. So the error measures the accuracy lost by the step, and not
+which water or ground is right. Our reference is in float64, so our error contains the rounding of
+float32.
 """
 
 import jax
@@ -21,29 +23,29 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 
 SECONDS = 1.0
-# Contacts make neighbouring paths part, whatever the program: after 1 s the quadruped is a third of
-# its length from its reference (MuJoCo's a half), after 0.25 s 0.03 of it (0.11).
+# Contacts make neighbouring paths diverge in any program. The quadruped is a third of its length
+# from its reference after 1 s (MuJoCo's a half), and 0.03 of it after 0.25 s (0.11).
 GROUND_SECONDS = 0.25
 FINER = 16
 LANES = 16
 
 
 def our_error(exercise: Exercise, program: Program, mesh: Mesh) -> float:
-    """Of a compiled motion with at least `LANES` lanes, in body lengths."""
+    """Return the error of a compiled motion with at least `LANES` lanes, in body lengths."""
     steps = steps_until_compared(exercise)
     exact = our_places(exercise, mesh, steps, FINER)
     return typical_distance(program.run(steps)[:, :LANES], exact) / body_length(exercise)
 
 
 def our_places(exercise: Exercise, mesh: Mesh, steps: int, finer: int) -> Float[np.ndarray, "3 n"]:
-    """Of the first individuals after so many steps, each divided, in float64; m."""
+    """Return the first individuals' places after some steps, each divided, in float64; m."""
     lanes = exercise.lanes(full_lanes(LANES, mesh)).astype(float)
     with jax.enable_x64(True):
         return compile_motion(exercise, lanes, mesh, finer).run(steps * finer)[:, :LANES]
 
 
 def mujoco_error(exercise: Exercise, kind: Kind, threads: int) -> float:
-    """Of MuJoCo's motion, in body lengths."""
+    """Return the error of MuJoCo's motion, in body lengths."""
     steps = steps_until_compared(exercise)
     coarse, fine = (mujoco_places(exercise, kind, threads, steps, finer) for finer in (1, FINER))
     return typical_distance(coarse, fine) / body_length(exercise)
@@ -52,25 +54,25 @@ def mujoco_error(exercise: Exercise, kind: Kind, threads: int) -> float:
 def mujoco_places(
     exercise: Exercise, kind: Kind, threads: int, steps: int, finer: int
 ) -> Float[np.ndarray, "3 n"]:
-    """Of MuJoCo's first individuals after so many steps, each divided; m."""
+    """Return the places of MuJoCo's first individuals after some steps, each divided; m."""
     motion = Motion(exercise, kind, exercise.lanes(LANES), threads, finer)
     return places(motion.states(motion.rest(), motion.signals(steps * finer)))
 
 
 def steps_until_compared(exercise: Exercise) -> int:
-    """Of the config's length."""
+    """Return the number of the config's steps until the comparison."""
     simulation = exercise.experiment.simulation
     horizon = SECONDS if simulation.world.ground is None else GROUND_SECONDS
     return round(horizon / simulation.step_length)
 
 
 def typical_distance(first: Float[np.ndarray, "3 n"], second: Float[np.ndarray, "3 n"]) -> float:
-    """Median over the individuals, m."""
+    """Return the median distance over the individuals, m."""
     return float(np.median(np.linalg.norm(first - second, axis=0)))
 
 
 def body_length(exercise: Exercise) -> float:
-    """Largest distance between two bodies' centres in the neutral pose, m."""
+    """Return the largest distance between two bodies' centres in the neutral pose, m."""
     tree = exercise.experiment.simulation.world.tree
     pose = kinematics(tree, resting_state(tree))
     centre = np.asarray(pose.origin + (pose.rotation * tree.com[None]).sum(1))

@@ -1,4 +1,4 @@
-"""The animals that move, by the name of their case."""
+"""The moving animals, by the name of their case."""
 
 from collections.abc import Callable
 
@@ -7,17 +7,17 @@ from benchmarks.jax_peers import GROUNDED, WET
 from benchmarks.moving import Animal
 from benchmarks.plan import experiment_of
 
-# Scalar additions, multiplications, divisions, roots and comparisons that the equations of one
-# physics step of the ten-body swimmer need, counted once on its scalar program after constants are
-# folded and products with zero dropped. It is fixed, and does not follow the program: who does the
-# same with fewer operations does not thereby get a lower rate.
+# Scalar additions, multiplications, divisions, roots and comparisons in the equations of one
+# physics step of the ten-body swimmer. They were counted once on its scalar program, after
+# constants were folded and products with zero dropped. The number is fixed, so that a program with
+# fewer operations does not get a lower rate.
 SWIMMER_FLOPS = 13_944
 
 _MANY = (1, 15, 64, 1024, 4096)
 
 
 def swimmer() -> Animal:
-    """Ten boxes in water."""
+    """Return the swimmer: ten boxes in water."""
     return Animal(
         "swimmer",
         Wave(experiment_of("iwadate2010_swimmer")),
@@ -29,19 +29,19 @@ def swimmer() -> Animal:
 
 
 def salamander_water() -> Animal:
-    """Sixteen ellipsoids and capsules in water."""
+    """Return the salamander in water: sixteen ellipsoids and capsules."""
     exercise = Wave(experiment_of("iwadate2010_salamander_water"))
     return Animal("salamander-water", exercise, (200,))
 
 
 def salamander_land() -> Animal:
-    """The same on hills, which MuJoCo has as a height field."""
+    """Return the salamander on hills, which are a height field in MuJoCo."""
     exercise = Wave(experiment_of("iwadate2010_salamander_land"))
     return Animal("salamander-land", exercise, (200,))
 
 
 def quadruped() -> Animal:
-    """Nine boxes on flat ground."""
+    """Return the quadruped: nine boxes on flat ground."""
     return Animal(
         "quadruped",
         Postures(experiment_of("fukui2003_model1")),

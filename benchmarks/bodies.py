@@ -1,7 +1,7 @@
-"""A population of different bodies in one program, beside one that shares its body.
+"""A population of different bodies in one program, beside a population with one shared body.
 
-Whole trials on one core. Sizes, densities, places of joints and stiffnesses are drawn at random,
-each within a tenth of the configuration's own.
+Whole trials run on one core. Sizes, densities, places of joints and stiffnesses are random, each
+within a tenth of the configuration's value.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from evo_cpg.simulation.rollout import rollout
 
 _SIZE = 200
 _STEPS = 120
-# So many are built, which takes a tenth of a second each; the population has them in turn.
+# Number of built bodies, a tenth of a second each. The population uses them in turn.
 _BUILT = 25
 _DRAWN = {
     "iwadate2010_swimmer": (
@@ -48,7 +48,7 @@ _DRAWN = {
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """A row per config and size; the ratio is the speed as a share of the shared body's."""
+    """Yield a row per config and size; the ratio is the speed relative to the shared body's."""
     for name in list(_DRAWN)[: 1 if plan.quick else None]:
         for size in plan.sizes_or(_SIZE):
             yield _measure(name, size, plan)
@@ -93,7 +93,7 @@ def _measure(name: str, size: int, plan: Plan) -> Row:
 
 
 def _population(name: str, size: int, short: bool) -> BatchedSimulation:
-    """Bodies for so many individuals."""
+    """Return a simulation with bodies for this number of individuals."""
     path, rng = CONFIGS / f"{name}.yaml", np.random.default_rng(0)
     config = load_config(path, ["creature.bodies.1.repeat=2"] if short else [])
     built = 3 if short else _BUILT

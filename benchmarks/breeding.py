@@ -1,8 +1,8 @@
-"""One step of the genetic algorithms alone, beside that of evosax's SimpleGA.
+"""One step of our genetic algorithms alone, beside a step of evosax's SimpleGA.
 
-Both get the same fitness and make a population of the same size and precision from the last one, on
-one core. The operators differ: SimpleGA draws parents from the better half and adds normal noise to
-every gene, ours draw by rank, cross, change some genes and keep elites.
+Both get the same fitness and breed a population of the same size and precision, on one core. The
+operators differ. SimpleGA draws parents from the better half and adds normal noise to every gene.
+Our algorithms draw by rank, cross, change some genes and keep elites.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ Breeder = Callable[[int], object]
 
 
 def measure(plan: Plan) -> list[Row]:
-    """Our two algorithms, each beside SimpleGA."""
+    """Return the rows of our two algorithms, each beside SimpleGA."""
     genes = _QUICK_GENES if plan.quick else GENES
     real = experiment_of("iwadate2010_swimmer").strategy
     assert isinstance(real, Genetics)
@@ -52,7 +52,7 @@ def measure(plan: Plan) -> list[Row]:
 
 
 def _ours(genetics: Genetics, gene_count: int) -> tuple[Breeder, float]:
-    """Breeds so many generations; and how long it took to compile, s."""
+    """Return a function that breeds some generations, and its compile time, s."""
     fitness = _fitness()
     first = jax.random.bernoulli(jax.random.key(0), 0.5, (gene_count, SIZE)).astype(jnp.float32)
 
@@ -64,7 +64,7 @@ def _ours(genetics: Genetics, gene_count: int) -> tuple[Breeder, float]:
 
 
 def _evosax(gene_count: int) -> tuple[Breeder, float]:
-    """The same of SimpleGA: ask and tell, compiled together."""
+    """Return SimpleGA's breeder, with ask and tell compiled together, and its compile time, s."""
     evosax: Any = importlib.import_module("evosax.algorithms")
     strategy = evosax.SimpleGA(population_size=SIZE, solution=jnp.zeros(gene_count))
     settings, fitness = strategy.default_params, -_fitness()

@@ -1,7 +1,7 @@
-"""What became slower since an earlier run.
+"""Find the rows that became slower since an earlier run.
 
-Where a row stands beside a peer, the ratios to the peer are compared: a machine that is slow today
-is so for both. Other rows are compared by their rates.
+Rows with a peer are compared by their ratio to the peer, because a slow machine slows both. Other
+rows are compared by their rates.
 """
 
 from typing import Any, NamedTuple
@@ -13,12 +13,12 @@ class Change(NamedTuple):
     """One row, then and now.
 
     Attributes:
-        row: as measured now.
+        row: row of the present run.
         kind: "ratio to NAME" or the unit of the rate.
         then: the earlier value.
-        now: the value.
-        gain: how many times as fast as then; below 1 is slower.
-        slower: by more than is tolerated.
+        now: the present value.
+        gain: present speed over the earlier speed; below 1 is slower.
+        slower: whether the loss exceeds the tolerance.
     """
 
     row: Row
@@ -33,8 +33,8 @@ class Verdict(NamedTuple):
     """All rows that both runs have.
 
     Attributes:
-        changes: one for each.
-        remarks: for the reader, in sentences.
+        changes: one change for each row.
+        remarks: sentences for the reader.
     """
 
     changes: list[Change]
@@ -42,7 +42,7 @@ class Verdict(NamedTuple):
 
     @property
     def slower(self) -> list[Change]:
-        """Those that lost too much."""
+        """Return the changes that lost too much."""
         return [change for change in self.changes if change.slower]
 
 
@@ -51,12 +51,12 @@ def compare(
     now: tuple[dict[str, Any], list[Row]],
     tolerance: float,
 ) -> Verdict:
-    """Find what became slower.
+    """Find the rows that became slower.
 
     Args:
         then: machine and rows of the earlier run.
-        now: of this run.
-        tolerance: largest share that a rate or ratio may lose.
+        now: machine and rows of this run.
+        tolerance: largest fraction that a rate or ratio may lose.
     """
     earlier = {row.key: row for row in then[1]}
     changes = [_change(earlier[row.key], row, tolerance) for row in now[1] if row.key in earlier]

@@ -1,10 +1,14 @@
-"""How well contact is solved: `python -m benchmarks.contact [ANIMAL ...] [--count 64]`.
+"""Measure the accuracy of contact: `python -m benchmarks.contact [ANIMAL ...] [--count 64]`.
 
-Animals that thrash about on their own ground, with the commands of the benchmark's exercises. Of
-every physics step: the residual of the problem that is solved and of Coulomb's law with the normal
-forces of that step, as shares of what the ground carries; how deep every contact point is after
-it, and bodies of one animal are in each other; and in float64, by how much a disturbance of 1e-9
-grows within 0.1 s. The table is that of docs/models/contact.md.
+Animals thrash about on their own ground, with the commands of the benchmark's exercises. Each
+physics step gives:
+
+- the residual of the solved problem, and of Coulomb's law with the normal forces of that step, as
+  fractions of the ground's load;
+- the depth of every contact point after the step, and the overlap of bodies of one animal;
+- in float64, the growth of a disturbance of 1e-9 within 0.1 s.
+
+The table is the one in docs/models/contact.md.
 """
 
 import argparse
@@ -27,22 +31,22 @@ from evo_cpg.physics.pairs import separations
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import first_warmstart, step
 
-# Growth is that of a disturbance of so much (the norm of the state) within so long a window.
+# Initial disturbance (norm of the state), and length of a window of growth, s.
 DISTURBANCE, WINDOW = 1e-9, 0.1
 
 _ON_LAND = ("quadruped", "salamander-land")
 
 
 class Thrashing(NamedTuple):
-    """What happened in every physics step.
+    """Results of every physics step.
 
     Attributes:
         touches: whether anything carried weight.
-        solved: residual of the problem that was solved.
+        solved: residual of the solved problem.
         coulomb: residual of Coulomb's law.
-        depth: of every contact point, m.
-        overlap: of bodies of one animal, the deepest, m; 0 where none are kept apart.
-        growth: of a disturbance in every window; empty in float32.
+        depth: depth of every contact point, m.
+        overlap: deepest overlap of bodies of one animal, m; 0 if none are kept apart.
+        growth: growth of a disturbance in every window; empty in float32.
     """
 
     touches: Float[np.ndarray, "t n"]
@@ -57,10 +61,10 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
     """Let a population thrash about.
 
     Args:
-        exercise: tells them what to do.
-        count: individuals.
-        seconds: how long.
-        dtype: of all numbers; in float64 every other individual is the disturbed one.
+        exercise: commands of the population.
+        count: number of individuals.
+        seconds: duration, s.
+        dtype: type of all numbers; in float64 every individual has a disturbed twin.
     """
     simulation = exercise.experiment.simulation
     world, h = simulation.world, simulation.step_length
@@ -94,7 +98,7 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
     for i in track(windows, "thrashing", transient=True, console=Console(stderr=True)):
         if pairs:
             state = _disturbed(state, count, rng)
-            # A disturbed twin begins like the other one.
+            # A disturbed twin starts with the warm start of its original.
             warmstart = jax.tree.map(_twice(count), warmstart)
             before = _distance(state, count)
         (state, warmstart), seen = window((state, warmstart), jnp.int32(i * size))
@@ -106,18 +110,18 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
 
 
 def _twice(count: int) -> Callable[[Array], Array]:
-    """Of an array the first individuals, and these again."""
+    """Return a function that appends an array's first individuals to themselves."""
     return lambda x: jnp.concatenate([x[..., :count], x[..., :count]], -1)
 
 
 def _both(command: tuple[Array, Array | None], h: float) -> tuple[Array, float, Array | None]:
-    """What `step` takes after the state."""
+    """Return the arguments of `step` that follow the state."""
     rate, angle = command
     return rate, h, angle
 
 
 def _disturbed(state: State, count: int, rng: np.random.Generator) -> State:
-    """The first individuals, and the same beside themselves."""
+    """Return the first individuals, followed by disturbed copies of them."""
     parts = [np.asarray(part)[..., :count] for part in jax.tree.leaves(state)]
     directions = [rng.normal(size=part.shape) for part in parts]
     norm = np.sqrt(sum((direction**2).sum(0) for direction in directions))
@@ -130,7 +134,7 @@ def _disturbed(state: State, count: int, rng: np.random.Generator) -> State:
 
 
 def _distance(state: State, count: int) -> Float[np.ndarray, " n"]:
-    """Of each individual from its twin."""
+    """Return the distance of each individual from its twin."""
     apart = [
         np.asarray(x)[..., count:] - np.asarray(x)[..., :count] for x in jax.tree.leaves(state)
     ]
@@ -138,7 +142,7 @@ def _distance(state: State, count: int) -> Float[np.ndarray, " n"]:
 
 
 def row(animal: str, dtype: type, found: Thrashing) -> str:
-    """Of the table; shares are of contact steps, or of all points at all times."""
+    """Return a row of the table, as fractions of contact steps, or of all points at all times."""
     fraction = functools.partial(_fraction, found.touches)
     growth = (
         ""
@@ -169,7 +173,7 @@ growth: median / 99 % / most |
 
 
 def _fraction(touches: np.ndarray, residual: np.ndarray, bound: float) -> float:
-    """Per cent of contact steps with a larger residual."""
+    """Return the percentage of contact steps with a larger residual."""
     return 100 * float((residual[touches] > bound).mean())
 
 

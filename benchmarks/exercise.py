@@ -15,13 +15,13 @@ from jaxtyping import Float, Int
 from evo_cpg.control.postures import PostureController
 from evo_cpg.training.experiment import Experiment
 
-# The travelling wave: amplitude (rad/s), frequency (Hz) and lag from joint to joint (degrees) of
-# the target rates about z.
+# Travelling wave of the target rates about z: amplitude (rad/s), frequency (Hz), and lag from joint
+# to joint (degrees).
 WAVE_RATE, WAVE_FREQUENCY, WAVE_LAG = 2.0, 1.0, 36.0
-# Amplitudes of individuals lie this far apart at most.
+# Largest relative difference between the amplitudes of individuals.
 _WAVE_SPREAD = 0.2
-# Multiples of it, whole numbers taken away, fill the range from 0 to 1 evenly however many there
-# are: the first individuals are the same in every population.
+# The fractional parts of its multiples fill the range from 0 to 1 evenly for any count. So the
+# first individuals are equal in every population.
 _GOLDEN = 0.6180339887498949
 _SEED = 0
 
@@ -31,25 +31,25 @@ class Exercise(abc.ABC):
     """Commands for all individuals at all times.
 
     Attributes:
-        experiment: whose animal and world these are.
+        experiment: experiment with the animal and its world.
     """
 
     experiment: Experiment
 
     @abc.abstractmethod
     def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
-        """What individuals do differently, float32; larger populations begin like smaller ones."""
+        """Return the differing inputs of individuals, float32; larger populations begin alike."""
 
     @abc.abstractmethod
     def prepare(self, lanes: Float[Array, "k n"]) -> Array:
-        """What is worked out once, before the first step."""
+        """Return the data that are computed once, before the first step."""
 
     @abc.abstractmethod
     def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
-        """Target rates ``(d, n)`` in rad/s and, for motors with springs, target angles in rad.
+        """Return target rates ``(d, n)``, rad/s, and target angles, rad, for motors with springs.
 
         Args:
-            commands: from `prepare`.
+            commands: result of `prepare`.
             index: number of the physics step.
         """
 
@@ -57,35 +57,35 @@ class Exercise(abc.ABC):
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
     ) -> Float[np.ndarray, "n steps d"]:
-        """The commands that MuJoCo's motors get: rates, or angles where they have springs."""
+        """Return MuJoCo's motor commands: rates, or angles for motors with springs."""
 
 
 class Wave(Exercise):
     """A wave that travels from head to tail; individuals differ in its amplitude."""
 
     def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
-        """Factors on the amplitude."""
+        """Return factors on the amplitude."""
         spread = (np.arange(count) * _GOLDEN % 1 - 0.5) * _WAVE_SPREAD
         return (1 + spread)[None].astype(np.float32)
 
     def prepare(self, lanes: Float[Array, "k n"]) -> Array:
-        """The factors themselves."""
+        """Return the factors unchanged."""
         return lanes
 
     def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
-        """A row of the table of one period, times the factors."""
+        """Return a row of the table of one period, times the factors."""
         table = jnp.asarray(self.period(), commands.dtype)
         return table[index % len(table)][:, None] * commands, None
 
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
     ) -> Float[np.ndarray, "n steps d"]:
-        """The same rates."""
+        """Return the same rates for MuJoCo."""
         table = self.period()
         return lanes[0].astype(float)[:, None, None] * table[index % len(table)][None]
 
     def period(self) -> Float[np.ndarray, "steps d"]:
-        """Target rates of the axes about z over one period, rad/s."""
+        """Return target rates of the axes about z over one period, rad/s."""
         simulation = self.experiment.simulation
         tree, h = simulation.world.tree, simulation.step_length
         depth = [0]
@@ -103,34 +103,34 @@ class Postures(Exercise):
 
     @property
     def controller(self) -> PostureController:
-        """That of the config."""
+        """Return the config's controller."""
         controller = self.experiment.simulation.controller
         assert isinstance(controller, PostureController)
         return controller
 
     def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
-        """Random bits."""
+        """Return random bits."""
         generator = np.random.default_rng(_SEED)
         bits = generator.integers(0, 2, (count, self.controller.gene_count))
         return bits.T.astype(np.float32)
 
     def prepare(self, lanes: Float[Array, "k n"]) -> Array:
-        """Angles ``(postures, d, n)``, rad."""
+        """Return angles ``(postures, d, n)``, rad."""
         return self.controller.decode(lanes)
 
     def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
-        """No rates; the angles of the posture of the present time."""
+        """Return zero rates, and the angles of the present posture."""
         posture = self.controller.posture(index // self.experiment.simulation.substeps)
         return jnp.zeros_like(commands[0]), commands[posture]
 
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
     ) -> Float[np.ndarray, "n steps d"]:
-        """The same angles."""
+        """Return the same angles for MuJoCo."""
         angles = np.asarray(self.controller.decode(jnp.asarray(lanes)), float)
         return np.moveaxis(angles, -1, 0)[:, self.numbers(index)]
 
     def numbers(self, index: Int[np.ndarray, " steps"]) -> Int[np.ndarray, " steps"]:
-        """Which posture is held in each physics step."""
+        """Return the number of the posture in each physics step."""
         substeps = self.experiment.simulation.substeps
         return np.asarray(self.controller.posture(jnp.asarray(index // substeps)))

@@ -1,15 +1,16 @@
-"""What faults do to runs: `python -m benchmarks.faults kills|configs|folders|hour OUT`.
+"""Test runs against faults: `python -m benchmarks.faults kills|configs|folders|hour OUT`.
 
 kills    small runs of five kinds are killed at random moments, by SIGKILL, SIGTERM and SIGINT in
-         turn, and resumed until they are done; their populations, tables and champions must be, to
-         the last bit, those of runs that nobody touched.
-configs  the shipped configurations with random mistakes in their values or in their text are read
-         and built; each must be taken or refused in words for the user, in bounded time and memory.
-folders  run folders with random damage are opened, and every eighth verified and resumed, likewise;
-         nothing that was whole may be lost.
-hour     one run trains for an hour; memory, speed and files are noted along the way.
+         turn, and resumed until they finish. Their populations, tables and champions must equal,
+         to the last bit, the results of undisturbed runs.
+configs  the shipped configurations, with random mistakes in their values or text, are read and
+         built. Each must be accepted, or refused with a message for the user, in bounded time and
+         memory.
+folders  run folders with random damage are opened. Every eighth is verified and resumed. Whole
+         files must not be lost.
+hour     one run trains for an hour; memory, speed and files are recorded.
 
-OUT holds what went wrong, and a summary as JSON. All seeds are fixed.
+OUT holds the failures, and a summary as JSON. All seeds are fixed.
 """
 
 import argparse
@@ -48,7 +49,7 @@ _SWIM = (*_PAIR, "evolution.population=16", "evolution.elites=4", "world.water.f
 _LIGHTS = "simulation.trials=[{light: {bearing_deg: 30}}, {light: {bearing_deg: -30}}]"
 _NOISE = ("noise.joint_angle_deg=1", "noise.push=0.05")
 
-# What the runs are that are killed.
+# Kinds of runs that are killed.
 KINDS = {
     "swimmer": ("iwadate2010_swimmer", _SWIM),
     "several lights": ("iwadate2010_swimmer", (*_SWIM, _LIGHTS)),
@@ -63,16 +64,16 @@ KINDS = {
     ),
 }
 
-# A process gets at most so long until it is killed, s.
+# Longest time until a process is killed, s.
 _LONGEST = 14.0
 
-# One of so many damaged folders is verified and resumed, for which its programs are compiled.
+# One of this many damaged folders is verified and resumed, which compiles its programs.
 _VERIFIED = 8
 
-# What a configuration or a damaged folder may take, s and bytes.
+# Limits of time and memory for a configuration or a damaged folder, s and bytes.
 _SLOW, _LARGE = 5.0, 2**30
 
-# Columns of metrics.csv that no two runs share.
+# Columns of metrics.csv that differ between runs.
 _TIMES = ("seconds", "steps_per_second")
 
 _ODD_VALUES: tuple[Any, ...] = (
@@ -84,12 +85,12 @@ _ODD_VALUES: tuple[Any, ...] = (
 
 
 def command(*words: object) -> list[str]:
-    """`evo-cpg` as a process."""
+    """Return the command line of an `evo-cpg` process."""
     return [sys.executable, "-m", "evo_cpg", *map(str, words)]
 
 
 def environment(out: Path) -> dict[str, str]:
-    """Of such a process: what it compiles is kept, so that the next one starts sooner."""
+    """Return the environment of such a process, which keeps compiled code for the next one."""
     return os.environ | {
         "PYTHONPATH": str(ROOT),
         "JAX_COMPILATION_CACHE_DIR": str(out / "compiled"),
@@ -101,7 +102,7 @@ def environment(out: Path) -> dict[str, str]:
 
 
 def contents(run: Path) -> dict[str, str]:
-    """Digests of all that a finished run comes to, times left out."""
+    """Return digests of all results of a finished run, without times."""
     from evo_cpg.training.run_folder import RunFolder
 
     folder = RunFolder(run)
@@ -121,7 +122,7 @@ def contents(run: Path) -> dict[str, str]:
 
 
 def finish(out: Path, run: Path, start: list[str]) -> None:
-    """Let a run come to its end, from wherever it is."""
+    """Run or resume a run until it finishes."""
     again = command("resume", run, "--cores", 1) if (run / "config.yaml").exists() else start
     done = subprocess.run(again, env=environment(out), capture_output=True, text=True)
     if done.returncode:
@@ -129,7 +130,7 @@ def finish(out: Path, run: Path, start: list[str]) -> None:
 
 
 def kills_of(out: Path, kind: str, count: int) -> dict[str, Any]:
-    """Kill one kind of run so many times, and compare what it comes to each time it is done."""
+    """Kill runs of one kind, and compare their results with an undisturbed run."""
     config, settings = KINDS[kind]
     file, name = CONFIGS / f"{config}.yaml", kind.replace(" ", "_")
     whole = out / f"{name}_whole"
@@ -162,7 +163,7 @@ def kills_of(out: Path, kind: str, count: int) -> dict[str, Any]:
 
 
 def kills(out: Path, count: int) -> dict[str, Any]:
-    """All kinds of run, two at a time."""
+    """Kill runs of all kinds, two at a time."""
     each = -(-count // len(KINDS))
     with ThreadPoolExecutor(2) as pool:
         found = pool.map(lambda kind: kills_of(out, kind, each), KINDS)
@@ -173,7 +174,7 @@ def kills(out: Path, count: int) -> dict[str, Any]:
 
 
 def places(data: Any, key: tuple = ()) -> Iterable[tuple]:
-    """Keys of all values in nested mappings and lists."""
+    """Return the keys of all values in nested mappings and lists."""
     inner = data.items() if isinstance(data, dict) else enumerate(data)
     for name, value in inner:
         yield (*key, name)
@@ -182,7 +183,7 @@ def places(data: Any, key: tuple = ()) -> Iterable[tuple]:
 
 
 def with_odd_values(data: dict[str, Any], chance: random.Random) -> dict[str, Any]:
-    """A configuration with some values replaced, left out, moved or added."""
+    """Return a configuration with some values replaced, left out, moved or added."""
     data = copy.deepcopy(data)
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
         key = chance.choice(list(places(data)))
@@ -202,7 +203,7 @@ def with_odd_values(data: dict[str, Any], chance: random.Random) -> dict[str, An
 
 
 def with_odd_text(text: bytes, chance: random.Random) -> bytes:
-    """A file with bytes flipped, lost, doubled or cut off."""
+    """Return a text with bytes flipped, lost, doubled or cut off."""
     damaged = bytearray(text)
     for _ in range(chance.choice((1, 2, 5))):
         place = chance.randrange(len(damaged))
@@ -262,7 +263,7 @@ def build_odd(folder: Path, number: int) -> str:
 
 
 def damage(run: Path, chance: random.Random) -> list[str]:
-    """Break some files of a run folder; which."""
+    """Break some files of a run folder; return the broken ones."""
     files = sorted(path for path in run.rglob("*") if path.is_file())
     broken = []
     for path in chance.sample(files, chance.choice((1, 1, 2, 3))):
@@ -296,10 +297,10 @@ def damage(run: Path, chance: random.Random) -> list[str]:
 
 
 def open_damaged(folder: Path, number: int) -> str:
-    """Do with a damaged run what its user would.
+    """Use a damaged run as its user would.
 
     Returns:
-        What became of every command, and of the checkpoints.
+        Results of every command, and of the checkpoints.
     """
     from evo_cpg.cli import champions
     from evo_cpg.cli.plot import plot
@@ -321,7 +322,7 @@ def open_damaged(folder: Path, number: int) -> str:
     }
     if number % _VERIFIED:
         commands = {"plot": commands["plot"], "open": lambda: champions.open_champion(run)}
-    # Whatever the damage says: JAX has its devices in this process already.
+    # JAX has its devices in this process already, whatever the damaged file requests.
     devices.use_cores = champions.use_cores = lambda cores: 1
     for name, call in commands.items():
         try:
@@ -350,7 +351,7 @@ def open_damaged(folder: Path, number: int) -> str:
 
 
 def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: Any) -> None:
-    """Take numbers, and give back what came of them, how long it took and how large it grew."""
+    """Process numbers from a queue, and return each result with its time and memory."""
     from evo_cpg.training.devices import use_cores
 
     use_cores(1)
@@ -372,7 +373,7 @@ def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: A
 
 
 def _memory(kind: str = "VmRSS") -> int:
-    """Of this process, bytes."""
+    """Return the memory of this process, bytes."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(kind):
             return int(line.split()[1]) * 1024
@@ -382,7 +383,7 @@ def _memory(kind: str = "VmRSS") -> int:
 def fuzz(
     call: Callable[[Path, int], str], folder: Path, count: int, out: Path, slow: float
 ) -> dict[str, Any]:
-    """Call with the numbers 0 to ``count``, in two processes; one that hangs is killed."""
+    """Call with the numbers 0 to ``count``, in two processes, and kill a process that hangs."""
     context = multiprocessing.get_context("spawn")
     tasks, results = context.Queue(), context.Queue()
     for number in range(count):
@@ -402,7 +403,7 @@ def fuzz(
         try:
             number, what, problem, seconds, grown = results.get(timeout=patience)
         except Exception:
-            # Whoever is still at work hangs, or died without a word.
+            # A process that is still at work hangs, or died without a message.
             wrong.append("a process hung or died; see the numbers that are missing")
             break
         seen += 1
@@ -426,14 +427,14 @@ def fuzz(
 
 
 def configs(out: Path, count: int) -> dict[str, Any]:
-    """The shipped configurations with mistakes."""
+    """Read and build the shipped configurations with mistakes."""
     folder = out / "configs"
     shutil.copytree(CONFIGS, folder, dirs_exist_ok=True)
     return fuzz(build_odd, folder, count, out, _SLOW)
 
 
 def folders(out: Path, count: int) -> dict[str, Any]:
-    """Damaged run folders."""
+    """Open damaged run folders."""
     whole = out / "whole"
     for kind in ("swimmer", "walkers side by side"):
         config, settings = KINDS[kind]
@@ -443,7 +444,7 @@ def folders(out: Path, count: int) -> dict[str, Any]:
         finish(out, run, start)
     (out / "odd").mkdir(exist_ok=True)
     os.environ.update(environment(out))
-    # Each of these compiles, and no user waits for all three in a row.
+    # Each call compiles, and no user waits for all three in a row.
     return fuzz(open_damaged, whole, count, out, 12 * _SLOW)
 
 
@@ -451,7 +452,7 @@ def folders(out: Path, count: int) -> dict[str, Any]:
 
 
 def hour(out: Path, minutes: int) -> dict[str, Any]:
-    """One run, looked at once a minute."""
+    """Train one run, and inspect it once a minute."""
     run = out / "hour"
     words = command(
         "train", CONFIGS / "iwadate2010_swimmer.yaml", "simulation.steps=200",
@@ -477,7 +478,7 @@ def hour(out: Path, minutes: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run one of them."""
+    """Run one of the tests."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("what", choices=("kills", "configs", "folders", "hour"))
     parser.add_argument("out", type=Path)

@@ -1,11 +1,11 @@
-"""What the fitted constants of `evo_cpg.fusion.machine_constants` should be on this machine.
+"""Fit the constants of `evo_cpg.fusion.machine_constants` to this machine.
 
     python -m benchmarks.fit_constants [NAME ...] [--rounds 7]
 
-tries candidates for each of them and prints how long the work takes with them, relative to the
-value that it has now, and how long compiling took. Candidates take turns (`benchmarks.timing`), so
-that a slow moment of the machine meets all. Nothing is changed: what wins clearly is to be written
-into the file by hand, with the figures. On one core, in float32.
+This tries candidates for each constant. It prints the time of the work relative to the present
+value, and the compile time. Candidates take turns (`benchmarks.timing`), so that a slow moment of
+the machine affects all of them. Nothing is changed: write a clear winner into the file by hand,
+with the figures. All work runs on one core, in float32.
 """
 
 import argparse
@@ -30,11 +30,11 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.devices import population_mesh, use_cores
 from evo_cpg.training.experiment import compile_trials
 
-# A call of a physics program has so many steps, for seven vectors of individuals.
+# Steps in a call of a physics program, and individuals in seven vectors.
 _STEPS, _INDIVIDUALS = 400, 112
-# A trial of so many control steps, for more individuals than the widest chunk that is tried.
+# Control steps of a trial, and a population larger than the widest chunk that is tried.
 _CONTROL_STEPS, _POPULATION = 30, 2048
-# Gradients of trials of so many control steps, of one vector of individuals.
+# Control steps of the trials whose gradients are computed, for one vector of individuals.
 _SLOPE_STEPS = 120
 
 Call = Callable[[], object]
@@ -45,8 +45,8 @@ class Constant(NamedTuple):
 
     Attributes:
         candidates: values to try beside the present one.
-        works: what to time, by name: each compiles a program with the values of the moment, and
-            gives a call of it.
+        works: work to time, by name. Each compiles a program with the present values and returns a
+            call of it.
     """
 
     candidates: Sequence[Any]
@@ -91,12 +91,13 @@ CONSTANTS = {
 
 
 class Found(NamedTuple):
-    """What a candidate came to.
+    """Result of a candidate.
 
     Attributes:
-        value: of the constant.
-        compile_seconds: until the first call had ended, without the time of another, s.
-        time: of the work relative to the present value's: lower quartile, median, upper quartile.
+        value: value of the constant.
+        compile_seconds: time until the end of the first call, less the time of another call, s.
+        time: time of the work relative to the present value's: lower quartile, median, upper
+            quartile.
     """
 
     value: Any
@@ -105,7 +106,7 @@ class Found(NamedTuple):
 
 
 def compare(name: str, constant: Constant, work: str, rounds: int) -> list[Found]:
-    """One work with each of a constant's candidates, the present value first."""
+    """Return the results of one work with each candidate, the present value first."""
     present = getattr(machine_constants, name)
     values = [present, *(value for value in constant.candidates if value != present)]
     contenders, compiling = [], {}
@@ -141,7 +142,7 @@ def _with(name: str, value: Any, call: Call) -> Call:
 
 
 def main(names: Sequence[str], rounds: int) -> None:
-    """Fit and print."""
+    """Fit the constants and print the results."""
     use_cores(1)
     jax.config.update("jax_enable_compilation_cache", False)
     console = Console()

@@ -1,4 +1,4 @@
-"""A whole generation of the swimmer as in training: trials of all individuals, then breeding."""
+"""A whole training generation of the swimmer: trials of all individuals, then breeding."""
 
 import functools
 import statistics
@@ -15,7 +15,7 @@ from evo_cpg.training.experiment import begin, breed, compile_trials
 
 
 def measure(plan: Plan) -> list[Row]:
-    """Seconds, and the same as individual physics steps per second."""
+    """Return a row in seconds, and a row in individual physics steps per second."""
     experiment = experiment_of("iwadate2010_swimmer", *swimmer_settings(plan))
     simulation, population = experiment.simulation, experiment.strategy.population
     genes, state = jax.device_get(jax.jit(lambda: begin(experiment))())

@@ -1,9 +1,9 @@
 """The gradient of the fitness with respect to all genes, beside the run without it.
 
-The whole trial of the swimmer's whole stack, as `evo-cpg refine` differentiates it, for as many
-individuals as fill a vector and for a wide chunk, on one core, each in a process of its own:
-compiling the backward pass may take long and much memory. Run as a program, this module is the
-worker: `python -m benchmarks.gradient SIZE SECONDS [KEY=VALUE ...]`, where 0 s is the whole trial.
+The whole stack of the swimmer is differentiated over the trial, as in `evo-cpg refine`. Populations
+fill a vector or a wide chunk, on one core, each in a process of its own, because the backward pass
+may need much time and memory to compile. Run as a program, this module is the worker:
+`python -m benchmarks.gradient SIZE SECONDS [KEY=VALUE ...]`, where 0 s is the whole trial.
 """
 
 import statistics
@@ -19,17 +19,17 @@ from benchmarks.timing import Contender, race, ratio_quartiles
 from benchmarks.worker import WorkerError, serve, started
 
 SIZES = (16, 112)
-# s of a trial; 0 for all of it.
+# Length of a trial, s; 0 for all of it.
 _SHORT, _WHOLE = 1.0, 0.0
 _GRADIENT, _FORWARD = "value and gradient", "forward run"
-# Calls that are timed at once: one of either takes some milliseconds.
+# Calls in one timing, because a single call takes some milliseconds.
 _CALLS = {_SHORT: {_GRADIENT: 5, _FORWARD: 30}, _WHOLE: {_GRADIENT: 1, _FORWARD: 2}}
-# Compiling backwards takes many times as long as a peer is given.
+# Factor on a peer's time limit, because the backward pass compiles much longer.
 _PATIENCE = 5
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """A row for each size, whose ratio is the speed with the gradient over that without."""
+    """Yield a row for each size; the ratio is the speed with the gradient over that without."""
     seconds = _SHORT if plan.quick else _WHOLE
     for size in plan.sizes_or(*SIZES):
         yield _measure(plan, size, seconds)

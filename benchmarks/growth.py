@@ -1,7 +1,7 @@
-"""How costs grow with the number of bodies: a table of the creatures, and a power law's exponents.
+"""Growth of costs with the number of bodies: a table of creatures, and exponents of a power law.
 
-The exponent of a cost is the slope of a straight line through its logarithm over that of the number
-of bodies, by least squares. Creatures that fall back to plain JAX are left out.
+The exponent of a cost is the gradient of a least-squares line through its logarithm over the
+logarithm of the number of bodies. Creatures that fall back to plain JAX are left out.
 """
 
 import statistics
@@ -38,10 +38,10 @@ _COSTS: dict[str, Callable[[Row, Build], float | None]] = {
 
 
 def tables(rows: Iterable[Row]) -> list[Table]:
-    """Return the table of costs and that of the exponents; none without rows of such creatures.
+    """Return the tables of costs and exponents; none without rows of such creatures.
 
     Args:
-        rows: of any cases.
+        rows: rows of any cases.
     """
     found = [(row, row.build) for row in rows if row.build]
     if not found:
@@ -53,11 +53,11 @@ def tables(rows: Iterable[Row]) -> list[Table]:
 
 
 def exponent(sizes: Iterable[float], costs: Iterable[float]) -> float:
-    """Return the power of the size that a cost grows with.
+    """Return the exponent with which a cost grows with size.
 
     Args:
-        sizes: at least two that differ.
-        costs: of each, positive.
+        sizes: at least two different sizes.
+        costs: positive cost of each size.
     """
     x, y = np.log(list(sizes)), np.log(list(costs))
     return statistics.linear_regression(x, y).slope
@@ -79,7 +79,7 @@ def _exponents(found: list[tuple[Row, Build]]) -> list[list[str]]:
 
 def _exponent(cost: Callable[[Row, Build], float | None], members: list[tuple[Row, Build]]) -> str:
     known = [(build.bodies, cost(row, build)) for row, build in members]
-    # A program that compiles within the scatter of a run has no time to compile.
+    # A program whose compile time is within the scatter of a run has no compile time.
     pairs = [(size, value) for size, value in known if value]
     if len({size for size, _ in pairs}) < 2:
         return ""

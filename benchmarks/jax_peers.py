@@ -1,11 +1,11 @@
-"""MJX and Brax at an exercise of ours, each in a process of its own, on the CPU.
+"""MJX and Brax at our exercises, each in a process of its own, on the CPU.
 
-Both are what their own examples make of a population: `jit(vmap(scan(step)))`, with XLA's threads
-on all cores. They take the MuJoCo model of the animal. Run as a program, this module is the
-worker: `python -m benchmarks.jax_peers PEER MODEL.mjb SIGNALS.npy`.
+Both run a population as in their own examples: `jit(vmap(scan(step)))`, with XLA's threads on all
+cores. They load the MuJoCo model of the animal. Run as a program, this module is the worker:
+`python -m benchmarks.jax_peers PEER MODEL.mjb SIGNALS.npy`.
 
-A scan covers few steps, whose commands are repeated as often as a call lasts: compiling then does
-not depend on how long that is.
+A scan covers few steps, whose commands are repeated for the length of a call. So the compile time
+does not depend on that length.
 """
 
 import contextlib
@@ -27,9 +27,9 @@ from benchmarks.plan import Plan
 from benchmarks.timing import Contender, seconds
 from benchmarks.worker import Worker, WorkerError, serve, started
 
-# Steps of one scan.
+# Number of steps in one scan.
 STEPS = 10
-# A peer that does not answer within so many seconds would hold up all rounds, s.
+# Longest wait for a peer's answer, so that it does not delay all rounds, s.
 _PATIENCE = 20.0
 
 
@@ -37,10 +37,10 @@ class JaxPeer(NamedTuple):
     """A peer written in JAX.
 
     Attributes:
-        name: for the table.
+        name: name in the table.
         program: "mjx" or "brax".
-        kind: of fluid.
-        integrator: the one that it has for this.
+        kind: kind of fluid.
+        integrator: integrator of the peer for this fluid.
     """
 
     name: str
@@ -50,13 +50,13 @@ class JaxPeer(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """A peer that takes part, or not.
+    """A peer, with its contender if it takes part.
 
     Attributes:
-        peer: which.
-        contender: for the race; None if it cannot take part.
-        compile_seconds: s.
-        note: why it cannot take part, or what its motion was like.
+        peer: the peer.
+        contender: contender in the race; None if the peer cannot take part.
+        compile_seconds: compile time, s.
+        note: reason why the peer cannot take part, or a remark on its motion.
     """
 
     peer: JaxPeer
@@ -65,7 +65,7 @@ class Entry(NamedTuple):
     note: str | None
 
 
-# MJX has no implicitfast with a fluid, and Brax nothing but Euler.
+# MJX has no implicitfast with a fluid, and Brax has only Euler.
 WET = (
     JaxPeer("MJX, inertia box", "mjx", Kind("", ""), "Euler"),
     JaxPeer("Brax, inertia box", "brax", Kind("", ""), "Euler"),
@@ -82,13 +82,13 @@ _MODULES = {"mjx": "mujoco.mjx", "brax": "brax"}
 def entered(
     peers: tuple[JaxPeer, ...], exercise: Exercise, size: int, plan: Plan
 ) -> Iterator[list[Entry]]:
-    """The peers, compiled and ready to race inside the block.
+    """Yield the peers, compiled and ready to race inside the block.
 
     Args:
-        peers: that are asked.
-        exercise: what their animals do.
-        size: individuals.
-        plan: how long a call lasts, and how long compiling may take.
+        peers: requested peers.
+        exercise: exercise of the animals.
+        size: number of individuals.
+        plan: length of a call, and longest compile time.
     """
     with contextlib.ExitStack() as stack:
         yield [_enter(stack, peer, exercise, size, plan) for peer in peers]
@@ -112,7 +112,7 @@ def _enter(
     except WorkerError as error:
         worker.stop()
         return Entry(peer, None, None, str(error))
-    # One call came in time; that a later one takes longer is no reason to lose all rows.
+    # The first call was in time. A longer later call must not lose all rows.
     work = functools.partial(worker.ask, repeats, plan.limit)
     contender = Contender(peer.name, size * STEPS * repeats, work)
     lost = size - moved["finite"]
@@ -120,12 +120,12 @@ def _enter(
 
 
 def _repeats(worker: Worker, plan: Plan) -> int:
-    """How many scans last as long as a call."""
+    """Return the number of scans that last as long as a call."""
     return max(round(plan.call_seconds / seconds(lambda: worker.ask(1, _PATIENCE))), 1)
 
 
 def _prepare(program: str, model: mujoco.MjModel, signals: np.ndarray) -> Any:
-    """Compile a peer; what it does then is so many scans, one after the other."""
+    """Compile a peer; return a function that runs some scans, one after the other."""
     import jax
 
     start, step = {"mjx": _mjx, "brax": _brax}[program](model)

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-# Distances along the trunk between two pairs of legs, and of the outer ones from its ends, m.
+# Distances along the trunk: between two pairs of legs, and from the outer pairs to its ends, m.
 _BETWEEN_LEGS, _ENDS = 0.1, 0.03
 _TRUNK_RADIUS = 0.05
 # Radius and length of the cylinder of a capsule, m.
@@ -49,7 +49,7 @@ def walker(legs: int, shape: str) -> dict[str, Any]:
         bodies.append(_limb(f"{{side}}_tibia{pair}", shape, _TIBIA, tibia))
     shell = {"density": 500, "static_friction": 0.9, "dynamic_friction": 0.8}
     config = _on_ground(f"walker_{legs}_{shape}", bodies, {"shell": shell}, hidden=4)
-    # Without sensors the brain is small, and the figures are those of the physics.
+    # The brain is small without sensors, so that the figures measure the physics.
     config["creature"]["pressure_sensors"] = []
     config["simulation"] = {"substeps": 4}
     return config

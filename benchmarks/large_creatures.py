@@ -1,7 +1,7 @@
-"""What creatures of many bodies cost: compile time, memory, operations and run time per step.
+"""Costs of creatures of many bodies: compile time, memory, operations and run time per step.
 
-Every creature has a process of its own, in which nothing is kept that was compiled before. Run as a
-program, this module is that process: `python -m benchmarks.large_creatures KIND COUNT SIZE`.
+Every creature has a process of its own, without any earlier compiled code. Run as a program, this
+module is that process: `python -m benchmarks.large_creatures KIND COUNT SIZE`.
 """
 
 import dataclasses
@@ -23,19 +23,19 @@ from benchmarks.worker import WorkerError, serve, started
 
 _SIZE = 64
 _STEPS = 30
-# A compiler of ours may take so many times as long as a peer's.
+# Factor on a peer's time limit for our own compiler.
 _PATIENCE = 10
 
 
 class _Kind(NamedTuple):
-    """Creatures that differ in their size alone.
+    """Creatures that differ only in their size.
 
     Attributes:
-        title: of all of them.
-        word: what is counted.
+        title: title of all of them.
+        word: name of the counted parts.
         counts: the sizes.
         bodies: number of bodies at a size.
-        config: makes a configuration from a size.
+        config: function that returns a configuration for a size.
     """
 
     title: str
@@ -63,7 +63,7 @@ _QUICK = {"capsules": (2, 4)}
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """A row per creature and size of the population."""
+    """Yield a row per creature and size of the population."""
     for kind in _QUICK if plan.quick else _KINDS:
         for count in _QUICK[kind] if plan.quick else _KINDS[kind].counts:
             for size in plan.sizes_or(_SIZE):
@@ -111,7 +111,7 @@ def _prepare(
     from evo_cpg.training.experiment import compile_trials
 
     use_cores()
-    # The engine's test of itself is not a part of any creature's compile time.
+    # The engine tests itself first, because this is not part of a creature's compile time.
     engine.is_native()
     source = Path(f"{kind}.yaml")
     start = time.perf_counter()

@@ -1,7 +1,7 @@
-"""How deep walkers' limbs are in each other: `python -m benchmarks.limbs RUN [RUN ...]`.
+"""Depth of overlap between walkers' limbs: `python -m benchmarks.limbs RUN [RUN ...]`.
 
-Of champions of posture controllers (`evo-cpg train configs/fukui2003_model1.yaml`), over their
-whole trials, in every physics step. The table is that of docs/models/contact.md.
+The champions have posture controllers (`evo-cpg train configs/fukui2003_model1.yaml`). Every
+physics step of their whole trials is measured. The table is the one in docs/models/contact.md.
 """
 
 import argparse
@@ -28,12 +28,12 @@ HEADER = """\
 
 
 class Limbs(NamedTuple):
-    """What happened in every physics step.
+    """Results of every physics step.
 
     Attributes:
-        overlap: the deepest, m.
+        overlap: deepest overlap, m.
         touches: whether limbs pushed each other.
-        displacement: from start to end, m.
+        displacement: distance from start to end, m.
     """
 
     overlap: Float[np.ndarray, " t"]
@@ -42,10 +42,10 @@ class Limbs(NamedTuple):
 
 
 def walk(simulation: Simulation, genes: Float[np.ndarray, " g"]) -> Limbs:
-    """A walker's trial.
+    """Simulate a walker's trial.
 
     Raises:
-        TypeError: its controller has no postures, or nothing of it can touch itself.
+        TypeError: its controller has no postures, or no parts of it can touch each other.
     """
     controller, world, h = simulation.controller, simulation.world, simulation.step_length
     pairs = world.pairs

@@ -18,19 +18,19 @@ import jax.numpy as jnp
 from benchmarks.timing import seconds
 
 _PACKAGES = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "brax", "evosax")
-# Rows of the square matrices whose product is timed, and how often: large enough for the peak,
-# small enough for a tenth of a second.
+# Rows of the square matrices whose product is timed, and number of attempts. They are large enough
+# for the peak, and small enough for a tenth of a second.
 _MATRIX, _ATTEMPTS = 1024, 8
-# How often the memory of other processes is looked at, s.
+# Interval between checks of the memory of other processes, s.
 _LOOK_AGAIN = 0.02
 
 
 def describe(cores: int, peak: float) -> dict[str, Any]:
-    """Where, when and with which versions was measured.
+    """Describe the machine, the time and the versions of a measurement.
 
     Args:
-        cores: that were used.
-        peak: of `matrix_product_rate`, 1/s.
+        cores: number of used cores.
+        peak: result of `matrix_product_rate`, 1/s.
     """
     return {
         "processor": _processor(),
@@ -43,9 +43,9 @@ def describe(cores: int, peak: float) -> dict[str, Any]:
 
 
 def matrix_product_rate() -> float:
-    """Float32 operations per second of a matrix product on every device at once, 1/s.
+    """Return float32 operations per second of a matrix product on every device at once, 1/s.
 
-    The best of several: it stands for what the machine can do, as a yardstick for the rest.
+    The best of several attempts counts, because it shows the limit of the machine.
     """
     one = jnp.ones((_MATRIX, _MATRIX), jnp.float32)
     matrices = [jax.device_put(one, device) for device in jax.devices()]
@@ -60,9 +60,9 @@ def matrix_product_rate() -> float:
 
 
 def peak_memory() -> int:
-    """Most memory that this process ever held at once, bytes.
+    """Return the peak memory of this process, bytes.
 
-    Linux's `ru_maxrss` starts with what the parent held when it started this process; the peak in
+    Linux's `ru_maxrss` starts with the parent's memory at the start of this process. The peak in
     /proc starts anew.
     """
     peak = _peak_of("self")
@@ -77,8 +77,8 @@ def children_watched() -> Iterator[Callable[[], int | None]]:
     """Watch the processes that this one starts within the block.
 
     Yields:
-        A function that returns the peak resident memory of the largest of them, bytes; None where
-        the system does not tell, or there was none.
+        A function that returns the peak resident memory of the largest child, bytes, or None if it
+        is unknown or there was no child.
     """
     peaks: dict[str, int] = {}
     own = _command_of("self")
@@ -87,7 +87,7 @@ def children_watched() -> Iterator[Callable[[], int | None]]:
     def watch() -> None:
         while not done.wait(_LOOK_AGAIN):
             for child in _children():
-                # Until a child has its own program, its command and its memory are ours.
+                # A child shows our command and memory until it runs its own program.
                 if _command_of(child) != own:
                     peaks[child] = _peak_of(child) or peaks.get(child, 0)
 
@@ -101,7 +101,7 @@ def children_watched() -> Iterator[Callable[[], int | None]]:
 
 
 def _children() -> list[str]:
-    """Return the numbers of the processes that this one has started, where the system tells."""
+    """Return the numbers of this process's children, if the system reports them."""
     found = []
     for file in Path("/proc/self/task").glob("*/children"):
         with contextlib.suppress(OSError):
@@ -110,14 +110,14 @@ def _children() -> list[str]:
 
 
 def _command_of(process: str) -> bytes:
-    """Return the command line of a process; empty where the system does not tell."""
+    """Return the command line of a process; empty if the system does not report it."""
     with contextlib.suppress(OSError):
         return Path(f"/proc/{process}/cmdline").read_bytes()
     return b""
 
 
 def _peak_of(process: str) -> int | None:
-    """Return the peak resident memory of a process, bytes; None where the system does not tell."""
+    """Return the peak resident memory of a process, bytes; None if it is not reported."""
     with contextlib.suppress(OSError):
         for line in Path(f"/proc/{process}/status").read_text().splitlines():
             if line.startswith("VmHWM:"):

@@ -1,8 +1,9 @@
 """The test suite with the oldest and newest dependencies on every interpreter: `make test-matrix`.
 
-In an environment for each of them the fast tests run. Then the swimmer's physics step is timed with
-the oldest and the newest JAX, in turn, and numba is installed beside the newest dependencies: it
-wants its own range of llvmlite. It runs on the standard library alone, and needs a package index.
+The fast tests run in an environment for each of them. Then the swimmer's physics step is timed with
+the oldest and the newest JAX, in turn. Finally numba, which needs its own range of llvmlite, is
+installed beside the newest dependencies. This program needs only the standard library, and a
+package index.
 """
 
 import argparse
@@ -21,10 +22,10 @@ ROOT = Path(__file__).parents[1]
 # Minor versions of Python 3 that JAX and llvmlite have wheels for.
 _MINORS = range(11, 15)
 
-# Which of the allowed versions are installed, as uv calls it.
+# Name of each choice among the allowed versions in uv.
 _RESOLUTIONS = {"oldest": "lowest-direct", "newest": "highest"}
 
-# The newest JAX may take so many times as long for a step as the oldest.
+# Largest time of a step with the newest JAX, relative to the oldest.
 _SLOWEST = 1.3
 _ROUNDS = 21
 
@@ -49,8 +50,8 @@ class Environment(NamedTuple):
     """An interpreter with dependencies.
 
     Attributes:
-        name: for the summary.
-        python: of the environment.
+        name: name in the summary.
+        python: interpreter of the environment.
     """
 
     name: str
@@ -61,12 +62,12 @@ def main(folder: Path, interpreters: list[str], arguments: list[str]) -> list[st
     """Run everything.
 
     Args:
-        folder: for the environments.
-        interpreters: commands; those that are found if there are none.
-        arguments: for pytest.
+        folder: folder of the environments.
+        interpreters: commands; if empty, all interpreters found.
+        arguments: arguments of pytest.
 
     Returns:
-        What failed.
+        The failures.
     """
     pythons = _versions(interpreters or _candidates())
     if not pythons:
@@ -95,7 +96,7 @@ def main(folder: Path, interpreters: list[str], arguments: list[str]) -> list[st
 
 
 def _candidates() -> Iterable[str]:
-    """Commands that may be interpreters: those on the path first, then pyenv's."""
+    """Return commands that may be interpreters: commands on the path first, then pyenv's."""
     for minor in _MINORS:
         yield f"python3.{minor}"
     root = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv")
@@ -103,7 +104,7 @@ def _candidates() -> Iterable[str]:
 
 
 def _versions(commands: Iterable[str]) -> dict[str, str]:
-    """The interpreters that start, the oldest first; of each version one."""
+    """Return the interpreters that start, the oldest first, one for each version."""
     found: dict[int, str] = {}
     for command in commands:
         line = [command, "-c", "import sys; print(*sys.version_info[:2], sys.executable)"]
@@ -118,7 +119,7 @@ def _versions(commands: Iterable[str]) -> dict[str, str]:
 
 
 def _uv(folder: Path) -> str:
-    """The program that installs: pip cannot be asked for the oldest versions."""
+    """Return the installer, because pip cannot choose the oldest versions."""
     if own := shutil.which("uv"):
         return own
     tools = folder / "tools"
@@ -130,11 +131,11 @@ def _uv(folder: Path) -> str:
 
 
 def _make(uv: str, name: str, python: str, place: Path, resolution: str) -> Environment | None:
-    """An environment of its own, made anew; None where that fails."""
+    """Create a new environment; return None if that fails."""
     environment = Environment(name, place / "bin" / "python")
     steps = (
         ["venv", "--clear", "--python", python, str(place)],
-        # Versions that have no wheel for this interpreter are none that anybody installs.
+        # Nobody installs versions that have no wheel for this interpreter.
         ["pip", "install", "--python", str(environment.python), "--resolution", resolution,
          "--no-build", "--compile-bytecode", "--editable", f"{ROOT}[test]"],
     )  # fmt: skip
@@ -142,7 +143,7 @@ def _make(uv: str, name: str, python: str, place: Path, resolution: str) -> Envi
 
 
 def _race(oldest: Environment, newest: Environment) -> list[str]:
-    """Time the swimmer's step in both, in turn; what failed."""
+    """Time the swimmer's step in both environments, in turn; return the failures."""
     print("== the swimmer's step", flush=True)
     workers = [_started(oldest), _started(newest)]
     try:
@@ -194,7 +195,7 @@ def _pipe(stream: IO[str] | None) -> IO[str]:
 
 
 def _beside_numba(uv: str, environment: Environment) -> list[str]:
-    """Install numba and use one LLVM for both; what failed."""
+    """Install numba and use one LLVM for both; return the failures."""
     print("== beside numba", flush=True)
     at = ["--quiet", "--python", str(environment.python)]
     if _run(uv, "pip", "install", *at, "--no-build", "numba"):

@@ -1,4 +1,4 @@
-"""The swimmer's physics step, timed once for every line that is read (see `benchmarks.matrix`)."""
+"""Time the swimmer's physics step once for every input line (see `benchmarks.matrix`)."""
 
 import platform
 from typing import Any
@@ -18,7 +18,7 @@ _STEPS = 5000
 
 
 def _prepare() -> tuple[dict[str, Any], Any]:
-    """Ten boxes that swim with a travelling wave, on one core."""
+    """Prepare ten boxes that swim with a travelling wave, on one core."""
     use_cores(1)
     mesh, exercise = population_mesh(), Wave(experiment_of("iwadate2010_swimmer"))
     program = compile_motion(exercise, exercise.lanes(full_lanes(_INDIVIDUALS, mesh)), mesh)

@@ -1,4 +1,4 @@
-"""Peak memory of a motion, in a process that does nothing else.
+"""Peak memory of a motion, in a process of its own.
 
 Run as a program, this module is the worker: `python -m benchmarks.memory CASE SIZE`.
 """
@@ -9,17 +9,17 @@ from typing import Any
 from benchmarks.plan import Plan
 from benchmarks.worker import WorkerError, serve, started
 
-# Steps that it takes.
+# Number of steps.
 _STEPS = 10
 
 
 def peak_of_motion(case: str, size: int, plan: Plan) -> int | None:
-    """Most memory that compiling and running an animal's physics takes, bytes; None if it fails.
+    """Return the peak memory to compile and run an animal's physics, bytes; None if it fails.
 
     Args:
-        case: name of the animal's.
-        size: individuals.
-        plan: how long it may take.
+        case: name of the animal's case.
+        size: number of individuals.
+        plan: time limit and settings.
     """
     plan.say(f"{case}, {size} individuals: memory")
     with started("memory", case, str(size)) as worker:

@@ -1,7 +1,8 @@
-"""The cases in which an animal moves: swimmer, salamander in water and on land, quadruped.
+"""The cases with a moving animal: swimmer, salamander in water and on land, quadruped.
 
-Physics alone, with the commands of an `Exercise`, and the whole stack (brain, oscillators, sensors,
-physics, fitness) of a trial as in training, both beside the physics of the peers.
+Each case measures physics alone, with the commands of an `Exercise`. It also measures the whole
+stack (brain, oscillators, sensors, physics, fitness) of a trial, as in training. Both stand beside
+the physics of the peers.
 """
 
 import dataclasses
@@ -28,19 +29,19 @@ from evo_cpg.training.experiment import compile_trials
 
 UNIT = "steps/s"
 PHYSICS, WHOLE = "physics", "whole stack"
-# Steps of a call. Every block of ours takes some milliseconds to start, which nobody would see in a
+# Steps of a call. Every block of ours takes some milliseconds to start, which is negligible in a
 # trial of thousands of steps.
 _FEWEST, _MOST = 10, 20_000
 _FEWEST_OF_OURS = 1000
-# A trial that is shorter says little about its fitness, which some tasks refuse to tell.
+# A shorter trial tells little about its fitness, and some tasks refuse to compute a fitness.
 _FEWEST_CONTROL_STEPS = 60
-# The whole stack takes about this much longer than the physics, by which its calls are measured
-# out: finding out would take another compiling. They are no shorter than the trial of the config.
+# Speed of the whole stack relative to the physics, for the length of its calls. A measurement would
+# need another compilation. Calls are no shorter than the config's trial.
 _TRIAL_FRACTION = 0.6
-# Where MuJoCo starts to be timed, s: what it costs depends on what touches the ground by then. So
-# many individuals move until then, and the others start like them.
+# Start of MuJoCo's timing, s, because its cost depends on contacts at that time. This number of
+# individuals moves until then, and the others start from copies of them.
 _SETTLED, _SETTLING = 1.0, 64
-# The cost of an individual in a population of many is set beside that in one of so many.
+# Population whose cost per individual is compared with larger populations.
 _USUAL = 200
 
 
@@ -48,11 +49,11 @@ class Animal(NamedTuple):
     """A case with a moving animal.
 
     Attributes:
-        case: its name.
-        exercise: what it does.
-        sizes: of its populations, its usual one first.
-        guests: peers in JAX that are asked, with the usual size only, because they compile long.
-        flops: scalar operations that a physics step of one individual needs; None if not counted.
+        case: name of the case.
+        exercise: exercise of the animal.
+        sizes: sizes of its populations, the usual one first.
+        guests: peers in JAX, only with the usual size, because they compile long.
+        flops: scalar operations in a physics step of one individual; None if not counted.
         memory_sizes: populations whose peak memory is measured.
     """
 
@@ -65,7 +66,7 @@ class Animal(NamedTuple):
 
 
 class _Ours(NamedTuple):
-    """What is known of one part of ours."""
+    """Results of one part of ours."""
 
     part: str
     contender: Contender
@@ -78,7 +79,7 @@ class _Ours(NamedTuple):
 
 
 class _Theirs(NamedTuple):
-    """What is known of one peer."""
+    """Results of one peer."""
 
     name: str
     contender: Contender | None
@@ -88,12 +89,12 @@ class _Theirs(NamedTuple):
 
 
 def measure(animal: Animal, plan: Plan, peak: float) -> Iterator[Row]:
-    """All rows of an animal, those of a size when it is measured.
+    """Yield all rows of an animal, the rows of each size as soon as it is measured.
 
     Args:
-        animal: which.
-        plan: how thoroughly.
-        peak: of the machine's float32 matrix product, 1/s.
+        animal: the animal.
+        plan: settings of the measurement.
+        peak: rate of the machine's float32 matrix product, 1/s.
     """
     mesh, sizes = population_mesh(), plan.sizes_or(*animal.sizes)
     guest_size = min(sizes, key=lambda size: abs(size - animal.sizes[0]))
@@ -105,7 +106,7 @@ def measure(animal: Animal, plan: Plan, peak: float) -> Iterator[Row]:
             animal.exercise, animal.exercise.lanes(full_lanes(size, mesh)), mesh
         )
         if not errors:
-            # Every population begins with the same individuals, so that once is enough.
+            # Every population begins with equal individuals, so that one measurement is enough.
             plan.say(f"{animal.case}: accuracy")
             errors = _errors(animal.exercise, program, mesh, plan.cores)
         guests = animal.guests if size == guest_size else ()
@@ -119,7 +120,7 @@ def measure(animal: Animal, plan: Plan, peak: float) -> Iterator[Row]:
 def _errors(
     exercise: Exercise, program: Program, mesh: Mesh, threads: int
 ) -> dict[str, float | None]:
-    """Ours under the empty name, and those of MuJoCo's kinds."""
+    """Return our error under the empty name, and the errors of MuJoCo's kinds."""
     theirs = {kind.name: finite(mujoco_error(exercise, kind, threads)) for kind in kinds(exercise)}
     return {"": finite(our_error(exercise, program, mesh)), **theirs}
 
@@ -134,7 +135,7 @@ def _at_size(
     plan: Plan,
     peak: float,
 ) -> list[Row]:
-    """All rows of one population size, raced together."""
+    """Return all rows of one population size, raced together."""
     steps = count_lasting(
         lambda count: functools.partial(program.run, count),
         plan.call_seconds,
@@ -251,7 +252,7 @@ def _row(
 
 
 def _growth(case: str, rows: list[Row]) -> list[Row]:
-    """The largest population beside the usual one, part by part: 1 if an individual costs alike."""
+    """Return the largest population beside the usual one, part by part; 1 is equal cost."""
     found = []
     for part in (PHYSICS, WHOLE):
         rates = {row.size: row.rate for row in rows if row.part == part}

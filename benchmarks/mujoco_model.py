@@ -1,4 +1,4 @@
-"""The same creature as a MuJoCo model: the tests' oracle and the benchmarks' peer."""
+"""A creature as a MuJoCo model: the tests' oracle and the benchmarks' peer."""
 
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
@@ -28,10 +28,10 @@ def mujoco_model(
         creature: the animal.
         options: attributes of MuJoCo's ``option`` element.
         fluid: the ``fluidshape`` of every geom; empty for MuJoCo's default, the inertia box.
-        motors: let the motors work (see `evo_cpg.exchange.mujoco_state`).
-        limits: hold every joint within its limits, with MuJoCo's own soft constraint.
-        ground: that every body may touch.
-        start: place of the root's centre at the start, m.
+        motors: whether the motors work (see `evo_cpg.exchange.mujoco_state`).
+        limits: whether MuJoCo's soft constraint holds every joint within its limits.
+        ground: ground that every body may touch.
+        start: initial place of the root's centre, m.
         pairs: names of bodies that may touch each other.
     """
     root = mjcf_model(creature, GRAVITY, ground, start=start, pairs=pairs)
@@ -51,7 +51,7 @@ def mujoco_model(
 
 
 def _part(root: Element, path: str) -> Element:
-    """The element at a path that every exported model has."""
+    """Return the element at a path that every exported model has."""
     found = root.find(path)
     assert found is not None
     return found

@@ -1,8 +1,8 @@
-"""MuJoCo's population at an exercise of ours: `mujoco.rollout` with a thread per core.
+"""MuJoCo's population at our exercises: `mujoco.rollout` with a thread per core.
 
-Same animal, motors, commands and step; float64 and `implicitfast`. Its contacts have no
-restitution. In water there are three kinds of it: its own two models of a fluid, neither of which
-has buoyancy (so gravity is left out), and none.
+Animal, motors, commands and step are equal to ours; MuJoCo uses float64 and `implicitfast`. Its
+contacts have no restitution. It takes part in water in three kinds: with each of its two models of
+a fluid, and without a fluid. The fluid models have no buoyancy, so gravity is left out.
 """
 
 from typing import NamedTuple
@@ -17,16 +17,16 @@ from benchmarks.mujoco_model import mujoco_model
 from evo_cpg.exchange.mujoco_state import motor_order
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
-# The clock comes first in a state, then the root's place.
+# A state begins with the clock, followed by the root's place.
 _PLACE = slice(1, 4)
 
 
 class Kind(NamedTuple):
-    """A way to let MuJoCo do the same.
+    """A kind of MuJoCo model.
 
     Attributes:
-        name: for the table.
-        fluid: "ellipsoid", "" for the inertia box.
+        name: name in the table.
+        fluid: "ellipsoid", or "" for the inertia box.
         dense: whether there is water at all.
     """
 
@@ -44,20 +44,20 @@ DRY = (Kind("MuJoCo", dense=False),)
 
 
 def kinds(exercise: Exercise) -> tuple[Kind, ...]:
-    """Those that suit the world of an exercise."""
+    """Return the kinds that suit the world of an exercise."""
     return WET if exercise.experiment.simulation.world.water is not None else DRY
 
 
 def peer_model(
     exercise: Exercise, kind: Kind, finer: int = 1, integrator: str = "implicitfast"
 ) -> mujoco.MjModel:
-    """The animal and its world for MuJoCo.
+    """Return MuJoCo's model of the animal and its world.
 
     Args:
-        exercise: what it is to do.
-        kind: of fluid.
-        finer: in how many steps each step is divided.
-        integrator: MuJoCo's name of it.
+        exercise: exercise of the animal.
+        kind: kind of fluid.
+        finer: number of parts of each step.
+        integrator: MuJoCo's name of the integrator.
     """
     experiment = exercise.experiment
     simulation = experiment.simulation
@@ -85,11 +85,11 @@ class Motion:
     """A population that MuJoCo moves.
 
     Args:
-        exercise: what it does.
-        kind: of fluid.
-        lanes: what individuals do differently (see `Exercise.lanes`).
-        threads: that move it.
-        finer: in how many steps each step is divided.
+        exercise: exercise of the population.
+        kind: kind of fluid.
+        lanes: differing inputs of individuals (see `Exercise.lanes`).
+        threads: number of threads.
+        finer: number of parts of each step.
     """
 
     def __init__(
@@ -106,37 +106,37 @@ class Motion:
         self.order = motor_order(self.model, exercise.experiment.simulation.world.tree)
 
     def rest(self) -> Float[np.ndarray, "n state"]:
-        """All individuals as the model has them."""
+        """Return all individuals in the model's initial state."""
         state = np.zeros(mujoco.mj_stateSize(self.model, _FULL))
         mujoco.mj_getState(self.model, self.data[0], state, _FULL)
         return np.tile(state, (self.lanes.shape[1], 1))
 
     def signals(self, steps: int, first: int = 0) -> Float[np.ndarray, "n steps motors"]:
-        """What the motors are told, from a step on."""
+        """Return the motor commands, from a given step on."""
         index = (first + np.arange(steps)) // self.finer
         return self.exercise.signals(self.lanes, index)[..., self.order]
 
     def states(
         self, start: Float[np.ndarray, "n state"], signals: Float[np.ndarray, "n steps motors"]
     ) -> Float[np.ndarray, "n steps state"]:
-        """Every individual's state after every step."""
+        """Return every individual's state after every step."""
         return np.asarray(rollout.rollout(self.model, self.data, start, signals)[0])
 
 
 def places(states: Float[np.ndarray, "n steps state"]) -> Float[np.ndarray, "3 n"]:
-    """Of the roots at the end, m."""
+    """Return the final places of the roots, m."""
     return states[:, -1, _PLACE].T
 
 
 def stopped(states: Float[np.ndarray, "n steps state"], seconds: float) -> Bool[np.ndarray, " n"]:
-    """Which of MuJoCo's individuals diverged.
+    """Return a mask of MuJoCo's diverged individuals.
 
-    `mujoco.rollout` gives up one that does: it resets it, time included, and repeats that state
-    to the end.
+    `mujoco.rollout` stops a diverged individual. It resets the state, time included, and
+    repeats it to the end.
 
     Args:
-        states: of all steps.
-        seconds: what the clock shows where all is well, s.
+        states: states of all steps.
+        seconds: final time of an individual that did not diverge, s.
     """
     last = states[:, -1]
     return ~(np.isfinite(last).all(-1) & np.isclose(last[:, 0], seconds))

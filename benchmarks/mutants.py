@@ -1,8 +1,8 @@
-"""Whether the fast tests notice mistakes in the mathematics: `make test-mutants`.
+"""Test whether the fast tests notice mistakes in the mathematics: `make test-mutants`.
 
-Each mutant is one small change by hand: a sign, a factor, a term that is dropped, indices that are
-swapped. It is made in a copy of the repository, in which the tests of what was changed then run up
-to the first failure. A mutant that no test notices has survived, and asks for a test.
+Each mutant is one small change by hand: a sign, a factor, a dropped term, or swapped indices. It is
+made in a copy of the repository. There the tests of the changed part run up to the first failure. A
+mutant that no test notices has survived, and needs a test.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 
-# What the copy goes without.
+# Patterns of files that are not copied.
 _LEFT_OUT = (".*", "runs", "build", "dist", "_build", "__pycache__", "*.egg-info")
 
 # pytest's exit codes.
@@ -28,10 +28,10 @@ class Mutant(NamedTuple):
     """One mistake.
 
     Attributes:
-        file: in the package.
-        right: text that stands in it once.
-        wrong: in its place.
-        tests: files in ``tests`` that are to notice.
+        file: file in the package.
+        right: text that occurs once in the file.
+        wrong: replacement of this text.
+        tests: files in ``tests`` that should notice.
     """
 
     file: str
@@ -495,10 +495,10 @@ MUTANTS = (
 
 
 def main(chosen: list[int]) -> int:
-    """Try them; how many were not noticed.
+    """Try mutants; return the number of survivors.
 
     Args:
-        chosen: numbers of mutants, from 0; none for all.
+        chosen: numbers of mutants, from 0; empty for all.
     """
     survivors = 0
     with tempfile.TemporaryDirectory() as folder:
@@ -523,10 +523,10 @@ def main(chosen: list[int]) -> int:
 
 
 def mutated(mutant: Mutant, text: str) -> str:
-    """The file with the mistake in it.
+    """Return the file's text with the mistake.
 
     Raises:
-        ValueError: what was right is there no more, or several times.
+        ValueError: the right text is missing, or occurs several times.
     """
     count = text.count(mutant.right)
     if count != 1:
@@ -535,10 +535,10 @@ def mutated(mutant: Mutant, text: str) -> str:
 
 
 def noticed(copy: Path, tests: list[str]) -> str:
-    """Which test failed first in the copy, or that none did.
+    """Return a phrase with the first test that failed in the copy, or with the survival.
 
     Raises:
-        RuntimeError: the tests could not be run.
+        RuntimeError: the tests could not run.
     """
     options = ["-q", "-x", "-n", "0", "-p", "no:cacheprovider", "-rfE", "--tb=no"]
     done = subprocess.run(

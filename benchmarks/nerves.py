@@ -1,8 +1,9 @@
 """The controller's two halves alone: the oscillators of the spinal cord, and the brain.
 
-Errors here are relative to the size of the outputs: the root mean square, over 16 individuals, of
-the difference from a reference in float64, over that of the reference. The reference of the
-oscillators has a sixteenth of the step, over 1 s; that of the brain differs in precision alone.
+Errors are relative to the size of the outputs. They are the root mean square, over 16 individuals,
+of the difference from a float64 reference, over the root mean square of the reference. The
+reference of the oscillators has a sixteenth of the step, over 1 s. The reference of the brain
+differs only in precision.
 """
 
 import functools
@@ -27,13 +28,13 @@ from evo_cpg.training.devices import population_mesh
 
 _FEWEST, _MOST = 10, 1_000_000
 _SEED = 0
-# Half of the largest tonic input and the middle of the adaptation gains; individuals lie up to
-# this share above and below.
+# Half of the largest tonic input and the middle of the adaptation gains, and largest relative
+# difference of individuals from them.
 _MIDDLE, _SPREAD = 0.5, 0.2
 
 
 def measure_cpg(plan: Plan, peak: float) -> Iterator[Row]:
-    """The swimmer's oscillators with constant inputs, one control step after the other."""
+    """Yield rows of the swimmer's oscillators with constant inputs, per control step."""
     controller, mesh = _controller(), population_mesh()
     error = None
     for size in plan.sizes_or(200):
@@ -49,7 +50,7 @@ def measure_cpg(plan: Plan, peak: float) -> Iterator[Row]:
 
 
 def measure_brain(plan: Plan, peak: float) -> Iterator[Row]:
-    """The swimmer's network, each thought after the last."""
+    """Yield rows of the swimmer's network, each evaluation after the previous one."""
     controller, mesh = _controller(), population_mesh()
     # A product and a sum for every weight.
     flops = 2 * controller.gene_count
@@ -72,7 +73,7 @@ def _controller() -> BrainCpg:
 
 
 def _tempers(count: int) -> np.ndarray:
-    """Factors ``(1, n)`` on the inputs of the oscillators."""
+    """Return factors ``(1, n)`` on the inputs of the oscillators."""
     generator = np.random.default_rng(_SEED)
     return (1 + _SPREAD * generator.uniform(-1, 1, (1, count))).astype(np.float32)
 
@@ -116,7 +117,7 @@ def _compile_thought(controller: BrainCpg, genes: np.ndarray, mesh: Mesh) -> Pro
         def again(index, mind):
             senses, _ = mind
             outputs = think(brain, weights, senses)
-            # The next thought waits for this one.
+            # This makes the next evaluation depend on this one.
             return senses.at[0].set(outputs[0]), outputs
 
         return jax.lax.fori_loop(np.int32(0), count, again, (senses, nothing))[1]

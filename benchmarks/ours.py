@@ -1,4 +1,4 @@
-"""Programs of ours, compiled for all cores: every timed call of ours goes through here."""
+"""Our programs, compiled for all cores: all our timed calls use this module."""
 
 import functools
 import time
@@ -17,11 +17,11 @@ from evo_cpg.training.devices import layout, run_in_blocks, sharded
 
 
 class Program(NamedTuple):
-    """Something compiled.
+    """A compiled program.
 
     Attributes:
-        run: does so many steps and waits for the result ``(k, lanes)``.
-        compile_seconds: that tracing and compiling took, s.
+        run: function that runs some steps and waits for the result ``(k, lanes)``.
+        compile_seconds: time to trace and compile, s.
         temporary: bytes that XLA sets aside for intermediate results on all devices.
     """
 
@@ -33,10 +33,10 @@ class Program(NamedTuple):
 def compile_for_all(
     function: Callable[[Array, Array], Array], lanes: np.ndarray, mesh: Mesh
 ) -> Program:
-    """Compile a function, which then runs over the individuals in chunks, as in training.
+    """Compile a function that runs over the individuals in chunks, as in training.
 
     Args:
-        function: of the number of steps and of ``(k, n)``, one column per individual.
+        function: function of the number of steps and of ``(k, n)``, one column per individual.
         lanes: all columns; as many as fill all chunks (see `full_lanes`).
         mesh: the devices.
     """
@@ -60,21 +60,21 @@ def compile_for_all(
 
 
 def full_lanes(count: int, mesh: Mesh) -> int:
-    """As many individuals, rounded up to full chunks on every busy device, as in training."""
+    """Return the number of individuals, rounded up to full chunks on every busy device."""
     block = layout(count, mesh).block
     return -(-count // block) * block
 
 
 def compile_motion(exercise: Exercise, lanes: np.ndarray, mesh: Mesh, finer: int = 1) -> Program:
-    """Our population at its exercise: physics alone, without a brain.
+    """Compile our population at its exercise: physics alone, without a brain.
 
-    Its result is the place ``(3, lanes)`` of every root at the end, m.
+    The result is the final place ``(3, lanes)`` of every root, m.
 
     Args:
-        exercise: what the animals do.
-        lanes: what each of them does differently (see `Exercise.lanes`); of its type is the motion.
+        exercise: exercise of the animals.
+        lanes: differing inputs of individuals (see `Exercise.lanes`); their type is the motion's.
         mesh: the devices.
-        finer: in how many steps each step is divided, with the commands as before.
+        finer: number of parts of each step, with unchanged commands.
     """
     simulation = exercise.experiment.simulation
     world, h = simulation.world, simulation.step_length / finer
@@ -92,7 +92,7 @@ def compile_motion(exercise: Exercise, lanes: np.ndarray, mesh: Mesh, finer: int
             simulation.situations, None, world.tree, lanes.shape[1:], lanes.dtype
         )
         begin = start, first_warmstart(world, lanes.shape[1:], lanes.dtype)
-        # The number of steps is an argument: one program for calls of every length.
+        # The number of steps is an argument, so that one program serves calls of every length.
         return jax.lax.fori_loop(np.int32(0), count, advance, begin)[0].position
 
     return compile_for_all(move, lanes, mesh)

@@ -18,7 +18,7 @@ SUFFIXES = (".png", ".svg", ".pdf")
 _BLUE, _ORANGE, _GREEN, _GREY = "#0072B2", "#E69F00", "#009E73", "#6b7280"
 # 900 pixels wide.
 _WIDTH, _DPI = 7.5, 120
-# Inches of height for a bar, between the cases, and around all.
+# Heights in inches: a bar, the gap between cases, and the rest.
 _BAR, _GAP, _REST = 0.27, 0.35, 1.1
 # A bar needs some length, and its label room on the right.
 _LEFT, _RIGHT = 0.4, 30.0
@@ -32,15 +32,15 @@ def draw(rows: list[Row], machine: dict[str, Any], path: Path) -> Path:
     """Draw every case that moves, each at the size where most peers took part.
 
     Args:
-        rows: what was measured.
-        machine: from `benchmarks.machine.describe`.
-        path: `.png`, `.svg` or `.pdf`.
+        rows: measured rows.
+        machine: result of `benchmarks.machine.describe`.
+        path: name that ends in `.png`, `.svg` or `.pdf`.
 
     Returns:
         The path.
 
     Raises:
-        OutputError: nothing can be written there, or not this kind of file.
+        OutputError: the path cannot be written, or is not of this kind.
     """
     path = output_path(path, SUFFIXES)
     groups = {title: bars for title, bars in _groups(rows) if bars}
@@ -66,7 +66,7 @@ def draw(rows: list[Row], machine: dict[str, Any], path: Path) -> Path:
 
 
 def _groups(rows: list[Row]) -> list[tuple[str, list[Bar]]]:
-    """Title and bars of every animal."""
+    """Return title and bars of every animal."""
     moving = [row for row in rows if row.part in (PHYSICS, WHOLE) and row.unit == UNIT]
     groups = []
     for case in dict.fromkeys(row.case for row in moving):
@@ -78,7 +78,7 @@ def _groups(rows: list[Row]) -> list[tuple[str, list[Bar]]]:
 
 
 def _bars(rows: list[Row]) -> list[Bar]:
-    """Label, rate, what is written at its end, and colour: ours first."""
+    """Return label, rate, text at the end, and colour of each bar, ours first."""
     ours = {row.part: row for row in rows}
     bars: list[Bar] = [
         (f"ours, {part}", row.rate, amount(row.rate).strip(), _BLUE) for part, row in ours.items()

@@ -1,4 +1,4 @@
-"""How thoroughly to measure, and what every case is told about the machine."""
+"""Settings of a measurement, shared by all cases."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
 
 
-# The swimmer with three of its ten bodies and short trials, for a first look at what compiles long.
+# The swimmer with three of its ten bodies and short trials, for a first look at slow compilations.
 SMALL_SWIMMER = (
     "creature.bodies.1.repeat=2",
     "simulation.steps=60",
@@ -26,16 +26,16 @@ SMALL_SWIMMER = (
 
 
 class Plan(NamedTuple):
-    """What holds for all cases of a run.
+    """Settings of all cases of a run.
 
     Attributes:
-        cores: that everybody uses.
-        sizes: of the populations, for the cases that can choose; None for each case's own.
-        call_seconds: how long a call lasts, about, s.
-        repeats: rounds, over which medians are taken.
-        limit: how long a peer in a process of its own may take to compile, s.
-        quick: leave out what takes more than some seconds and has no other measure of effort.
-        say: what is being done, to whoever waits.
+        cores: number of cores for every contender.
+        sizes: sizes of the populations, if a case can choose; None for each case's own.
+        call_seconds: approximate length of a call, s.
+        repeats: number of rounds, over which medians are taken.
+        limit: longest compile time of a peer in a process of its own, s.
+        quick: whether to leave out work that takes more than some seconds.
+        say: function that reports progress.
     """
 
     cores: int
@@ -47,7 +47,7 @@ class Plan(NamedTuple):
     say: Callable[[str], object] = lambda text: None
 
     def sizes_or(self, *own: int) -> tuple[int, ...]:
-        """The population sizes of a case: those chosen, or its own, of which the first if quick."""
+        """Return the population sizes of a case: chosen or its own (only the first if quick)."""
         return self.sizes or (own[:1] if self.quick else own)
 
 
@@ -58,15 +58,15 @@ def random_genes(simulation: Simulation, size: int) -> np.ndarray:
 
 
 def swimmer_settings(plan: Plan) -> tuple[str, ...]:
-    """Overrides of the swimmer's config: none, or those that make it small."""
+    """Return overrides of the swimmer's config: none, or the overrides that make it small."""
     return SMALL_SWIMMER if plan.quick else ()
 
 
 def experiment_of(name: str, *overrides: str) -> Experiment:
-    """What a config of this checkout describes.
+    """Return the experiment of a config of this checkout.
 
     Args:
-        name: of its file, without ``.yaml``.
+        name: name of its file, without ``.yaml``.
         overrides: ``key=value`` settings.
     """
     path = CONFIGS / f"{name}.yaml"

@@ -1,25 +1,25 @@
-"""What it costs that several processes evolve together, and what that would come to on many hosts.
+"""Cost of evolution by several processes, and a prediction for many hosts.
 
     python -m benchmarks.processes
 
-Processes of this machine give each other the results of a generation (`Team.gather`): three terms
-and whether an individual lives, 13 bytes, as of the swimmer. Nothing is simulated. Of all rounds
-the median is shown, and the time that a tenth of them stays below, which other work on the machine
-disturbs least. To the latter is fitted
+Processes of this machine exchange the results of a generation (`Team.gather`): three terms and
+whether an individual is valid, 13 bytes, as with the swimmer. Nothing is simulated. The median of
+all rounds is shown, and the tenth percentile, which other work on the machine disturbs least. The
+model is fitted to the latter:
 
     t(P, B) = a + b (P - 1) + c (P - 1) B
 
-with P processes and B bytes of all together, which the lead sends to every other process. The
-efficiency of many hosts, each with N individuals whose trials take T seconds, is then
+with P processes and B bytes in all, which the lead sends to every other process. N individuals per
+host, with trials of T seconds, then have an efficiency of
 
     T / (T + t(P, B) + d N P)
 
-where d is what the digest of the population and breeding cost for each individual, measured here
-in one process: every process does that for all of them.
+where d is the cost of the population's digest and of breeding for each individual, measured here in
+one process: every process does this work for all individuals.
 
 Assumptions: the lead sends as fast to other hosts as to processes of this machine. `--latency` and
-`--bandwidth` of a network add to that. All hosts are equally fast, and none is disturbed, although
-the slowest sets the pace. There is memory for all genomes in every process.
+`--bandwidth` of a network add to this. All hosts are equally fast, and none is disturbed, although
+the slowest sets the pace. Every process has memory for all genomes.
 """
 
 import argparse
@@ -46,14 +46,14 @@ _POPULATIONS = (200, 4096)
 _HOSTS = (16, 64, 256)
 _BYTES = 13
 
-# The digest is measured by itself, so what is gathered comes with hardly any genes.
+# The digest is measured by itself, so the gathered data have hardly any genes.
 _FEW_GENES = 1
 
 _SIZES, _REPEATS = (4096, 32768), 12
 
 
 class Exchange(NamedTuple):
-    """Of a population among some processes: bytes of all together, and seconds."""
+    """An exchange of a population among some processes: bytes in all, and seconds."""
 
     processes: int
     population: int
@@ -112,18 +112,18 @@ def _columns(*words: object) -> str:
 
 
 def _fit(exchanges: list[Exchange]) -> tuple[float, float, float]:
-    """The model's numbers; none is less than nothing."""
+    """Return the model's coefficients, none of them negative."""
     from scipy.optimize import nnls
 
     rows = [(1.0, one.processes - 1, (one.processes - 1) * one.size) for one in exchanges]
     times = np.array([one.tenth for one in exchanges])
-    # Of relative errors, or the largest times alone would count.
+    # Fit relative errors, because absolute ones would count only the largest times.
     found, _ = nnls(np.array(rows) / times[:, None], np.ones(len(times)))
     return tuple(found.tolist())
 
 
 def _measure(count: int, rounds: int) -> list[Exchange]:
-    """As the lead sees them."""
+    """Return the exchanges as measured by the lead."""
     with socket.create_server(("", 0)) as server:
         port = server.getsockname()[1]
     command = [sys.executable, "-m", "benchmarks.processes", "--rounds", str(rounds), "--worker"]
@@ -160,7 +160,7 @@ def _work(index: int, count: int, port: int, rounds: int) -> None:
 
 
 def _of_each() -> tuple[int, float, float]:
-    """Genes of an individual, and what its digest and its breeding cost, s."""
+    """Return an individual's number of genes, and its costs of digest and breeding, s."""
     digests, breedings, count = [], [], 0
     for size in _SIZES:
         experiment = experiment_of("iwadate2010_swimmer", f"evolution.population={size}")

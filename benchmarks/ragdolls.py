@@ -1,8 +1,8 @@
-"""The energy of ragdolls: `python -m benchmarks.ragdolls`.
+"""Measure the energy of ragdolls: `python -m benchmarks.ragdolls`.
 
-Quadrupeds of Model 1 without motors, thrown down in any pose. Nothing gives them energy, so above
-its least so far it must not rise; by how much it does, as a share of the start's, is the
-simulator's. The table is that of docs/models/contact.md.
+Quadrupeds of Model 1 without motors are thrown down in any pose. Nothing gives them energy, so the
+energy must not rise above its least value so far. Any rise, as a fraction of the initial energy, is
+an error of the simulator. The table is the one in docs/models/contact.md.
 """
 
 import argparse
@@ -33,11 +33,11 @@ HEADER = """\
 
 
 class Fall(NamedTuple):
-    """What became of ragdolls.
+    """Results of ragdolls.
 
     Attributes:
-        rise: the most that the energy of each rose above its least so far, over the start's.
-        diverged: how many did.
+        rise: largest rise of each energy above its least so far, relative to the initial energy.
+        diverged: number of diverged ragdolls.
     """
 
     rise: Float[np.ndarray, " n"]
@@ -48,11 +48,11 @@ def fall(world: World, count: int, seconds: float, speed: float, h: float) -> Fa
     """Throw ragdolls down.
 
     Args:
-        world: of a creature without motors.
-        count: how many.
-        seconds: for how long.
-        speed: downwards, m/s, on top of some 1 m/s and 1 rad/s in any direction.
-        h: step, s.
+        world: world of a creature without motors.
+        count: number of ragdolls.
+        seconds: duration, s.
+        speed: downward speed, m/s, on top of some 1 m/s and 1 rad/s in any direction.
+        h: length of a step, s.
     """
 
     def advance(carry: tuple, _: None) -> tuple[tuple, Array]:
@@ -76,7 +76,7 @@ def fall(world: World, count: int, seconds: float, speed: float, h: float) -> Fa
 
 
 def _thrown(world: World, count: int, speed: float) -> State:
-    """Above the ground in any pose."""
+    """Return states above the ground in any pose."""
     rng = np.random.default_rng(0)
     turns = rng.normal(size=(4, count))
     velocity = rng.normal(size=(6, count))

@@ -1,8 +1,8 @@
-"""Slopes beside generations: `python -m benchmarks.refining OUT [CONFIG] [KEY=VALUE ...]`.
+"""Compare gradients with generations: `python -m benchmarks.refining OUT [CONFIG] [KEY=VALUE ...]`.
 
-Several runs are evolved side by side. From there each champion is refined, evolution goes on for as
-long as that took, and so does evolution whose elites learn; compiling is left out of all three
-times. Fitness gained in each way, run by run and in the middle, goes into docs/models/gradients.md;
+Several runs evolve side by side. Then three methods run for equal times, without compilation:
+refinement of each champion, further evolution, and further evolution whose elites learn. The gained
+fitness of each method, run by run and as a median, goes into docs/models/gradients.md.
 OUT/refining.json and the run folders under OUT hold the rest.
 """
 
@@ -25,7 +25,7 @@ from evo_cpg.training.run_folder import Checkpoint, RunFolder
 
 SWIMMER = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
 RUNS = 5
-# Six of each run fill the lanes of two cores.
+# Six elites of each run fill the lanes of two cores.
 LEARNING = Learning(every=5, elites=6, steps=5)
 
 
@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[list[float], float]:
-    """Fitness of every champion afterwards, and the seconds that one took."""
+    """Return the refined fitness of every champion, and the seconds per champion."""
     refine = compile_refinement(experiment, Refinement(count))
     rounds: list[Round] = []
 
@@ -80,12 +80,12 @@ def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[li
         print(f"round {done.number}: {done.champion.fitness:.4f}, {done.seconds:.1f} s", flush=True)
 
     after = [refine(champion, keep).fitness for champion in started.champions if champion]
-    # The first of all compiles.
+    # The first round compiles.
     return after, count * statistics.median(done.seconds for done in rounds[1:])
 
 
 def _evolve(experiment: Experiment, start: RunFolder, path: Path, seconds: float) -> list[float]:
-    """Fitness of every champion after going on for so many seconds for each run."""
+    """Return the fitness of every champion after this many more seconds for each run."""
     shutil.rmtree(path, ignore_errors=True)
     folder = RunFolder(shutil.copytree(start.path, path))
     spent: list[float] = []
@@ -96,7 +96,7 @@ def _evolve(experiment: Experiment, start: RunFolder, path: Path, seconds: float
     def watch(rows: list[dict[str, float]]) -> None:
         spent.append(rows[0]["seconds"])
         _tell(rows)
-        # What compiles counts like the others of its kind.
+        # A round that compiles counts like the other rounds of its kind.
         every = experiment.learning.every if experiment.learning else 1
         kinds = [spent[i::every] for i in range(min(every, len(spent)))]
         plain = [statistics.median(kind[1:] or kind) * len(kind) for kind in kinds]

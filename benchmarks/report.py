@@ -13,7 +13,7 @@ from evo_cpg.studies.study import Table as PageTable
 
 _SCALES = ((1e9, "G"), (1e6, "M"), (1e3, "k"))
 
-# Packages whose versions stand at a page's table.
+# Packages whose versions stand beside a page's table.
 _PACKAGES = {
     "jax": "JAX",
     "mujoco": "MuJoCo",
@@ -24,11 +24,11 @@ _PACKAGES = {
 
 
 def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, ...]:
-    """Everything measured: ours, the peers beside it, and what grows with the number of bodies.
+    """Return tables of our results, the peers' results, and the growth of costs.
 
     Args:
-        rows: what was measured.
-        machine: from `benchmarks.machine.describe`.
+        rows: measured rows.
+        machine: result of `benchmarks.machine.describe`.
     """
     ours = _table(
         f"cores of {machine['processor']}: {machine['cores']}",
@@ -64,7 +64,7 @@ def _on_screen(table: PageTable) -> Table:
 
 
 def line(row: Row) -> str:
-    """What a row says in short, for whoever waits for the others."""
+    """Return a short line about a row, to report progress."""
     words = f"{_name(row)}, {row.size}: {_with_unit(row.rate, row.unit)}"
     if row.peer is None:
         return words
@@ -72,19 +72,18 @@ def line(row: Row) -> str:
 
 
 def page_tables(rows: list[Row], machine: dict[str, Any]) -> list[PageTable]:
-    """Everything measured: what is known of ours, and, where there is anybody, who stands beside.
+    """Return tables of our results and, if there are peers, of the comparison with them.
 
-    Columns of which nothing is known are left out. Creatures of many bodies have tables of their
-    own.
+    Columns without any value are left out. Creatures of many bodies have tables of their own.
 
     Args:
-        rows: what was measured.
-        machine: from `benchmarks.machine.describe`.
+        rows: measured rows.
+        machine: result of `benchmarks.machine.describe`.
     """
     if grown := growth.tables(rows):
         return grown
     units = sorted({row.unit for row in rows})
-    # One unit stands in the head.
+    # A single unit stands in the heading.
     head, cell = (f", {units[0]}", _rate) if len(units) == 1 else ("", _with_unit)
     ours: dict[Any, list[str]] = {}
     beside = []
@@ -117,7 +116,7 @@ def _known_columns(title: str, head: list[str], rows: list[list[str]]) -> PageTa
 
 
 def notes(rows: list[Row]) -> list[str]:
-    """Why peers or rows gave no rate, and what else is to be known of them, a line each."""
+    """Return reasons for peers or rows without a rate, and other remarks, a line each."""
     lines = [
         f"{row.case}, {row.size}, {row.peer or row.part}: {row.note}" for row in rows if row.note
     ]
@@ -125,11 +124,11 @@ def notes(rows: list[Row]) -> list[str]:
 
 
 def comparison(verdict: Verdict, tolerance: float) -> Table:
-    """What became of the earlier rows, slower ones marked.
+    """Return the comparison with the earlier rows, with slower rows marked.
 
     Args:
-        verdict: from `benchmarks.compare.compare`.
-        tolerance: largest share that a row may lose.
+        verdict: result of `benchmarks.compare.compare`.
+        tolerance: largest fraction that a row may lose.
     """
     shown = _table(
         f"against the earlier run: {len(verdict.slower)} of {len(verdict.changes)} lost more than "
@@ -153,7 +152,7 @@ def comparison(verdict: Verdict, tolerance: float) -> Table:
 
 
 def amount(value: float) -> str:
-    """A number with three digits and k, M or G."""
+    """Return a number with three digits and k, M or G."""
     for scale, letter in _SCALES:
         if value >= scale:
             return f"{value / scale:.3g} {letter}"
@@ -161,13 +160,13 @@ def amount(value: float) -> str:
 
 
 def _table(title: str, caption: str, columns: Sequence[str], words: Sequence[str] = ()) -> Table:
-    """An empty table; the columns of words, and the first, are set to the left."""
+    """Return an empty table; the columns of words, and the first column, are set to the left."""
     shown = Table(
         title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
     )
     for column in columns:
         left = column in (columns[0], *words)
-        # Words may be broken where a terminal is narrow, numbers may not.
+        # A narrow terminal may break words, but not numbers.
         whole = column not in words
         shown.add_column(column, justify="left" if left else "right", no_wrap=whole)
     return shown
@@ -198,7 +197,7 @@ def _theirs(row: Row) -> tuple[str, ...]:
 
 
 def times(ratio: float) -> str:
-    """A ratio in three digits."""
+    """Return a ratio with three digits."""
     return f"{ratio:,.0f}x" if ratio >= 1000 else f"{ratio:.3g}x"
 
 

@@ -1,4 +1,4 @@
-"""What was measured: one row per comparison, kept as JSON."""
+"""Measured rows: one row per comparison, stored as JSON."""
 
 import dataclasses
 import json
@@ -8,30 +8,30 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-# Raised when a field changes its meaning, so that unlike files are not compared.
+# Raised when a field changes its meaning, so that incompatible files are not compared.
 FORMAT = 2
 SECONDS = "s"
 
 
 class RowsError(Exception):
-    """A file that holds no rows; the message is for the user as it stands."""
+    """A file without rows; the message is written for the user."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Build:
-    """What it took to make the program of one creature.
+    """Costs of making the program of one creature.
 
     Attributes:
-        kind: creatures that differ in their number of bodies alone.
-        bodies: number of them.
-        operations: in the native code, for one individual; None where there is none.
+        kind: creatures that differ only in their number of bodies.
+        bodies: number of bodies.
+        operations: operations in the native code, for one individual; None without native code.
         building: time from the configuration to the creature and its world, s.
         writing: time from the JAX program to LLVM IR, s.
         llvm: time from LLVM IR to machine code, s.
         code: bytes of machine code.
-        scratch: bytes of memory that the machine code works in.
+        scratch: bytes of the machine code's working memory.
         compiler: peak resident memory of the compiler's process, bytes.
-        native: whether all of it is native code.
+        native: whether all code is native.
     """
 
     kind: str
@@ -48,28 +48,28 @@ class Build:
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One thing measured, beside one peer or alone.
+    """One measurement, beside one peer or alone.
 
     Attributes:
         case: name on the command line.
-        part: of the case, such as "physics".
-        size: individuals.
-        rate: of ours, in ``unit``: the median over the rounds.
-        unit: "steps/s" and the like, where more is better, or "s", where less is.
-        how: it was measured.
+        part: part of the case, such as "physics".
+        size: number of individuals.
+        rate: our rate in ``unit``, the median over the rounds.
+        unit: a rate such as "steps/s" (more is better), or "s" (less is better).
+        how: method of the measurement.
         compile_seconds: tracing and compiling, s; not part of the rate.
         temporary: bytes that XLA sets aside for intermediate results, by its own account.
         memory: peak resident memory of a process that does only this, compiling included, bytes.
-        error: of ours; how it is defined depends on the case (see `benchmarks.accuracy`).
+        error: our error, by the case's definition (see `benchmarks.accuracy`).
         flops: useful floating-point operations per second, 1/s.
-        peak_share: of the rate of the machine's float32 matrix product.
-        peer: what stands beside.
-        peer_rate: in ``unit``; None where the peer gave none.
+        peak_share: fraction of the rate of the machine's float32 matrix product.
+        peer: name of the peer.
+        peer_rate: rate of the peer in ``unit``; None if the peer has none.
         peer_error: the error of the peer by the same definition.
         ratio: median over the rounds of our rate over the peer's.
-        ratio_spread: lower and upper quartile of it.
-        note: why the peer gave no rate, or why the row has none or runs on plain JAX.
-        build: of a creature whose size matters.
+        ratio_spread: lower and upper quartile of the ratio.
+        note: reason why the peer or the row has no rate, or why the row runs on plain JAX.
+        build: costs of making the program, if the creature's size matters.
     """
 
     case: str
@@ -94,17 +94,17 @@ class Row:
 
     @property
     def key(self) -> tuple[str, str, int, str]:
-        """What a row of another run must share to be compared with this one."""
+        """Return the key that comparable rows of two runs share."""
         return self.case, self.part, self.size, self.peer or ""
 
 
 def finite(value: float) -> float | None:
-    """The value, or None in place of what JSON cannot hold."""
+    """Return the value; None if JSON cannot hold it."""
     return float(value) if math.isfinite(value) else None
 
 
 def save(path: Path, machine: dict[str, Any], rows: list[Row]) -> None:
-    """Write what was measured so far, and where and when; the file is whole at any moment."""
+    """Write the machine and the rows so far; the file is whole at any moment."""
     record = {"format": FORMAT, "machine": machine, "rows": [dataclasses.asdict(r) for r in rows]}
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
@@ -112,10 +112,10 @@ def save(path: Path, machine: dict[str, Any], rows: list[Row]) -> None:
 
 
 def load(path: Path) -> tuple[dict[str, Any], list[Row]]:
-    """What `save` wrote: the machine and the rows.
+    """Return the machine and the rows that `save` wrote.
 
     Raises:
-        RowsError: the file cannot be read, or holds something else.
+        RowsError: the file cannot be read, or has other contents.
     """
     try:
         record = json.loads(path.read_text())

@@ -1,8 +1,8 @@
-"""Trials on all cores, on one, and on all by as many processes.
+"""Trials on all cores, on one core, and on all cores by as many processes.
 
-They are whole ones, as in training, of random genes. Processes that know nothing of each other
-share no more than the machine: what all cores of one process reach of their speed is what its own
-threads cost. Run as a program, this module is one of them:
+The trials are whole, as in training, with random genes. Independent processes share only the
+machine. So the speed of one process on all cores, relative to theirs, shows the cost of its
+threads. Run as a program, this module is one of these processes:
 `python -m benchmarks.scaling CONFIG STEPS SIZE FIRST LAST`.
 """
 
@@ -26,7 +26,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 
-# Configs, and control steps of a trial: on one core it lasts about a second.
+# Configs, and control steps of a trial, which lasts about a second on one core.
 _CASES = {
     "iwadate2010_swimmer": 4000,
     "fukui2003_model1": 2400,
@@ -35,13 +35,13 @@ _CASES = {
 _QUICK = 60
 # Whole vectors of individuals for each core.
 _SIZE = 256
-# Processes of ours may take so many times as long as a peer, for all of them compile.
+# Factor on a peer's time limit for our processes, because all of them compile.
 _PATIENCE = 10
 _ALL, _ONE, _APART = "all", "1 core", "processes"
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """Two rows per config and size: how many times one core, and what share of processes."""
+    """Yield two rows per config and size: speed relative to one core, and to separate processes."""
     cases = [("iwadate2010_swimmer", _QUICK)] if plan.quick else list(_CASES.items())
     for config, steps in cases:
         for size in plan.sizes_or(_SIZE):
@@ -91,14 +91,14 @@ def _simulation(config: str, steps: int) -> Simulation:
 def _trials(
     simulation: Simulation, size: int, cores: int, first: int, last: int
 ) -> Callable[[], object]:
-    """Trials of some individuals of a population."""
+    """Return a function that runs trials of some individuals of a population."""
     genes = random_genes(simulation, size)[:, first:last]
     return functools.partial(compile_trials(simulation, population_mesh(cores)), genes)
 
 
 @contextlib.contextmanager
 def _processes(config: str, steps: int, size: int, plan: Plan) -> Iterator[list[Worker]]:
-    """As many as there are cores, each with its share of the individuals, ready to run."""
+    """Yield one worker per core, each with its part of the individuals, ready to run."""
     ends = np.linspace(0, size, plan.cores + 1).astype(int)
     with contextlib.ExitStack() as stack:
         workers = [

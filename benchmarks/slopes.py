@@ -1,8 +1,8 @@
-"""How steep a slope animals stand on: `python -m benchmarks.slopes [CONFIG ...]`.
+"""Measure the steepest slope on which animals stand: `python -m benchmarks.slopes [CONFIG ...]`.
 
-With motors that hold the neutral pose, and weight that comes on slowly. Beside it the limit of
-statics for the pose that an animal then has: the steepest slope on which forces within the friction
-cones of the points that touch balance its weight, by a linear program. The table is that of
+Motors hold the neutral pose, and weight increases slowly. The limit of statics for the animal's
+final pose stands beside the result. It is the steepest slope on which forces within the friction
+cones of the touching points balance the weight, by a linear program. The table is the one in
 docs/models/contact.md.
 """
 
@@ -39,24 +39,25 @@ CONFIGS = (
     "starfish_land",
 )
 
-# Weight comes on within the first, s; the last second tells whether the animal stands.
+# Time in which the weight increases, and time to settle, s. The last second shows whether the
+# animal stands.
 LOADING, SETTLING = 3.0, 3.0
 
-# An animal slides, and does not creep, if it moves faster than that in the last second, m/s.
+# A faster animal slides instead of creeping in the last second, m/s.
 SLIDES = 0.01
 
-# Edges of the cones of the linear program: it is 0.2 % short of the round one at most.
+# Edges of the linear program's cones, which are at most 0.2 % short of the round ones.
 _EDGES = 48
 
 
 class Standing(NamedTuple):
-    """How an animal stands on a slope.
+    """State of an animal that stands on a slope.
 
     Attributes:
-        creep: of its root in the last second, m/s.
-        points: that carry it, in the slope's frame (x down the slope, z off it), m.
-        friction: static, of each.
-        centre: of mass, likewise, m.
+        creep: speed of the root in the last second, m/s.
+        points: points that carry the animal, in the slope's frame (x down the slope, z off it), m.
+        friction: static friction of each point.
+        centre: centre of mass in the slope's frame, m.
     """
 
     creep: float
@@ -66,7 +67,7 @@ class Standing(NamedTuple):
 
 
 def stander(world: World, h: float) -> Callable[[float], Standing]:
-    """A function of the slope, degrees, that lets an animal stand on it with a step of h (s)."""
+    """Return a function that lets an animal stand on a slope (degrees) with a step of h (s)."""
     contact_model = world.contact_model
     assert contact_model is not None
     friction, dtype = np.asarray(contact_model.static_friction), np.dtype(np.float32)
@@ -111,14 +112,14 @@ def stander(world: World, h: float) -> Callable[[float], Standing]:
 
 
 def _centre(world: World, state: State) -> Float[Array, "3"]:
-    """Of mass."""
+    """Return the centre of mass."""
     kin, tree = kinematics(world.tree, state), world.tree
     places = kin.origin + matvec(kin.rotation, jnp.asarray(tree.com, state.q.dtype)[..., None])
     return places[..., 0] @ jnp.asarray(tree.mass / tree.mass.sum(), state.q.dtype)
 
 
 def _on_slope(world: World, angle: Array) -> tuple[World, State]:
-    """Dry and bare ground that falls towards x, and the animal with its lowest point on it."""
+    """Return dry, bare ground that falls towards x, and the animal with its lowest point on it."""
     assert world.contact_model is not None
     contact_model, none = _sloping(world.contact_model, angle), jnp.zeros_like(angle)
     slope = dataclasses.replace(world, contact_model=contact_model, water=None, forces=(), cells=())
@@ -131,7 +132,7 @@ def _on_slope(world: World, angle: Array) -> tuple[World, State]:
 
 
 def _sloping(contact_model: ContactModel, angle: Array) -> ContactModel:
-    """On a plane."""
+    """Return the contact model on a sloping plane."""
     floor = Plane((jnp.sin(angle), 0.0, jnp.cos(angle)))
     return contact_model._replace(
         ground=dataclasses.replace(contact_model.ground, floor=floor, obstacles=())
@@ -139,7 +140,7 @@ def _sloping(contact_model: ContactModel, angle: Array) -> ContactModel:
 
 
 def limit_of_statics(standing: Standing) -> float:
-    """Steepest slope, degrees to 0.1, on which such points can hold such a centre of mass."""
+    """Return the steepest slope, degrees to 0.1, on which the points hold the centre of mass."""
     turns = 2 * np.pi * np.arange(_EDGES) / _EDGES
     edges = np.stack([np.cos(turns), np.sin(turns), np.zeros(_EDGES)])
     columns = []
@@ -165,13 +166,13 @@ def limit_of_statics(standing: Standing) -> float:
 
 
 def steepest(stand: Callable[[float], Standing]) -> tuple[float, float, Standing]:
-    """The steepest slope a degree or more below the limit of statics for the pose on it.
+    """Return the steepest slope a degree or more below the limit of statics for its pose.
 
-    An animal that slides or falls before that does not stand on steeper slopes: the limit on the
-    slope that is found is then more than a degree above.
+    An animal that slides or falls earlier does not stand on steeper slopes. The limit on the
+    returned slope is then more than a degree above the slope.
 
     Returns:
-        The limit and the slope, degrees, and how the animal stands there.
+        The limit and the slope, degrees, and the animal's state there.
     """
     level = stand(0.0)
     low, high = (0.0, level), 60.0
@@ -187,7 +188,7 @@ def steepest(stand: Callable[[float], Standing]) -> tuple[float, float, Standing
 
 
 def stands(standing: Standing, level: Standing) -> bool:
-    """Whether an animal neither slides nor lies lower than two thirds of that on the level."""
+    """Return whether an animal neither slides nor lies below two thirds of its level height."""
     return standing.creep < SLIDES and standing.centre[2] > 2 / 3 * level.centre[2]
 
 

@@ -1,7 +1,7 @@
-"""From the shell's prompt to the end of the first generation, and the same again.
+"""Time from the shell's prompt to the end of the first generation, for two starts.
 
-A process of its own for each, with a home and cache folder that begin empty and that both share:
-if anything compiled is kept, the second start shows it. Python's own bytecode is there already.
+Each start has a process of its own. Both share a home and a cache folder that are initially empty,
+so that a cache of compiled code shows in the second start. Python's own bytecode exists already.
 """
 
 import os
@@ -15,10 +15,10 @@ from pathlib import Path
 from benchmarks.plan import CONFIGS, ROOT, Plan, experiment_of, swimmer_settings
 from benchmarks.rows import SECONDS, Row
 
-# Where a user may have told JAX to keep what it compiles; the folder here must begin empty.
+# Users may set JAX's cache folder here, but the folder of the benchmark must be empty at first.
 _CACHE = "JAX_COMPILATION_CACHE_DIR"
 
-# How often the run folder is looked at, s.
+# Interval between checks of the run folder, s.
 _LOOK_AGAIN = 0.02
 
 
@@ -27,7 +27,7 @@ class StartError(Exception):
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """The first start ever, and the second one."""
+    """Yield rows of the first start ever, and of the second start."""
     overrides = ("evolution.generations=1", *swimmer_settings(plan))
     population = experiment_of("iwadate2010_swimmer", *overrides).strategy.population
     how = (
@@ -42,7 +42,7 @@ def measure(plan: Plan) -> Iterator[Row]:
 
 
 def _start(folder: Path, part: str, overrides: tuple[str, ...]) -> float:
-    """Seconds until the run folder holds the first generation."""
+    """Return the seconds until the run folder holds the first generation."""
     home, out = folder / "home", folder / part.replace(" ", "-")
     home.mkdir(exist_ok=True)
     environment = {key: value for key, value in os.environ.items() if key != _CACHE}

@@ -1,8 +1,8 @@
-"""The benchmark suite behind `evo-cpg bench`: which cases there are, and running them.
+"""The benchmark suite behind `evo-cpg bench`: its cases, and how they run.
 
-Every contender of a case runs in turn, several times, in one session on the same cores; rates are
-medians over these rounds, ratios medians of the ratios within a round. Compiling is timed apart.
-docs/benchmarks.md says how each figure is measured.
+All contenders of a case run in turn, several times, in one session on the same cores. Rates are
+medians over these rounds, and ratios are medians of the ratios within a round. Compilation is timed
+apart. docs/benchmarks.md describes the measurement of each figure.
 """
 
 import contextlib
@@ -37,19 +37,19 @@ from benchmarks.rows import Row
 from evo_cpg.api.display import Work, working
 from evo_cpg.training.devices import use_cores
 
-# How long a call lasts, and how many rounds there are.
+# Length of a call, s, and number of rounds.
 _THOROUGH, _QUICK = (0.5, 7), (0.05, 3)
-# A first look does not wait longer for a peer to compile, s.
+# Longest wait for a peer's compilation in a first look, s.
 _QUICK_LIMIT = 30.0
 
 
 class Case(NamedTuple):
-    """Something that can be asked for by name.
+    """A case that the user can request by name.
 
     Attributes:
-        measure: gives its rows, each when it is measured; its arguments are the plan and the peak
-            of the machine, 1/s.
-        sized: whether `--sizes` means it.
+        measure: function that yields rows as soon as they are measured. Its arguments are the plan
+            and the peak of the machine, 1/s.
+        sized: whether `--sizes` applies to the case.
     """
 
     measure: Callable[[Plan, float], Iterable[Row]]
@@ -57,17 +57,17 @@ class Case(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """What the user asked for.
+    """Choices of the user.
 
     Attributes:
         cases: names, in any order; all if empty.
-        sizes: of the populations; None for each case's own.
-        quick: small and few, for a first look.
-        limit: how long a peer in a process of its own may take to compile, s.
-        json: where the rows are kept; None for nowhere.
-        plot: where the picture is drawn; None for nowhere.
-        earlier: rows to compare with; None for none.
-        tolerance: largest share that a rate or ratio may lose against them.
+        sizes: sizes of the populations; None for each case's own.
+        quick: whether to measure little, for a first look.
+        limit: longest compile time of a peer in a process of its own, s.
+        json: file for the rows; None for no file.
+        plot: file for the picture; None for no picture.
+        earlier: file of rows to compare with; None for none.
+        tolerance: largest fraction that a rate or ratio may lose against the earlier rows.
     """
 
     cases: Sequence[str] = ()
@@ -104,12 +104,12 @@ CASES: dict[str, Case] = {
 
 
 def main(selection: Selection) -> bool:
-    """Measure, print and keep what is asked for.
+    """Measure, print and store the selected cases.
 
     Returns:
-        Whether nothing became slower than the earlier rows allow.
+        True if no row became slower than the earlier rows allow.
     """
-    # Read first: measuring takes long, and the file may be no benchmark.
+    # Read first, because measuring takes long, and the file may be no benchmark.
     earlier = rows.load(selection.earlier) if selection.earlier else None
     cores = use_cores()
     console = Console()
@@ -134,15 +134,15 @@ def main(selection: Selection) -> bool:
 
 
 def measure(selection: Selection, cores: int, work: Work) -> tuple[dict[str, Any], list[Row]]:
-    """Measure what is asked for, and keep it as JSON where that is asked for.
+    """Measure the selected cases, and store the rows as JSON if requested.
 
     Args:
-        selection: cases, sizes, and how thoroughly.
-        cores: that are JAX's devices.
-        work: is told what is being done, and of every row.
+        selection: cases, sizes, and effort.
+        cores: number of JAX's devices.
+        work: receives progress, and every row.
 
     Returns:
-        The machine, from `benchmarks.machine.describe`, and the rows.
+        The machine from `benchmarks.machine.describe`, and the rows.
     """
     found: list[Row] = []
     with _nothing_kept():
@@ -158,7 +158,7 @@ def measure(selection: Selection, cores: int, work: Work) -> tuple[dict[str, Any
                 for row in CASES[name].measure(plan, peak):
                     found.append(row)
                     work.say(report.line(row))
-                    # Cases take minutes; what is measured is not lost where the next one fails.
+                    # Cases take minutes, so that a failure of the next case must not lose the rows.
                     if selection.json is not None:
                         rows.save(selection.json, where, found)
     return where, found
@@ -166,7 +166,7 @@ def measure(selection: Selection, cores: int, work: Work) -> tuple[dict[str, Any
 
 @contextlib.contextmanager
 def _nothing_kept() -> Iterator[None]:
-    """What was compiled before, and kept, would look quick."""
+    """Disable the cache, because cached code would hide the compile time."""
     before = jax.config.values["jax_enable_compilation_cache"]
     jax.config.update("jax_enable_compilation_cache", False)
     try:

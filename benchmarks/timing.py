@@ -1,4 +1,4 @@
-"""Timing side by side: every contender in turn, several times, medians and pairwise ratios."""
+"""Timing side by side: all contenders in turn, several times, medians and pairwise ratios."""
 
 import statistics
 import time
@@ -10,12 +10,12 @@ _TELLING = 0.2
 
 
 class Contender(NamedTuple):
-    """Something to time.
+    """A call to time.
 
     Attributes:
-        name: for the table.
+        name: name in the table.
         work: units of work (such as individual physics steps) that one call does.
-        call: does it and waits until it is done.
+        call: function that does the work and waits for its end.
     """
 
     name: str
@@ -24,11 +24,10 @@ class Contender(NamedTuple):
 
 
 def race(contenders: list[Contender], repeats: int) -> dict[str, list[float]]:
-    """Units of work per second of every contender in every round.
+    """Return units of work per second of every contender in every round.
 
-    One uncounted round comes first, so that compiling and first touches are left out. Within a
-    round the contenders run one after the other, so that a change in the machine's speed meets
-    all of them.
+    One uncounted round comes first, so that compilation and first memory accesses are left out.
+    The contenders of a round run in turn, so that a change in the machine's speed affects all.
     """
     for contender in contenders:
         contender.call()
@@ -42,7 +41,7 @@ def race(contenders: list[Contender], repeats: int) -> dict[str, list[float]]:
 def ratio_quartiles(
     rates: dict[str, list[float]], ours: str, peer: str
 ) -> tuple[float, float, float]:
-    """Lower quartile, median and upper quartile of our rate over the peer's in the same round."""
+    """Return the quartiles and median (the middle one) of our rate over the peer's, per round."""
     ratios = [a / b for a, b in zip(rates[ours], rates[peer], strict=True)]
     if len(ratios) == 1:
         return ratios[0], ratios[0], ratios[0]
@@ -51,7 +50,7 @@ def ratio_quartiles(
 
 
 def seconds(call: Callable[[], object]) -> float:
-    """Wall-clock time of one call, s."""
+    """Return the wall-clock time of one call, s."""
     start = time.perf_counter()
     call()
     return time.perf_counter() - start
@@ -60,13 +59,13 @@ def seconds(call: Callable[[], object]) -> float:
 def count_lasting(
     prepare: Callable[[int], Callable[[], object]], call_time: float, fewest: int, most: int
 ) -> int:
-    """How many steps (or whatever is counted) take about the intended time.
+    """Return the number of steps (or other units) that take about the intended time.
 
     Args:
-        prepare: makes a call of so many steps; what it does itself is not timed.
-        call_time: s.
-        fewest: steps; the first try.
-        most: steps.
+        prepare: function that returns a call of some steps; the preparation is not timed.
+        call_time: intended time, s.
+        fewest: least number of steps, for the first try.
+        most: largest number of steps.
     """
     count = fewest
     prepare(count)()

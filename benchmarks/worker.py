@@ -1,8 +1,8 @@
-"""A process of its own for what may take too long or too much memory.
+"""A process of its own for work that may take too long or too much memory.
 
-The worker (`serve`) prepares itself, says that it is ready, and then does its work once for every
-line that it reads, so that it can take turns with others. It speaks JSON, a line at a time, on what
-was its standard output; whatever else it prints goes to its standard error.
+The worker (`serve`) prepares itself and reports that it is ready. It then does its work once for
+every line that it reads, so that workers can take turns. It writes JSON, a line at a time, to its
+original standard output. All other output goes to its standard error.
 """
 
 import contextlib
@@ -19,26 +19,26 @@ from typing import IO, Any
 
 from benchmarks.plan import ROOT
 
-# Address space that a worker may take, bytes. Compilers that lose themselves in a program are
-# stopped by it before the machine begins to swap.
+# Largest address space of a worker, bytes. It stops runaway compilers before the machine begins to
+# swap.
 MEMORY_LIMIT = 12 * 2**30
-# Set by this program for itself: XLA's threads are shut off where every core is a device.
+# Set by this program for itself: XLA's threads are off if every core is a device.
 _OWN_SETTINGS = ("NPROC",)
-# What was compiled before must not make compiling look quick.
+# Cached code must not shorten the compile time.
 _NO_CACHE = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
 
 
 class WorkerError(Exception):
-    """Why a worker gives no results; in words for the table."""
+    """Reason why a worker has no results, in words for the table."""
 
 
 class Worker:
     """A started worker.
 
     Args:
-        complaints: where its standard error goes.
-        module: of this package, which calls `serve`.
-        arguments: for it.
+        complaints: file of the worker's standard error.
+        module: module of this package that calls `serve`.
+        arguments: arguments of the module.
     """
 
     def __init__(self, complaints: IO[str], module: str, *arguments: str):
@@ -58,13 +58,13 @@ class Worker:
         )
 
     def answer(self, limit: float) -> dict[str, Any]:
-        """The next line that it says.
+        """Return the next line that the worker writes.
 
         Args:
-            limit: to wait for it, s.
+            limit: longest wait, s.
 
         Raises:
-            WorkerError: it took longer, or ended, or said why it cannot.
+            WorkerError: the worker took too long, ended, or reported a failure.
         """
         assert self._process.stdout is not None
         if not select.select([self._process.stdout], [], [], limit)[0]:
@@ -79,12 +79,12 @@ class Worker:
         return answer
 
     def ask(self, question: Any, limit: float) -> dict[str, Any]:
-        """Let it do its work once, and wait for the answer."""
+        """Run the worker once, and wait for the answer."""
         self.send(question)
         return self.answer(limit)
 
     def send(self, question: Any) -> None:
-        """Let it do its work once; `answer` waits until it is done."""
+        """Run the worker once; `answer` waits for the result."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps(question) + "\n")
@@ -93,12 +93,12 @@ class Worker:
             raise WorkerError(self._last_words()) from None
 
     def stop(self) -> None:
-        """End it at once."""
+        """End the worker at once."""
         self._process.kill()
         self._process.wait()
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
-                # What was not yet read by the worker cannot be delivered any more.
+                # A line that the worker has not read cannot be delivered after its end.
                 with contextlib.suppress(BrokenPipeError):
                     stream.close()
 
@@ -111,7 +111,7 @@ class Worker:
 
 @contextlib.contextmanager
 def started(module: str, *arguments: str) -> Iterator[Worker]:
-    """A worker that does not outlive the block."""
+    """Yield a worker that ends with the block."""
     with tempfile.TemporaryFile("w+") as complaints:
         worker = Worker(complaints, module, *arguments)
         try:
@@ -121,10 +121,11 @@ def started(module: str, *arguments: str) -> Iterator[Worker]:
 
 
 def serve(prepare: Callable[[], tuple[dict[str, Any], Callable[[Any], dict[str, Any]]]]) -> None:
-    """The worker's side.
+    """Serve requests as the worker.
 
     Args:
-        prepare: gives what to say once ready, and the work: from a question to its answer.
+        prepare: function that returns the first report, and a function from a question to its
+            answer.
     """
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
     speech = os.fdopen(os.dup(1), "w")

@@ -177,8 +177,7 @@ def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
     """Return the lines of elements; none for a file of a single line.
 
     An included element has the line of the included file and is left out. Its name is not in that
-    line
-    of this file.
+    line of this file.
     """
     text = path.read_text(encoding="utf-8", errors="replace").splitlines()
     kinds = {

@@ -37,8 +37,7 @@ def gltf_film(panel: Panel) -> bytes:
     """Return a binary glTF file (.glb) of a recording.
 
     Each body has a node with a unique name. Translation and rotation move the node at every instant
-    of
-    the recording. `evo_cpg.view.film.side_by_side` shows the same scene.
+    of the recording. `evo_cpg.view.film.side_by_side` shows the same scene.
 
     Raises:
         RecordingError: the recording does not fit its creature, is empty or is not finite.

@@ -98,8 +98,7 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
     """Place our frame at the geom's centre, turned as little from the body's as its shape allows.
 
     The root's frame is turned as little as possible from the world's. Both must agree in the
-    neutral
-    pose.
+    neutral pose.
     """
     model, kinds = compiled.model, compiled.mujoco.mjtGeom
     size = model.geom_size[geom]

@@ -9,8 +9,7 @@ circling camera. So whatever moves in the picture moves in the world.
 
 The distance is the smallest at which a sphere around the focus that holds every body fits the
 frame. The sphere fits at every instant if there is a light, and in half of them without one. The
-distance
-then grows until every body is inside the frame.
+distance then grows until every body is inside the frame.
 """
 
 from collections.abc import Callable

@@ -60,8 +60,7 @@ def _add_environment(stage: Stage) -> list[Update]:
     """Draw everything but the animal.
 
     Translucent actors are drawn in the order in which they are added. So the floor comes first,
-    then
-    things in its plane. The light and the trail come after the shadows, the water last.
+    then things in its plane. The light and the trail come after the shadows, the water last.
     """
     scene, look = stage.scene, stage.look
     updates = [add_sky(stage), add_ground(stage)]

@@ -75,8 +75,7 @@ def side_by_side(
         panels: the animals.
         path: ``.mp4`` (H.264), ``.webp`` or ``.gif`` for a film, ``.png`` for a still or a sheet. A
             name such as ``frames/%04d.png`` gives a picture of every frame, counted from 0, in a
-                new
-            folder.
+            new folder.
         film: settings of the film.
         processes: number of processes that draw a film. This process draws a still or a sheet. Each
             process takes some 400 MB of memory and a few seconds to start.

@@ -40,18 +40,14 @@ class Film:
         size: width and height of each animal's picture, pixels; rounded down to even numbers.
         fps: frames per second of the film.
         seconds: recorded time to show, s; all of it if None. For a still: the instant that it
-            shows,
-            the middle if None.
+            shows, the middle if None.
         speed: recorded seconds per second of film.
         camera: ``follow`` (from behind towards the light; without a light from the side and a
-            little
-            ahead), ``side``, ``top`` or ``orbit`` (once around).
+            little ahead), ``side``, ``top`` or ``orbit`` (once around).
         sheet: columns and rows of moments in one picture, each with all animals. They run evenly
-            from
-            the first moment of the film to the last. Moments of a shorter recording lie closer
+            from the first moment of the film to the last. Moments of a shorter recording lie closer
             together. With several animals each moment is a column with a heading: its time or, if
-                the
-            recordings differ in length, its number. None for a film or a still.
+            the recordings differ in length, its number. None for a film or a still.
         columns: columns of animals. If None, as many as rows or one more, and one on a sheet.
     """
 
@@ -114,8 +110,7 @@ class Frames:
 
         Yields:
             A function that draws the frame of a given number: ``(height, width, 3)`` bytes, bottom
-            row
-            first. The next call may overwrite the result.
+            row first. The next call may overwrite the result.
         """
         # The picture is white, and animals fill their parts.
         picture = np.full((self.rendered[1], self.rendered[0], 3), 255, np.uint8)

@@ -75,8 +75,7 @@ def _add_relief(stage: Stage, terrain: Terrain, texture: pv.Texture) -> Update:
     """Draw ground with relief, lit by the sun.
 
     The ground is translucent, so that it fades towards the horizon. It writes its depth, so that
-    hills
-    hide things behind them. For this its triangles are sorted from front to back.
+    hills hide things behind them. For this its triangles are sorted from front to back.
     """
     points, triangles, surface = terrain.points(), terrain.triangles(), stage.scene.surface
     middle = points[triangles].mean(1)

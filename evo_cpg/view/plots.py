@@ -42,8 +42,7 @@ _PERIODS = 2.1
 def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
     """Draw fitness over the generations, and the number of diverged individuals.
 
-    Thin lines of several runs show the best of each generation in each run, as in Figs. 4-2 to
-    4-6
+    Thin lines of several runs show the best of each generation in each run, as in Figs. 4-2 to 4-6
     of Fukui 2003. Thick lines are medians over the runs, and half of the runs lie within the band.
 
     Args:

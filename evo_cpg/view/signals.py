@@ -75,8 +75,7 @@ def signals_of(
     """Return the signals of a recording, with one axis of every joint.
 
     The axis is y or z, about which the animal bends. A joint without this axis is shown with the
-    axis
-    about which it turns most.
+    axis about which it turns most.
 
     Args:
         recording: the motion.
