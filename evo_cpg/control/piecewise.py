@@ -33,9 +33,9 @@ from evo_cpg.control.matsuoka import MatsuokaNetwork
 # exact to rounding below it: 0.125^12 / 12! = 3e-20.
 _SHORTEST, _TERMS = 0.125, 12
 
-# Largest size of a network with tabulated steps. Every pattern needs a table, and larger tables than
-# those of 25 oscillators are slow to build. Larger networks use series up to the second number times
-# the largest rate: 0.5^12 / 12! = 5e-13.
+# Largest size of a network with tabulated steps. Every pattern needs a table, and tables of more
+# than 25 oscillators are slow to build. Larger networks use Taylor series for steps of up to the
+# second number times the largest rate: 0.5^12 / 12! = 5e-13.
 _TABULATED, _SERIES = 100, 0.5
 
 # Largest relative error of the cubic in the middle of a step. It then holds everywhere, and the
@@ -309,8 +309,8 @@ class Flow:
     def rest(self, state: Float[np.ndarray, " k"]) -> Rest | None:
         """Return the equilibrium that a state certainly decays to; None if this is not certain.
 
-        The conditions are: state and equilibrium have one pattern, and the equilibrium is stable. No
-        decaying mode of the distance can bring a potential across zero.
+        The conditions are: state and equilibrium have one pattern, the equilibrium is stable, and
+        no decaying mode of the distance can bring a potential across zero.
         """
         if self.stands_still(state):
             here = self._with_rates(state, self._pattern(state))
@@ -325,8 +325,8 @@ class Flow:
         modes = self._modes(near, distance)
         if modes is not None and (np.abs(modes.shapes).sum(1) < margin).all():
             return near
-        # Nearly parallel modes, as of oscillators with one-way coupling, decide nothing. The norm of
-        # the flow then bounds the growth of a distance.
+        # Nearly parallel modes, as of oscillators with one-way coupling, decide nothing. Then the
+        # norm of the flow bounds the growth of a distance.
         reach = self._growth(near) * np.abs(distance).max()
         return near if (reach < margin).all() else None
 
@@ -389,7 +389,7 @@ class Flow:
         return _Modes(rates, shapes[: self.neurons], shapes)
 
     def _growth(self, near: Rest) -> float:
-        """Return a bound of the norm of the flow: 4 times its maximum at powers of two of a step."""
+        """Return a bound of the flow's norm: 4 times its maximum at powers of two of a step."""
         matrix = self._piece(near.firing).generator[:-1, :-1]
         step = _SHORTEST / np.abs(matrix).sum(1).max()
         onward = np.eye(len(matrix))

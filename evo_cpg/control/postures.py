@@ -155,7 +155,7 @@ class PostureController(Controller):
         )
 
     def decode(self, genes: Float[Array, "g *n"]) -> Float[Array, "p d *n"]:
-        """Return joint angles of every posture, rad; unless graded, a gene of 0.5 or more is a 1."""
+        """Return joint angles of every posture, rad. Unless graded, genes round to 0 or 1."""
         fractions = jnp.clip(genes, 0, 1) if self.graded else (genes >= 0.5).astype(genes.dtype)
         shape = self.postures, self.dof_count, self.bits_per_joint
         bits = fractions.reshape(*shape, *genes.shape[1:])

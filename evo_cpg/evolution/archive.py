@@ -1,4 +1,4 @@
-"""Map of behaviour: axes that are divided into cells, and the fittest individual of each cell."""
+"""Map of behaviour: axes divided into cells, and the fittest individual of each cell."""
 
 from typing import NamedTuple
 
@@ -31,12 +31,12 @@ class Archive(NamedTuple):
     """The elite of each cell. Checkpoints hold the arrays by these names.
 
     Attributes:
-        genes: its genome.
-        fitness: its fitness; -inf if the cell is empty.
-        descriptors: its descriptors, in the order of the axes.
-        generation: generation in which it was found, from 0.
-        index: its place in that population. With the generation it selects the random numbers of
-            its trials.
+        genes: genome of each elite.
+        fitness: fitness of each elite, or -inf if the cell is empty.
+        descriptors: descriptors of each elite, in the order of the axes.
+        generation: generation in which each elite was found, from 0.
+        index: index of each elite in that population. With the generation it selects the random
+            numbers of the elite's trials.
         told: number of generations that the archive has seen.
     """
 

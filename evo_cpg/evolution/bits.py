@@ -1,17 +1,17 @@
 """The genetic algorithm on bits of Fukui 2003, chapter 3.
 
-Of 15 individuals the best 7 stay unchanged. The other 8 are overwritten by the children of 4 pairs,
-two of each; the 8 parents are drawn independently by rank (so a pair may be twice the same), and
-ranks 9 to 15 are never parents. The children come from one-point crossover, and with probability
-1/2 a mutation happens, in which 2 to 30 genes are changed at random.
+The best 7 of 15 individuals stay unchanged. Children of 4 pairs overwrite the other 8, two of each
+pair. The 8 parents are drawn independently by rank, so one may be both parents of a pair. Ranks 9
+to 15 are never parents. The children come from one-point crossover. With probability 1/2 a mutation
+changes 2 to 30 random genes.
 
-The thesis does not say whether mutation is per child or per pair, nor whether a gene is flipped or
-drawn anew: here each child has its own, and a gene is drawn anew unless ``mutation`` says "flip".
-Chapter 4 tells of a first attempt with 5 kept and 10 replaced (``elites`` 5), and proposes to
-carry several copies of the best (``best_copies``). Differs from the thesis: an individual that
-diverged is never kept, and its place goes to one more child.
+The thesis does not say whether mutation is per child or per pair, or how a gene changes. Here each
+child has its own mutation. A gene is redrawn unless ``mutation`` is "flip". Chapter 4 describes a
+first attempt with 5 kept and 10 replaced (``elites`` 5). It proposes to keep several copies of the
+best (``best_copies``). Differs from the thesis: an individual that diverged is never kept, and one
+more child takes its place.
 
-A bit is a gene of 0.0 or 1.0, so that one type of array serves all genomes; genes come first and
+A bit is a gene of 0.0 or 1.0, so that one type of array serves all genomes. Genes come first and
 individuals last, ``(g, n)``.
 """
 
@@ -25,11 +25,10 @@ from evo_cpg.evolution.generation import Genetics, keep_elites
 from evo_cpg.evolution.selection import draw_parents
 from evo_cpg.evolution.variation import one_point_crossover
 
-# What happens to a gene that is changed: it is drawn anew, so half of them stay as they are, or it
-# becomes the other bit.
+# Change of a mutated gene: redrawn, so half of them stay as they are, or flipped to the other bit.
 MUTATIONS = ("redraw", "flip")
 
-# Decimal probabilities such as the thesis's add up to 1 but for rounding.
+# Sums of decimal probabilities such as the thesis's differ from 1 by rounding.
 _SUM_TOLERANCE = 1e-6
 
 
@@ -40,15 +39,16 @@ class BitGenetics(Genetics):
         population: number of individuals.
         elites: places of the next generation that hold the best individuals, unchanged;
             children fill the others.
-        best_copies: how many of these places hold the best one.
-        rank_probabilities: that a parent is of each rank, best first; lower ranks are no parents.
-        mutation_probability: that a child mutates.
-        mutated_genes: fewest and most genes that a mutation changes; every number between is as
-            likely.
-        mutation: what happens to a gene that is changed, one of ``MUTATIONS``.
+        best_copies: number of these places for the best individual.
+        rank_probabilities: probability of each rank to be a parent, best first; lower ranks are
+            no parents.
+        mutation_probability: probability that a child mutates.
+        mutated_genes: fewest and most genes that a mutation changes; all numbers in between are
+            equally likely.
+        mutation: change of a mutated gene, one of ``MUTATIONS``.
 
     Raises:
-        ValueError: a value outside its range.
+        ValueError: a value is outside its range.
     """
 
     population: int = eqx.field(static=True, default=15)
@@ -106,18 +106,18 @@ class BitGenetics(Genetics):
         fitness: Float[Array, " n"],
         trial_fitness: Float[Array, "trials n"] | None = None,
     ) -> Float[Array, "g n"]:
-        """Elites, and children of parents drawn by rank; siblings stand side by side.
+        """Return elites, and children of parents drawn by rank, with siblings adjacent.
 
         Raises:
-            ValueError: genomes with fewer genes than a mutation may change.
+            ValueError: genomes have fewer genes than a mutation may change.
         """
         del trial_fitness
         parent_key, cross_key, mutate_key = jax.random.split(key, 3)
-        # Whole pairs for every place: how many elites there are is known only at run time.
+        # Pairs for every place, because the number of elites is known only at run time.
         pairs = -(-self.population // 2)
         parents = draw_parents(parent_key, fitness, np.array(self.rank_probabilities), 2 * pairs)
         children = one_point_crossover(cross_key, genes, parents[:pairs], parents[pairs:], 1.0)
-        # Counted from the last place on, so the elites, which come first, part one pair at most.
+        # Drop children at the front, so that the elites, which come first, split at most one pair.
         children = children[:, 2 * pairs - self.population :]
         children = bit_mutation(
             mutate_key,
@@ -129,7 +129,7 @@ class BitGenetics(Genetics):
         return keep_elites(genes, fitness, children, self.elites, self.best_copies)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """All but the first mutated, every one."""
+        """Mutate all individuals but the first."""
         changed = bit_mutation(key, genes, 1.0, *self.mutated_genes, self.mutation)
         return changed.at[:, 0].set(genes[:, 0])
 
@@ -137,7 +137,7 @@ class BitGenetics(Genetics):
 def random_bits(
     key: Array, gene_count: int, population: int, dtype: jnp.dtype | type
 ) -> Float[Array, "g n"]:
-    """Random genomes: 0 or 1 with equal chances.
+    """Return random genomes: 0 or 1 with equal chances.
 
     Args:
         key: random key.
@@ -156,18 +156,18 @@ def bit_mutation(
     most: int,
     mutation: str,
 ) -> Float[Array, "g n"]:
-    """Change a random number of randomly chosen, different genes of some individuals.
+    """Change a random number of different random genes in some individuals.
 
     Args:
         key: random key.
         genes: genomes, 0 or 1.
-        probability: that an individual mutates.
-        fewest: genes that are changed in one that does.
-        most: genes that are changed; every number between is as likely.
-        mutation: what happens to a gene that is changed, one of ``MUTATIONS``.
+        probability: probability that an individual mutates.
+        fewest: smallest number of changed genes in a mutation.
+        most: largest number of changed genes. All numbers in between are equally likely.
+        mutation: change of a mutated gene, one of ``MUTATIONS``.
 
     Raises:
-        ValueError: genomes with fewer genes than may be changed.
+        ValueError: genomes have fewer genes than a mutation may change.
     """
     count, individuals = genes.shape
     if most > count:
@@ -187,20 +187,20 @@ def bit_mutation(
 def different_places(
     key: Array, count: int, number: Int[Array, " n"], most: int
 ) -> Int[Array, "most n"]:
-    """For each individual a number of different places of 0 to ``count`` - 1, any set as likely.
+    """Draw a set of different places of 0 to ``count`` - 1 for each individual, all equally likely.
 
-    Floyd's algorithm (Bentley and Floyd 1987, Communications of the ACM 30, 754): to a set of
-    places below ``j`` comes one of 0 to ``j``, or ``j`` itself if that one is already there; ``j``
-    rises to ``count`` - 1.
+    Floyd's algorithm (Bentley and Floyd 1987, Communications of the ACM 30, 754) extends a set of
+    places below ``j``. It adds a random place of 0 to ``j``, or ``j`` itself if that place is in
+    the set. ``j`` rises to ``count`` - 1.
 
     Args:
         key: random key.
-        count: of the places.
-        number: how many places each individual gets.
-        most: at least the largest of them.
+        count: number of places to draw from.
+        number: number of places for each individual.
+        most: upper bound of these numbers.
 
     Returns:
-        The places, in no order that means anything, and behind them ``count``.
+        The places in arbitrary order, then ``count`` as padding.
     """
     step = jnp.arange(most)[:, None]
     needed = step < number[None]

@@ -1,19 +1,18 @@
 """Algorithms of evosax (Lange 2022, evosax: JAX-based evolution strategies) as a strategy.
 
-evosax is installed with the extra ``evosax``; importing it starts JAX, so that is done when a
-strategy is made. It minimises, so
-fitness changes its sign; an individual that diverged gets the worst fitness of those that did not,
-for many of its algorithms compute with it. Where a genome is bits the algorithm searches real
-numbers, and a gene is 1 where its number is positive.
+evosax is installed with the extra ``evosax``. Importing it starts JAX, so the import waits until a
+strategy is built. evosax minimises, so fitness changes its sign. An individual that diverged gets
+the worst fitness of the others, because many algorithms compute with it. For genomes of bits the
+algorithm searches real numbers, and a gene is 1 where its number is positive.
 
 Like any other search it begins with the random genomes of the controller, on which scales are
-measured. A distribution then starts about the mean of the better half of them, a population with
-all of them.
+measured. A distribution then starts at the mean of the better half of them. A population starts
+with all of them.
 
-Genes are kept within bounds after the algorithm drew them, and it is told the numbers that it drew
-where the genes that were tried are still those. Full covariance matrices (``CMA_ES``, ``MA_ES``)
-need memory and time with the square of the number of genes: for a brain of 3000 there are
-``Sep_CMA_ES``, ``LM_MA_ES``, ``Open_ES`` and ``DifferentialEvolution``.
+Genes are clipped to bounds after the draw. The algorithm gets its own numbers back where the
+evaluated genes still match them. Full covariance matrices (``CMA_ES``, ``MA_ES``) need memory and
+time with the square of the number of genes. Alternatives for a brain of 3000 are ``Sep_CMA_ES``,
+``LM_MA_ES``, ``Open_ES`` and ``DifferentialEvolution``.
 """
 
 import dataclasses
@@ -34,12 +33,12 @@ from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 
 
 class Sample(NamedTuple):
-    """What goes on from one generation to the next.
+    """State that is carried from one generation to the next.
 
     Attributes:
-        numbers: that the algorithm drew, or what the first genes are in its terms.
-        state: of the algorithm.
-        told: number of generations that were told of; the algorithm begins after the first.
+        numbers: numbers that the algorithm drew, or those of the first genes.
+        state: state of the algorithm.
+        told: number of generations with results. The algorithm begins after the first.
     """
 
     numbers: Float[Array, "g n"]
@@ -51,19 +50,19 @@ class Evosax(Strategy):
     """An algorithm of evosax.
 
     Attributes:
-        algorithm: the name of its class.
-        population: individuals.
+        algorithm: name of the algorithm's class.
+        population: number of individuals.
         gene_count: numbers in a genome.
-        binary: whether they are bits.
-        sigma: standard deviation of the first sample, where the algorithm has one.
-        gene_bound: largest magnitude of a gene; None of bits.
-        learning_rate: of Adam, where the algorithm follows a gradient.
-        params: parameters of the algorithm and their values, where they are not its defaults.
-        options: of its constructor.
+        binary: True if genes are bits.
+        sigma: standard deviation of the first sample, if the algorithm has one.
+        gene_bound: largest magnitude of a gene; None for bits.
+        learning_rate: learning rate of Adam, if the algorithm follows a gradient.
+        params: parameters of the algorithm that differ from its defaults, with their values.
+        options: options of the algorithm's constructor.
 
     Raises:
-        TypeError: options that its constructor does not take.
-        ValueError: parameters that it does not have.
+        TypeError: the constructor does not take an option.
+        ValueError: the algorithm does not have a parameter.
     """
 
     algorithm: str = eqx.field(static=True)
@@ -85,13 +84,13 @@ class Evosax(Strategy):
             )
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Sample:
-        """The genomes that come first."""
+        """Return a state with the first genomes."""
         numbers = self._latent.numbers(genes)
         fitness = jnp.zeros(numbers.shape[1], numbers.dtype)
         return Sample(numbers, self._started(key, numbers, fitness), jnp.int32(0))
 
     def ask(self, key: Array, state: Sample) -> tuple[Float[Array, "g n"], Sample]:
-        """What comes first, then what the algorithm draws."""
+        """Return the first genomes, then genomes that the algorithm draws."""
         with jax.numpy_rank_promotion("allow"):
             rows, inner = self._algorithm.ask(key, state.state, self._params)
         first = state.told == 0
@@ -115,7 +114,7 @@ class Evosax(Strategy):
     def _started(
         self, key: Array, numbers: Float[Array, "g n"], fitness: Float[Array, " n"]
     ) -> PyTree[Array]:
-        """The algorithm's state after the first population."""
+        """Return the algorithm's state after the first population."""
         algorithm = self._algorithm
         with jax.numpy_rank_promotion("allow"):
             if type(algorithm) in _evosax().population_based_algorithms.values():
@@ -155,7 +154,7 @@ class Evosax(Strategy):
 
 
 def algorithms() -> list[str]:
-    """Names of the algorithms that there are.
+    """Return the names of the available algorithms.
 
     Raises:
         ImportError: evosax is not installed.
@@ -178,14 +177,14 @@ def _build(
     learning_rate: float,
     options: tuple[tuple[str, Any], ...],
 ) -> tuple[Any, Any]:
-    """The algorithm and its defaults; one object for equal settings: `jax.jit` goes by identity."""
+    """Build the algorithm and its defaults, once per settings: `jax.jit` compares by identity."""
     kind = getattr(_evosax(), name)
     taken, given = inspect.signature(kind).parameters, dict(options)
     if "std_schedule" in taken:
         given.setdefault("std_schedule", optax.constant_schedule(sigma))
     if "optimizer" in taken:
         given.setdefault("optimizer", optax.adam(learning_rate))
-    # Some of them make Python numbers of what they compute, which a tracer cannot be.
+    # Some algorithms convert computed values to Python numbers, which fails for tracers.
     with jax.ensure_compile_time_eval():
         genome = jnp.zeros(gene_count, jnp.float32)
         algorithm = kind(population_size=population, solution=genome, **given)

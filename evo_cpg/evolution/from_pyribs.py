@@ -1,37 +1,35 @@
 """CMA-MAE of pyribs (Tjanaka et al. 2023; Fontaine and Nikolaidis 2023) as a strategy.
 
 Like any other search it begins with the random genomes of the controller, on which scales are
-measured. From then on several evolution strategies, the *emitters*, each adapt a normal
-distribution, first about the mean of the better half of those, and put what they draw into one map.
-A cell of it has a threshold, the fitness that has to be exceeded to enter, and with each that
-enters it rises a little,
+measured. After that several evolution strategies, the *emitters*, put their samples into one map.
+Each adapts a normal distribution, which starts at the mean of the better half of the first genomes.
+A cell of the map has a threshold that fitness must exceed to enter. With each entry it rises,
 
     threshold <- (1 - a) threshold + a fitness,
 
-from ``threshold_min`` on, with the learning rate ``a``. (Where none is given it is the median of
-those who live through the emitters' first generation: who is worse is not worth a cell.) An emitter
-ranks what it drew by how far that lies above the thresholds: as they rise where it has been, it
-moves on to where they are low.
+from ``threshold_min`` on, with the learning rate ``a``. The default threshold is the median of the
+valid individuals in the emitters' first generation. An emitter ranks its sample by the height above
+the thresholds. Thresholds rise in explored regions, so the emitter moves to lower ones.
 ``a = 0`` optimises alone, as CMA-ES does, ``a = 1`` is CMA-ME. The settings are those of Fontaine
-and Nikolaidis: the better half of a sample are parents, and an emitter begins anew at an elite of
-the map when its sample has converged.
+and Nikolaidis: the better half of a sample are parents, and an emitter restarts at an elite of the
+map when its sample has converged.
 
-pyribs is installed with the extra ``pyribs``, and imported when a strategy is made. Emitters and
+pyribs is installed with the extra ``pyribs``, and imported when a strategy is built. Emitters and
 their map run on the host, in a callback of `Ribs.ask` and `Ribs.tell`. Between calls they are a
 pytree of arrays (see `evo_cpg.evolution.pyribs_host`).
 
-The emitters' map drops the fittest of a cell where a threshold allows a worse one, so the map that
-a run shows is another one, `evo_cpg.evolution.map_elites.Archive`, which everybody enters.
+The emitters' map may replace the fittest of a cell by a worse one above the threshold. So the map
+that a run shows is a separate `evo_cpg.evolution.map_elites.Archive` of all individuals.
 
-An individual that diverged, has descriptors that are not finite, or is not the one that the emitter
-drew (a migrant) does not enter the emitters' map, and ranks below all others of its emitter. While
-that map is empty, because none exceeded ``threshold_min``, there is nothing to begin anew from:
-then no emitter adapts, and all continue to draw where they began.
+Three kinds of individuals do not enter the emitters' map and rank below all others of their
+emitter: those that diverged, those with descriptors that are not finite, and migrants. While no
+individual exceeds ``threshold_min``, that map is empty. Then no emitter adapts, and all continue to
+draw from their initial distributions.
 
-Genes are clipped to their bounds after they were drawn (pyribs itself would draw again, at 3000
-genes forever); bits are as in `evo_cpg.evolution.latent`. A full covariance matrix (``cma_es``)
-takes memory and time with the square and the cube of the number of genes, and is hopeless for a
-brain of 3000: that is 72 MB a matrix, of which every emitter holds three.
+Genes are clipped to their bounds after the draw (pyribs itself would draw again, at 3000 genes
+forever). Bits are as in `evo_cpg.evolution.latent`. A full covariance matrix (``cma_es``) takes
+memory and time with the square and the cube of the number of genes. It is unsuitable for a brain of
+3000: a matrix has 72 MB, and every emitter holds three.
 """
 
 import functools
@@ -61,7 +59,7 @@ from evo_cpg.evolution.pyribs_host import (
 from evo_cpg.evolution.selection import rank_order
 from evo_cpg.evolution.strategy import Evaluation, descriptor_rows
 
-# Arrays by name; of those of emitters the first axis is that of the emitters.
+# Arrays by name. Arrays of emitters have the emitters on the first axis.
 Arrays = dict[str, Array]
 
 
@@ -69,10 +67,10 @@ class State(NamedTuple):
     """State of the search.
 
     Attributes:
-        archive: everybody's map.
-        cells: the emitters' map.
-        emitters: their distributions.
-        drawn: the last sample: the numbers of each individual, and what they were made of.
+        archive: map of all individuals.
+        cells: map of the emitters.
+        emitters: distributions of the emitters.
+        drawn: last sample: the numbers of each individual, and the draws behind them.
     """
 
     archive: Archive
@@ -82,26 +80,26 @@ class State(NamedTuple):
 
 
 class Ribs(MapStrategy):
-    """CMA-MAE.
+    """CMA-MAE as a strategy.
 
     Attributes:
-        population: individuals, shared equally by the emitters.
+        population: number of individuals, shared equally by the emitters.
         gene_count: numbers in a genome.
-        axes: of the map.
-        binary: whether genes are bits.
-        emitters: how many.
-        es: the evolution strategy of each, by pyribs' name: one of `ALGORITHMS`.
+        axes: axes of the map.
+        binary: True if genes are bits.
+        emitters: number of emitters.
+        es: evolution strategy of each emitter, by pyribs' name, one of `ALGORITHMS`.
         sigma: standard deviation of the first sample.
-        learning_rate: of thresholds, 0 to 1.
-        threshold_min: where they begin; None for the median of their first sample.
-        gene_bound: largest magnitude of a gene; None of bits.
-        options: of the evolution strategy's constructor, such as ``lr`` of ``openai_es``.
+        learning_rate: learning rate of thresholds, 0 to 1.
+        threshold_min: initial threshold; None for the median of the emitters' first sample.
+        gene_bound: largest magnitude of a gene; None for bits.
+        options: options of the evolution strategy's constructor, such as ``lr`` of ``openai_es``.
 
     Raises:
         ImportError: pyribs is not installed.
-        UnknownPyribsError: pyribs is of an unknown version.
-        TypeError: options that the constructor does not take.
-        ValueError: settings that do not go together.
+        UnknownPyribsError: the version of pyribs is unknown.
+        TypeError: the constructor does not take an option.
+        ValueError: the settings do not go together.
     """
 
     population: int = eqx.field(static=True)
@@ -133,7 +131,7 @@ class Ribs(MapStrategy):
         layout(self._settings)
 
     def map_of(self, state: State) -> Archive:
-        """Everybody's map."""
+        """Return the map of all individuals."""
         return state.archive
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Beginning:
@@ -142,7 +140,7 @@ class Ribs(MapStrategy):
         return Beginning(self.empty(genes), genes)
 
     def ask(self, key: Array, state: State | Beginning) -> tuple[Float[Array, "g n"], State]:
-        """What comes first; then what the emitters draw, with random numbers of their own."""
+        """Return the first genomes, then samples of the emitters from their own random numbers."""
         del key
         if isinstance(state, Beginning):
             nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes(self._settings))
@@ -156,9 +154,9 @@ class Ribs(MapStrategy):
     def tell(
         self, key: Array, state: State, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> State:
-        """What is told; after the first population the emitters begin.
+        """Return the state after the results; after the first population the emitters start.
 
-        They do so about the mean of its better half, in numbers.
+        They start at the mean of its better half, in numbers.
         """
         found = descriptor_rows(evaluation, self.measured())
         numbers, better = self._latent.numbers(genes), rank_order(evaluation.fitness)
@@ -186,7 +184,7 @@ class Ribs(MapStrategy):
         return (*super().metric_names, "restarts")
 
     def metrics(self, state: State) -> dict[str, Float[Array, ""]]:
-        """Also ``restarts``: how often emitters began anew, all together."""
+        """Return the map's metrics and ``restarts``, the total number of the emitters' restarts."""
         restarts = state.emitters["counters"][:, -1].sum().astype(jnp.float32)
         return {**super().metrics(state), "restarts": restarts}
 
@@ -209,12 +207,12 @@ class Ribs(MapStrategy):
         )
 
     def _rows(self, drawn: Arrays) -> Float[Array, "n g"]:
-        """The numbers of every individual."""
+        """Return the numbers of every individual."""
         return drawn[SAMPLE].reshape(self.population, self.gene_count)
 
 
 def _on_host(function: Any, like: PyTree, *given: PyTree) -> Any:
-    """A function of NumPy arrays within a program of JAX; under `jax.vmap` one after the other."""
+    """Call a NumPy function from a JAX program, sequentially under `jax.vmap`."""
     return jax.pure_callback(function, like, *given, vmap_method="sequential")
 
 

@@ -1,9 +1,9 @@
-"""From one generation to the next: elites, rank roulette, crossover, mutation.
+"""Step from one generation to the next: elites, rank roulette, crossover, mutation.
 
-`Genetics` is what the genetic algorithms have in common; `RealGenetics` is the one on real-valued
-genomes, and `bits` has the one on bits. For the real-valued one, Iwadate 2010 (Table 4) gives the
-population, the mutation rate and the crossover probability; elites and rank roulette are Fukui's
-(2003). Genes come first and individuals last, ``(g, n)``.
+`Genetics` is the common part of the genetic algorithms. `RealGenetics` is for real-valued genomes,
+and `bits` has the algorithm on bits. Population, mutation rate and crossover probability of the
+real-valued one are from Iwadate 2010 (Table 4). Elites and rank roulette are from Fukui 2003. Genes
+come first and individuals last, ``(g, n)``.
 """
 
 import abc
@@ -25,11 +25,11 @@ from evo_cpg.evolution.variation import gaussian_mutation, one_point_crossover
 
 
 class Genetics(Strategy):
-    """A genetic algorithm: what it knows is its population.
+    """A genetic algorithm, with its population as its state.
 
     Attributes:
         population: number of individuals.
-        checks_genes: no, because it only varies the genes that the controller drew.
+        checks_genes: False, because it only varies the genes that the controller drew.
     """
 
     population: eqx.AbstractVar[int]
@@ -37,19 +37,19 @@ class Genetics(Strategy):
     checks_genes = False
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """The first population."""
+        """Return the first population."""
         del key
         return genes
 
     def ask(self, key: Array, state: Float[Array, "g n"]) -> tuple[Float[Array, "g n"], tuple]:
-        """The population; it will be told again with its fitness, so nothing is remembered."""
+        """Return the population. `tell` receives it again, so the state is empty."""
         del key
         return state, ()
 
     def tell(
         self, key: Array, state: tuple, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Float[Array, "g n"]:
-        """The next population."""
+        """Return the next population."""
         del state
         return self.next_generation(key, genes, evaluation.fitness, evaluation.trial_fitness)
 
@@ -61,16 +61,16 @@ class Genetics(Strategy):
         fitness: Float[Array, " n"],
         trial_fitness: Float[Array, "trials n"] | None = None,
     ) -> Float[Array, "g n"]:
-        """Genomes of the next generation: the elites, best first, then the children.
+        """Return genomes of the next generation: the elites, best first, then the children.
 
-        An individual without a finite fitness never becomes an elite; a place that no finite
-        individual can take is filled by a child.
+        An individual without a finite fitness never becomes an elite. A child fills any place that
+        no finite individual can take.
 
         Args:
             key: random key.
             genes: the population.
-            fitness: of each individual, maximised.
-            trial_fitness: likewise in each trial; None where there is but one.
+            fitness: fitness of each individual, maximised.
+            trial_fitness: fitness of each individual in each trial, or None for a single trial.
         """
 
 
@@ -79,10 +79,10 @@ class RealGenetics(Genetics):
 
     Attributes:
         population: number of individuals.
-        elites: best individuals that pass on unchanged.
-        selection: of parents, ``rank`` or ``lexicase``.
-        parent_fraction: part of the population that may become parents by rank.
-        crossover_probability: that two parents' genomes are cut and rejoined.
+        elites: number of best individuals that stay unchanged.
+        selection: selection of parents, ``rank`` or ``lexicase``.
+        parent_fraction: fraction of the population that may become parents by rank.
+        crossover_probability: probability that two parents are crossed.
         mutation_rate: probability that a gene of a child changes.
         mutation_sigma: standard deviation of a change.
         gene_bound: largest magnitude of a gene.
@@ -104,7 +104,7 @@ class RealGenetics(Genetics):
         fitness: Float[Array, " n"],
         trial_fitness: Float[Array, "trials n"] | None = None,
     ) -> Float[Array, "g n"]:
-        """Elites, and children whose every gene may change a little."""
+        """Return elites, and mutated children of parents drawn by rank or lexicase selection."""
         count = self.population
         parent_key, cross_key, mutate_key = jax.random.split(key, 3)
         pairs = -(-count // 2)
@@ -123,7 +123,7 @@ class RealGenetics(Genetics):
         return keep_elites(genes, fitness, children, self.elites)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """All but the first mutated."""
+        """Mutate all individuals but the first."""
         changed = gaussian_mutation(
             key, genes, self.mutation_rate, self.mutation_sigma, self.gene_bound
         )
@@ -141,10 +141,11 @@ def keep_elites(
 
     Args:
         genes: the old population.
-        fitness: of it; the place of an elite whose fitness is not finite stays a child's.
-        children: one for every place.
-        elite_count: places to fill.
-        best_copies: how many of them go to the best individual.
+        fitness: fitness of the old population. A child stays in the place of an elite whose fitness
+            is not finite.
+        children: one child for every place.
+        elite_count: number of places for elites.
+        best_copies: number of these places for the best individual.
     """
     if elite_count == 0:
         return children

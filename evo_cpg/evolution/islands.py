@@ -1,10 +1,10 @@
-"""Islands: sub-populations that evolve apart, between which a few of the best wander now and then.
+"""Islands: sub-populations that evolve separately and exchange their best individuals.
 
-Every island has a strategy of its own, all with the same settings. After so many generations the
-best of each island take the places of the worst of the next one, before that is told (a ring, as in
-Cohoon et al. 1987, Punctuated equilibria: a parallel genetic algorithm). So migration works with
-every strategy: to one with a distribution the migrants are individuals injected into its sample
-(Hansen 2011, Injecting external solutions into CMA-ES).
+Every island has its own strategy, all with equal settings. At regular intervals the best of each
+island replace the worst of the next one, before its strategy gets the results. The islands form a
+ring, as in Cohoon et al. 1987, Punctuated equilibria: a parallel genetic algorithm. So migration
+works with every strategy. For one with a distribution the migrants are individuals injected into
+its sample (Hansen 2011, Injecting external solutions into CMA-ES).
 
 Islands stand side by side on the axis of individuals, ``(g, islands x n)``.
 """
@@ -22,11 +22,11 @@ from evo_cpg.evolution.strategy import Evaluation, Strategy
 
 
 class Archipelago(NamedTuple):
-    """What is known of all islands.
+    """State of all islands.
 
     Attributes:
-        generation: of how many was told.
-        islands: the state of each; of every array the first axis is that of the islands.
+        generation: number of completed generations.
+        islands: state of each island, with the islands on the first axis of every array.
     """
 
     generation: Int[Array, ""]
@@ -34,14 +34,14 @@ class Archipelago(NamedTuple):
 
 
 class Islands(Strategy):
-    """The same strategy on several islands.
+    """Strategy on several islands.
 
     Attributes:
-        population: individuals on all of them.
-        strategy: of one island.
-        count: of the islands.
-        every: so many generations the best migrate.
-        migrants: from each island.
+        population: number of individuals on all islands together.
+        strategy: strategy of one island.
+        count: number of islands.
+        every: number of generations between migrations.
+        migrants: number of migrants from each island.
     """
 
     population: int = eqx.field(static=True)
@@ -52,7 +52,7 @@ class Islands(Strategy):
 
     @property
     def gene_bound(self) -> float | None:
-        """Largest magnitude of a gene, where the strategy has one."""
+        """Largest magnitude of a gene, or None if the strategy has no bound."""
         return getattr(self.strategy, "gene_bound", None)
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Archipelago:
@@ -89,12 +89,12 @@ class Islands(Strategy):
         return self.strategy.metric_names
 
     def metrics(self, state: Archipelago) -> dict[str, Float[Array, ""]]:
-        """Means over the islands, see `Strategy.metrics`."""
+        """Return means over the islands, see `Strategy.metrics`."""
         found = jax.vmap(self.strategy.metrics, axis_size=self.count)(state.islands)
         return {name: values.mean() for name, values in found.items()}
 
     def _arrivals(self, fitness: Float[Array, " n"], now: Array) -> Int[Array, " n"]:
-        """Whose place everybody takes: his own, or that of a migrant from the island before."""
+        """Return the source of every place: its own index, or a previous island's migrant."""
         size = self.population // self.count
         first = size * np.arange(self.count)[:, None]
         order = first + jax.vmap(rank_order)(fitness.reshape(self.count, -1))

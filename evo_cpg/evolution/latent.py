@@ -1,6 +1,6 @@
-"""Genomes as real numbers, for searches that know nothing else and no bounds.
+"""Conversion of genomes to unbounded real numbers, for searches that require them.
 
-A real-valued gene is its number, clipped to the bounds; a bit is 1 where its number is positive.
+A real-valued gene is its number, clipped to the bounds. A bit is 1 where its number is positive.
 """
 
 from typing import NamedTuple
@@ -10,17 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-# Of bits that are flipped in a population about one individual.
+# Fraction of bits that are flipped in a population around one individual.
 _FLIPPED = 0.1
 
 
 class Latent(NamedTuple):
-    """How numbers and genes go together.
+    """Conversion between numbers and genes.
 
     Attributes:
-        binary: whether genes are bits.
-        sigma: standard deviation of the first sample; half the way from a bit to its opposite.
-        gene_bound: largest magnitude of a gene; None of bits.
+        binary: True if genes are bits.
+        sigma: standard deviation of the first sample, which is half the distance between two bits.
+        gene_bound: largest magnitude of a gene, or None for bits.
     """
 
     binary: bool
@@ -28,18 +28,18 @@ class Latent(NamedTuple):
     gene_bound: float | None
 
     def genes(self, numbers: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Genes of any numbers."""
+        """Return the genes for these numbers."""
         if self.binary:
             return (numbers > 0).astype(numbers.dtype)
         bound = np.inf if self.gene_bound is None else self.gene_bound
         return jnp.clip(numbers, -bound, bound)
 
     def numbers(self, genes: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Numbers that give these genes."""
+        """Return numbers for these genes."""
         return self.sigma * (2.0 * genes - 1.0) if self.binary else genes
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Normal noise about real numbers; of bits one in ten is flipped. The first stays."""
+        """Add normal noise, or flip one bit in ten, in all genomes but the first."""
         if self.binary:
             flipped = jax.random.bernoulli(key, _FLIPPED, genes.shape)
             changed = jnp.where(flipped, 1.0 - genes, genes)

@@ -1,18 +1,19 @@
 """MAP-Elites: the best individual of every kind of behaviour (Mouret and Clune 2015).
 
-Behaviour is what descriptors measure, such as the speed of a gait and the share of time that feet
-are on the ground. Their ranges are cut into cells, and each cell of this map keeps the fittest
-individual whose descriptors lie in it. Children of individuals drawn from the map compete for the
-cells that they fall into. What comes out is not one gait but a map of gaits.
+Descriptors measure behaviour, such as the speed of a gait and the fraction of time that feet are on
+the ground. Their ranges are cut into cells. Each cell of the map keeps the fittest individual with
+descriptors in it. Children of individuals from the map compete for the cells of their own
+descriptors. The result is not one gait but a map of gaits.
 
 Children of real-valued genomes vary along the line to another individual (Vassiliades and Mouret
 2018, Discovering the elite hypervolume by leveraging interspecies correlation, "Iso+LineDD"),
 
     child = a + iso_sigma N(0, I) + line_sigma N(0, 1) (b - a),
 
-with a and b drawn from the map; of bits a child is a one-point crossover of a and b, mutated as in
-`evo_cpg.evolution.bits`. The archive is a pytree of arrays, cells along the last axis; individuals
-beyond the ranges count to the nearest cell, those without finite descriptors to none.
+with a and b drawn from the map. For bits a child is a one-point crossover of a and b, mutated as in
+`evo_cpg.evolution.bits`. The archive is a pytree of arrays, with cells along the last axis.
+Individuals beyond the ranges belong to the nearest cell. Those without finite descriptors belong to
+none.
 """
 
 import abc
@@ -29,42 +30,42 @@ from evo_cpg.evolution.bits import bit_mutation
 from evo_cpg.evolution.strategy import Evaluation, Strategy, descriptor_rows
 from evo_cpg.evolution.variation import one_point_crossover
 
-# What every map says of itself.
+# Metrics of every map.
 METRICS = ("coverage", "mean_elite")
 
 
 class Beginning(NamedTuple):
-    """An empty map, and the genomes that come first."""
+    """An empty map, and the first genomes."""
 
     archive: Archive
     genes: Float[Array, "g n"]
 
 
 class Variation(eqx.Module):
-    """How children come from parents on the map."""
+    """Variation of parents on the map to children."""
 
     @property
     def gene_bound(self) -> float | None:
-        """Largest magnitude of a gene; None where there is no bound to keep."""
+        """Largest magnitude of a gene, or None without a bound."""
         return None
 
     @abc.abstractmethod
     def __call__(
         self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
     ) -> Float[Array, "g n"]:
-        """Children, one of each pair of parents."""
+        """Return children, one of each pair of parents."""
 
     @abc.abstractmethod
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Genomes, each changed a little."""
+        """Return genomes with a small change of each."""
 
 
 class AlongTheLine(Variation):
-    """Of real-valued genomes: noise, and a step along the line to the other parent.
+    """Variation of real-valued genomes: noise, and a step along the line to the other parent.
 
     Attributes:
-        iso_sigma: standard deviation of what every gene gets.
-        line_sigma: of how far a child goes along the line between its parents, in their distance.
+        iso_sigma: standard deviation of the noise on every gene.
+        line_sigma: standard deviation of the step, relative to the distance between the parents.
         gene_bound: largest magnitude of a gene.
     """
 
@@ -88,13 +89,13 @@ class AlongTheLine(Variation):
 
 
 class OfBits(Variation):
-    """Of bits: crossover of the two parents, and changed genes.
+    """Variation of bits: crossover of the two parents, and mutation.
 
     Attributes:
-        crossover: probability that the parents are crossed; otherwise a child is the first one's.
-        mutation_probability: that a child mutates.
+        crossover: probability that the parents are crossed; otherwise a child copies the first.
+        mutation_probability: probability that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes.
-        mutation: what happens to a gene that is changed, one of ``bits.MUTATIONS``.
+        mutation: change of a mutated gene, one of ``bits.MUTATIONS``.
     """
 
     crossover: float = 1.0
@@ -108,7 +109,7 @@ class OfBits(Variation):
         """See `Variation`."""
         cross_key, mutate_key = jax.random.split(key)
         first, second = parents
-        # Of two children of a pair the one that begins as the first parent.
+        # Take the child of each pair that begins as the first parent.
         children = one_point_crossover(cross_key, genes, first, second, self.crossover)[:, ::2]
         return self._changed(mutate_key, children, self.mutation_probability)
 
@@ -124,15 +125,15 @@ class MapStrategy(Strategy):
     """A search that fills a map of behaviour.
 
     Attributes:
-        population: individuals in every generation.
-        axes: of the map.
+        population: number of individuals in every generation.
+        axes: axes of the map.
     """
 
     axes: eqx.AbstractVar[tuple[Axis, ...]]
 
     @abc.abstractmethod
     def map_of(self, state: PyTree[Array]) -> Archive:
-        """The map in a state that `ask` gave."""
+        """Return the map in a state from `ask`."""
 
     @property
     def map_axes(self) -> tuple[Axis, ...]:
@@ -146,7 +147,7 @@ class MapStrategy(Strategy):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the map."""
+        """Number of cells along each axis."""
         return tuple(axis.cells for axis in self.axes)
 
     @property
@@ -155,11 +156,11 @@ class MapStrategy(Strategy):
         return METRICS
 
     def measured(self) -> tuple[str, ...]:
-        """The axes of the map."""
+        """Return the names of the axes."""
         return tuple(axis.name for axis in self.axes)
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
-        """``coverage``, the share of cells that are filled, and ``mean_elite``, their fitness."""
+        """Return ``coverage`` (fraction of filled cells) and ``mean_elite`` (their mean fitness)."""
         fitness = self.map_of(state).fitness
         filled = jnp.isfinite(fitness)
         count = filled.sum()
@@ -167,7 +168,7 @@ class MapStrategy(Strategy):
         return {"coverage": count / self.cells, "mean_elite": total / count}
 
     def cell_of(self, descriptors: Float[Array, "k n"]) -> Int[Array, " n"]:
-        """Number of the cell that individuals fall into; cell 0 where they are not finite."""
+        """Return the cell of each individual. Descriptors that are not finite count as lowest."""
         number = jnp.zeros(descriptors.shape[1:], jnp.int32)
         for axis, value in zip(self.axes, descriptors, strict=True):
             place = (value - axis.low) / (axis.high - axis.low) * axis.cells
@@ -177,7 +178,7 @@ class MapStrategy(Strategy):
         return number
 
     def empty(self, genes: Float[Array, "g n"]) -> Archive:
-        """A map without anybody, for genomes like these."""
+        """Return an empty map for genomes like these."""
         none = jnp.full(self.cells, -1, jnp.int32)
         return Archive(
             jnp.zeros((len(genes), self.cells), genes.dtype),
@@ -191,11 +192,11 @@ class MapStrategy(Strategy):
     def entered(
         self, archive: Archive, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Archive:
-        """The map with whoever is fitter than the elite of his cell."""
+        """Return the map with all individuals that are fitter than the elite of their cell."""
         found = descriptor_rows(evaluation, self.measured())
         fitness = jnp.where(jnp.isfinite(found).all(0), evaluation.fitness, -jnp.inf)
         cell = self.cell_of(found)
-        # The best for each cell; of equals the first.
+        # Best individual for each cell, the first among equals.
         best = jnp.full(self.cells, -jnp.inf, fitness.dtype).at[cell].max(fitness)
         wins = (fitness == best[cell]) & (fitness > archive.fitness[cell])
         count = len(fitness)
@@ -220,9 +221,9 @@ class MapElites(MapStrategy):
     """MAP-Elites.
 
     Attributes:
-        population: children in every generation.
-        axes: of the map.
-        vary: how children come about.
+        population: number of children in every generation.
+        axes: axes of the map.
+        vary: variation of parents to children.
     """
 
     population: int = eqx.field(static=True)
@@ -231,11 +232,11 @@ class MapElites(MapStrategy):
 
     @property
     def gene_bound(self) -> float | None:
-        """Largest magnitude of a gene; None of bits."""
+        """Largest magnitude of a gene, or None for bits."""
         return self.vary.gene_bound
 
     def map_of(self, state: Archive) -> Archive:
-        """It is the state."""
+        """Return the state, which is the map."""
         return state
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Beginning:
@@ -244,12 +245,12 @@ class MapElites(MapStrategy):
         return Beginning(self.empty(genes), genes)
 
     def ask(self, key: Array, state: Archive | Beginning) -> tuple[Float[Array, "g n"], Archive]:
-        """What comes first; then children of individuals from the map."""
+        """Return the first genomes, then children of individuals from the map."""
         if isinstance(state, Beginning):
             return state.genes, state.archive
         draw_key, vary_key = jax.random.split(key)
         filled = jnp.isfinite(state.fitness)
-        # From an empty map children of zeros are drawn, another start.
+        # An empty map has zeros as parents, which is a new start.
         (occupied,) = jnp.nonzero(filled, size=self.cells, fill_value=0)
         number = jnp.maximum(filled.sum(), 1)
         parents = occupied[jax.random.randint(draw_key, (2, self.population), 0, number)]
@@ -268,19 +269,19 @@ class MapElites(MapStrategy):
 
 
 class Charted(NamedTuple):
-    """What a strategy remembers, and the map of everybody who lived under it."""
+    """State of a strategy, and map of all its individuals."""
 
     archive: Archive
     state: PyTree[Array]
 
 
 class Mapped(MapStrategy):
-    """Any strategy, with a map of everybody who lived; it is none the wiser.
+    """Any strategy, with a map of all its individuals that does not influence it.
 
     Attributes:
-        population: individuals in every generation.
-        axes: of the map.
-        strategy: that searches.
+        population: number of individuals in every generation.
+        axes: axes of the map.
+        strategy: strategy that searches.
     """
 
     population: int = eqx.field(static=True)
@@ -289,7 +290,7 @@ class Mapped(MapStrategy):
 
     @property
     def gene_bound(self) -> float | None:
-        """Largest magnitude of a gene, where the strategy has one."""
+        """Largest magnitude of a gene, or None if the strategy has no bound."""
         return getattr(self.strategy, "gene_bound", None)
 
     def map_of(self, state: Charted) -> Archive:
@@ -322,5 +323,5 @@ class Mapped(MapStrategy):
         return (*self.strategy.metric_names, *super().metric_names)
 
     def metrics(self, state: Charted) -> dict[str, Float[Array, ""]]:
-        """The strategy's, and those of the map."""
+        """Return the metrics of the strategy and those of the map."""
         return {**self.strategy.metrics(state.state), **super().metrics(state)}

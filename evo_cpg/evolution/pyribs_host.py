@@ -1,18 +1,18 @@
 """The part of CMA-MAE that runs on the host: evolution strategies of pyribs, and their map.
 
-No object of pyribs outlives a call. Between calls its numbers are arrays, which a checkpoint holds,
-and each call builds it again to the same bits. That goes by public names:
+No object of pyribs outlives a call. Between calls its numbers are arrays, which a checkpoint holds.
+Each call rebuilds the object to the same bits, by public names:
 
 - The evolution strategies are classes of `ribs.emitters.opt`, with `reset`, `ask`, `tell` and
-  `check_stop`. pyribs' own emitter does not hand out its strategy, so its few steps are here
-  (`tell`): rank by improvement, adapt, begin anew.
-- What a strategy holds is what `vars` finds, as for `copy` and `pickle`. What it is for follows
-  from when it is set (`Layout`).
-- pyribs' random numbers come from generators that are given to it.
-- The map is ours (`enter`): nobody can set the thresholds of pyribs' map. Its sums and thresholds
-  have the bits of `ribs.archives.GridArchive`.
+  `check_stop`. pyribs' own emitter does not expose its strategy, so its few steps are here
+  (`tell`): rank by improvement, adapt, restart.
+- `vars` lists the attributes of a strategy, as for `copy` and `pickle`. The time at which an
+  attribute is set shows its purpose (`Layout`).
+- pyribs' random numbers come from generators that are passed to it.
+- The map is ours (`enter`), because the thresholds of pyribs' map cannot be set. Its sums and
+  thresholds have the bits of `ribs.archives.GridArchive`.
 
-NumPy rounds differently with different kinds of numbers, so numbers of a strategy are kept as
+NumPy rounds differently with different kinds of numbers. So numbers of a strategy are kept as
 float64, by their bits (two ``uint32`` each), together with their kinds.
 """
 
@@ -44,33 +44,33 @@ SEED_WORDS = 4
 # Kinds of numbers that a strategy holds.
 _KINDS = (float, np.float32, np.float64)
 
-# Of the state of a generator (PCG64), in bits.
+# Length of a word in the state of a generator (PCG64), bits.
 _WORD = 32
 
-# Added to a place on an axis, in cells and units, before it is rounded down; as in pyribs.
+# Added to a place on an axis, in cells and units, before rounding down, as in pyribs.
 _EPSILON = np.float32(1e-6)
 
-# Arrays by name; the first axis of those of emitters is the emitter.
+# Arrays by name. Arrays of emitters have the emitters on the first axis.
 Arrays = dict[str, np.ndarray]
 
 
 class UnknownPyribsError(Exception):
-    """The installed pyribs has strategies that cannot become arrays; the message says why."""
+    """Raised if strategies of the installed pyribs cannot become arrays, with the reason."""
 
 
 class RibsSettings(NamedTuple):
     """Settings of the emitters and of their map.
 
     Attributes:
-        axes: of the map.
+        axes: axes of the map.
         gene_count: numbers in a genome.
         emitters: number of emitters.
         batch: individuals of each emitter.
         es: evolution strategy of each emitter, one of `ALGORITHMS`.
         sigma: standard deviation of the first sample.
-        learning_rate: of thresholds.
+        learning_rate: learning rate of thresholds.
         threshold_min: initial threshold; None for the median of the first sample.
-        options: of the evolution strategy's constructor.
+        options: options of the evolution strategy's constructor.
     """
 
     axes: tuple[Axis, ...]
@@ -110,7 +110,7 @@ def optimiser(settings: RibsSettings, generator: np.random.Generator | None = No
     """
     kind = getattr(importlib.import_module("ribs.emitters.opt"), ALGORITHMS[settings.es])
     return kind(
-        # All that it is multiplied with becomes float64, too.
+        # All products with it become float64, too.
         sigma0=np.float64(settings.sigma),
         solution_dim=settings.gene_count,
         batch_size=settings.batch,
@@ -125,7 +125,7 @@ def layout(settings: RibsSettings) -> Layout:
     """Return the attributes of a strategy that change.
 
     Raises:
-        UnknownPyribsError: it holds something that is not a number, an array or a setting.
+        UnknownPyribsError: an attribute is not a number, an array or a setting.
     """
     strategy = optimiser(settings)
     before = _held(strategy)
@@ -140,7 +140,7 @@ def layout(settings: RibsSettings) -> Layout:
         and (before.get(name) is None or not np.array_equal(before[name], x))
     ]
     arrays = [name for name in set_now if isinstance(held[name], np.ndarray)]
-    # The kinds in a checkpoint are in this order since 1.0: Adam's parameters come first.
+    # Order of the kinds in a checkpoint since 1.0: Adam's parameters come first.
     vectors = tuple(sorted(arrays, key=lambda name: not name.endswith("_theta")))
     scalars = tuple(name for name in set_now if name not in vectors)
     drawn = tuple(name for name, x in held.items() if x is None)
@@ -149,7 +149,7 @@ def layout(settings: RibsSettings) -> Layout:
 
 @functools.lru_cache(maxsize=16)
 def shapes(settings: RibsSettings) -> tuple[PyTree, PyTree, PyTree]:
-    """Return the shapes of the arrays of the map, of the emitters, and of what these draw."""
+    """Return the shapes of the arrays of the map, of the emitters, and of their draws."""
     seeds = np.zeros((1 + settings.emitters, SEED_WORDS), np.uint32)
     started = start_emitters(settings, np.zeros(settings.gene_count, np.float32), seeds)
     cells, emitters = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), started)
@@ -179,7 +179,7 @@ def start_emitters(
     }
     emitters = []
     for seed in others:
-        # As pyribs' emitter does: the second generator would be its ranker's.
+        # As in pyribs' emitter, whose ranker gets the second generator.
         generator = np.random.default_rng(np.random.SeedSequence(seed).spawn(2)[0])
         strategy = optimiser(settings, generator)
         strategy.reset(start)
@@ -191,7 +191,7 @@ def draw(settings: RibsSettings, emitters: Arrays) -> tuple[Arrays, Arrays]:
     """Draw a population.
 
     Returns:
-        The emitters afterwards, and what they have drawn.
+        The emitters afterwards, and their draws.
     """
     after, drawn = [], []
     for number in range(settings.emitters):
@@ -216,15 +216,15 @@ def adapt(
     Args:
         settings: the settings.
         cells: the map.
-        emitters: their distributions.
-        drawn: by them.
-        fitness: of the population; finite.
-        measures: place of each individual on the axes; finite.
-        counts: individuals that may enter. The others rank below all of their emitter.
+        emitters: distributions of the emitters.
+        drawn: draws of the emitters.
+        fitness: fitness of the population; finite.
+        measures: descriptors of each individual, by axis; finite.
+        counts: True for individuals that may enter. The others rank below all of their emitter.
     """
     cells = {name: np.array(array) for name, array in cells.items()}
     if np.isnan(cells["threshold_min"]) and counts.any():
-        # Just below, so that an individual exceeds it even if all are equal.
+        # Just below the median, so that an individual exceeds it even if all are equal.
         median = np.float32(np.median(fitness[counts]))
         cells["threshold_min"] = np.asarray(np.nextafter(median, np.float32(-np.inf)))
     value = np.zeros(len(counts), np.float32)

@@ -1,6 +1,6 @@
-"""Random search: every generation is drawn anew, as the first one is.
+"""Random search: every generation is drawn anew, like the first one.
 
-What any search has to beat at the same number of evaluations.
+It is the baseline for any search with an equal number of evaluations.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from evo_cpg.evolution.strategy import Evaluation, Strategy
 
 
 class RandomSearch(Strategy):
-    """Random genomes for ever.
+    """Random genomes in every generation.
 
     Attributes:
         population: individuals in every generation.
@@ -23,17 +23,17 @@ class RandomSearch(Strategy):
     draw: Callable[[Array], Float[Array, "g n"]]
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """The genomes that come first."""
+        """Return the first genomes."""
         del key
         return genes
 
     def ask(
         self, key: Array, state: Float[Array, "g n"] | None
     ) -> tuple[Float[Array, "g n"], None]:
-        """What comes first, then whatever is drawn."""
+        """Return the first genomes, then new random genomes."""
         return self.draw(key) if state is None else state, None
 
     def tell(
         self, key: Array, state: None, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> None:
-        """Nothing is learnt."""
+        """Return the empty state, because nothing is learnt."""

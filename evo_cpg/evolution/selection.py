@@ -1,13 +1,13 @@
-"""Who become parents: rank roulette, and lexicase selection where there are several trials.
+"""Selection of parents: rank roulette, and lexicase selection for several trials.
 
 Fukui 2003, chapter 3, draws parents by rank, not by the size of their fitness, with fixed
-probabilities for ranks 1 to 8; Iwadate 2010 does not say how parents were drawn, so the same
-operator serves both. Fitness is maximised. NaN and -inf rank last; equal fitness keeps the order of
-the population, so ties are decided the same way every time.
+probabilities for ranks 1 to 8. Iwadate 2010 does not say how parents were drawn, so one operator
+serves both. Fitness is maximised. NaN and -inf rank last. Equal fitness keeps the order of the
+population, so ties are decided reproducibly.
 
-Lexicase selection (Spector 2012) looks at one trial after the other instead of at their mean, so it
-keeps those who do well in one of them only. With a tolerance it suits real numbers (La Cava,
-Spector and Danai 2016, epsilon-lexicase selection); Moore and Stanton (2017) found that virtual
+Lexicase selection (Spector 2012) filters by one trial after another instead of by their mean. It
+keeps individuals that do well in a single trial. A tolerance adapts it to real numbers (La Cava,
+Spector and Danai 2016, epsilon-lexicase selection). Moore and Stanton (2017) found that virtual
 creatures evolve better with it.
 """
 
@@ -16,21 +16,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-# Each holds a row as long as the population.
+# Each draw holds a row as long as the population.
 _DRAWS_AT_ONCE = 64
 
 
 def rank_order(fitness: Float[Array, " n"]) -> Int[Array, " n"]:
-    """Indices from the best individual to the worst."""
+    """Return indices from the best individual to the worst."""
     return jnp.argsort(-jnp.where(jnp.isnan(fitness), -jnp.inf, fitness), stable=True)
 
 
 def linear_rank_probabilities(count: int, parent_fraction: float) -> np.ndarray:
-    """Probability ``(count,)`` of each rank as a parent: falls linearly to 0 below the last parent.
+    """Return ``(count,)`` probabilities of ranks as parents, falling linearly to 0 after the last.
 
     Args:
         count: individuals in the population.
-        parent_fraction: part of the population that may become parents, 0 to 1.
+        parent_fraction: fraction of the population that may become parents, 0 to 1.
     """
     parents = max(1, round(parent_fraction * count))
     weights = np.maximum(parents - np.arange(count), 0.0)
@@ -40,13 +40,13 @@ def linear_rank_probabilities(count: int, parent_fraction: float) -> np.ndarray:
 def draw_parents(
     key: Array, fitness: Float[Array, " n"], probabilities: np.ndarray, count: int
 ) -> Int[Array, " count"]:
-    """Indices of parents, drawn independently (repeats allowed) by rank.
+    """Draw indices of parents independently by rank, with repeats allowed.
 
     Args:
         key: random key.
-        fitness: of the population.
-        probabilities: of each rank, best first.
-        count: parents wanted.
+        fitness: fitness of the population.
+        probabilities: probability of each rank, best first.
+        count: number of parents.
     """
     ranks = jax.random.choice(
         key, len(probabilities), (count,), p=jnp.asarray(probabilities, jnp.float32)
@@ -60,17 +60,18 @@ def draw_by_lexicase(
     trial_fitness: Float[Array, "trials n"],
     count: int,
 ) -> Int[Array, " count"]:
-    """Indices of parents, each found by going through the trials in an order of its own.
+    """Draw indices of parents, each by a random order of the trials.
 
-    Of those that are left, all stay whose fitness in a trial is within its tolerance of the best
-    among them: the median absolute deviation of that trial's fitness. Of those that are left after
-    the last trial any is as likely.
+    Each trial keeps the remaining individuals with a fitness within its tolerance of the best
+    among them. The tolerance is the median absolute deviation of that trial's fitness. After the
+    last trial all remaining individuals are equally likely.
 
     Args:
         key: random key.
-        fitness: of the population; who has no finite one is chosen only where nobody has.
-        trial_fitness: of it, in each trial.
-        count: parents wanted.
+        fitness: fitness of the population. An individual without a finite fitness is chosen only
+            if none has one.
+        trial_fitness: fitness of the population in each trial.
+        count: number of parents.
     """
     alive = jnp.isfinite(fitness)
     known = jnp.where(alive, trial_fitness, jnp.nan)

@@ -1,13 +1,13 @@
-"""What every search takes and gives: genomes to be tried, and what came of them.
+"""Interface of all searches: they propose genomes and receive their evaluation.
 
-A *strategy* is structure and settings, like a controller or a task; what it learns is its *state*,
-any pytree of arrays, which the checkpoint holds beside the population. In every generation it is
-asked for genomes and told what they are worth:
+A *strategy* is structure and settings, like a controller or a task. Its *state* is any pytree of
+arrays, which the checkpoint holds beside the population. Every generation calls `ask` for genomes
+and `tell` with their evaluation:
 
     init ---> ask ---> (trials) ---> tell ---> ask ---> (trials) ---> ...
 
-Asking and telling are pure JAX functions and part of one compiled generation step. Genes come first
-and individuals last, ``(g, n)``; fitness is maximised.
+Both are pure JAX functions and part of one compiled generation step. Genes come first and
+individuals last, ``(g, n)``. Fitness is maximised.
 """
 
 import abc
@@ -23,14 +23,14 @@ from evo_cpg.evolution.archive import Archive, Axis
 
 
 class Evaluation(eqx.Module):
-    """What a population is worth.
+    """Evaluation of a population.
 
     Attributes:
-        fitness: of every individual, to be maximised: the mean over its trials; -inf where it
-            diverged in any.
-        terms: the task's terms by name, likewise averaged.
-        descriptors: those terms that say how an individual behaves, see `Task.descriptors`.
-        trial_fitness: fitness in each trial, of which `fitness` is the mean.
+        fitness: fitness of every individual, to be maximised. It is the mean over the trials, or
+            -inf if the individual diverged in any.
+        terms: the task's terms by name, averaged over the trials.
+        descriptors: terms that describe the behaviour of an individual, see `Task.descriptors`.
+        trial_fitness: fitness in each trial.
     """
 
     fitness: Float[Any, " n"]
@@ -46,20 +46,22 @@ class Evaluation(eqx.Module):
 
 
 class Strategy(eqx.Module):
-    """A search for good genomes. Subclass it to write one of your own.
+    """A search for good genomes. Subclass it to write your own.
 
-    The methods must be pure JAX functions; several runs side by side are batched by `jax.vmap`.
-    What `ask` hands back as the state may differ in structure from what `tell` gives: only the
-    former is kept from one generation to the next. A strategy is built with the keyword arguments
-    in the config's ``evolution.options`` and, where its constructor takes them, ``population``,
-    ``gene_count`` and ``binary`` (whether genes are bits, 0 or 1).
+    The methods must be pure JAX functions. `jax.vmap` batches several runs side by side. The state
+    from `ask` may differ in structure from the state from `tell`. Only the former is kept from one
+    generation to the next.
+
+    A strategy is built with the keyword arguments in the config's ``evolution.options``. It also
+    gets ``population``, ``gene_count`` and ``binary`` (whether genes are bits, 0 or 1) if its
+    constructor takes them.
 
     Attributes:
-        population: individuals that are asked for in every generation.
-        checks_genes: whether a run stops if `ask` returns genes that are not finite.
+        population: number of individuals in every generation.
+        checks_genes: True if a run stops when `ask` returns genes that are not finite.
 
     Example:
-        A hill climber: normal noise about the best genome ever tried::
+        A hill climber, with normal noise about the best genome so far::
 
             class Climber(Strategy):
                 population: int = eqx.field(static=True)
@@ -87,22 +89,22 @@ class Strategy(eqx.Module):
 
     @abc.abstractmethod
     def init(self, key: Array, genes: Float[Array, "g n"]) -> PyTree[Array]:
-        """The state before the first generation.
+        """Return the state before the first generation.
 
         Args:
             key: random key.
-            genes: random genomes as the controller draws them, or those that a run begins with
-                (a warm start). A task's scales are measured on what is asked for first, so
-                whoever asks for these first has the same ones as other searches.
+            genes: random genomes from the controller, or the initial genomes of a warm start. The
+                first genomes from `ask` determine a task's scales. A strategy that returns these
+                genomes first has the scales of other searches.
         """
 
     @abc.abstractmethod
     def ask(self, key: Array, state: PyTree[Array]) -> tuple[Float[Array, "g n"], PyTree[Array]]:
-        """Genomes to be tried, all finite, and what is to be remembered.
+        """Return genomes to evaluate, all finite, and the state.
 
         Args:
             key: random key.
-            state: as `init` or `tell` left it.
+            state: state from `init` or `tell`.
         """
 
     @abc.abstractmethod
@@ -113,20 +115,21 @@ class Strategy(eqx.Module):
         genes: Float[Array, "g n"],
         evaluation: Evaluation,
     ) -> PyTree[Array]:
-        """The state after the trials.
+        """Return the state after the trials.
 
         Args:
             key: random key.
-            state: as `ask` left it.
-            genes: that were tried: those asked for, unless something else has taken the place of
-                some (migrants from another island, say).
-            evaluation: what they are worth; no fitness is NaN, that of who diverged is -inf.
+            state: state from `ask`.
+            genes: evaluated genomes. They are those from `ask`, unless others have replaced some
+                (migrants from another island, for example).
+            evaluation: evaluation of the genomes. No fitness is NaN. An individual that diverged has
+                -inf.
         """
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """A first population about one individual: its copies, changed a little.
+        """Return a first population around one individual: its copies with small changes.
 
-        Unless overridden, all but the first are as they are given.
+        Unless overridden, all but the first stay as given.
 
         Args:
             key: random key.
@@ -141,27 +144,27 @@ class Strategy(eqx.Module):
         return ()
 
     def map_of(self, state: PyTree[Array]) -> Archive | None:
-        """Return the map of behaviour in a state that `ask` left; None without `map_axes`."""
+        """Return the map of behaviour in a state from `ask`, or None without `map_axes`."""
         del state
         return None
 
     @property
     def metric_names(self) -> tuple[str, ...]:
-        """Names of the `metrics`; none that metrics.csv has already."""
+        """Names of the `metrics`, distinct from the other columns of metrics.csv."""
         return ()
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
-        """Numbers for metrics.csv, by name; none unless overridden.
+        """Return numbers for metrics.csv, by name; none unless overridden.
 
         Args:
-            state: as `ask` left it.
+            state: state from `ask`.
         """
         del state
         return {}
 
 
 def worst_finite(fitness: Float[Array, " n"]) -> Float[Array, " n"]:
-    """Fitness with that of the worst survivor where it is not finite; 0 where nobody survived.
+    """Replace fitness that is not finite by the worst finite fitness, or 0 if there is none.
 
     For strategies that compute with it.
     """
@@ -171,6 +174,6 @@ def worst_finite(fitness: Float[Array, " n"]) -> Float[Array, " n"]:
 
 
 def descriptor_rows(evaluation: Evaluation, names: tuple[str, ...]) -> Float[Array, "k n"]:
-    """Descriptors, or else terms, by name."""
+    """Return descriptors, or otherwise terms, by name."""
     known: dict[str, ArrayLike] = {**evaluation.terms, **evaluation.descriptors}
     return jnp.stack([jnp.asarray(known[name]) for name in names])
