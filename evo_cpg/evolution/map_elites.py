@@ -160,7 +160,7 @@ class MapStrategy(Strategy):
         return tuple(axis.name for axis in self.axes)
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
-        """Return ``coverage`` (fraction of filled cells) and ``mean_elite`` (their mean fitness)."""
+        """Return ``coverage`` (fraction of filled cells) and ``mean_elite`` (mean fitness)."""
         fitness = self.map_of(state).fitness
         filled = jnp.isfinite(fitness)
         count = filled.sum()

@@ -122,7 +122,7 @@ class Strategy(eqx.Module):
             state: state from `ask`.
             genes: evaluated genomes. They are those from `ask`, unless others have replaced some
                 (migrants from another island, for example).
-            evaluation: evaluation of the genomes. No fitness is NaN. An individual that diverged has
+            evaluation: results of the genomes. No fitness is NaN. An individual that diverged has
                 -inf.
         """
 

@@ -114,7 +114,8 @@ def test_the_reference_says_values_units_and_defaults():
         " `multiply` |",
         "| `type` | `hills` |  | **required** |",
         "| `type` | `real` |  | `real` |",
-        "| `surface` | number | m | none | height of the water's surface, or `null` for water everywhere |",
+        "| `surface` | number | m | none | height of the water's surface, or `null` for water"
+        " everywhere |",
         "### `simulation.trials.N.light`, `task.light`",
         "### `creature.sensors.N`, `world.forces.N`, `controller`, `task`: "
         "`type: my_module:MyClass`",
