@@ -1,1 +1,1 @@
-"""Measuring evo_cpg beside its peers, and reproducing the papers' studies."""
+"""Benchmarks of evo_cpg beside its peers, measurements for the docs, and long tests."""

@@ -4,7 +4,7 @@ The error is the median over 16 individuals of a distance, after 1 s in water or
 ground. It is the distance between the root's place and its place in a *reference*. The reference is
 the same program with a sixteenth of the step and the same commands, held over the same times.
 Errors are fractions of the body length, so that animals and programs can be compared. The body
-length is the largest distance between two bodies' centres in the neutral pose.
+length is the largest distance between two bodies' centres of mass in the neutral pose.
 
 Each program has its own reference. So the error measures the accuracy lost by the step, and not
 which water or ground is right. Our reference is in float64, so our error contains the rounding of
@@ -38,7 +38,14 @@ def our_error(exercise: Exercise, program: Program, mesh: Mesh) -> float:
 
 
 def our_places(exercise: Exercise, mesh: Mesh, steps: int, finer: int) -> Float[np.ndarray, "3 n"]:
-    """Return the first individuals' places after some steps, each divided, in float64; m."""
+    """Return the final places of our first individuals' roots, m, in float64.
+
+    Args:
+        exercise: exercise of the animals.
+        mesh: the devices.
+        steps: number of the config's steps.
+        finer: number of parts of each step.
+    """
     lanes = exercise.lanes(full_lanes(LANES, mesh)).astype(float)
     with jax.enable_x64(True):
         return compile_motion(exercise, lanes, mesh, finer).run(steps * finer)[:, :LANES]
@@ -54,7 +61,15 @@ def mujoco_error(exercise: Exercise, kind: Kind, threads: int) -> float:
 def mujoco_places(
     exercise: Exercise, kind: Kind, threads: int, steps: int, finer: int
 ) -> Float[np.ndarray, "3 n"]:
-    """Return the places of MuJoCo's first individuals after some steps, each divided; m."""
+    """Return the final places of the roots of MuJoCo's first individuals, m.
+
+    Args:
+        exercise: exercise of the animals.
+        kind: kind of fluid.
+        threads: number of threads.
+        steps: number of the config's steps.
+        finer: number of parts of each step.
+    """
     motion = Motion(exercise, kind, exercise.lanes(LANES), threads, finer)
     return places(motion.states(motion.rest(), motion.signals(steps * finer)))
 
@@ -72,7 +87,7 @@ def typical_distance(first: Float[np.ndarray, "3 n"], second: Float[np.ndarray, 
 
 
 def body_length(exercise: Exercise) -> float:
-    """Return the largest distance between two bodies' centres in the neutral pose, m."""
+    """Return the largest distance between two bodies' centres of mass in the neutral pose, m."""
     tree = exercise.experiment.simulation.world.tree
     pose = kinematics(tree, resting_state(tree))
     centre = np.asarray(pose.origin + (pose.rotation * tree.com[None]).sum(1))

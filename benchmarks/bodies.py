@@ -1,7 +1,8 @@
 """A population of different bodies in one program, beside a population with one shared body.
 
-Whole trials run on one core. Sizes, densities, places of joints and stiffnesses are random, each
-within a tenth of the configuration's value.
+Short trials of the whole stack run on one core. The numbers in `_DRAWN` are random: sizes,
+densities, places of joints, constants of motors and drag. Each is within a tenth of the
+configuration's value.
 """
 
 import dataclasses
@@ -24,7 +25,7 @@ from evo_cpg.simulation.rollout import rollout
 
 _SIZE = 200
 _STEPS = 120
-# Number of built bodies, a tenth of a second each. The population uses them in turn.
+# Number of creatures that are built, in a tenth of a second each. The population uses them in turn.
 _BUILT = 25
 _DRAWN = {
     "iwadate2010_swimmer": (
@@ -48,7 +49,7 @@ _DRAWN = {
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """Yield a row per config and size; the ratio is the speed relative to the shared body's."""
+    """Yield a row per config and size, with the speed relative to one shared body."""
     for name in list(_DRAWN)[: 1 if plan.quick else None]:
         for size in plan.sizes_or(_SIZE):
             yield _measure(name, size, plan)
@@ -93,7 +94,13 @@ def _measure(name: str, size: int, plan: Plan) -> Row:
 
 
 def _population(name: str, size: int, short: bool) -> BatchedSimulation:
-    """Return a simulation with bodies for this number of individuals."""
+    """Return a simulation whose individuals use the random bodies in turn.
+
+    Args:
+        name: name of the config.
+        size: number of individuals.
+        short: whether to build few bodies, of a short swimmer.
+    """
     path, rng = CONFIGS / f"{name}.yaml", np.random.default_rng(0)
     config = load_config(path, ["creature.bodies.1.repeat=2"] if short else [])
     built = 3 if short else _BUILT

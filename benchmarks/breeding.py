@@ -52,7 +52,7 @@ def measure(plan: Plan) -> list[Row]:
 
 
 def _ours(genetics: Genetics, gene_count: int) -> tuple[Breeder, float]:
-    """Return a function that breeds some generations, and its compile time, s."""
+    """Return a function that breeds a number of generations, and its compile time, s."""
     fitness = _fitness()
     first = jax.random.bernoulli(jax.random.key(0), 0.5, (gene_count, SIZE)).astype(jnp.float32)
 
@@ -64,7 +64,10 @@ def _ours(genetics: Genetics, gene_count: int) -> tuple[Breeder, float]:
 
 
 def _evosax(gene_count: int) -> tuple[Breeder, float]:
-    """Return SimpleGA's breeder, with ask and tell compiled together, and its compile time, s."""
+    """Return SimpleGA's function that breeds a number of generations, and its compile time, s.
+
+    Its methods `ask` and `tell` are compiled together.
+    """
     evosax: Any = importlib.import_module("evosax.algorithms")
     strategy = evosax.SimpleGA(population_size=SIZE, solution=jnp.zeros(gene_count))
     settings, fitness = strategy.default_params, -_fitness()

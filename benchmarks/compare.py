@@ -17,7 +17,7 @@ class Change(NamedTuple):
         kind: "ratio to NAME" or the unit of the rate.
         then: the earlier value.
         now: the present value.
-        gain: present speed over the earlier speed; below 1 is slower.
+        gain: present speed, or ratio to the peer, over the earlier one. Below 1 is slower.
         slower: whether the loss exceeds the tolerance.
     """
 
@@ -30,11 +30,11 @@ class Change(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """All rows that both runs have.
+    """Comparison of all rows that both runs have.
 
     Attributes:
         changes: one change for each row.
-        remarks: sentences for the reader.
+        remarks: phrases about differences between the runs.
     """
 
     changes: list[Change]
@@ -51,7 +51,7 @@ def compare(
     now: tuple[dict[str, Any], list[Row]],
     tolerance: float,
 ) -> Verdict:
-    """Find the rows that became slower.
+    """Compare all rows that both runs have.
 
     Args:
         then: machine and rows of the earlier run.

@@ -3,12 +3,12 @@
 Animals thrash about on their own ground, with the commands of the benchmark's exercises. Each
 physics step gives:
 
-- the residual of the solved problem, and of Coulomb's law with the normal forces of that step, as
-  fractions of the ground's load;
-- the depth of every contact point after the step, and the overlap of bodies of one animal;
-- in float64, the growth of a disturbance of 1e-9 within 0.1 s.
+- the residual of the solved problem, as a fraction of the forces that act;
+- the error in Coulomb's law with the step's own normal forces, as a fraction of the load;
+- the depth of every contact point after the step, and the overlap of bodies of one animal.
 
-The table is the one in docs/models/contact.md.
+In float64, every window of 0.1 s also gives the growth of a disturbance of 1e-9. The figures are in
+docs/models/contact.md.
 """
 
 import argparse
@@ -31,22 +31,22 @@ from evo_cpg.physics.pairs import separations
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import first_warmstart, step
 
-# Initial disturbance (norm of the state), and length of a window of growth, s.
+# Norm of the change of the state at the start of a window, and length of a window, s.
 DISTURBANCE, WINDOW = 1e-9, 0.1
 
 _ON_LAND = ("quadruped", "salamander-land")
 
 
 class Thrashing(NamedTuple):
-    """Results of every physics step.
+    """Results of every physics step ``t`` and window ``w``.
 
     Attributes:
-        touches: whether anything carried weight.
-        solved: residual of the solved problem.
-        coulomb: residual of Coulomb's law.
-        depth: depth of every contact point, m.
-        overlap: deepest overlap of bodies of one animal, m; 0 if none are kept apart.
-        growth: growth of a disturbance in every window; empty in float32.
+        touches: whether any contact point had a normal force.
+        solved: residual of the solved problem, a fraction.
+        coulomb: error in Coulomb's law, a fraction.
+        depth: depth of every contact point, m, negative above the ground.
+        overlap: deepest overlap of bodies of one animal, m. It is 0 without pairs to keep apart.
+        growth: factor by which the disturbance grew in every window, empty in float32.
     """
 
     touches: Float[np.ndarray, "t n"]
@@ -63,7 +63,7 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
     Args:
         exercise: commands of the population.
         count: number of individuals.
-        seconds: duration, s.
+        seconds: duration, s, rounded to whole windows.
         dtype: type of all numbers; in float64 every individual has a disturbed twin.
     """
     simulation = exercise.experiment.simulation
@@ -98,7 +98,7 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
     for i in track(windows, "thrashing", transient=True, console=Console(stderr=True)):
         if pairs:
             state = _disturbed(state, count, rng)
-            # A disturbed twin starts with the warm start of its original.
+            # A disturbed twin starts each window with the warm start of its original.
             warmstart = jax.tree.map(_twice(count), warmstart)
             before = _distance(state, count)
         (state, warmstart), seen = window((state, warmstart), jnp.int32(i * size))
@@ -115,7 +115,7 @@ def _twice(count: int) -> Callable[[Array], Array]:
 
 
 def _both(command: tuple[Array, Array | None], h: float) -> tuple[Array, float, Array | None]:
-    """Return the arguments of `step` that follow the state."""
+    """Return the arguments of `step` after the state: target rates, step, and target angles."""
     rate, angle = command
     return rate, h, angle
 
@@ -134,7 +134,7 @@ def _disturbed(state: State, count: int, rng: np.random.Generator) -> State:
 
 
 def _distance(state: State, count: int) -> Float[np.ndarray, " n"]:
-    """Return the distance of each individual from its twin."""
+    """Return the norm of the difference between each individual's state and its twin's."""
     apart = [
         np.asarray(x)[..., count:] - np.asarray(x)[..., :count] for x in jax.tree.leaves(state)
     ]
@@ -142,7 +142,11 @@ def _distance(state: State, count: int) -> Float[np.ndarray, " n"]:
 
 
 def row(animal: str, dtype: type, found: Thrashing) -> str:
-    """Return a row of the table, as fractions of contact steps, or of all points at all times."""
+    """Return a row of the table.
+
+    Residuals and Coulomb errors are counted in contact steps, depths at all points in all steps,
+    and overlaps in all steps.
+    """
     fraction = functools.partial(_fraction, found.touches)
     growth = (
         ""
@@ -173,7 +177,7 @@ growth: median / 99 % / most |
 
 
 def _fraction(touches: np.ndarray, residual: np.ndarray, bound: float) -> float:
-    """Return the percentage of contact steps with a larger residual."""
+    """Return the percentage of contact steps with a residual above a bound."""
     return 100 * float((residual[touches] > bound).mean())
 
 

@@ -1,6 +1,6 @@
 """Every shipped config on native code and on plain JAX, which works without LLVM.
 
-Trials of a population are whole but short, because plain JAX compiles long and is slow.
+Trials run the whole stack, but few steps, because plain JAX compiles long and runs slowly.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ _STEPS = 60
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """Yield a row per config and size; the ratio is the speed relative to plain JAX."""
+    """Yield a row per config and size, with the speed relative to plain JAX."""
     names, overrides = sorted(path.stem for path in CONFIGS.glob("*.yaml")), ()
     if plan.quick:
         names, overrides = ["iwadate2010_swimmer"], SMALL_SWIMMER

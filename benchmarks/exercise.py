@@ -20,8 +20,8 @@ from evo_cpg.training.experiment import Experiment
 WAVE_RATE, WAVE_FREQUENCY, WAVE_LAG = 2.0, 1.0, 36.0
 # Largest relative difference between the amplitudes of individuals.
 _WAVE_SPREAD = 0.2
-# The fractional parts of its multiples fill the range from 0 to 1 evenly for any count. So the
-# first individuals are equal in every population.
+# The fractional parts of the golden ratio's multiples fill the range from 0 to 1 evenly for any
+# count. So a larger population begins with the individuals of a smaller one.
 _GOLDEN = 0.6180339887498949
 _SEED = 0
 
@@ -38,7 +38,10 @@ class Exercise(abc.ABC):
 
     @abc.abstractmethod
     def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
-        """Return the differing inputs of individuals, float32; larger populations begin alike."""
+        """Return the inputs in which individuals differ, float32.
+
+        A larger population begins with the individuals of a smaller one.
+        """
 
     @abc.abstractmethod
     def prepare(self, lanes: Float[Array, "k n"]) -> Array:
@@ -46,7 +49,9 @@ class Exercise(abc.ABC):
 
     @abc.abstractmethod
     def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
-        """Return target rates ``(d, n)``, rad/s, and target angles, rad, for motors with springs.
+        """Return target rates and angles, each ``(d, n)``, rad/s and rad.
+
+        The angles are None for motors without springs.
 
         Args:
             commands: result of `prepare`.
@@ -57,11 +62,16 @@ class Exercise(abc.ABC):
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
     ) -> Float[np.ndarray, "n steps d"]:
-        """Return MuJoCo's motor commands: rates, or angles for motors with springs."""
+        """Return commands for MuJoCo: rates, rad/s, or angles, rad, for motors with springs.
+
+        Args:
+            lanes: result of `lanes`.
+            index: numbers of the physics steps.
+        """
 
 
 class Wave(Exercise):
-    """A wave that travels from head to tail; individuals differ in its amplitude."""
+    """A wave of target rates from head to tail, whose amplitude differs between individuals."""
 
     def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
         """Return factors on the amplitude."""
@@ -73,7 +83,7 @@ class Wave(Exercise):
         return lanes
 
     def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
-        """Return a row of the table of one period, times the factors."""
+        """Return target rates, the wave of one period times the factors, and no angles."""
         table = jnp.asarray(self.period(), commands.dtype)
         return table[index % len(table)][:, None] * commands, None
 
@@ -85,7 +95,7 @@ class Wave(Exercise):
         return lanes[0].astype(float)[:, None, None] * table[index % len(table)][None]
 
     def period(self) -> Float[np.ndarray, "steps d"]:
-        """Return target rates of the axes about z over one period, rad/s."""
+        """Return target rates of all joint axes over one period, rad/s, zero unless about z."""
         simulation = self.experiment.simulation
         tree, h = simulation.world.tree, simulation.step_length
         depth = [0]
@@ -131,6 +141,6 @@ class Postures(Exercise):
         return np.moveaxis(angles, -1, 0)[:, self.numbers(index)]
 
     def numbers(self, index: Int[np.ndarray, " steps"]) -> Int[np.ndarray, " steps"]:
-        """Return the number of the posture in each physics step."""
+        """Return the number of the posture at each physics step."""
         substeps = self.experiment.simulation.substeps
         return np.asarray(self.controller.posture(jnp.asarray(index // substeps)))

@@ -2,10 +2,10 @@
 
     python -m benchmarks.fit_constants [NAME ...] [--rounds 7]
 
-This tries candidates for each constant. It prints the time of the work relative to the present
-value, and the compile time. Candidates take turns (`benchmarks.timing`), so that a slow moment of
-the machine affects all of them. Nothing is changed: write a clear winner into the file by hand,
-with the figures. All work runs on one core, in float32.
+This tries candidates for each constant. It prints the time of the work relative to the time with
+the present value, and the compile time. Candidates take turns (`benchmarks.timing`), so that a slow
+moment of the machine affects all of them. Nothing is changed: write a clear winner into the file by
+hand, with the figures. All work runs on one core, in float32.
 """
 
 import argparse
@@ -32,7 +32,7 @@ from evo_cpg.training.experiment import compile_trials
 
 # Steps in a call of a physics program, and individuals in seven vectors.
 _STEPS, _INDIVIDUALS = 400, 112
-# Control steps of a trial, and a population larger than the widest chunk that is tried.
+# Control steps of a trial, and a population that fills the widest chunk that is tried.
 _CONTROL_STEPS, _POPULATION = 30, 2048
 # Control steps of the trials whose gradients are computed, for one vector of individuals.
 _SLOPE_STEPS = 120
@@ -45,8 +45,8 @@ class Constant(NamedTuple):
 
     Attributes:
         candidates: values to try beside the present one.
-        works: work to time, by name. Each compiles a program with the present values and returns a
-            call of it.
+        works: work to time, by name. Each function returns a call of a program. The program is
+            compiled with the present values, in the first call at the latest.
     """
 
     candidates: Sequence[Any]
@@ -106,7 +106,7 @@ class Found(NamedTuple):
 
 
 def compare(name: str, constant: Constant, work: str, rounds: int) -> list[Found]:
-    """Return the results of one work with each candidate, the present value first."""
+    """Return the results of one work with the present value, then with each candidate."""
     present = getattr(machine_constants, name)
     values = [present, *(value for value in constant.candidates if value != present)]
     contenders, compiling = [], {}
@@ -118,7 +118,7 @@ def compare(name: str, constant: Constant, work: str, rounds: int) -> list[Found
             call()
             whole = time.perf_counter() - start
             compiling[value] = max(whole - seconds(call), 0.0)
-            # Chunks are cut at every call.
+            # Each call cuts the population into chunks anew, so it needs its own value.
             contenders.append(Contender(str(value), 1.0, _with(name, value, call)))
     finally:
         setattr(machine_constants, name, present)
@@ -142,7 +142,12 @@ def _with(name: str, value: Any, call: Call) -> Call:
 
 
 def main(names: Sequence[str], rounds: int) -> None:
-    """Fit the constants and print the results."""
+    """Time the candidates of each constant and print the results.
+
+    Args:
+        names: names of constants, or none for all.
+        rounds: number of rounds.
+    """
     use_cores(1)
     jax.config.update("jax_enable_compilation_cache", False)
     console = Console()
