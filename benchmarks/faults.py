@@ -6,11 +6,12 @@ kills    small runs of five kinds are killed at random moments, by SIGKILL, SIGT
 configs  the shipped configurations, with random mistakes in their values or text, are read and
          built. Each must be accepted, or refused with a message for the user, in bounded time and
          memory.
-folders  run folders with random damage are opened. Every eighth is verified and resumed. Whole
-         files must not be lost.
-hour     one run trains for an hour; memory, speed and files are recorded.
+folders  run folders with random damage are plotted and opened. Every eighth is verified and resumed
+         instead of opened. Each command must succeed, or refuse with a message for the user. A
+         resumed run must end with the original's population, unless its configuration was damaged.
+hour     one run trains for an hour. Memory, generations and files are recorded every minute.
 
-OUT holds the failures, and a summary as JSON. All seeds are fixed.
+A folder in OUT, named after the test, holds summary.json and any failures. All seeds are fixed.
 """
 
 import argparse
@@ -70,10 +71,10 @@ _LONGEST = 14.0
 # One of this many damaged folders is verified and resumed, which compiles its programs.
 _VERIFIED = 8
 
-# Limits of time and memory for a configuration or a damaged folder, s and bytes.
+# Limits of time and memory for a configuration, s and bytes. A damaged folder has 12 times as long.
 _SLOW, _LARGE = 5.0, 2**30
 
-# Columns of metrics.csv that differ between runs.
+# Columns of metrics.csv that differ between equal runs.
 _TIMES = ("seconds", "steps_per_second")
 
 _ODD_VALUES: tuple[Any, ...] = (
@@ -90,7 +91,7 @@ def command(*words: object) -> list[str]:
 
 
 def environment(out: Path) -> dict[str, str]:
-    """Return the environment of such a process, which keeps compiled code for the next one."""
+    """Return the environment of `evo-cpg` processes, which share a cache of compiled code."""
     return os.environ | {
         "PYTHONPATH": str(ROOT),
         "JAX_COMPILATION_CACHE_DIR": str(out / "compiled"),
@@ -102,7 +103,7 @@ def environment(out: Path) -> dict[str, str]:
 
 
 def contents(run: Path) -> dict[str, str]:
-    """Return digests of all results of a finished run, without times."""
+    """Return a digest of each kind of result of a finished run, without times."""
     from evo_cpg.training.run_folder import RunFolder
 
     folder = RunFolder(run)
@@ -122,7 +123,16 @@ def contents(run: Path) -> dict[str, str]:
 
 
 def finish(out: Path, run: Path, start: list[str]) -> None:
-    """Run or resume a run until it finishes."""
+    """Start or resume a run, and wait until it finishes.
+
+    Args:
+        out: folder of the test.
+        run: run folder.
+        start: command line for a run that has no configuration yet.
+
+    Raises:
+        RuntimeError: the process failed.
+    """
     again = command("resume", run, "--cores", 1) if (run / "config.yaml").exists() else start
     done = subprocess.run(again, env=environment(out), capture_output=True, text=True)
     if done.returncode:
@@ -130,7 +140,16 @@ def finish(out: Path, run: Path, start: list[str]) -> None:
 
 
 def kills_of(out: Path, kind: str, count: int) -> dict[str, Any]:
-    """Kill runs of one kind, and compare their results with an undisturbed run."""
+    """Kill runs of one kind, and compare their results with an undisturbed run.
+
+    Args:
+        out: folder of the test.
+        kind: key of `KINDS`.
+        count: number of kills.
+
+    Returns:
+        Number of kills, number of finished runs, and the results that differ.
+    """
     config, settings = KINDS[kind]
     file, name = CONFIGS / f"{config}.yaml", kind.replace(" ", "_")
     whole = out / f"{name}_whole"
@@ -163,7 +182,7 @@ def kills_of(out: Path, kind: str, count: int) -> dict[str, Any]:
 
 
 def kills(out: Path, count: int) -> dict[str, Any]:
-    """Kill runs of all kinds, two at a time."""
+    """Kill runs of all kinds, at least ``count`` times in all, with two kinds at a time."""
     each = -(-count // len(KINDS))
     with ThreadPoolExecutor(2) as pool:
         found = pool.map(lambda kind: kills_of(out, kind, each), KINDS)
@@ -174,7 +193,7 @@ def kills(out: Path, count: int) -> dict[str, Any]:
 
 
 def places(data: Any, key: tuple = ()) -> Iterable[tuple]:
-    """Return the keys of all values in nested mappings and lists."""
+    """Yield the path of keys to every value in nested mappings and lists."""
     inner = data.items() if isinstance(data, dict) else enumerate(data)
     for name, value in inner:
         yield (*key, name)
@@ -183,7 +202,7 @@ def places(data: Any, key: tuple = ()) -> Iterable[tuple]:
 
 
 def with_odd_values(data: dict[str, Any], chance: random.Random) -> dict[str, Any]:
-    """Return a configuration with some values replaced, left out, moved or added."""
+    """Return a copy of a configuration with some values replaced, scaled, left out or renamed."""
     data = copy.deepcopy(data)
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
         key = chance.choice(list(places(data)))
@@ -203,7 +222,7 @@ def with_odd_values(data: dict[str, Any], chance: random.Random) -> dict[str, An
 
 
 def with_odd_text(text: bytes, chance: random.Random) -> bytes:
-    """Return a text with bytes flipped, lost, doubled or cut off."""
+    """Return a text with bits flipped, or bytes lost, inserted, doubled or cut off."""
     damaged = bytearray(text)
     for _ in range(chance.choice((1, 2, 5))):
         place = chance.randrange(len(damaged))
@@ -224,10 +243,18 @@ def with_odd_text(text: bytes, chance: random.Random) -> bytes:
 
 
 def build_odd(folder: Path, number: int) -> str:
-    """Read and build one configuration with mistakes.
+    """Read, check and build one configuration with mistakes.
+
+    Args:
+        folder: folder of the configurations.
+        number: seed of the mistakes.
 
     Returns:
         ``taken`` or ``refused``.
+
+    Raises:
+        ValueError: the message for the user is too long.
+        Exception: any error that is not a message for the user.
     """
     from evo_cpg.config.build import build_experiment
     from evo_cpg.config.lint import lint
@@ -263,7 +290,7 @@ def build_odd(folder: Path, number: int) -> str:
 
 
 def damage(run: Path, chance: random.Random) -> list[str]:
-    """Break some files of a run folder; return the broken ones."""
+    """Break some files of a run folder, and return their paths in it."""
     files = sorted(path for path in run.rglob("*") if path.is_file())
     broken = []
     for path in chance.sample(files, chance.choice((1, 1, 2, 3))):
@@ -299,8 +326,16 @@ def damage(run: Path, chance: random.Random) -> list[str]:
 def open_damaged(folder: Path, number: int) -> str:
     """Use a damaged run as its user would.
 
+    Args:
+        folder: folder of the undamaged runs.
+        number: seed of the damage.
+
     Returns:
-        Results of every command, and of the checkpoints.
+        Outcomes of all commands, such as ``plot done, open refused``.
+
+    Raises:
+        RuntimeError: a command failed without a message for the user, or resuming changed the
+            population.
     """
     from evo_cpg.cli import champions
     from evo_cpg.cli.plot import plot
@@ -351,7 +386,7 @@ def open_damaged(folder: Path, number: int) -> str:
 
 
 def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: Any) -> None:
-    """Process numbers from a queue, and return each result with its time and memory."""
+    """Call with numbers from a queue, and put each outcome with time and memory into another."""
     from evo_cpg.training.devices import use_cores
 
     use_cores(1)
@@ -361,6 +396,7 @@ def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: A
         if parent is not None and not parent.is_alive():
             return
         before = _memory()
+        # This resets the peak memory.
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")
         start = time.perf_counter()
@@ -373,7 +409,7 @@ def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: A
 
 
 def _memory(kind: str = "VmRSS") -> int:
-    """Return the memory of this process, bytes."""
+    """Return the resident memory (VmRSS) of this process or its peak (VmHWM), bytes."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(kind):
             return int(line.split()[1]) * 1024
@@ -383,7 +419,19 @@ def _memory(kind: str = "VmRSS") -> int:
 def fuzz(
     call: Callable[[Path, int], str], folder: Path, count: int, out: Path, slow: float
 ) -> dict[str, Any]:
-    """Call with the numbers 0 to ``count``, in two processes, and kill a process that hangs."""
+    """Call with the numbers below a count, in two processes, and stop if one of them hangs.
+
+    Args:
+        call: function of a folder and a number, which returns an outcome.
+        folder: first argument of the function.
+        count: number of calls.
+        out: folder for the failures.
+        slow: longest time of a call, s.
+
+    Returns:
+        Number of calls, outcomes with their counts, number of failures, longest time (s), and
+        largest growth of memory (MiB).
+    """
     context = multiprocessing.get_context("spawn")
     tasks, results = context.Queue(), context.Queue()
     for number in range(count):
@@ -427,14 +475,14 @@ def fuzz(
 
 
 def configs(out: Path, count: int) -> dict[str, Any]:
-    """Read and build the shipped configurations with mistakes."""
+    """Read and build the shipped configurations, with mistakes, this many times."""
     folder = out / "configs"
     shutil.copytree(CONFIGS, folder, dirs_exist_ok=True)
     return fuzz(build_odd, folder, count, out, _SLOW)
 
 
 def folders(out: Path, count: int) -> dict[str, Any]:
-    """Open damaged run folders."""
+    """Train two runs, then use damaged copies of their folders this many times."""
     whole = out / "whole"
     for kind in ("swimmer", "walkers side by side"):
         config, settings = KINDS[kind]
@@ -444,7 +492,7 @@ def folders(out: Path, count: int) -> dict[str, Any]:
         finish(out, run, start)
     (out / "odd").mkdir(exist_ok=True)
     os.environ.update(environment(out))
-    # Each call compiles, and no user waits for all three in a row.
+    # A call may run three commands that compile. A user does not wait for all of them in a row.
     return fuzz(open_damaged, whole, count, out, 12 * _SLOW)
 
 
@@ -478,7 +526,7 @@ def hour(out: Path, minutes: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run one of the tests."""
+    """Run one of the tests, then print and store its summary."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("what", choices=("kills", "configs", "folders", "hour"))
     parser.add_argument("out", type=Path)

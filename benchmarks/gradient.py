@@ -22,14 +22,14 @@ SIZES = (16, 112)
 # Length of a trial, s; 0 for all of it.
 _SHORT, _WHOLE = 1.0, 0.0
 _GRADIENT, _FORWARD = "value and gradient", "forward run"
-# Calls in one timing, because a single call takes some milliseconds.
+# Calls in one timing, because a single call of a short trial takes only some milliseconds.
 _CALLS = {_SHORT: {_GRADIENT: 5, _FORWARD: 30}, _WHOLE: {_GRADIENT: 1, _FORWARD: 2}}
 # Factor on a peer's time limit, because the backward pass compiles much longer.
 _PATIENCE = 5
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """Yield a row for each size; the ratio is the speed with the gradient over that without."""
+    """Yield a row per size, with the speed with the gradient relative to the speed without it."""
     seconds = _SHORT if plan.quick else _WHOLE
     for size in plan.sizes_or(*SIZES):
         yield _measure(plan, size, seconds)

@@ -1,7 +1,7 @@
 """Growth of costs with the number of bodies: a table of creatures, and exponents of a power law.
 
-The exponent of a cost is the gradient of a least-squares line through its logarithm over the
-logarithm of the number of bodies. Creatures that fall back to plain JAX are left out.
+The exponent of a cost is the slope of a least-squares line through its logarithm over the logarithm
+of the number of bodies. Creatures without native code are left out of the exponents.
 """
 
 import statistics
@@ -38,7 +38,7 @@ _COSTS: dict[str, Callable[[Row, Build], float | None]] = {
 
 
 def tables(rows: Iterable[Row]) -> list[Table]:
-    """Return the tables of costs and exponents; none without rows of such creatures.
+    """Return the tables of costs and exponents, or none if no row has a `Build`.
 
     Args:
         rows: rows of any cases.
@@ -79,7 +79,7 @@ def _exponents(found: list[tuple[Row, Build]]) -> list[list[str]]:
 
 def _exponent(cost: Callable[[Row, Build], float | None], members: list[tuple[Row, Build]]) -> str:
     known = [(build.bodies, cost(row, build)) for row, build in members]
-    # A program whose compile time is within the scatter of a run has no compile time.
+    # A compile time within the scatter of a run is stored as 0, which has no logarithm.
     pairs = [(size, value) for size, value in known if value]
     if len({size for size, _ in pairs}) < 2:
         return ""

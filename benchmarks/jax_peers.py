@@ -29,7 +29,7 @@ from benchmarks.worker import Worker, WorkerError, serve, started
 
 # Number of steps in one scan.
 STEPS = 10
-# Longest wait for a peer's answer, so that it does not delay all rounds, s.
+# Longest wait for each of a peer's first answers, s. A slower peer would delay every round.
 _PATIENCE = 20.0
 
 
@@ -55,7 +55,7 @@ class Entry(NamedTuple):
     Attributes:
         peer: the peer.
         contender: contender in the race; None if the peer cannot take part.
-        compile_seconds: compile time, s.
+        compile_seconds: time to import, load the model and compile, s. None without a contender.
         note: reason why the peer cannot take part, or a remark on its motion.
     """
 
@@ -120,12 +120,17 @@ def _enter(
 
 
 def _repeats(worker: Worker, plan: Plan) -> int:
-    """Return the number of scans that last as long as a call."""
+    """Return the number of scans that take about the intended time of a call."""
     return max(round(plan.call_seconds / seconds(lambda: worker.ask(1, _PATIENCE))), 1)
 
 
 def _prepare(program: str, model: mujoco.MjModel, signals: np.ndarray) -> Any:
-    """Compile a peer; return a function that runs some scans, one after the other."""
+    """Compile a peer.
+
+    Returns:
+        An empty report, and a function that runs a number of scans, one after the other. The
+        function returns the number of individuals whose final place is finite.
+    """
     import jax
 
     start, step = {"mjx": _mjx, "brax": _brax}[program](model)

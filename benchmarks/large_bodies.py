@@ -2,7 +2,8 @@
 
 from typing import Any
 
-# Distances along the trunk: between two pairs of legs, and from the outer pairs to its ends, m.
+# Distances along the trunk, m: between two pairs of legs, and from the outer pairs to its ends,
+# less its radius.
 _BETWEEN_LEGS, _ENDS = 0.1, 0.03
 _TRUNK_RADIUS = 0.05
 # Radius and length of the cylinder of a capsule, m.
@@ -11,11 +12,11 @@ _MUSCLE = {"gain": 3, "torque_limit": 20}
 
 
 def walker(legs: int, shape: str) -> dict[str, Any]:
-    """Return a walker: a trunk and legs of two bodies with three joints.
+    """Return a walker: a trunk, and legs of two bodies and three joint axes.
 
     Args:
-        legs: number of legs, even; there are 2 legs + 1 bodies.
-        shape: of all bodies, "capsule" or "box".
+        legs: number of legs, even. The number of bodies is 2 * legs + 1.
+        shape: shape of all bodies, "capsule" or "box".
     """
     pairs = legs // 2
     length = _BETWEEN_LEGS * (pairs - 1) + 2 * (_ENDS + _TRUNK_RADIUS)
@@ -56,7 +57,7 @@ def walker(legs: int, shape: str) -> dict[str, Any]:
 
 
 def chain(bodies: int) -> dict[str, Any]:
-    """Return a chain of boxes with a motor between each two.
+    """Return a chain of boxes with a motor between neighbours.
 
     Args:
         bodies: number of boxes.

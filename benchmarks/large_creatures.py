@@ -23,7 +23,7 @@ from benchmarks.worker import WorkerError, serve, started
 
 _SIZE = 64
 _STEPS = 30
-# Factor on a peer's time limit for our own compiler.
+# Factor on a peer's time limit, because our own compiler may take longer.
 _PATIENCE = 10
 
 
@@ -31,11 +31,11 @@ class _Kind(NamedTuple):
     """Creatures that differ only in their size.
 
     Attributes:
-        title: title of all of them.
+        title: title in the table.
         word: name of the counted parts.
-        counts: the sizes.
-        bodies: number of bodies at a size.
-        config: function that returns a configuration for a size.
+        counts: numbers of parts.
+        bodies: function that returns the number of bodies for a number of parts.
+        config: function that returns a configuration for a number of parts.
     """
 
     title: str

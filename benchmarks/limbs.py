@@ -1,7 +1,7 @@
 """Depth of overlap between walkers' limbs: `python -m benchmarks.limbs RUN [RUN ...]`.
 
 The champions have posture controllers (`evo-cpg train configs/fukui2003_model1.yaml`). Every
-physics step of their whole trials is measured. The table is the one in docs/models/contact.md.
+physics step of their whole trials is measured. The figures are in docs/models/contact.md.
 """
 
 import argparse
@@ -31,9 +31,9 @@ class Limbs(NamedTuple):
     """Results of every physics step.
 
     Attributes:
-        overlap: deepest overlap, m.
+        overlap: deepest overlap, m, 0 without any.
         touches: whether limbs pushed each other.
-        displacement: distance from start to end, m.
+        displacement: final horizontal distance of the root from the world's origin, m.
     """
 
     overlap: Float[np.ndarray, " t"]
@@ -42,7 +42,7 @@ class Limbs(NamedTuple):
 
 
 def walk(simulation: Simulation, genes: Float[np.ndarray, " g"]) -> Limbs:
-    """Simulate a walker's trial.
+    """Simulate a walker's trial from its genes, without noise.
 
     Raises:
         TypeError: its controller has no postures, or no parts of it can touch each other.
