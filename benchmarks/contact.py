@@ -3,9 +3,9 @@
 Animals thrash about on their own ground, with the commands of the benchmark's exercises. Each
 physics step gives:
 
-- the residual of the solved problem, as a fraction of the forces that act;
-- the error in Coulomb's law with the step's own normal forces, as a fraction of the load;
-- the depth of every contact point after the step, and the overlap of bodies of one animal.
+- the residual of the solved problem, as a fraction of the forces that act
+- the error in Coulomb's law with the step's own normal forces, as a fraction of the load
+- the depth of every contact point after the step, and the overlap of bodies of one animal
 
 In float64, every window of 0.1 s also gives the growth of a disturbance of 1e-9. The figures are in
 docs/models/contact.md.

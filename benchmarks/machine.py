@@ -18,8 +18,8 @@ import jax.numpy as jnp
 from benchmarks.timing import seconds
 
 _PACKAGES = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "brax", "evosax")
-# Rows of the square matrices whose product is timed, and number of attempts. They are large enough
-# for the peak, and small enough for a tenth of a second.
+# Rows of the square matrices whose product is timed, and number of attempts. The matrices are large
+# enough for the peak, and small enough for a tenth of a second.
 _MATRIX, _ATTEMPTS = 1024, 8
 # Interval between checks of the memory of other processes, s.
 _LOOK_AGAIN = 0.02
@@ -60,7 +60,7 @@ def matrix_product_rate() -> float:
 
 
 def peak_memory() -> int:
-    """Return the peak memory of this process, bytes.
+    """Return the peak resident memory of this process, bytes.
 
     Linux's `ru_maxrss` starts with the parent's memory at the start of this process. The peak in
     /proc starts anew.
@@ -101,7 +101,7 @@ def children_watched() -> Iterator[Callable[[], int | None]]:
 
 
 def _children() -> list[str]:
-    """Return the numbers of this process's children, if the system reports them."""
+    """Return the process ids of this process's children, as far as the system reports them."""
     found = []
     for file in Path("/proc/self/task").glob("*/children"):
         with contextlib.suppress(OSError):

@@ -1,9 +1,9 @@
 """The test suite with the oldest and newest dependencies on every interpreter: `make test-matrix`.
 
-The fast tests run in an environment for each of them. Then the swimmer's physics step is timed with
-the oldest and the newest JAX, in turn. Finally numba, which needs its own range of llvmlite, is
-installed beside the newest dependencies. This program needs only the standard library, and a
-package index.
+The fast tests run in an environment for each of them. Then the swimmer's physics step is timed in
+turn with the oldest JAX on the oldest interpreter, and with the newest on the newest. Finally
+numba, which needs its own range of llvmlite, is installed and used beside the newest dependencies.
+This program needs only the standard library, and a package index.
 """
 
 import argparse
@@ -25,7 +25,7 @@ _MINORS = range(11, 15)
 # Name of each choice among the allowed versions in uv.
 _RESOLUTIONS = {"oldest": "lowest-direct", "newest": "highest"}
 
-# Largest time of a step with the newest JAX, relative to the oldest.
+# Largest time of a step with the newest JAX, relative to the oldest, and number of rounds.
 _SLOWEST = 1.3
 _ROUNDS = 21
 
@@ -59,7 +59,7 @@ class Environment(NamedTuple):
 
 
 def main(folder: Path, interpreters: list[str], arguments: list[str]) -> list[str]:
-    """Run everything.
+    """Test all environments, time the step, and try numba.
 
     Args:
         folder: folder of the environments.
@@ -67,7 +67,7 @@ def main(folder: Path, interpreters: list[str], arguments: list[str]) -> list[st
         arguments: arguments of pytest.
 
     Returns:
-        The failures.
+        A phrase for each failure.
     """
     pythons = _versions(interpreters or _candidates())
     if not pythons:
@@ -104,7 +104,7 @@ def _candidates() -> Iterable[str]:
 
 
 def _versions(commands: Iterable[str]) -> dict[str, str]:
-    """Return the interpreters that start, the oldest first, one for each version."""
+    """Return the path of an interpreter for each supported version, such as 3.11, oldest first."""
     found: dict[int, str] = {}
     for command in commands:
         line = [command, "-c", "import sys; print(*sys.version_info[:2], sys.executable)"]
@@ -119,7 +119,10 @@ def _versions(commands: Iterable[str]) -> dict[str, str]:
 
 
 def _uv(folder: Path) -> str:
-    """Return the installer, because pip cannot choose the oldest versions."""
+    """Return the path of uv, which is installed if necessary.
+
+    pip cannot choose the oldest versions.
+    """
     if own := shutil.which("uv"):
         return own
     tools = folder / "tools"
@@ -131,7 +134,7 @@ def _uv(folder: Path) -> str:
 
 
 def _make(uv: str, name: str, python: str, place: Path, resolution: str) -> Environment | None:
-    """Create a new environment; return None if that fails."""
+    """Create a new environment. Return None if that fails."""
     environment = Environment(name, place / "bin" / "python")
     steps = (
         ["venv", "--clear", "--python", python, str(place)],
@@ -143,7 +146,7 @@ def _make(uv: str, name: str, python: str, place: Path, resolution: str) -> Envi
 
 
 def _race(oldest: Environment, newest: Environment) -> list[str]:
-    """Time the swimmer's step in both environments, in turn; return the failures."""
+    """Time the swimmer's step in both environments, in turn, and return the failures."""
     print("== the swimmer's step", flush=True)
     workers = [_started(oldest), _started(newest)]
     try:
@@ -195,7 +198,7 @@ def _pipe(stream: IO[str] | None) -> IO[str]:
 
 
 def _beside_numba(uv: str, environment: Environment) -> list[str]:
-    """Install numba and use one LLVM for both; return the failures."""
+    """Install numba, use it and our compiler in one process, and return the failures."""
     print("== beside numba", flush=True)
     at = ["--quiet", "--python", str(environment.python)]
     if _run(uv, "pip", "install", *at, "--no-build", "numba"):

@@ -18,7 +18,11 @@ _STEPS = 5000
 
 
 def _prepare() -> tuple[dict[str, Any], Any]:
-    """Prepare ten boxes that swim with a travelling wave, on one core."""
+    """Compile swimmers with a travelling wave, on one core.
+
+    Returns:
+        A description of the environment, and a function that measures the time of a step, s.
+    """
     use_cores(1)
     mesh, exercise = population_mesh(), Wave(experiment_of("iwadate2010_swimmer"))
     program = compile_motion(exercise, exercise.lanes(full_lanes(_INDIVIDUALS, mesh)), mesh)

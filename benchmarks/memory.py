@@ -9,7 +9,7 @@ from typing import Any
 from benchmarks.plan import Plan
 from benchmarks.worker import WorkerError, serve, started
 
-# Number of steps.
+# Physics steps of the motion.
 _STEPS = 10
 
 

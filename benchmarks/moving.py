@@ -29,19 +29,19 @@ from evo_cpg.training.experiment import compile_trials
 
 UNIT = "steps/s"
 PHYSICS, WHOLE = "physics", "whole stack"
-# Steps of a call. Every block of ours takes some milliseconds to start, which is negligible in a
-# trial of thousands of steps.
+# Fewest and most physics steps of a call, and the fewest of ours. Every block of ours takes some
+# milliseconds to start, which is negligible in a trial of thousands of steps.
 _FEWEST, _MOST = 10, 20_000
 _FEWEST_OF_OURS = 1000
 # A shorter trial tells little about its fitness, and some tasks refuse to compute a fitness.
 _FEWEST_CONTROL_STEPS = 60
 # Speed of the whole stack relative to the physics, for the length of its calls. A measurement would
-# need another compilation. Calls are no shorter than the config's trial.
+# need another compilation. Calls are no shorter than the config's trial, unless the run is quick.
 _TRIAL_FRACTION = 0.6
 # Start of MuJoCo's timing, s, because its cost depends on contacts at that time. This number of
 # individuals moves until then, and the others start from copies of them.
 _SETTLED, _SETTLING = 1.0, 64
-# Population whose cost per individual is compared with larger populations.
+# Population whose cost per individual is compared with the cost in the largest population.
 _USUAL = 200
 
 
@@ -52,9 +52,9 @@ class Animal(NamedTuple):
         case: name of the case.
         exercise: exercise of the animal.
         sizes: sizes of its populations, the usual one first.
-        guests: peers in JAX, only with the usual size, because they compile long.
+        guests: peers in JAX, which compile long, only with the size nearest to the usual one.
         flops: scalar operations in a physics step of one individual; None if not counted.
-        memory_sizes: populations whose peak memory is measured.
+        memory_sizes: populations whose peak memory is measured, unless the run is quick.
     """
 
     case: str
@@ -66,7 +66,7 @@ class Animal(NamedTuple):
 
 
 class _Ours(NamedTuple):
-    """Results of one part of ours."""
+    """Results of our physics, or of our whole stack."""
 
     part: str
     contender: Contender
@@ -120,7 +120,10 @@ def measure(animal: Animal, plan: Plan, peak: float) -> Iterator[Row]:
 def _errors(
     exercise: Exercise, program: Program, mesh: Mesh, threads: int
 ) -> dict[str, float | None]:
-    """Return our error under the empty name, and the errors of MuJoCo's kinds."""
+    """Return the errors of MuJoCo's kinds by name, and ours under the empty name.
+
+    Errors are in body lengths, None if they are not finite.
+    """
     theirs = {kind.name: finite(mujoco_error(exercise, kind, threads)) for kind in kinds(exercise)}
     return {"": finite(our_error(exercise, program, mesh)), **theirs}
 
@@ -252,7 +255,10 @@ def _row(
 
 
 def _growth(case: str, rows: list[Row]) -> list[Row]:
-    """Return the largest population beside the usual one, part by part; 1 is equal cost."""
+    """Return a row per part, with the largest population beside the usual one.
+
+    A ratio of 1 is an equal cost per individual.
+    """
     found = []
     for part in (PHYSICS, WHOLE):
         rates = {row.size: row.rate for row in rows if row.part == part}

@@ -1,6 +1,6 @@
 """MuJoCo's population at our exercises: `mujoco.rollout` with a thread per core.
 
-Animal, motors, commands and step are equal to ours; MuJoCo uses float64 and `implicitfast`. Its
+Animal, motors, commands and step are equal to ours. MuJoCo uses float64 and `implicitfast`. Its
 contacts have no restitution. It takes part in water in three kinds: with each of its two models of
 a fluid, and without a fluid. The fluid models have no buoyancy, so gravity is left out.
 """
@@ -112,14 +112,19 @@ class Motion:
         return np.tile(state, (self.lanes.shape[1], 1))
 
     def signals(self, steps: int, first: int = 0) -> Float[np.ndarray, "n steps motors"]:
-        """Return the motor commands, from a given step on."""
+        """Return the commands in the order of MuJoCo's motors, rad/s, or rad with springs.
+
+        Args:
+            steps: number of divided steps.
+            first: number of the first of them.
+        """
         index = (first + np.arange(steps)) // self.finer
         return self.exercise.signals(self.lanes, index)[..., self.order]
 
     def states(
         self, start: Float[np.ndarray, "n state"], signals: Float[np.ndarray, "n steps motors"]
     ) -> Float[np.ndarray, "n steps state"]:
-        """Return every individual's state after every step."""
+        """Return every individual's state after every divided step."""
         return np.asarray(rollout.rollout(self.model, self.data, start, signals)[0])
 
 

@@ -1,4 +1,4 @@
-"""Test whether the fast tests notice mistakes in the mathematics: `make test-mutants`.
+"""Test whether the tests notice mistakes in the code: `make test-mutants`.
 
 Each mutant is one small change by hand: a sign, a factor, a dropped term, or swapped indices. It is
 made in a copy of the repository. There the tests of the changed part run up to the first failure. A
@@ -31,7 +31,7 @@ class Mutant(NamedTuple):
         file: file in the package.
         right: text that occurs once in the file.
         wrong: replacement of this text.
-        tests: files in ``tests`` that should notice.
+        tests: files in ``tests`` that should notice, separated by spaces.
     """
 
     file: str
@@ -495,7 +495,7 @@ MUTANTS = (
 
 
 def main(chosen: list[int]) -> int:
-    """Try mutants; return the number of survivors.
+    """Try mutants, print each verdict, and return the number of survivors.
 
     Args:
         chosen: numbers of mutants, from 0; empty for all.
@@ -535,7 +535,7 @@ def mutated(mutant: Mutant, text: str) -> str:
 
 
 def noticed(copy: Path, tests: list[str]) -> str:
-    """Return a phrase with the first test that failed in the copy, or with the survival.
+    """Return "caught by" and the first failed test, or "SURVIVED" and the files of tests.
 
     Raises:
         RuntimeError: the tests could not run.

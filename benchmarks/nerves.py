@@ -1,7 +1,7 @@
 """The controller's two halves alone: the oscillators of the spinal cord, and the brain.
 
-Errors are relative to the size of the outputs. They are the root mean square, over 16 individuals,
-of the difference from a float64 reference, over the root mean square of the reference. The
+Errors are relative to the size of the outputs. The root mean square of the difference from a
+float64 reference is divided by that of the reference, over all outputs of 16 individuals. The
 reference of the oscillators has a sixteenth of the step, over 1 s. The reference of the brain
 differs only in precision.
 """
@@ -28,13 +28,13 @@ from evo_cpg.training.devices import population_mesh
 
 _FEWEST, _MOST = 10, 1_000_000
 _SEED = 0
-# Half of the largest tonic input and the middle of the adaptation gains, and largest relative
-# difference of individuals from them.
+# Factor that gives half of the largest tonic input and the middle of the adaptation gains, and
+# largest relative difference of individuals from these values.
 _MIDDLE, _SPREAD = 0.5, 0.2
 
 
 def measure_cpg(plan: Plan, peak: float) -> Iterator[Row]:
-    """Yield rows of the swimmer's oscillators with constant inputs, per control step."""
+    """Yield a row per size for control steps of the swimmer's oscillators with constant inputs."""
     controller, mesh = _controller(), population_mesh()
     error = None
     for size in plan.sizes_or(200):
@@ -50,9 +50,9 @@ def measure_cpg(plan: Plan, peak: float) -> Iterator[Row]:
 
 
 def measure_brain(plan: Plan, peak: float) -> Iterator[Row]:
-    """Yield rows of the swimmer's network, each evaluation after the previous one."""
+    """Yield a row per size for the swimmer's network, each evaluation after the previous one."""
     controller, mesh = _controller(), population_mesh()
-    # A product and a sum for every weight.
+    # A product and a sum for every weight and bias.
     flops = 2 * controller.gene_count
     error = None
     for size in plan.sizes_or(200):
@@ -73,7 +73,7 @@ def _controller() -> BrainCpg:
 
 
 def _tempers(count: int) -> np.ndarray:
-    """Return factors ``(1, n)`` on the inputs of the oscillators."""
+    """Return factors ``(1, n)`` on the oscillators' tonic inputs and adaptation gains."""
     generator = np.random.default_rng(_SEED)
     return (1 + _SPREAD * generator.uniform(-1, 1, (1, count))).astype(np.float32)
 

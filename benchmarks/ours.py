@@ -1,4 +1,4 @@
-"""Our programs, compiled for all cores: all our timed calls use this module."""
+"""Our physics, oscillators and brain, compiled for all cores and run in chunks, as in training."""
 
 import functools
 import time

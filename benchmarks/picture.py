@@ -1,4 +1,4 @@
-"""A picture of the rates: a bar for us and for every peer of each case, on a logarithmic axis."""
+"""A picture of the rates: bars for us and for every peer of each case, on a logarithmic axis."""
 
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,14 @@ from evo_cpg.files import in_one_piece
 from evo_cpg.view.output import output_path
 
 SUFFIXES = (".png", ".svg", ".pdf")
-# Okabe and Ito's palette: ours, MuJoCo, others.
+# Okabe and Ito's palette for us, MuJoCo and others, and a grey for text.
 _BLUE, _ORANGE, _GREEN, _GREY = "#0072B2", "#E69F00", "#009E73", "#6b7280"
 # 900 pixels wide.
 _WIDTH, _DPI = 7.5, 120
 # Heights in inches: a bar, the gap between cases, and the rest.
 _BAR, _GAP, _REST = 0.27, 0.35, 1.1
-# A bar needs some length, and its label room on the right.
+# Limits of the axis, as factors on the least and largest rate. The least bar needs some length, and
+# the text of the longest bar needs room.
 _LEFT, _RIGHT = 0.4, 30.0
 # Longest text at a bar, characters.
 _WORDS = 48
@@ -29,7 +30,7 @@ Bar = tuple[str, float | None, str, str]
 
 
 def draw(rows: list[Row], machine: dict[str, Any], path: Path) -> Path:
-    """Draw every case that moves, each at the size where most peers took part.
+    """Draw every case with a moving animal, each at the size with the most rows.
 
     Args:
         rows: measured rows.
@@ -66,7 +67,7 @@ def draw(rows: list[Row], machine: dict[str, Any], path: Path) -> Path:
 
 
 def _groups(rows: list[Row]) -> list[tuple[str, list[Bar]]]:
-    """Return title and bars of every animal."""
+    """Return the title and the bars of every animal."""
     moving = [row for row in rows if row.part in (PHYSICS, WHOLE) and row.unit == UNIT]
     groups = []
     for case in dict.fromkeys(row.case for row in moving):
@@ -78,7 +79,7 @@ def _groups(rows: list[Row]) -> list[tuple[str, list[Bar]]]:
 
 
 def _bars(rows: list[Row]) -> list[Bar]:
-    """Return label, rate, text at the end, and colour of each bar, ours first."""
+    """Return label, rate (None if unknown), text at the end, and colour of each bar, ours first."""
     ours = {row.part: row for row in rows}
     bars: list[Bar] = [
         (f"ours, {part}", row.rate, amount(row.rate).strip(), _BLUE) for part, row in ours.items()

@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
 
 
-# The swimmer with three of its ten bodies and short trials, for a first look at slow compilations.
+# Overrides for three of the swimmer's ten bodies, a small population and short trials.
 SMALL_SWIMMER = (
     "creature.bodies.1.repeat=2",
     "simulation.steps=60",
@@ -34,7 +34,7 @@ class Plan(NamedTuple):
         call_seconds: approximate length of a call, s.
         repeats: number of rounds, over which medians are taken.
         limit: longest compile time of a peer in a process of its own, s.
-        quick: whether to leave out work that takes more than some seconds.
+        quick: whether to measure little, for a first look.
         say: function that reports progress.
     """
 
@@ -47,12 +47,12 @@ class Plan(NamedTuple):
     say: Callable[[str], object] = lambda text: None
 
     def sizes_or(self, *own: int) -> tuple[int, ...]:
-        """Return the population sizes of a case: chosen or its own (only the first if quick)."""
+        """Return the chosen population sizes, or else the case's own (only the first if quick)."""
         return self.sizes or (own[:1] if self.quick else own)
 
 
 def random_genes(simulation: Simulation, size: int) -> np.ndarray:
-    """Genomes of a random population, the same in every process; shape (genes, size)."""
+    """Return a random population ``(genes, size)``, float32, the same in every process."""
     draw = jax.jit(lambda: simulation.genome.random(jax.random.key(0), (size,), np.float32))
     return np.asarray(draw())
 

@@ -3,9 +3,9 @@
     python -m benchmarks.processes
 
 Processes of this machine exchange the results of a generation (`Team.gather`): three terms and
-whether an individual is valid, 13 bytes, as with the swimmer. Nothing is simulated. The median of
-all rounds is shown, and the tenth percentile, which other work on the machine disturbs least. The
-model is fitted to the latter:
+whether an individual is valid, 13 bytes, as with the swimmer. Nothing is simulated. The first tenth
+of the rounds is left out. The median of the others is shown, and the tenth percentile, which other
+work on the machine disturbs least. The model is fitted to the tenth percentile:
 
     t(P, B) = a + b (P - 1) + c (P - 1) B
 
@@ -53,7 +53,15 @@ _SIZES, _REPEATS = (4096, 32768), 12
 
 
 class Exchange(NamedTuple):
-    """An exchange of a population among some processes: bytes in all, and seconds."""
+    """Measurement of an exchange of a population's results among some processes.
+
+    Attributes:
+        processes: number of processes.
+        population: number of individuals.
+        size: bytes in all.
+        median: median time of a round, s.
+        tenth: tenth percentile of the time of a round, s.
+    """
 
     processes: int
     population: int
@@ -63,7 +71,7 @@ class Exchange(NamedTuple):
 
 
 def main() -> None:
-    """Measure, fit, and predict."""
+    """Measure, fit and predict, and print the tables. A worker only measures."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -112,7 +120,7 @@ def _columns(*words: object) -> str:
 
 
 def _fit(exchanges: list[Exchange]) -> tuple[float, float, float]:
-    """Return the model's coefficients, none of them negative."""
+    """Return the model's coefficients a (s), b (s) and c (s/byte), none of them negative."""
     from scipy.optimize import nnls
 
     rows = [(1.0, one.processes - 1, (one.processes - 1) * one.size) for one in exchanges]
@@ -123,7 +131,7 @@ def _fit(exchanges: list[Exchange]) -> tuple[float, float, float]:
 
 
 def _measure(count: int, rounds: int) -> list[Exchange]:
-    """Return the exchanges as measured by the lead."""
+    """Return the exchange of each population among new processes, as measured by the lead."""
     with socket.create_server(("", 0)) as server:
         port = server.getsockname()[1]
     command = [sys.executable, "-m", "benchmarks.processes", "--rounds", str(rounds), "--worker"]
@@ -160,7 +168,10 @@ def _work(index: int, count: int, port: int, rounds: int) -> None:
 
 
 def _of_each() -> tuple[int, float, float]:
-    """Return an individual's number of genes, and its costs of digest and breeding, s."""
+    """Return an individual's number of genes, and its costs of digest and breeding, s.
+
+    The costs are the difference between two sizes of the population, per individual.
+    """
     digests, breedings, count = [], [], 0
     for size in _SIZES:
         experiment = experiment_of("iwadate2010_swimmer", f"evolution.population={size}")

@@ -2,7 +2,7 @@
 
 Quadrupeds of Model 1 without motors are thrown down in any pose. Nothing gives them energy, so the
 energy must not rise above its least value so far. Any rise, as a fraction of the initial energy, is
-an error of the simulator. The table is the one in docs/models/contact.md.
+an error of the simulator. The figures are in docs/models/contact.md.
 """
 
 import argparse
@@ -36,7 +36,8 @@ class Fall(NamedTuple):
     """Results of ragdolls.
 
     Attributes:
-        rise: largest rise of each energy above its least so far, relative to the initial energy.
+        rise: largest rise of each energy above its least so far, relative to the initial energy,
+            without diverged ragdolls.
         diverged: number of diverged ragdolls.
     """
 
@@ -51,7 +52,7 @@ def fall(world: World, count: int, seconds: float, speed: float, h: float) -> Fa
         world: world of a creature without motors.
         count: number of ragdolls.
         seconds: duration, s.
-        speed: downward speed, m/s, on top of some 1 m/s and 1 rad/s in any direction.
+        speed: downward speed, m/s, added to random velocities of some 1 m/s and 1 rad/s.
         h: length of a step, s.
     """
 
@@ -76,7 +77,7 @@ def fall(world: World, count: int, seconds: float, speed: float, h: float) -> Fa
 
 
 def _thrown(world: World, count: int, speed: float) -> State:
-    """Return states above the ground in any pose."""
+    """Return states 1 m above the origin in random poses, with downward and random velocities."""
     rng = np.random.default_rng(0)
     turns = rng.normal(size=(4, count))
     velocity = rng.normal(size=(6, count))

@@ -1,9 +1,9 @@
 """Compare gradients with generations: `python -m benchmarks.refining OUT [CONFIG] [KEY=VALUE ...]`.
 
 Several runs evolve side by side. Then three methods run for equal times, without compilation:
-refinement of each champion, further evolution, and further evolution whose elites learn. The gained
-fitness of each method, run by run and as a median, goes into docs/models/gradients.md.
-OUT/refining.json and the run folders under OUT hold the rest.
+refinement of each champion, further evolution, and further evolution whose elites learn. The
+program prints the gained fitness of each method for docs/models/gradients.md, run by run and as
+quartiles. OUT/refining.json and the run folders under OUT hold the rest.
 """
 
 import argparse
@@ -25,12 +25,12 @@ from evo_cpg.training.run_folder import Checkpoint, RunFolder
 
 SWIMMER = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
 RUNS = 5
-# Six elites of each run fill the lanes of two cores.
+# Six elites of each run are 30 individuals, which almost fill the 32 lanes of two cores.
 LEARNING = Learning(every=5, elites=6, steps=5)
 
 
 def main() -> None:
-    """Evolve, then continue by three methods for the same time."""
+    """Evolve, continue by each method for the same time, then print and store the fitness."""
     parser = argparse.ArgumentParser(prog="benchmarks.refining", description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("config", type=Path, nargs="?", default=SWIMMER)
@@ -71,7 +71,7 @@ def main() -> None:
 
 
 def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[list[float], float]:
-    """Return the refined fitness of every champion, and the seconds per champion."""
+    """Return the refined fitness of every champion, and the time for each but compilation, s."""
     refine = compile_refinement(experiment, Refinement(count))
     rounds: list[Round] = []
 
@@ -85,7 +85,7 @@ def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[li
 
 
 def _evolve(experiment: Experiment, start: RunFolder, path: Path, seconds: float) -> list[float]:
-    """Return the fitness of every champion after this many more seconds for each run."""
+    """Return the fitness of every champion after a given time more for each run, s."""
     shutil.rmtree(path, ignore_errors=True)
     folder = RunFolder(shutil.copytree(start.path, path))
     spent: list[float] = []
@@ -96,7 +96,7 @@ def _evolve(experiment: Experiment, start: RunFolder, path: Path, seconds: float
     def watch(rows: list[dict[str, float]]) -> None:
         spent.append(rows[0]["seconds"])
         _tell(rows)
-        # A round that compiles counts like the other rounds of its kind.
+        # A generation that compiles counts like the other generations of its kind.
         every = experiment.learning.every if experiment.learning else 1
         kinds = [spent[i::every] for i in range(min(every, len(spent)))]
         plain = [statistics.median(kind[1:] or kind) * len(kind) for kind in kinds]

@@ -24,7 +24,7 @@ _PACKAGES = {
 
 
 def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, ...]:
-    """Return tables of our results, the peers' results, and the growth of costs.
+    """Return tables of our results, the comparison with the peers, and the growth of costs.
 
     Args:
         rows: measured rows.
@@ -74,7 +74,8 @@ def line(row: Row) -> str:
 def page_tables(rows: list[Row], machine: dict[str, Any]) -> list[PageTable]:
     """Return tables of our results and, if there are peers, of the comparison with them.
 
-    Columns without any value are left out. Creatures of many bodies have tables of their own.
+    Columns without any value are left out. If there are creatures of many bodies, only their tables
+    of `benchmarks.growth` are returned.
 
     Args:
         rows: measured rows.
@@ -116,7 +117,7 @@ def _known_columns(title: str, head: list[str], rows: list[list[str]]) -> PageTa
 
 
 def notes(rows: list[Row]) -> list[str]:
-    """Return reasons for peers or rows without a rate, and other remarks, a line each."""
+    """Return reasons why peers or rows have no rate, and other remarks, one per line."""
     lines = [
         f"{row.case}, {row.size}, {row.peer or row.part}: {row.note}" for row in rows if row.note
     ]
@@ -152,7 +153,7 @@ def comparison(verdict: Verdict, tolerance: float) -> Table:
 
 
 def amount(value: float) -> str:
-    """Return a number with three digits and k, M or G."""
+    """Return a number with three digits, a space, and k, M, G or nothing."""
     for scale, letter in _SCALES:
         if value >= scale:
             return f"{value / scale:.3g} {letter}"
@@ -160,7 +161,7 @@ def amount(value: float) -> str:
 
 
 def _table(title: str, caption: str, columns: Sequence[str], words: Sequence[str] = ()) -> Table:
-    """Return an empty table; the columns of words, and the first column, are set to the left."""
+    """Return an empty table, with the first column and the columns of words set to the left."""
     shown = Table(
         title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
     )
@@ -197,12 +198,12 @@ def _theirs(row: Row) -> tuple[str, ...]:
 
 
 def times(ratio: float) -> str:
-    """Return a ratio with three digits."""
+    """Return a ratio with at least three digits and an x."""
     return f"{ratio:,.0f}x" if ratio >= 1000 else f"{ratio:.3g}x"
 
 
 def _rate(value: float, unit: str) -> str:
-    # A creature whose process ended has no rate.
+    # A row whose process failed has the rate 0.
     if not value:
         return "none"
     if unit == SECONDS:

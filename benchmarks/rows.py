@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-# Raised when a field changes its meaning, so that incompatible files are not compared.
+# Increased when a field changes its meaning, so that incompatible files are not compared.
 FORMAT = 2
 SECONDS = "s"
 
 
 class RowsError(Exception):
-    """A file without rows; the message is written for the user."""
+    """Error for a file without valid rows, with a message for the user."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,14 +22,14 @@ class Build:
     """Costs of making the program of one creature.
 
     Attributes:
-        kind: creatures that differ only in their number of bodies.
+        kind: name of the creatures that differ only in their number of bodies.
         bodies: number of bodies.
         operations: operations in the native code, for one individual; None without native code.
         building: time from the configuration to the creature and its world, s.
         writing: time from the JAX program to LLVM IR, s.
         llvm: time from LLVM IR to machine code, s.
         code: bytes of machine code.
-        scratch: bytes of the machine code's working memory.
+        scratch: bytes of working memory, of the program that needs most.
         compiler: peak resident memory of the compiler's process, bytes.
         native: whether all code is native.
     """
@@ -54,21 +54,22 @@ class Row:
         case: name on the command line.
         part: part of the case, such as "physics".
         size: number of individuals.
-        rate: our rate in ``unit``, the median over the rounds.
+        rate: our rate in ``unit``, the median over the rounds, or 0 if the process failed.
         unit: a rate such as "steps/s" (more is better), or "s" (less is better).
         how: method of the measurement.
         compile_seconds: tracing and compiling, s; not part of the rate.
         temporary: bytes that XLA sets aside for intermediate results, by its own account.
         memory: peak resident memory of a process that does only this, compiling included, bytes.
-        error: our error, by the case's definition (see `benchmarks.accuracy`).
+        error: our error, by the case's definition (`benchmarks.accuracy`, `benchmarks.nerves`).
         flops: useful floating-point operations per second, 1/s.
-        peak_share: fraction of the rate of the machine's float32 matrix product.
+        peak_share: ``flops`` over the rate of the machine's float32 matrix product.
         peer: name of the peer.
         peer_rate: rate of the peer in ``unit``; None if the peer has none.
         peer_error: the error of the peer by the same definition.
         ratio: median over the rounds of our rate over the peer's.
         ratio_spread: lower and upper quartile of the ratio.
-        note: reason why the peer or the row has no rate, or why the row runs on plain JAX.
+        note: reason why the peer or the row has no rate, or why the row runs on plain JAX, or the
+            number of the peer's diverged individuals.
         build: costs of making the program, if the creature's size matters.
     """
 
@@ -99,12 +100,12 @@ class Row:
 
 
 def finite(value: float) -> float | None:
-    """Return the value; None if JSON cannot hold it."""
+    """Return the value, or None if it is not finite, because JSON cannot hold it."""
     return float(value) if math.isfinite(value) else None
 
 
 def save(path: Path, machine: dict[str, Any], rows: list[Row]) -> None:
-    """Write the machine and the rows so far; the file is whole at any moment."""
+    """Write the machine and the rows so far, with a file that is whole at any moment."""
     record = {"format": FORMAT, "machine": machine, "rows": [dataclasses.asdict(r) for r in rows]}
     partial = path.with_name(f".{path.name}.partial")
     partial.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")

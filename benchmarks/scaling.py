@@ -1,7 +1,7 @@
 """Trials on all cores, on one core, and on all cores by as many processes.
 
-The trials are whole, as in training, with random genes. Independent processes share only the
-machine. So the speed of one process on all cores, relative to theirs, shows the cost of its
+The trials run the whole stack, as in training, with random genes. Independent processes share only
+the machine. So the speed of one process on all cores, relative to theirs, shows the cost of its
 threads. Run as a program, this module is one of these processes:
 `python -m benchmarks.scaling CONFIG STEPS SIZE FIRST LAST`.
 """
@@ -26,7 +26,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 
-# Configs, and control steps of a trial, which lasts about a second on one core.
+# Configs, and control steps of a trial. A population's trials last about a second on one core.
 _CASES = {
     "iwadate2010_swimmer": 4000,
     "fukui2003_model1": 2400,
@@ -41,7 +41,7 @@ _ALL, _ONE, _APART = "all", "1 core", "processes"
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """Yield two rows per config and size: speed relative to one core, and to separate processes."""
+    """Yield two rows per config and size: all cores beside one core, and beside processes."""
     cases = [("iwadate2010_swimmer", _QUICK)] if plan.quick else list(_CASES.items())
     for config, steps in cases:
         for size in plan.sizes_or(_SIZE):
@@ -91,7 +91,7 @@ def _simulation(config: str, steps: int) -> Simulation:
 def _trials(
     simulation: Simulation, size: int, cores: int, first: int, last: int
 ) -> Callable[[], object]:
-    """Return a function that runs trials of some individuals of a population."""
+    """Return a function that runs trials of a slice, first to last, of a population."""
     genes = random_genes(simulation, size)[:, first:last]
     return functools.partial(compile_trials(simulation, population_mesh(cores)), genes)
 

@@ -1,8 +1,8 @@
 """Measure the steepest slope on which animals stand: `python -m benchmarks.slopes [CONFIG ...]`.
 
 Motors hold the neutral pose, and weight increases slowly. The limit of statics for the animal's
-final pose stands beside the result. It is the steepest slope on which forces within the friction
-cones of the touching points balance the weight, by a linear program. The table is the one in
+final pose stands beside the result. That is the steepest slope on which forces within the friction
+cones of the touching points balance the weight, by a linear program. The figures are in
 docs/models/contact.md.
 """
 
@@ -43,7 +43,7 @@ CONFIGS = (
 # animal stands.
 LOADING, SETTLING = 3.0, 3.0
 
-# A faster animal slides instead of creeping in the last second, m/s.
+# Speed in the last second from which an animal slides instead of creeping, m/s.
 SLIDES = 0.01
 
 # Edges of the linear program's cones, which are at most 0.2 % short of the round ones.
@@ -112,14 +112,14 @@ def stander(world: World, h: float) -> Callable[[float], Standing]:
 
 
 def _centre(world: World, state: State) -> Float[Array, "3"]:
-    """Return the centre of mass."""
+    """Return the centre of mass of one animal, m."""
     kin, tree = kinematics(world.tree, state), world.tree
     places = kin.origin + matvec(kin.rotation, jnp.asarray(tree.com, state.q.dtype)[..., None])
     return places[..., 0] @ jnp.asarray(tree.mass / tree.mass.sum(), state.q.dtype)
 
 
 def _on_slope(world: World, angle: Array) -> tuple[World, State]:
-    """Return dry, bare ground that falls towards x, and the animal with its lowest point on it."""
+    """Return a dry, bare world that falls towards x, and an animal with its lowest point on it."""
     assert world.contact_model is not None
     contact_model, none = _sloping(world.contact_model, angle), jnp.zeros_like(angle)
     slope = dataclasses.replace(world, contact_model=contact_model, water=None, forces=(), cells=())
@@ -140,7 +140,7 @@ def _sloping(contact_model: ContactModel, angle: Array) -> ContactModel:
 
 
 def limit_of_statics(standing: Standing) -> float:
-    """Return the steepest slope, degrees to 0.1, on which the points hold the centre of mass."""
+    """Return the steepest slope on which the points can balance the weight, degrees to 0.1."""
     turns = 2 * np.pi * np.arange(_EDGES) / _EDGES
     edges = np.stack([np.cos(turns), np.sin(turns), np.zeros(_EDGES)])
     columns = []
@@ -166,13 +166,16 @@ def limit_of_statics(standing: Standing) -> float:
 
 
 def steepest(stand: Callable[[float], Standing]) -> tuple[float, float, Standing]:
-    """Return the steepest slope a degree or more below the limit of statics for its pose.
+    """Find the steepest slope on which an animal stands, a degree or more below its limit.
 
-    An animal that slides or falls earlier does not stand on steeper slopes. The limit on the
-    returned slope is then more than a degree above the slope.
+    The limit of statics belongs to the animal's final pose. It is much above the slope if the
+    animal slides or falls earlier.
+
+    Args:
+        stand: result of `stander`.
 
     Returns:
-        The limit and the slope, degrees, and the animal's state there.
+        The limit and the slope, degrees (the slope to 0.2), and the animal's state there.
     """
     level = stand(0.0)
     low, high = (0.0, level), 60.0
@@ -188,7 +191,7 @@ def steepest(stand: Callable[[float], Standing]) -> tuple[float, float, Standing
 
 
 def stands(standing: Standing, level: Standing) -> bool:
-    """Return whether an animal neither slides nor lies below two thirds of its level height."""
+    """Return whether an animal does not slide, and keeps two thirds of its level height."""
     return standing.creep < SLIDES and standing.centre[2] > 2 / 3 * level.centre[2]
 
 

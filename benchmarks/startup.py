@@ -15,7 +15,7 @@ from pathlib import Path
 from benchmarks.plan import CONFIGS, ROOT, Plan, experiment_of, swimmer_settings
 from benchmarks.rows import SECONDS, Row
 
-# Users may set JAX's cache folder here, but the folder of the benchmark must be empty at first.
+# Variable for JAX's cache folder, which the user may have set. The benchmark needs an empty folder.
 _CACHE = "JAX_COMPILATION_CACHE_DIR"
 
 # Interval between checks of the run folder, s.
@@ -27,7 +27,7 @@ class StartError(Exception):
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """Yield rows of the first start ever, and of the second start."""
+    """Yield a row of the first start, then a row of the second."""
     overrides = ("evolution.generations=1", *swimmer_settings(plan))
     population = experiment_of("iwadate2010_swimmer", *overrides).strategy.population
     how = (
@@ -42,7 +42,11 @@ def measure(plan: Plan) -> Iterator[Row]:
 
 
 def _start(folder: Path, part: str, overrides: tuple[str, ...]) -> float:
-    """Return the seconds until the run folder holds the first generation."""
+    """Return the time until the run folder holds the first generation, s.
+
+    Raises:
+        StartError: the program failed.
+    """
     home, out = folder / "home", folder / part.replace(" ", "-")
     home.mkdir(exist_ok=True)
     environment = {key: value for key, value in os.environ.items() if key != _CACHE}

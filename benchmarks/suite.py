@@ -109,7 +109,7 @@ def main(selection: Selection) -> bool:
     Returns:
         True if no row became slower than the earlier rows allow.
     """
-    # Read first, because measuring takes long, and the file may be no benchmark.
+    # Read the file first, because measuring takes long, and the file may not hold rows.
     earlier = rows.load(selection.earlier) if selection.earlier else None
     cores = use_cores()
     console = Console()
@@ -158,7 +158,7 @@ def measure(selection: Selection, cores: int, work: Work) -> tuple[dict[str, Any
                 for row in CASES[name].measure(plan, peak):
                     found.append(row)
                     work.say(report.line(row))
-                    # Cases take minutes, so that a failure of the next case must not lose the rows.
+                    # Cases take minutes, so a failure of the next case must not lose the rows.
                     if selection.json is not None:
                         rows.save(selection.json, where, found)
     return where, found
@@ -166,7 +166,7 @@ def measure(selection: Selection, cores: int, work: Work) -> tuple[dict[str, Any
 
 @contextlib.contextmanager
 def _nothing_kept() -> Iterator[None]:
-    """Disable the cache, because cached code would hide the compile time."""
+    """Disable JAX's cache in the block, because cached code would hide the compile time."""
     before = jax.config.values["jax_enable_compilation_cache"]
     jax.config.update("jax_enable_compilation_cache", False)
     try:

@@ -41,7 +41,7 @@ def race(contenders: list[Contender], repeats: int) -> dict[str, list[float]]:
 def ratio_quartiles(
     rates: dict[str, list[float]], ours: str, peer: str
 ) -> tuple[float, float, float]:
-    """Return the quartiles and median (the middle one) of our rate over the peer's, per round."""
+    """Return the quartiles, median in the middle, over all rounds of our rate over the peer's."""
     ratios = [a / b for a, b in zip(rates[ours], rates[peer], strict=True)]
     if len(ratios) == 1:
         return ratios[0], ratios[0], ratios[0]

@@ -22,7 +22,8 @@ from benchmarks.plan import ROOT
 # Largest address space of a worker, bytes. It stops runaway compilers before the machine begins to
 # swap.
 MEMORY_LIMIT = 12 * 2**30
-# Set by this program for itself: XLA's threads are off if every core is a device.
+# Variables that a worker does not inherit. This program sets them for itself: XLA's threads are off
+# if every core is a device.
 _OWN_SETTINGS = ("NPROC",)
 # Cached code must not shorten the compile time.
 _NO_CACHE = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
@@ -79,12 +80,16 @@ class Worker:
         return answer
 
     def ask(self, question: Any, limit: float) -> dict[str, Any]:
-        """Run the worker once, and wait for the answer."""
+        """Run the worker once, and wait for the answer. The errors are those of `answer`."""
         self.send(question)
         return self.answer(limit)
 
     def send(self, question: Any) -> None:
-        """Run the worker once; `answer` waits for the result."""
+        """Make the worker run once, without waiting (see `answer`).
+
+        Raises:
+            WorkerError: the worker ended.
+        """
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps(question) + "\n")
@@ -121,7 +126,7 @@ def started(module: str, *arguments: str) -> Iterator[Worker]:
 
 
 def serve(prepare: Callable[[], tuple[dict[str, Any], Callable[[Any], dict[str, Any]]]]) -> None:
-    """Serve requests as the worker.
+    """Serve requests as the worker, until the input ends or an error is reported.
 
     Args:
         prepare: function that returns the first report, and a function from a question to its
