@@ -64,7 +64,7 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
         exercise: commands of the population.
         count: number of individuals.
         seconds: duration, s, rounded to whole windows.
-        dtype: type of all numbers; in float64 every individual has a disturbed twin.
+        dtype: type of all numbers. In float64 every individual has a disturbed twin.
     """
     simulation = exercise.experiment.simulation
     world, h = simulation.world, simulation.step_length

@@ -1,8 +1,8 @@
 """The gradient of the fitness with respect to all genes, beside the run without it.
 
 The whole stack of the swimmer is differentiated over the trial, as in `evo-cpg refine`. Populations
-fill a vector or a wide chunk, on one core, each in a process of its own, because the backward pass
-may need much time and memory to compile. Run as a program, this module is the worker:
+fill one vector or seven, on one core. Each has a process of its own, because the backward pass may
+need much time and memory to compile. Run as a program, this module is the worker:
 `python -m benchmarks.gradient SIZE SECONDS [KEY=VALUE ...]`, where 0 s is the whole trial.
 """
 

@@ -54,7 +54,7 @@ class Entry(NamedTuple):
 
     Attributes:
         peer: the peer.
-        contender: contender in the race; None if the peer cannot take part.
+        contender: contender in the race, or None if the peer cannot take part.
         compile_seconds: time to import, load the model and compile, s. None without a contender.
         note: reason why the peer cannot take part, or a remark on its motion.
     """

@@ -110,14 +110,14 @@ def _children() -> list[str]:
 
 
 def _command_of(process: str) -> bytes:
-    """Return the command line of a process; empty if the system does not report it."""
+    """Return the command line of a process, empty if the system does not report it."""
     with contextlib.suppress(OSError):
         return Path(f"/proc/{process}/cmdline").read_bytes()
     return b""
 
 
 def _peak_of(process: str) -> int | None:
-    """Return the peak resident memory of a process, bytes; None if it is not reported."""
+    """Return the peak resident memory of a process, bytes, or None if it is not reported."""
     with contextlib.suppress(OSError):
         for line in Path(f"/proc/{process}/status").read_text().splitlines():
             if line.startswith("VmHWM:"):

@@ -63,7 +63,7 @@ def main(folder: Path, interpreters: list[str], arguments: list[str]) -> list[st
 
     Args:
         folder: folder of the environments.
-        interpreters: commands; if empty, all interpreters found.
+        interpreters: commands that start them, or none for all that are found.
         arguments: arguments of pytest.
 
     Returns:

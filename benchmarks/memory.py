@@ -14,7 +14,7 @@ _STEPS = 10
 
 
 def peak_of_motion(case: str, size: int, plan: Plan) -> int | None:
-    """Return the peak memory to compile and run an animal's physics, bytes; None if it fails.
+    """Return the peak memory to compile and run an animal's physics, bytes, or None if it fails.
 
     Args:
         case: name of the animal's case.

@@ -53,7 +53,7 @@ class Animal(NamedTuple):
         exercise: exercise of the animal.
         sizes: sizes of its populations, the usual one first.
         guests: peers in JAX, which compile long, only with the size nearest to the usual one.
-        flops: scalar operations in a physics step of one individual; None if not counted.
+        flops: scalar operations in a physics step of one individual, or None if not counted.
         memory_sizes: populations whose peak memory is measured, unless the run is quick.
     """
 

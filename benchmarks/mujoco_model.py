@@ -27,7 +27,7 @@ def mujoco_model(
     Args:
         creature: the animal.
         options: attributes of MuJoCo's ``option`` element.
-        fluid: the ``fluidshape`` of every geom; empty for MuJoCo's default, the inertia box.
+        fluid: the ``fluidshape`` of every geom, or empty for MuJoCo's default, the inertia box.
         motors: whether the motors work (see `evo_cpg.exchange.mujoco_state`).
         limits: whether MuJoCo's soft constraint holds every joint within its limits.
         ground: ground that every body may touch.

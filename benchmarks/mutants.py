@@ -1,4 +1,4 @@
-"""Test whether the tests notice mistakes in the code: `make test-mutants`.
+"""Test whether the fast tests notice mistakes in the code: `make test-mutants`.
 
 Each mutant is one small change by hand: a sign, a factor, a dropped term, or swapped indices. It is
 made in a copy of the repository. There the tests of the changed part run up to the first failure. A
@@ -498,7 +498,7 @@ def main(chosen: list[int]) -> int:
     """Try mutants, print each verdict, and return the number of survivors.
 
     Args:
-        chosen: numbers of mutants, from 0; empty for all.
+        chosen: numbers of mutants, from 0, or none for all.
     """
     survivors = 0
     with tempfile.TemporaryDirectory() as folder:

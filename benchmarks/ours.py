@@ -37,7 +37,7 @@ def compile_for_all(
 
     Args:
         function: function of the number of steps and of ``(k, n)``, one column per individual.
-        lanes: all columns; as many as fill all chunks (see `full_lanes`).
+        lanes: all columns, as many as fill all chunks (see `full_lanes`).
         mesh: the devices.
     """
     count = lanes.shape[1]
@@ -72,7 +72,7 @@ def compile_motion(exercise: Exercise, lanes: np.ndarray, mesh: Mesh, finer: int
 
     Args:
         exercise: exercise of the animals.
-        lanes: differing inputs of individuals (see `Exercise.lanes`); their type is the motion's.
+        lanes: differing inputs of individuals (see `Exercise.lanes`). Their type is the motion's.
         mesh: the devices.
         finer: number of parts of each step, with unchanged commands.
     """

@@ -30,7 +30,7 @@ class Plan(NamedTuple):
 
     Attributes:
         cores: number of cores for every contender.
-        sizes: sizes of the populations, if a case can choose; None for each case's own.
+        sizes: sizes of the populations, if a case can choose, or None for each case's own.
         call_seconds: approximate length of a call, s.
         repeats: number of rounds, over which medians are taken.
         limit: longest compile time of a peer in a process of its own, s.

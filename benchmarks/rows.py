@@ -24,7 +24,7 @@ class Build:
     Attributes:
         kind: name of the creatures that differ only in their number of bodies.
         bodies: number of bodies.
-        operations: operations in the native code, for one individual; None without native code.
+        operations: operations in the native code, for one individual, or None without native code.
         building: time from the configuration to the creature and its world, s.
         writing: time from the JAX program to LLVM IR, s.
         llvm: time from LLVM IR to machine code, s.
@@ -57,19 +57,19 @@ class Row:
         rate: our rate in ``unit``, the median over the rounds, or 0 if the process failed.
         unit: a rate such as "steps/s" (more is better), or "s" (less is better).
         how: method of the measurement.
-        compile_seconds: tracing and compiling, s; not part of the rate.
+        compile_seconds: time to trace and compile, s, not part of the rate.
         temporary: bytes that XLA sets aside for intermediate results, by its own account.
         memory: peak resident memory of a process that does only this, compiling included, bytes.
         error: our error, by the case's definition (`benchmarks.accuracy`, `benchmarks.nerves`).
         flops: useful floating-point operations per second, 1/s.
         peak_share: ``flops`` over the rate of the machine's float32 matrix product.
         peer: name of the peer.
-        peer_rate: rate of the peer in ``unit``; None if the peer has none.
+        peer_rate: rate of the peer in ``unit``, or None if the peer has none.
         peer_error: the error of the peer by the same definition.
         ratio: median over the rounds of our rate over the peer's.
         ratio_spread: lower and upper quartile of the ratio.
-        note: reason why the peer or the row has no rate, or why the row runs on plain JAX, or the
-            number of the peer's diverged individuals.
+        note: reason why the peer or the row has no rate, or why the row runs on plain JAX. It may
+            also be the number of the peer's diverged individuals.
         build: costs of making the program, if the creature's size matters.
     """
 

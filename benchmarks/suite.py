@@ -60,13 +60,13 @@ class Selection(NamedTuple):
     """Choices of the user.
 
     Attributes:
-        cases: names, in any order; all if empty.
-        sizes: sizes of the populations; None for each case's own.
+        cases: names, in any order, or none for all.
+        sizes: sizes of the populations, or None for each case's own.
         quick: whether to measure little, for a first look.
         limit: longest compile time of a peer in a process of its own, s.
-        json: file for the rows; None for no file.
-        plot: file for the picture; None for no picture.
-        earlier: file of rows to compare with; None for none.
+        json: file for the rows, or None for no file.
+        plot: file for the picture, or None for no picture.
+        earlier: file of rows to compare with, or None for none.
         tolerance: largest fraction that a rate or ratio may lose against the earlier rows.
     """
 
@@ -107,7 +107,10 @@ def main(selection: Selection) -> bool:
     """Measure, print and store the selected cases.
 
     Returns:
-        True if no row became slower than the earlier rows allow.
+        True if no row became slower than the earlier rows allow, or if there are none.
+
+    Raises:
+        RowsError: the file of earlier rows cannot be read, or has other contents.
     """
     # Read the file first, because measuring takes long, and the file may not hold rows.
     earlier = rows.load(selection.earlier) if selection.earlier else None

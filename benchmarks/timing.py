@@ -41,7 +41,10 @@ def race(contenders: list[Contender], repeats: int) -> dict[str, list[float]]:
 def ratio_quartiles(
     rates: dict[str, list[float]], ours: str, peer: str
 ) -> tuple[float, float, float]:
-    """Return the quartiles, median in the middle, over all rounds of our rate over the peer's."""
+    """Return the lower quartile, median and upper quartile of a ratio over the rounds.
+
+    The ratio is our rate over the peer's in the same round.
+    """
     ratios = [a / b for a, b in zip(rates[ours], rates[peer], strict=True)]
     if len(ratios) == 1:
         return ratios[0], ratios[0], ratios[0]
@@ -62,7 +65,7 @@ def count_lasting(
     """Return the number of steps (or other units) that take about the intended time.
 
     Args:
-        prepare: function that returns a call of some steps; the preparation is not timed.
+        prepare: function that returns a call of some steps. The preparation is not timed.
         call_time: intended time, s.
         fewest: least number of steps, for the first try.
         most: largest number of steps.
