@@ -46,22 +46,24 @@ test-wheel: $(DEV) ## build and install the wheel in an empty environment, and g
 test-matrix: ## run the tests on all interpreters, oldest and newest dependencies (PYTHONS=..., PYTEST=...)
 	$(PYTHON) benchmarks/matrix.py --pytest='$(PYTEST)' build/matrix $(PYTHONS)
 
-check: $(DEV) docs ## format, lint, types, layers and docs, as CI does
+check: $(DEV) docs ## format, lint, types, layers, language and docs, as CI does
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check --no-cache .  # cached import sorting misses modules that came later
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+	$(BIN)/python docs/tools/language.py
 
 bench: $(DEV) ## run the benchmark suite
 	$(BIN)/evo-cpg bench
 
 docs: $(DEV) ## build the documentation into docs/_build/html
-	$(BIN)/python docs/tools/generate.py
+	$(BIN)/python docs/tools/generate.py --check
 	$(BIN)/sphinx-build --quiet --fresh-env --fail-on-warning --keep-going -b html docs docs/_build/html
 
-format: $(DEV) ## format the code and mend what ruff can
+format: $(DEV) ## format the code, mend what ruff can, and write the generated pages
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+	$(BIN)/python docs/tools/generate.py
 
 clean: ## remove environments, builds and caches; runs/ stays
 	rm -rf $(VENV) build dist docs/_build .hypothesis .import_linter_cache .pytest_cache .ruff_cache

@@ -33,7 +33,7 @@ _BEYOND = 1e9
 
 
 class Part(NamedTuple):
-    """A part of the file that has a table of its own.
+    """Part of the file with a table of its own.
 
     Attributes:
         paths: where it may stand, such as ``creature.bodies.N.joint``.
@@ -47,7 +47,7 @@ class Part(NamedTuple):
 
 
 def every_key() -> str:
-    """The reference, as MyST Markdown."""
+    """Return the reference as Markdown."""
     schema = file_schema()
     pieces, section = [], ""
     for part in parts(schema):
@@ -64,7 +64,7 @@ def every_key() -> str:
 
 
 def parts(schema: Schema) -> list[Part]:
-    """All parts, each where it is met first, what belongs together side by side."""
+    """Return all parts in the order of the schema, with related parts side by side."""
     found: dict[str, Part] = {}
 
     def visit(path: str, name: str, several: bool) -> None:
@@ -101,7 +101,7 @@ def _anchors() -> dict[str, str]:
 
 
 def _inner(value: Schema, step: str = "") -> Iterator[tuple[str, str]]:
-    """The definitions that a value may have, and what stands between the key and theirs."""
+    """Yield the definitions that a value may have, each with the path from the key to them."""
     if "$ref" in value:
         yield step, value["$ref"].rsplit("/", 1)[-1]
     for choice in ("anyOf", "oneOf"):
@@ -134,7 +134,7 @@ def _table(definition: Schema) -> str:
 
 
 def _told(description: str) -> tuple[str, str]:
-    """What a description says, and the unit that it names."""
+    """Return a description and the unit that it names."""
     unit = _UNIT.search(description)
     if unit is None:
         return _words(description), ""
@@ -143,7 +143,7 @@ def _told(description: str) -> tuple[str, str]:
 
 
 def _words(text: str) -> str:
-    """Reads as Markdown what stands in a docstring."""
+    """Return the text of a docstring as Markdown."""
     text = re.sub(r"``(.+?)``", r"`\1`", text)
     text = re.sub(r"\bNone\b", "`null`", text)
     return text.removesuffix(".").replace("<", r"\<")
@@ -166,7 +166,7 @@ def _default(value: Schema) -> str:
 
 
 def _number(value: Any) -> Any:
-    """As one would write it in YAML."""
+    """Return a value as YAML writes it."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
@@ -175,7 +175,7 @@ def _number(value: Any) -> Any:
 
 
 def _values(value: Schema) -> str:
-    """Which values a key takes."""
+    """Return the allowed values of a key in words."""
     if "$ref" in value:
         name = value["$ref"].rsplit("/", 1)[-1]
         return f"[keys](#{anchor(name)})"
@@ -200,7 +200,7 @@ def _values(value: Schema) -> str:
 
 
 def _one_of(options: list[Schema]) -> str:
-    """Alternatives: kinds by their types, and everything else as it is."""
+    """Return alternatives in words: kinds by their types, and other values as they are."""
     refs = [option["$ref"].rsplit("/", 1)[-1] for option in options if "$ref" in option]
     refs = [name for name in refs if name != "CreatureFile"]
     if len(refs) > 1:
@@ -241,14 +241,14 @@ def _list(value: Schema) -> str:
 
 
 def _plural(words: str) -> str:
-    """Of several values; of lists, lists of these."""
+    """Return the plural of the words for a value."""
     if words[:1].isdigit():
         return f"lists of {words}"
     return re.sub(r"^(whole number|number|list|text)(?!s)", r"\1s", words)
 
 
 def _range(value: Schema) -> str:
-    """Bounds of a number, in words; those far away are not worth a word."""
+    """Return the bounds of a number in words, without bounds that are far away."""
     low, high, above, below = (
         None if key not in value or abs(value[key]) >= _BEYOND else _number(value[key])
         for key in ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")

@@ -55,7 +55,8 @@ def main(check: bool) -> int:
         text = filled(page)
         if text != page.read_text(encoding="utf-8"):
             stale += 1
-            print(f"{page.relative_to(DOCS)}: {'out of date' if check else 'written'}")
+            advice = "out of date; run `make format`" if check else "written"
+            print(f"{page.relative_to(DOCS)}: {advice}")
             if not check:
                 page.write_text(text, encoding="utf-8")
     return int(check and stale > 0)

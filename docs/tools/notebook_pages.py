@@ -1,4 +1,4 @@
-"""Shows Jupyter notebooks as pages, with what their cells printed and drew, and runs them anew.
+"""Show Jupyter notebooks as pages with the output of their cells, and run them again.
 
     python docs/tools/notebook_pages.py docs/notebooks/*.ipynb
 
@@ -20,7 +20,7 @@ Notebook = dict[str, Any]
 
 
 def as_markdown(notebook: Notebook) -> str:
-    """The cells one after the other, and below each what came of it."""
+    """Return the cells in order, each with its output below it."""
     pieces = []
     for cell in notebook["cells"]:
         source = "".join(cell["source"])
@@ -37,7 +37,7 @@ def as_markdown(notebook: Notebook) -> str:
 
 
 def run(notebook: Notebook) -> Notebook:
-    """The notebook with what its cells print and draw now."""
+    """Return the notebook with new output of its cells."""
     import matplotlib.pyplot as plt
 
     plt.close("all")  # what others left open is none of the notebook's
@@ -68,7 +68,7 @@ def _picture(figure: Any) -> dict[str, Any]:
 
 
 class NotebookParser(MystParser):
-    """Reads notebooks as pages of MyST Markdown."""
+    """Parser that reads notebooks as pages of MyST Markdown."""
 
     supported = ("ipynb",)
 
@@ -78,7 +78,7 @@ class NotebookParser(MystParser):
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Called by Sphinx."""
+    """Register the parser with Sphinx."""
     app.add_source_suffix(".ipynb", "ipynb")
     app.add_source_parser(NotebookParser)
     return {"parallel_read_safe": True}

@@ -377,8 +377,9 @@ def _variations(
 ) -> dict[str, Variation]:
     """Return the variations of the simulation, by the key of the limit.
 
-    The champion was selected partly for lucky noise. With noise, all variations therefore use the
-    same fresh draws, and are compared with the variation `_CHANCE`.
+    The champion was selected partly for lucky noise. With noise, all variations but
+    `precision` and `other_engine` therefore use the same fresh draws, and are compared with the
+    variation `_CHANCE`.
     """
     simulation = experiment.simulation
     draws = draws_of(simulation)

@@ -1,6 +1,7 @@
 """Experiment for use from Python, with individuals on the first axis, as in NumPy and evosax.
 
-Inside the library individuals are on the last axis of every array. Only this module transposes.
+Inside the library individuals are on the last axis of every array. This module and
+`evo_cpg.api.training` transpose.
 """
 
 import dataclasses

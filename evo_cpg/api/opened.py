@@ -1,6 +1,7 @@
 """Run folder with its built experiment, and with one of its champions or elites."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -55,7 +56,7 @@ class Opened:
         """Folders of a user's own classes."""
         return class_folders(self.folder)
 
-    @property
+    @functools.cached_property
     def changed(self) -> str | None:
         """Warning that ``config.yaml`` changed since the champion evolved; None if unchanged.
 
@@ -114,7 +115,7 @@ class Opened:
             trial: number of the recorded trial, from 0.
             full: whether to record all quantities, see `evo_cpg.simulation.recording.Recorder`.
         """
-        # Importing the loop starts nothing, but it takes JAX a second.
+        # Importing the replay starts nothing, but it takes JAX a second.
         from evo_cpg.training.replay import compile_frames
 
         live = compile_frames(self.experiment, self.devices, trial, full)

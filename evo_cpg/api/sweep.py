@@ -52,9 +52,11 @@ class Member(Opened):
 
     Attributes:
         setting: name and values of the setting.
+        source: file of the configuration.
     """
 
     setting: Setting
+    source: Path
 
     @property
     def checkpoint(self) -> Checkpoint | None:
@@ -119,7 +121,8 @@ def claim(folder: Path, plan: Mapping[str, Any]) -> None:
     """Make the folder of a sweep, or check that it holds this sweep.
 
     Raises:
-        RunFolderError: the folder holds something else, or cannot be written.
+        OutputError: the folder cannot be written.
+        RunFolderError: the folder holds something else.
     """
     known = read_plan(folder)
     if known is not None:
@@ -190,7 +193,7 @@ def members_of(
         experiment = build_experiment(config, source)
         require_genes(experiment, source)
         require_memory(experiment)
-        members.append(Member(RunFolder(folder / named(name)), config, experiment, setting))
+        members.append(Member(RunFolder(folder / named(name)), config, experiment, setting, source))
     return members
 
 
@@ -216,7 +219,6 @@ def groups(members: Sequence[Member]) -> list[list[Member]]:
 
 def run_group(
     group: Sequence[Member],
-    source: Path,
     devices: int,
     on_generation: Callable[[Member, list[dict[str, float]]], object],
     warn: Callable[[str], object] = lambda words: None,
@@ -225,7 +227,6 @@ def run_group(
 
     Args:
         group: a group from `groups`.
-        source: file of the configuration.
         devices: number of devices that share the population.
         on_generation: called with a setting and its new rows after each of its generations.
         warn: called with a sentence for each difference from the earlier machine.
@@ -239,7 +240,7 @@ def run_group(
     with contextlib.ExitStack() as stack:
         for member in group:
             stack.enter_context(member.folder.locked(new=True))
-        _reopen(group, source, devices, warn)
+        _reopen(group, devices, warn)
         train_together(
             [member.experiment for member in group],
             [member.folder for member in group],
@@ -249,7 +250,6 @@ def run_group(
 
 def evolve(
     members: Sequence[Member],
-    source: Path,
     devices: int,
     title: str,
     on_generation: Callable[[Member], object] = lambda member: None,
@@ -259,7 +259,6 @@ def evolve(
 
     Args:
         members: the settings.
-        source: file of the configuration.
         devices: number of devices that share the population.
         title: text before the names of each group.
         on_generation: called with a setting after each of its generations.
@@ -283,7 +282,7 @@ def evolve(
                 show(_standing(latest))
                 on_generation(member)
 
-            run_group(group, source, devices, tell, warn)
+            run_group(group, devices, tell, warn)
 
 
 def _standing(latest: Mapping[str, float]) -> str:
@@ -295,17 +294,15 @@ def _standing(latest: Mapping[str, float]) -> str:
     return f"ahead: {best}, median champion {known[best]:.4f}"
 
 
-def _reopen(
-    group: Sequence[Member], source: Path, devices: int, warn: Callable[[str], object]
-) -> None:
+def _reopen(group: Sequence[Member], devices: int, warn: Callable[[str], object]) -> None:
     """Make the run folders, or reopen existing ones."""
     for member in group:
         if not member.folder.config.is_file():
-            begin_run(member, devices, source)
+            begin_run(member, devices, member.source)
             continue
         member.folder.require()
         if not member.finished:
-            for words in reopen_run(member, devices, source=source):
+            for words in reopen_run(member, devices, source=member.source):
                 warn(words)
 
 
@@ -313,7 +310,8 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
     """Write the tables and the figure of all results so far.
 
     Raises:
-        RunFolderError: nothing has been evolved yet, or the folder cannot be written.
+        OutputError: the folder cannot be written.
+        RunFolderError: nothing has been evolved yet.
     """
     from evo_cpg.view.figure import save_figure
     from evo_cpg.view.search_plots import Curves, sweep_figure

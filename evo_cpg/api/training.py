@@ -143,7 +143,8 @@ def begin_run(
 
     Raises:
         ConfigError: there are no genes to evolve.
-        RunFolderError: the folder holds a run or other files, or cannot be written.
+        OutputError: the folder cannot be written.
+        RunFolderError: the folder holds a run or other files.
         TooLargeError: the run needs more memory than the machine has.
     """
     require_genes(run.experiment, source)
@@ -187,7 +188,7 @@ def reopen_run(
 
     Raises:
         ConfigError: there are no genes to evolve.
-        RunFolderError: the folder cannot be written.
+        OutputError: the folder cannot be written.
         TooLargeError: the run needs more memory than the machine has.
     """
     folder = run.folder

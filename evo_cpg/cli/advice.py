@@ -25,6 +25,7 @@ _ERROR = 0.15
 
 # Sections of a configuration that do not change the program of a trial.
 _NO_CODE = ("name", "seed", "evolution", "audit")
+_CODE = ("evolution.axes", "audit.disqualify")
 
 # Name of each part of a trial, and changes that lower its cost.
 _CAUSES = {
@@ -135,7 +136,9 @@ def animal_digest(config: ExperimentConfig) -> str:
     """Return a digest of all settings and code that the program of a trial depends on."""
     found = fingerprint(config)
     parts = {
-        key: value for key, value in found["config"].items() if key.split(".")[0] not in _NO_CODE
+        key: value
+        for key, value in found["config"].items()
+        if key.split(".")[0] not in _NO_CODE or key.startswith(_CODE)
     }
     text = json.dumps([parts, found["code"]], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

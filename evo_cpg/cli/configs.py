@@ -37,15 +37,9 @@ def copy(
     ] = Path("."),
 ) -> None:
     """Copy a configuration and the files that it names."""
-    from evo_cpg.cli.errors import UsageError
     from evo_cpg.config.shipped import copy_shipped
 
-    try:
-        print(copy_shipped(name, folder))
-    except OSError as error:
-        raise UsageError(
-            f"configs copy: {error.filename or folder} cannot be written ({error.strerror})"
-        ) from None
+    print(copy_shipped(name, folder))
 
 
 @configs.command()

@@ -29,7 +29,7 @@ from evo_cpg.config.trust import is_trusted, trusting
 from evo_cpg.files import write_text
 from evo_cpg.installation import command_for
 from evo_cpg.locks import LockedError, joined, locked
-from evo_cpg.system import described_by, named
+from evo_cpg.system import described_by
 from evo_cpg.training.devices import available_cores, use_cores
 from evo_cpg.training.run_folder import RunFolderError, read_checked
 
@@ -105,7 +105,7 @@ class Job(NamedTuple):
             if plan is None:
                 raise RunFolderError(f"{folder} is no sweep any more")
             for group in groups(members_of(folder, plan, self.settings)):
-                run_group(group, named(plan["config"]), devices, lambda member, rows: None)
+                run_group(group, devices, lambda member, rows: None)
 
     def checkpoint(self) -> Any:
         """Return this job for submitit to queue again, after a preemption or at the time limit."""

@@ -76,7 +76,7 @@ def sweep(
     from evo_cpg.api.display import working
     from evo_cpg.api.sweep import claim, members_of, new_plan, read_plan
     from evo_cpg.cli.jobs import claimed, read_jobs
-    from evo_cpg.system import as_utf8, named
+    from evo_cpg.system import as_utf8
     from evo_cpg.training.devices import use_cores
 
     requested = read_jobs(jobs, job_option or [])
@@ -96,7 +96,7 @@ def sweep(
     chosen = _chosen(members, only or [])
     with claimed(folder, requested):
         claim(folder, plan)
-        failed = _evolve(folder, named(plan["config"]), chosen, devices, requested, cores)
+        failed = _evolve(folder, chosen, devices, requested, cores)
         if any(member.generation for member in members) or not failed:
             _tell(folder, members)
     if failed:
@@ -153,7 +153,6 @@ def _chosen(members: "Sequence[Member]", only: Sequence[str]) -> "list[Member]":
 
 def _evolve(
     folder: Path,
-    source: Path,
     members: "Sequence[Member]",
     devices: int,
     jobs: "Jobs | None",
@@ -166,7 +165,7 @@ def _evolve(
     try:
         if jobs is not None:
             return run_jobs(folder, groups(members), jobs, cores)
-        evolve(members, source, devices, folder.name, warn=warn)
+        evolve(members, devices, folder.name, warn=warn)
     except KeyboardInterrupt:
         if jobs is None or jobs.count is not None:
             print(f"interrupted; go on with `evo-cpg sweep {folder}`", file=sys.stderr)

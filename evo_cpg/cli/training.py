@@ -119,9 +119,9 @@ def require_scalars() -> None:
         raise UsageError(f"--tensorboard: {error}") from None
 
 
-def goes_on_with_scalars(run: Path, expected: bool) -> bool:
+def goes_on_with_scalars(run: Path, requested: bool) -> bool:
     """Return whether to write scalars: they are requested, or the run already has scalars."""
-    if expected:
+    if requested:
         require_scalars()
         return True
     if not (run / FOLDER).is_dir():

@@ -96,7 +96,7 @@ def watch(
 
 
 def lower_priority() -> None:
-    """Lower the priority of this process below all others, above all the trainer.
+    """Lower the priority of this process below other processes, particularly the trainer.
 
     If the system has a scheduling class for idle cores, use it: a nice process still takes some
     time of busy cores.

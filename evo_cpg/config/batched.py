@@ -6,7 +6,7 @@ one by one (`build_batch`). NumPy also builds the bodies that do not fit the pla
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import jax
@@ -45,7 +45,7 @@ class BodyPlan:
     ):
         """Make a plan from some bodies. See `build_batch` for the arguments and errors."""
         self._config, self._keys = config, tuple(numbers)
-        self.batched, layout = _build(config, source, numbers, (), None, task)
+        self.batched, layout = _build(config, source, numbers, None, task)
         self._building = Building(config, layout, _pairs(self.batched.common), task)
         self.hindrance = ""
         if not are_checked_alone(config, self._keys):
@@ -91,7 +91,6 @@ def build_batch(
     config: ExperimentConfig,
     source: Path | str,
     numbers: Mapping[str, Float[np.ndarray, " n"]],
-    folders: Iterable[Path] = (),
     like: BatchedSimulation | None = None,
     task: Task | None = None,
 ) -> BatchedSimulation:
@@ -104,7 +103,6 @@ def build_batch(
         config: the configuration.
         source: file of the configuration.
         numbers: values by key, such as ``creature.bodies.1.shape.size.0``.
-        folders: see `evo_cpg.config.build.build_experiment`.
         like: see `evo_cpg.simulation.batched.batch`.
         task: task that replaces the configuration's task.
 
@@ -113,19 +111,17 @@ def build_batch(
             numbers change the layout of the simulation, or nothing.
         ValueError: a key does not have one value for each individual.
     """
-    return _build(config, source, numbers, folders, like, task)[0]
+    return _build(config, source, numbers, like, task)[0]
 
 
 def _build(
     config: ExperimentConfig,
     source: Path | str,
     numbers: Mapping[str, Float[np.ndarray, " n"]],
-    folders: Iterable[Path],
     like: BatchedSimulation | None,
     task: Task | None,
 ) -> tuple[BatchedSimulation, PointLayout]:
     """Return the result of `build_batch`, and the layout of the surface points."""
-    folders = tuple(folders)
     for key in numbers:
         number_at(config, key, source)
     sizes = {np.shape(values) for values in numbers.values()}
@@ -143,7 +139,9 @@ def _build(
 
         def build(pairs: PlanPairs | None, layout: PointLayout = layout) -> list[Simulation]:
             return [
-                _with_task(build_experiment(each, source, folders, layout, pairs).simulation, task)
+                _with_task(
+                    build_experiment(each, source, layout=layout, pairs=pairs).simulation, task
+                )
                 for each in (config, *configs)
             ]
 

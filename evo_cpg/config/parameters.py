@@ -88,7 +88,7 @@ class Parameters:
         """Return the simulation at some values, which may be traced.
 
         Args:
-            values: values of the parameters, in the precision of the trial (see `require`).
+            values: values of the parameters, in the precision of the trial (see `checked`).
 
         Raises:
             ConfigError: the simulation is differentiated with respect to a value at a kink.
@@ -253,7 +253,7 @@ def _change(
         kinks: dict that gets the reason why there is no derivative at a kink, or None to raise it.
 
     Raises:
-        KeyProblem: more than leaves change, no leaf changes, or there is no derivative.
+        KeyProblem: more than numbers changes, no leaf changes, or there is no derivative.
     """
     value, where = number_at(config, key), key.split(".")
     others, both = _neighbours(building, config, key, value)

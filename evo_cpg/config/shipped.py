@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from evo_cpg.config.errors import ConfigError, nearest
-from evo_cpg.files import write_whole
+from evo_cpg.files import make_folder, write_whole
 from evo_cpg.system import resolved
 
 _PACKAGE = Path(__file__).parents[1]
@@ -123,8 +123,7 @@ def copy_shipped(name: str, folder: Path) -> Path:
     Raises:
         ConfigError: the name does not exist, or an existing file has other contents. Nothing is
             copied then.
-        OSError: a folder cannot be created.
-        RunFolderError: a file cannot be written.
+        OutputError: a folder or a file cannot be written.
     """
     from evo_cpg.config.load import load_config
     from evo_cpg.config.trust import recording_files
@@ -141,7 +140,7 @@ def copy_shipped(name: str, folder: Path) -> Path:
                 copy, (), f"exists already, and is not that of {name}; name another folder"
             )
     for part in parts.values():
-        (folder / part).parent.mkdir(parents=True, exist_ok=True)
+        make_folder((folder / part).parent)
     for path, part in parts.items():
         copy = folder / part
         if not copy.exists():

@@ -123,7 +123,7 @@ def parse_yaml(text: str) -> Any:
     Raises:
         yaml.YAMLError: the text is not YAML, or exceeds the size limits.
     """
-    _require_shallow(text, _Loader)
+    _require_shallow(text)
     return yaml.load(text, _Loader)
 
 
@@ -133,7 +133,7 @@ def compose_yaml(text: str) -> yaml.Node | None:
     Raises:
         yaml.YAMLError: the text is not YAML, or exceeds the size limits.
     """
-    _require_shallow(text, _Loader)
+    _require_shallow(text)
     return yaml.compose(text, _Loader)
 
 
@@ -154,7 +154,7 @@ def to_yaml(data: Any, flow: bool | None = False) -> str:
     )
 
 
-def _require_shallow(text: str, loader: type) -> None:
+def _require_shallow(text: str) -> None:
     """Check that YAML does not exceed the limits for depth and number of values.
 
     An alias counts as all its values, because a few lines of aliases could fill the memory.
@@ -165,7 +165,7 @@ def _require_shallow(text: str, loader: type) -> None:
     # Anchor of every open collection, and number of values in it so far.
     opened: list[tuple[str | None, int]] = [(None, 0)]
     sizes: dict[str, int | None] = {}
-    for event in yaml.parse(text, loader):
+    for event in yaml.parse(text, _Loader):
         added = 0
         anchor = getattr(event, "anchor", None)
         if isinstance(event, yaml.CollectionStartEvent):

@@ -18,7 +18,7 @@ class Observation(NamedTuple):
 
     Attributes:
         light: strength at each light sensor, 0 to 1.
-        pressure: 1 where a pressure sensor touches something solid, else 0.
+        pressure: 1 where the ground presses a sensor harder than the water does, else 0.
         vertical_cosine: cosine of the angle between a sensor's axis and the vertical.
         vertical_sine: sine of the angle between a sensor's axis and the vertical.
         joint_angle: joint angles, rad.

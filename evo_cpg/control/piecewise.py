@@ -150,7 +150,10 @@ class _Piece(NamedTuple):
 
 
 class _Modes(NamedTuple):
-    """Modes that add up to a distance from an equilibrium: rates, and shapes of the potentials."""
+    """Modes that add up to a distance from an equilibrium: rates, and shapes of the states.
+
+    ``shapes`` has the rows of ``shapes_of_all`` that belong to potentials.
+    """
 
     rates: np.ndarray
     shapes: np.ndarray
@@ -519,7 +522,7 @@ def _first_root(
     """Return where in a step the first cubic crosses zero before a place, and its neuron."""
     low = np.full(len(neurons), _PLACES[place - 1] if place else 0.0)
     high = np.full(len(neurons), _PLACES[place])
-    a, b, c, d = x0[neurons], v0[neurons], 3 * (x1 - x0)[neurons] - (2 * v0 + v1)[neurons], 0.0
+    a, b, c = x0[neurons], v0[neurons], 3 * (x1 - x0)[neurons] - (2 * v0 + v1)[neurons]
     d = 2 * (x0 - x1)[neurons] + (v0 + v1)[neurons]
 
     def cubic(t: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ their map run on the host, in a callback of `Ribs.ask` and `Ribs.tell`. Between 
 pytree of arrays (see `evo_cpg.evolution.pyribs_host`).
 
 The emitters' map may replace the fittest of a cell by a worse one above the threshold. So the map
-that a run shows is a separate `evo_cpg.evolution.map_elites.Archive` of all individuals.
+that a run shows is a separate `evo_cpg.evolution.archive.Archive` of all individuals.
 
 Three kinds of individuals do not enter the emitters' map and rank below all others of their
 emitter: those that diverged, those with descriptors that are not finite, and migrants. While no

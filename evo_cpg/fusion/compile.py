@@ -20,7 +20,7 @@ program costs more and computes the same. Only sums without multiply-adds round 
 | environment variable | after each pass |
 |---|---|
 | ``EVO_CPG_SHOW_PASSES`` | the graph is printed to standard error (`ir.show`) |
-| ``EVO_CPG_VERIFY_PASSES`` | the graph is checked (`ir.verify`), as in all tests |
+| ``EVO_CPG_VERIFY_PASSES`` | the graph is checked (`ir.verify`), as in the tests of native code |
 """
 
 import contextlib

@@ -106,6 +106,13 @@ class ContactLinearization(NamedTuple):
     normal: Float[Array, "p *n"]
 
 
+def rest_velocity(gap: Array, h: float) -> Array:
+    """Return v* of points with a gap (m), m/s."""
+    push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
+    # Multiply by a reciprocal: a division costs a processor many times as much.
+    return jnp.where(gap > 0, (-1.0 / h) * gap, push)
+
+
 def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Contacts:
     """Return the contact points of every part and their target normal velocities.
 
@@ -128,11 +135,9 @@ def find_contacts(contact_model: ContactModel, kin: Kinematics, h: float) -> Con
     if ahead is not None:
         # The gap is the gap after ``ahead`` seconds. The point approaches during this time.
         gap, left = gap + ahead * approach, h - ahead
-    push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
     fraction = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
     bounce = expand_dims_like(contact_model.restitution, approach) * fraction * approach
-    # Multiply by a reciprocal: a division costs a processor many times as much.
-    rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
+    rest = rest_velocity(gap, h)
     # The law yields by a fraction of the speed. A point that moves farther in a step than the
     # margin would sink in by millimetres.
     hit = jnp.clip((h / ground.margin) * approach - 1.0, 0.0, 1.0)

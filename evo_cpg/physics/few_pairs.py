@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics import joints, root
+from evo_cpg.physics.contact import rest_velocity
 from evo_cpg.physics.kinematics import Kinematics, motion_of_bodies
 from evo_cpg.physics.pairs import (
     LARGEST_DRIFT,
@@ -20,7 +21,6 @@ from evo_cpg.physics.pairs import (
     PointMotion,
     acceleration_field,
     parting_acceleration,
-    rest_velocity,
     separations,
 )
 from evo_cpg.physics.per_body import take
@@ -100,7 +100,7 @@ class FewPairContacts(NamedTuple):
 
     def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
         """Return the changes of separation velocities by joint accelerations in a step, m/s."""
-        return self.h * (self.jacobian * turn[None]).sum(1)
+        return self.h * self.parting(turn)
 
     def velocity(self, qdd: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
         """Return the separation velocities at the end of the step, m/s."""

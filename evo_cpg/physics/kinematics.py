@@ -10,8 +10,10 @@ the body's joint, so the shift from parent to child is a pure translation by ``o
 | p_i, d_i | ``origin``; ``offset`` from the parent's origin |
 | S_i | ``axes``: world unit vectors of the joint axes |
 | w_i, v_i | ``angular``, ``linear`` velocity at the origin |
-| A0_i | ``bias_angular``, ``bias_linear``: spatial acceleration at constant velocities of the root
-and the joints. A material point has the acceleration A0 plus ``w x v``. The root's is ``-w x v`` |
+| A0_i | ``bias_angular``, ``bias_linear``: acceleration at constant velocities of the tree |
+
+A0_i is a spatial acceleration. A material point has the acceleration A0 plus ``w x v``. The root's
+A0 is ``-w x v``.
 """
 
 from typing import NamedTuple

@@ -28,6 +28,7 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics import joints, root
+from evo_cpg.physics.contact import rest_velocity
 from evo_cpg.physics.kinematics import Kinematics, motion_of_bodies
 from evo_cpg.physics.pairs import (
     KINDS,
@@ -38,7 +39,6 @@ from evo_cpg.physics.pairs import (
     acceleration_field,
     parting_acceleration,
     placed_boxes,
-    rest_velocity,
 )
 from evo_cpg.physics.spatial_algebra import BodyMotion
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec

@@ -1,6 +1,6 @@
 """Newton's iteration on a step problem with fixed cones, restitution and pair bias.
 
-One iteration linearises the force laws at the iterate, solves for the accelerations, and searches
+One iteration linearizes the force laws at the iterate, solves for the accelerations, and searches
 the line to that solution for the least potential. The problem is strictly convex
 (`evo_cpg.physics.step_problem`), so the iteration converges to its only solution.
 
@@ -63,7 +63,7 @@ def tolerances(like: Array) -> tuple[float, float]:
 def full_step(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
 ) -> Float[Array, "v *n"]:
-    """Return the accelerations under the force laws linearised at an iterate.
+    """Return the accelerations under the force laws linearized at an iterate.
 
     Args:
         problem: problem of the step.
@@ -106,7 +106,7 @@ def line_search(
         radius: radii of the friction cones, N.
         start: accelerations at the start of the line.
         velocity: velocities of the contact points at the start of the line, m/s.
-        end: accelerations at its end, under the laws linearised at the start.
+        end: accelerations at its end, under the laws linearized at the start.
         least: decrease per length (W) below which there is no search and the end is returned.
     """
     direction, h = end - start, problem.h

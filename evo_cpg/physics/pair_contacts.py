@@ -20,7 +20,7 @@ these members:
 | ``force``, ``load`` | force of every point, and their sum, N |
 | ``torque`` | joint torques of the forces, ``J^T f``, N m |
 | ``power(change)`` | power of the forces, W |
-| ``newton()`` | linearised torques at zero joint acceleration, and ``h J^T K J`` |
+| ``newton()`` | linearized torques at zero joint acceleration, and ``h J^T K J`` |
 
 The bias belongs to joint rates between the start and the end of the step. Few pairs store the
 acceleration itself, ``(p, *n)``, m/s^2. Many pairs store the joint accelerations that lead to those

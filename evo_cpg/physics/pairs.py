@@ -32,7 +32,6 @@ from evo_cpg.creature.self_collision import (
 from evo_cpg.creature.shapes import RoundedBox
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.box_separation import separation_of_boxes
-from evo_cpg.physics.contact import BAUMGARTE_FRACTION, BAUMGARTE_SPEED
 from evo_cpg.physics.flat_separation import separation_of_flat
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import take
@@ -64,7 +63,7 @@ KINDS = {
 LARGEST_DRIFT = 2e-4
 
 # Largest number of pairs that are unrolled. `evo_cpg.physics.many_pairs` loops over more pairs. The
-# animals of the studies have 45 at most, and keep their bits.
+# animals of the studies have 45 at most, and keep their results to the last bit.
 _MOST_WRITTEN_OUT = 60
 
 # Largest sine of the angle between axes that count as parallel.
@@ -303,12 +302,6 @@ def placed_boxes(pairs: Pairs, kin: Kinematics) -> tuple[Array, Array, Array]:
     centre = kin.origin + matvec(kin.rotation, expand_dims_like(pairs.centre, kin.origin))
     half = expand_dims_like(pairs.half_extents, kin.origin)
     return centre, half, expand_dims_like(pairs.radius, kin.origin[0])
-
-
-def rest_velocity(gap: Array, h: float) -> Array:
-    """Return v* of points with a gap (m), m/s."""
-    push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
-    return jnp.where(gap > 0, (-1.0 / h) * gap, push)
 
 
 def acceleration_field(

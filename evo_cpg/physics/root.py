@@ -4,7 +4,8 @@ The root moves freely in space. Its velocity is angular (rad/s), then linear at 
 world axes; its pose is the position of its centre (m) and a unit quaternion (w, x, y, z).
 
 A generalized vector ``(v, *n)`` holds the root's `ROOT_DOFS` components, then those of the joints
-in the tree's order. No other module of the physics depends on the number or on the order.
+in the tree's order. Other modules rely only on the root coming first and, in static coordinates, on
+displacement before rotation (`evo_cpg.physics.statics`).
 """
 
 from collections.abc import Sequence

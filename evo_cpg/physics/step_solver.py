@@ -9,7 +9,7 @@ and the iteration continues (`outer_updates`):
                  |
             first iterate: full Newton step at the warm start; e = 1, b at the start of the step
                  |
-      +--------> solved? ------ no ------> Newton iteration: linearise, solve, line search
+      +--------> solved? ------ no ------> Newton iteration: linearize, solve, line search
       |          | yes                     (60 in all, then y is returned as it is)
       +<-- L --- friction cone: Coulomb error > 1e-2?        L <- mu f_n (Anderson)
       |          | no, or the last round
@@ -106,7 +106,7 @@ class _Answer(NamedTuple):
     bias: Float[Array, "k *n"]
 
 
-class _Notes(NamedTuple):
+class _Record(NamedTuple):
     """Input of `_replay`; see `_Search`."""
 
     visited: _Visited
@@ -141,7 +141,7 @@ def solve_step(
     one = jnp.ones(batch, state.q.dtype)
     radius, start = warmstart.radius, problem.with_restitution(one)
     first = start.motion(start.linearized(radius, warmstart.qdd, warmstart.velocity))
-    template = _Notes(_none_visited(problem, first), one, jnp.zeros(batch, jnp.int32))
+    template = _Record(_none_visited(problem, first), one, jnp.zeros(batch, jnp.int32))
     answer = implicit(
         functools.partial(_solve, problem, radius),
         functools.partial(_replay, problem, radius),
@@ -209,7 +209,7 @@ def _none_visited(problem: StepProblem, y: Float[Array, "v *n"]) -> _Visited:
 
 def _solve(
     problem: StepProblem, radius: Float[Array, "p *n"], first: Float[Array, "v *n"]
-) -> tuple[_Answer, _Notes]:
+) -> tuple[_Answer, _Record]:
     """Iterate to the solution from a first iterate, with the first cone radii."""
     none = jnp.zeros(first.shape[1:], jnp.int32)
     begin = _Search(
@@ -237,7 +237,7 @@ def _solve(
         cones.append(where_each(end.last_round_of_first_bias < k, cones[-1], one))
     visited = end.visited._replace(cones=tuple(cones))
     answer = _Answer(end.y, end.cone.radius, end.restitution, end.bias.value)
-    return answer, _Notes(visited, end.restitution, end.bias.updates)
+    return answer, _Record(visited, end.restitution, end.bias.updates)
 
 
 def _updated(
@@ -307,7 +307,7 @@ def _visit(search: _Search, y: Float[Array, "v *n"]) -> _Visited:
     )
 
 
-def _replay(problem: StepProblem, radius: Float[Array, "p *n"], notes: _Notes) -> _Answer:
+def _replay(problem: StepProblem, radius: Float[Array, "p *n"], notes: _Record) -> _Answer:
     """Return the solution by one Newton step under every cone and pair bias, for derivatives."""
     start = problem.with_restitution(jnp.ones_like(notes.restitution))
     end = problem.with_restitution(notes.restitution)

@@ -80,7 +80,7 @@ JUDGE = Judge()
 
 
 def score(task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]) -> Float[Array, " *n"]:
-    """Return the fitness of every individual; -inf for those that diverged."""
+    """Return the fitness of every individual; -inf if it diverged or broke a rule."""
     fitness = task.fitness(outcome.terms, scales)
     return jnp.where(outcome.alive & jnp.isfinite(fitness), fitness, -jnp.inf)
 

@@ -164,7 +164,7 @@ class Turning(_Total):
 
     def of_step(self, transition: Transition) -> Float[Array, " *n"]:
         """Return the turn to the left, rad."""
-        return transition.after.state.velocity[2] * transition.before.control_step
+        return transition.after.state.angular_velocity[2] * transition.before.control_step
 
 
 class Tilt(_Total):

@@ -31,7 +31,7 @@ class Sensor(eqx.Module):
                 full_scale: float = 1.0
 
                 def sense(self, snapshot, forces):
-                    return snapshot.state.velocity[5:6] / self.full_scale
+                    return snapshot.state.linear_velocity[2:] / self.full_scale
     """
 
     count: eqx.AbstractVar[int]

@@ -54,15 +54,15 @@ class StaticDecisions:
 class _Present(NamedTuple):
     """Present record of decisions, and earlier decisions to replay."""
 
-    noted: StaticDecisions | None = None
+    record: StaticDecisions | None = None
     made: Iterator[Any] = iter(())
     searched: Iterator[Any] = iter(())
-    repeats: bool = False
+    replays: bool = False
     conditions: list[Condition] | None = None
 
 
 _NOTHING = _Present()
-_present: contextvars.ContextVar[_Present] = contextvars.ContextVar("choices", default=_NOTHING)
+_present: contextvars.ContextVar[_Present] = contextvars.ContextVar("decisions", default=_NOTHING)
 
 
 @contextlib.contextmanager
@@ -77,22 +77,22 @@ def _in_present(present: _Present) -> Iterator[None]:
 @contextlib.contextmanager
 def recording_decisions() -> Iterator[StaticDecisions]:
     """Record the decisions made within the context. The numbers must be known."""
-    choices = StaticDecisions()
-    with _in_present(_Present(noted=choices)):
-        yield choices
+    decisions = StaticDecisions()
+    with _in_present(_Present(record=decisions)):
+        yield decisions
 
 
 @contextlib.contextmanager
 def replaying_decisions(
-    choices: StaticDecisions, conditions: list[Condition] | None = None
+    decisions: StaticDecisions, conditions: list[Condition] | None = None
 ) -> Iterator[None]:
     """Replay recorded decisions within the context. The numbers may be traced.
 
     Args:
-        choices: recorded decisions.
+        decisions: recorded decisions.
         conditions: list to which the condition of every decision is appended, or None for none.
     """
-    made, searched = iter(choices.made), iter(choices.searched)
+    made, searched = iter(decisions.made), iter(decisions.searched)
     with _in_present(_Present(None, made, searched, True, conditions)):
         yield
 
@@ -109,7 +109,7 @@ def chosen(choose: Callable[[], _T], holds: Callable[[_T], Condition] | None = N
         Undecidable: if conditions are collected and no condition can be computed from the traced
             numbers.
     """
-    made = _noted_or_repeated("made", choose)
+    made = _recorded_or_replayed("made", choose)
     _collect(lambda: holds(made) if holds else _equal(made, choose()))
     return made
 
@@ -128,25 +128,25 @@ def searched(search: Callable[[], _T], holds: Callable[[_T], Condition]) -> _T:
     Raises:
         Undecidable: as in `chosen`.
     """
-    found = _noted_or_repeated("searched", search)
+    found = _recorded_or_replayed("searched", search)
     _collect(lambda: holds(found))
     return found
 
 
-def _noted_or_repeated(notes: str, make: Callable[[], _T]) -> _T:
+def _recorded_or_replayed(kind: str, make: Callable[[], _T]) -> _T:
     """Return the result of a function, or its recorded result. Inner choices are not recorded.
 
     Args:
-        notes: name of the record's list, "made" or "searched".
+        kind: name of the record's list, "made" or "searched".
         make: function of known numbers.
     """
     present = _present.get()
-    if present.repeats:
-        return next(getattr(present, notes))
+    if present.replays:
+        return next(getattr(present, kind))
     with _in_present(_NOTHING):
         given = make()
-    if present.noted is not None:
-        getattr(present.noted, notes).append(given)
+    if present.record is not None:
+        getattr(present.record, kind).append(given)
     return given
 
 

@@ -28,10 +28,6 @@ traced in four fifths of the time.
 # Powers of two between which products of three numbers stay within float32.
 _SMALL, _LARGE = 2.0**-32, 2.0**32
 
-# Indices that turn a 3-vector into its cyclic successors, for cross products and cofactors.
-_NEXT = np.array([1, 2, 0])
-_AFTER_NEXT = np.array([2, 0, 1])
-
 
 def expand_dims_like(
     constant: np.ndarray | Array | MixedArray, like: Array, rank: int | None = None

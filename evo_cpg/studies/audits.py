@@ -46,7 +46,7 @@ def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
 
         member = workshop.member(name)
         champions = workshop.champions(name)[: 1 if workshop.quick else None]
-        config, source = member.config, workshop.source(name)
+        config, source = member.config, member.source
         made = audits(member.experiment, champions, config.audit.limits(), config, source)
         return [
             {

@@ -28,7 +28,7 @@ RUNS = {
 
 def swim(workshop: Workshop) -> list[Table]:
     """Compare champions with random search of as many evaluations, and with an undriven animal."""
-    from evo_cpg.training.run_folder import history_columns
+    from evo_cpg.training.checkpoint import history_columns
     from evo_cpg.view.plots import fitness_figure, path_figure
 
     history = history_columns(workshop.checkpoint("shared").history)

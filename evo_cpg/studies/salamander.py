@@ -147,7 +147,7 @@ def _evaluated_in(workshop: Workshop, world: str, name: str) -> dict[str, list[l
         simulation = workshop.experiment(world).simulation
         if world == "shore" and not name.startswith("shore"):
             # Animals that did not evolve at the shore have no depth sensor.
-            declared, source = workshop.member(world).config, workshop.source(world)
+            declared, source = workshop.member(world).config, workshop.member(world).source
             steps = f"simulation.steps={declared.simulation.steps}"
             config = load_config(source, ["creature.depth_sensors=[]", steps])
             simulation = build_experiment(config, source).simulation

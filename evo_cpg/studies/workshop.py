@@ -10,6 +10,7 @@ The work may be interrupted at any moment. Finished runs are reused, and an inte
 continues to bitwise equal results.
 """
 
+import contextlib
 import hashlib
 import json
 import shutil
@@ -32,7 +33,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting
 from evo_cpg.config.shipped import shipped
 from evo_cpg.creature.creature import length_of
-from evo_cpg.files import make_folder, write_text
+from evo_cpg.files import make_folder, read_json, write_text
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.installation import version_of
 from evo_cpg.simulation.recording import Recording
@@ -129,12 +130,10 @@ class Workshop:
             config = load_config(source, overrides)
             config = config.model_copy(update={"name": name})
             experiment = build_experiment(config, source)
-            self._members[name] = Member(self._run(name), config, experiment, Setting(name, {}))
+            self._members[name] = Member(
+                self._run(name), config, experiment, Setting(name, {}), source
+            )
         return self._members[name]
-
-    def source(self, name: str) -> Path:
-        """Return the file that a run's configuration came from."""
-        return shipped(self.study.runs[name].config).path
 
     def experiment(self, name: str) -> Experiment:
         """Return the experiment of a run."""
@@ -198,12 +197,10 @@ class Workshop:
         program = program_commit() or version_of("evo-cpg")
         made_of = hashlib.sha256(f"{program} {genes}".encode()).hexdigest()
         path = self.folder / "runs" / f"{key}.json"
-        try:
-            known = json.loads(path.read_text(encoding="utf-8"))
+        with contextlib.suppress(KeyError, OSError, ValueError):
+            known = read_json(path, dict[str, Any])
             if known["of"] == made_of and not program.endswith("-dirty"):
                 return known["found"]
-        except (KeyError, OSError, TypeError, ValueError):
-            pass
         record = json.loads(json.dumps(measure()))
         text = json.dumps({"of": made_of, "found": record})
         write_text(path, text)
@@ -224,9 +221,7 @@ class Workshop:
                 member.folder.update_meta(commits=[*known, here])
 
         if members:
-            # Any source will do: all files lie in one folder, and only the folder is noted.
-            source = self.source(declared.runs[0])
-            evolve(members, source, self.devices, f"{self.study.name} {part}", note_commit)
+            evolve(members, self.devices, f"{self.study.name} {part}", note_commit)
 
     def _write(self, part: str, declared: Part, tables: list[Table], seconds: float) -> list[Path]:
         runs = declared.runs

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 TERM_PREFIX, SCALE_PREFIX = "term.", "scale."
-"""Of the names of arrays that hold a champion's terms and scales."""
+"""Prefixes of the names of arrays that hold a champion's terms and scales."""
 
 _HISTORY_PREFIX = "history."
 _STATE_PREFIX = "state."

@@ -82,7 +82,7 @@ def _prune(folder: Path, most: int) -> None:
         with contextlib.suppress(FileNotFoundError):
             found.append((file, file.stat()))
     total = 0
-    for file, text in sorted(found, key=lambda pair: pair[1].st_mtime, reverse=True):
-        total += text.st_size
+    for file, status in sorted(found, key=lambda pair: pair[1].st_mtime, reverse=True):
+        total += status.st_size
         if total > most:
             file.unlink(missing_ok=True)

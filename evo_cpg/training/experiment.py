@@ -138,7 +138,7 @@ def begin(
     return genes.reshape(len(genes), -1), state
 
 
-def first_population(experiment: Experiment) -> Float[Array, "g n"]:
+def first_population(experiment: Experiment) -> Float[Array, "g all"]:
     """Return the population of generation 0 of every run, see `begin`."""
     return begin(experiment)[0]
 

@@ -19,10 +19,10 @@ from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.experiment import Experiment
 
 CANDIDATES = 16
-"""Of each run, at most."""
+"""Largest number of candidates of each run."""
 
 EVALUATIONS = 16
-"""Rounds end when those that are left have lived so often."""
+"""Number of evaluations of each remaining candidate that ends the rounds."""
 
 FIRST_ROUND = 2**30
 """The random numbers of a round are those of this generation and the ones after it, which no run

@@ -57,7 +57,7 @@ from evo_cpg.training.checkpoint import (
 from evo_cpg.training.lineage import lineage_arrays, read_lineage
 
 CANDIDATES_FILE = "candidates.csv"
-"""Of those among whom the champion was chosen, see `evo_cpg.training.reevaluation`."""
+"""Results of the candidates for the champion, see `evo_cpg.training.reevaluation`."""
 
 _KEPT_CHECKPOINTS = 2
 # Folders in which files that belong together are written, and wait to be moved.
@@ -192,7 +192,7 @@ class RunFolder:
         """Write config.yaml and make missing folders.
 
         Raises:
-            RunFolderError: the folder cannot be written.
+            OutputError: the folder cannot be written.
         """
         write_text(self.config, config_text)
         try:

@@ -48,7 +48,8 @@ class Film:
             from the first moment of the film to the last. Moments of a shorter recording lie closer
             together. With several animals each moment is a column with a heading: its time or, if
             the recordings differ in length, its number. None for a film or a still.
-        columns: columns of animals. If None, as many as rows or one more, and one on a sheet.
+        columns: columns of animals. If None: 1, 2, 3 and 2 columns for one to four animals, and for
+            more the square root of their number, rounded up. On a sheet of several animals, 1.
     """
 
     size: tuple[int, int] = (640, 360)

@@ -85,12 +85,6 @@ def test_program_means_the_same_without_rules(monkeypatch):
     assert_right()
 
 
-@pytest.mark.parametrize("op", RULES)
-def test_every_rule_can_be_left_out(op):
-    fewer = {key: rules for key, rules in RULES.items() if key != op}
-    assert len(optimize(traced(), rules=fewer).nodes) >= len(optimize(traced()).nodes)
-
-
 def assert_right():
     x = sample((3, 40))
     got = jax.jit(functools.partial(fuse, program, batch_ndim=1))(x)

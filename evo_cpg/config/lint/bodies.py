@@ -92,7 +92,7 @@ def masses(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def joint_limits(case: Case) -> Iterator[LintWarning]:
-    """Warn of joints that turn by three degrees at most, or by more than a full turn."""
+    """Warn of limits below three degrees, beyond a full turn, or without the neutral pose."""
     for joint in case.joints():
         for lower, upper in joint.given.limits:
             widest = max(abs(lower), abs(upper))

@@ -88,7 +88,7 @@ class NoiseConfig(Section):
         tilt_deg: standard deviation of the root's roll and of its pitch at the start, degrees.
         push: random walk of the root's velocity in each direction, m/s per square root of a
             second.
-        friction: largest fraction by which the ground's friction differs between trials.
+        friction: largest fraction by which the ground's friction of a trial differs from its value.
     """
 
     joint_angle_deg: Annotated[float, Field(ge=0, le=180)] = 0.0

@@ -49,7 +49,7 @@ class TypicalRange(NamedTuple):
 
 
 class Direction(NamedTuple):
-    """Mark for angles in degrees that are directions, without allowed limits."""
+    """Mark for angles in degrees that are directions."""
 
     def problem(self, value: float | tuple[float, ...]) -> str | None:
         """Return a description if all angles look like radians, or one exceeds a full turn."""

@@ -13,8 +13,6 @@ The result is a program of `evo_cpg.fusion.backend.code`, in which all choices a
 import dataclasses
 from collections.abc import Iterable, Sequence
 
-import numpy as np
-
 from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.backend.code import (
     Code,
@@ -43,8 +41,6 @@ from evo_cpg.fusion.ir.graph import (
     runs_of,
     table_values,
 )
-
-_FLAG = np.dtype(bool)
 
 
 def allocate(graph: Graph, variant: Variant) -> Code:
@@ -227,8 +223,7 @@ class _Allocator:
 
     def _ref(self, node: Node, uniform: bool = False) -> str:
         """Return the name of a value, spread over a vector unless one lane is enough."""
-        while node.op in ("opaque", "inside"):
-            node = node.operands[0]
+        node = resolve(node)
         if node.value is not None:
             return self.select.literal(node.value, node.dtype, uniform)
         name = self.registers.name(node, not node.uniform) or self.names.get(node)

@@ -10,8 +10,8 @@ from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.ir.graph import Block, Graph, Node, resolve
 
 FRAME_ORIGIN = 8192
-"""Where the pointer to shared memory points to in it: AVX-512 tells offsets of up to 128 vectors in
-one byte."""
+"""Offset to which the pointer to shared memory points, bytes. AVX-512 encodes offsets of up to 128
+vectors in one byte."""
 
 _IN_MEMORY = {
     "accumulate", "carried", "counter", "result", "constant", "rows", "constants", "list", "loop",

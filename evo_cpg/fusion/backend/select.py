@@ -1,7 +1,7 @@
 """Select the instructions of each operation, as templates made once for each kind.
 
-`evo_cpg.fusion.backend.allocate` decides which values are in registers. So every load and store is
-*volatile*: LLVM does not drop or move it, and spends no time on trying.
+`evo_cpg.fusion.backend.allocate` decides which values are in registers. So its loads and stores
+are *volatile*: LLVM does not drop or move them, and spends no time on trying.
 """
 
 import functools
