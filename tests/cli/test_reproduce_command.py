@@ -107,13 +107,13 @@ def test_who_interrupts_is_told_what_goes_on_without_throwing_away_what_is_done(
 def test_what_was_stopped_goes_on_to_the_same_bits(made, tmp_path, monkeypatch, capsys):
     folder, group = tmp_path / "stopped", sweep.run_group
 
-    def stopping(members, source, devices, tell, warn):
+    def stopping(members, devices, tell, warn):
         def stop(member, rows):
             tell(member, rows)
             if member.setting.name == "few" and rows[0]["generation"] == 1:
                 raise KeyboardInterrupt
 
-        group(members, source, devices, stop, warn)
+        group(members, devices, stop, warn)
 
     monkeypatch.setattr(sweep, "run_group", stopping)
     with pytest.raises(KeyboardInterrupt):

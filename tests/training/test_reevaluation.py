@@ -212,7 +212,8 @@ def test_sweeps_and_watchers_wait_for_the_choice(evolved, tmp_path):
     assert waiting._replace(choosing=False).finished
     for checkpoint, finished in ((done._replace(chosen=()), False), (done, True)):
         folder.save(checkpoint)
-        member = Member(folder, cast(ExperimentConfig, None), NOISY, Setting("any", {}), CONFIG)
+        config, source = cast(ExperimentConfig, None), tmp_path / "any.yaml"
+        member = Member(folder, config, NOISY, Setting("any", {}), source)
         assert (member.generation, member.finished) == (2, finished)
 
 
