@@ -1,1 +1,1 @@
-"""One page about a run: the animal in 3D, charts, tables; see `evo_cpg.view.page.document`."""
+"""One page about a run: the animal in 3D, charts and tables (`evo_cpg.view.page.document`)."""

@@ -34,13 +34,13 @@ _TIMED = ("data_left", "data_right", "data_start", "data_stop")
 
 @framed
 def chart(figure: Figure, words: str, timed: bool = False) -> Html:
-    """Return a figure with its caption; ink becomes the page's ink and white its paper.
+    """Return a figure with its caption, in the ink and paper colours of the page.
 
     Args:
         figure: figure to draw.
         words: caption of the figure.
-        timed: whether the first axes have time, in seconds, to the right. A cursor then moves with
-            the animal, and a click brings the animal to an instant.
+        timed: whether the x axis of the first axes is time, s. A cursor then moves with the animal,
+            and a click moves the animal to an instant.
     """
     text = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "font.family": ["sans-serif"]}):
@@ -50,7 +50,7 @@ def chart(figure: Figure, words: str, timed: bool = False) -> Html:
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
-    # Ids of groups are equal in every figure, and nothing refers to them.
+    # Ids of groups are the same in every figure, and nothing refers to them.
     svg = re.sub(r'<g id="[^"]*">', "<g>", svg)
     svg = re.sub(rf"#(?:000000|000)\b|{INK}", "currentColor", svg)
     svg = re.sub(r"#(?:ffffff|fff)\b", "var(--paper)", svg)
@@ -93,7 +93,7 @@ def wave_figure(
     window: tuple[float, float],
     names: Sequence[str],
 ) -> Figure:
-    """Draw bending along the body over time; a running wave is a slanting stripe.
+    """Draw bending along the body over time. A running wave is a slanting stripe.
 
     Args:
         bending: bending of every joint along the body, rad.
@@ -118,7 +118,7 @@ def wave_figure(
     )
     name_rows(axes, names)
     axes.set_ylim(len(names) - 0.5, -0.5)
-    figure.colorbar(picture, ax=axes, label="bending less its mean (deg)", pad=0.015)
+    figure.colorbar(picture, ax=axes, label="bending minus its mean (deg)", pad=0.015)
     _over_time(axes, window)
     return figure
 
@@ -129,16 +129,16 @@ def lag_figure(wave: BodyWave, place: Float[np.ndarray, " j"]) -> Figure:
 
     Args:
         wave: wave along the body.
-        place: places of the joints, m behind the first.
+        place: positions of the joints, m behind the first joint.
     """
     figure = new_figure(_WIDTH, 2.7)
     left, right = figure.subplots(1, 2)
     left.plot(place, wave.phase, "o-", color=BLUE, lw=1.6)
-    left.set_ylabel("phase behind the first (deg)")
+    left.set_ylabel("phase lag (deg)")
     right.bar(place, np.degrees(wave.amplitude), color=ORANGE, width=0.6 * _gap(place))
     right.set_ylabel("amplitude (deg)")
     for axes in (left, right):
-        axes.set_xlabel("place along the body (m)")
+        axes.set_xlabel("position along the body (m)")
     return figure
 
 

@@ -1,7 +1,7 @@
 """The page of a run: one self-contained HTML file for screen and paper.
 
-Its scripts are ours. The page's content security policy names them by their digests and allows no
-other script and no request. Text from a stranger's configuration stays text.
+The content security policy of the page names its two scripts by their digests, and allows no other
+script and no request. Text from a configuration of unknown origin stays text.
 """
 
 import base64
@@ -27,7 +27,7 @@ def document(subject: Subject, motion: Motion) -> str:
         ("numbers", "All numbers", movement.all_numbers(motion.numbers.quantities)),
         ("evolution", "How it evolved", origin.evolution(subject, motion)),
         ("audit", "Is it a gait, or a trick of the simulation?", origin.audit(subject)),
-        ("paper", "Departures from the paper", origin.paper(subject)),
+        ("paper", "Differences from the paper", origin.paper(subject)),
         ("repeat", "How to repeat it", origin.repetition(subject)),
     ]
     shown = [(key, title, inner) for key, title, inner in sections if inner]
@@ -47,7 +47,7 @@ def document(subject: Subject, motion: Motion) -> str:
         tag(
             "footer",
             f"Made by {subject.program} on {subject.made}. The animal is drawn by three.js (MIT "
-            "licence); this page asks the network for nothing.",
+            "licence). This page makes no network requests.",
         ),
         _json_script("scene", motion.scene),
         *(Html(f"<script>{script}</script>") for script in scripts),
@@ -68,8 +68,8 @@ def _changed(subject: Subject) -> Html | None:
     """Return a warning that the configuration changed after training, or None if it did not."""
     if subject.changed is None:
         return None
-    words = f"{subject.changed}: all that is measured here is of its trial as it comes out now."
-    return tag("p", words, class_="failed")
+    words = "All numbers on this page describe a trial with the changed configuration."
+    return tag("p", f"{subject.changed}. {words}", class_="failed")
 
 
 def _viewer(motion: Motion) -> Html:
@@ -84,19 +84,19 @@ def _viewer(motion: Motion) -> Html:
         f"""<div id="animal">
 <div class="screen">
 <img class="still" src="{still}" alt="the animal">
-<canvas tabindex="0" aria-label="The animal in 3D: space plays, arrows step"></canvas>
+<canvas tabindex="0" aria-label="The animal in 3D. Space plays, arrow keys step."></canvas>
 <div class="caption"></div>
 </div>
 <div class="controls">
 <button class="play" type="button" aria-pressed="false">Play</button>
 <input type="range" min="0" max="1" value="0" aria-label="time">
 <span class="clock"></span>
-<select class="pace" aria-label="speed">{join(*paces)}</select>
+<select class="pace" aria-label="playback speed">{join(*paces)}</select>
 <span class="group">{join(*buttons)}
-<button type="button" data-zoom="0.8" aria-label="nearer">+</button>
-<button type="button" data-zoom="1.25" aria-label="farther">\N{MINUS SIGN}</button></span>
+<button type="button" data-zoom="0.8" aria-label="zoom in">+</button>
+<button type="button" data-zoom="1.25" aria-label="zoom out">\N{MINUS SIGN}</button></span>
 <label><input class="follow" type="checkbox" checked> follow</label>
-<span class="note hint">drag to turn, right button to move, Ctrl or Shift and wheel to zoom</span>
+<span class="note hint">drag to turn, right-drag to move, Ctrl or Shift and wheel to zoom</span>
 </div>
 </div>"""
     )

@@ -15,7 +15,7 @@ def tag(name: str, /, *children: Any, **attributes: Any) -> Html:
 
     Args:
         name: name of the element.
-        children: contents; `Html` is kept, other values become text, and None is left out.
+        children: contents. `Html` is kept, other values become text, and None is left out.
         attributes: attributes of the element, with ``_`` for ``-`` and a trailing ``_`` dropped
             (``class_``). True is an attribute without a value. None and False are left out.
     """
@@ -64,7 +64,7 @@ def long_table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ..
     if len(rows) <= _DOZEN:
         return first
     rest = table(head, rows[_DOZEN:], numbers=numbers)
-    return join(first, tag("details", tag("summary", f"{len(rows) - _DOZEN} more"), rest))
+    return join(first, tag("details", tag("summary", f"{len(rows) - _DOZEN} more rows"), rest))
 
 
 _DOZEN = 12

@@ -32,14 +32,14 @@ def gait(motion: Motion) -> Html:
             tag("h3", "Footfalls"),
             charts.chart(
                 charts.footfall_figure(feet, numbers.step, window),
-                "When what touches the ground: a bar is a stance. Click into a chart, and the "
-                "animal goes to that instant.",
+                "Contacts with the ground. Each bar is a stance. Click on a chart to move the "
+                "animal to that instant.",
                 timed=True,
             ),
             _feet_table(numbers),
         ]
     elif feet is not None:
-        parts.append(tag("p", "Nothing but its root ever touches the ground."))
+        parts.append(tag("p", "No body other than the root ever touches the ground."))
     if wave is not None:
         chain = list(numbers.chain)
         names = [recording.dof_names[i].rpartition(".")[0] for i in chain]
@@ -49,8 +49,8 @@ def gait(motion: Motion) -> Html:
             charts.chart(
                 charts.wave_figure(bending, numbers.step, window, names),
                 f"Bending of each joint about {recording.dof_names[chain[0]].rpartition('.')[2]} "
-                "over time, the front above. A wave that runs to the tail slants to the lower "
-                "right; one that stands is upright.",
+                "over time, with the front at the top. The stripes of a wave that runs to the tail "
+                "slant to the lower right. The stripes of a standing wave are upright.",
                 timed=True,
             ),
         ]
@@ -58,16 +58,17 @@ def gait(motion: Motion) -> Html:
             parts.append(
                 charts.chart(
                     charts.lag_figure(wave, motion.chain_places),
-                    f"Phase and amplitude at {numbers.frequency:.3g} Hz. A straight line is a wave "
-                    f"of one speed; here {100 * wave.straightness:.0f} % of the phases' variance "
-                    "is that of a line.",
+                    "Phase lag behind the first joint, and amplitude, at "
+                    f"{numbers.frequency:.3g} Hz. A straight line is a wave of constant speed. A "
+                    f"line explains {100 * wave.straightness:.0f} % of the variance of the lags.",
                 )
             )
     places = max(1, len(recording.time) // _PLACES)
     parts += [
         tag("h3", "Its path"),
         charts.chart(
-            path_figure(_every(recording, places)), "From above, and the distance over time."
+            path_figure(_every(recording, places)),
+            "Path of the root from above, and distance over time.",
         ),
     ]
     return join(*parts)
@@ -89,9 +90,10 @@ def signals(subject: Subject, motion: Motion) -> Html | None:
     parts: list[Any] = [
         charts.chart(
             figure,
-            "Angle of every joint about the axis that bends most, and what drives it. Thin lines "
-            "join crests of neighbours, or a crest and a trough where their axes point against "
-            "each other: their slope is the phase lag.",
+            "Angle of every joint about the axis with the most bending, and the signal that drives "
+            "it. Thin lines join the crests of neighbouring joints. If their axes point against "
+            "each other, a line joins a crest and a trough. The slope of the lines is the phase "
+            "lag.",
             timed=True,
         )
     ]
@@ -104,17 +106,17 @@ def signals(subject: Subject, motion: Motion) -> Html | None:
     ]
     if rows:
         words = (
-            f"By how much a joint is behind the one before it at {numbers.frequency:.3g} Hz, from "
-            "the cross-spectrum of their angles (Welch 1967), both about the direction of the axis "
-            "of the first in the row; coherence: 1 where the lag is always the same, 0 where it is "
-            "anything."
+            f"Lag of the next joint behind the joint at {numbers.frequency:.3g} Hz, from the "
+            "cross-spectrum of their angles (Welch 1967). Both angles are about the direction of "
+            "the first axis in their row of joints. Coherence is 1 if the lag is always the same, "
+            "and 0 if it is random."
         )
         made = long_table(["joint", "next", "lag (deg)", "coherence"], rows, numbers=(2, 3))
         parts += [tag("h3", "Phase lags"), made, tag("p", words, class_="note")]
     elif not numbers.frequency > 0:
         words = (
-            "Over the second half of the trial the joints do not repeat themselves, so there are "
-            "no phase lags; a frequency above is that of the part that the chart shows."
+            "There are no phase lags, because the joint angles do not repeat in the second half of "
+            "the trial. A frequency in the title of the chart is that of the shown part."
         )
         parts.append(tag("p", words))
     return join(*parts)
@@ -132,8 +134,8 @@ def effort(motion: Motion) -> Html:
     parts: list[Any] = [
         charts.chart(
             figure,
-            "Power of all motors, in tenths of a second, and speed of the animal's middle, "
-            "averaged over half a second.",
+            "Power of all motors, averaged over tenths of a second, and speed of the animal's "
+            "centre, smoothed over half a second.",
             timed=True,
         )
     ]
@@ -150,11 +152,11 @@ def all_numbers(quantities: Sequence[Quantity]) -> Html:
             each.name,
             number(each.value),
             each.unit,
-            f"{each.definition}. None: {each.missing}." if each.missing else each.definition,
+            f"{each.definition}. No value: {each.missing}." if each.missing else each.definition,
         ]
         for each in quantities
     ]
-    return table(["", "value", "unit", "what it is"], rows, numbers=(1,))
+    return table(["", "value", "unit", "definition"], rows, numbers=(1,))
 
 
 def _feet_table(numbers: GaitNumbers) -> Html:
@@ -168,8 +170,8 @@ def _feet_table(numbers: GaitNumbers) -> Html:
     if phases.reference is not None:
         rows[phases.reference][2] += " (reference)"
     words = (
-        "Phase: where in the stride of the reference it touches down, from 0 to 1 (Hildebrand "
-        "1965); regularity: 1 where always at the same, 0 where at any time."
+        "Phase: touch-down as a fraction of the stride of the reference body (Hildebrand 1965). "
+        "Regularity: 1 if the phases are always equal, 0 if they are random."
     )
     head = ["body", "duty factor", "phase", "regularity", "slip (m/s)"]
     return join(table(head, rows, numbers=(1, 2, 3, 4)), tag("p", words, class_="note"))

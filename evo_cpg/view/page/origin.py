@@ -17,22 +17,22 @@ def evolution(subject: Subject, motion: Motion) -> Html:
     """Show fitness over the generations, and the champion's fitness and terms."""
     rows = [[name, number(value)] for name, value in subject.champion.items()]
     words = (
-        f"The champion comes from generation {subject.generation} (counted from 0; "
-        f"{subject.generations} are done), with the seed {subject.seed}"
+        f"The champion is from generation {subject.generation} (counted from 0) of "
+        f"{subject.generations} finished generations. Its seed is {subject.seed}"
     )
-    if subject.run is not None:
-        words += f", run {subject.run}"
+    words += "." if subject.run is None else f", in run {subject.run}."
     if subject.trial is not None:
-        words += f"; this is its trial {subject.trial}"
+        words += f" The page shows trial {subject.trial}."
     return join(
-        tag("p", words + "."),
+        tag("p", words),
         charts.chart(
             fitness_figure(motion.history),
-            "Fitness over the generations, and how many individuals diverged or broke a rule.",
+            "Fitness over the generations, and number of individuals that diverged or broke "
+            "a rule.",
         ),
         table(["", "champion"], rows, numbers=(1,)),
-        tag("p", "Fitness is maximised; the other rows are the terms that it is made of.",
-            class_="note"),
+        tag("p", "Fitness is maximised. The other rows are terms and measures of the trials, and "
+            "under noise the mean fitness in fresh draws.", class_="note"),
     )  # fmt: skip
 
 
@@ -45,16 +45,16 @@ def audit(subject: Subject) -> Html:
         look = tag("p", f"At half the physics step it keeps {kept}.")
     if found is None:
         return join(
-            look, tag("p", "It was not audited. ", command, " looks closer, and this page tells "
-                      "its verdict when it is made again.")
+            look, tag("p", "It was not audited. Run ", command, ", then make this page again "
+                      "to show the verdict.")
         )  # fmt: skip
     passed = bool(found.get("passed"))
     verdict = tag("span", "passes" if passed else "does not pass",
                   class_="passed" if passed else "failed")  # fmt: skip
     old = None
     if subject.stale:
-        old = tag("p", "That audit was of another champion; ", command, " looks at this one.",
-                  class_="failed")  # fmt: skip
+        old = tag("p", "This audit belongs to another champion. Run ", command,
+                  " to audit this one.", class_="failed")  # fmt: skip
     reasons = [reason for reason in listed(found.get("reasons")) if isinstance(reason, str)]
     rows = []
     for check in listed(found.get("checks")):
@@ -76,7 +76,7 @@ def audit(subject: Subject) -> Html:
 
 
 def paper(subject: Subject) -> Html | None:
-    """List differences from the shipped configuration and its paper; None without a shipped one."""
+    """List differences from the shipped configuration and its paper, or None without them."""
     found = subject.differences
     if found is None:
         return None
@@ -84,21 +84,21 @@ def paper(subject: Subject) -> Html | None:
     if found.differences:
         rows = [[tag("code", d.key), cell(d.shipped), cell(d.own)] for d in found.differences]
         parts += [
-            tag("h3", "This run against the shipped configuration"),
+            tag("h3", "This run compared with the shipped configuration"),
             long_table(["key", "shipped", "this run"], rows),
         ]
     else:
-        parts.append(tag("p", "This run has all values of the shipped configuration."))
+        parts.append(tag("p", "This run has the same values as the shipped configuration."))
     if found.notes:
         rows = [
             [tag("code", note.key), cell(note.value), "ours" if note.ours else "paper", note.text]
             for note in found.notes
         ]
         parts += [
-            tag("h3", "The shipped configuration against the paper"),
-            tag("p", "What the paper gives, and what it leaves open and is ours, as the shipped "
-                "files say beside their values.", class_="note"),
-            table(["key", "shipped value", "whose", "note"], rows),
+            tag("h3", "The shipped configuration compared with the paper"),
+            tag("p", "Values from the paper, and values of our own. The notes are comments in the "
+                "shipped files.", class_="note"),
+            table(["key", "shipped value", "source", "note"], rows),
         ]  # fmt: skip
     return join(*parts)
 
@@ -111,11 +111,10 @@ def _refined(done: Sequence[Mapping[str, Any]]) -> Html:
         gained = f"{cell(one.get('from'))} to {cell(one.get('to'))}"
         rows.append([cell(one.get("finished")), f"evo-cpg {shlex.join(words)}", gained])
     return join(
-        tag("p", "After it had evolved this champion, the run was refined along the slope of the "
-            "fitness, and what follows repeats the evolution only: without it, the champion is "
-            "another one. The configuration below is the refined one; what the last refinement "
-            "that gained began with is config_before.yaml and champion_before.npz in the run "
-            "folder."),
+        tag("p", "After evolution, this champion was refined along the gradient of the fitness. "
+            "The commands below repeat only the evolution, so their champion differs. The "
+            "configuration below is the refined one. The run folder keeps the files from before "
+            "the last successful refinement: config_before.yaml and champion_before.npz."),
         table(["refined", "command", "fitness"], rows),
     )  # fmt: skip
 
@@ -146,11 +145,11 @@ def repetition(subject: Subject) -> Html:
     refined = refinements(meta)
     return join(
         _refined(refined) if refined else None,
-        tag("p", "With the configuration below as ", tag("code", "config.yaml"), ", on the same "
-            "processor, with the same versions and number of cores, the same comes out bit for "
-            "bit; elsewhere numbers round differently, and evolution may take another turn. A "
-            "configuration that names files, such as meshes, or classes of its own needs those, "
-            "too."),
+        tag("p", "Save the configuration below as ", tag("code", "config.yaml"), " and run these "
+            "commands. The results are identical on the same processor, with the same versions and "
+            "number of cores. Elsewhere numbers round differently, and evolution may find another "
+            "champion. If the configuration names files, such as meshes, or own classes, you need "
+            "them, too."),
         tag("pre", tag("code", "\n".join(commands))),
         table(["", ""], rows),
         tag("details", tag("summary", "The configuration"), tag("pre", tag("code",

@@ -19,7 +19,7 @@ class Difference(NamedTuple):
 
 
 class Note(NamedTuple):
-    """Comment of a shipped file on one of its values.
+    """Comment of a shipped configuration on one of its values.
 
     Attributes:
         key: key of the value, within its file.
@@ -53,7 +53,7 @@ class Subject(NamedTuple):
 
     Attributes:
         name: name of the experiment.
-        changed: remark on a configuration that changed after training; None if it did not change.
+        changed: remark on a configuration that changed after training, or None if it did not.
         folder: name of the run folder.
         sentence: summary of the animal, its world and its task.
         champion: fitness and terms, by name.

@@ -1,5 +1,5 @@
-// What `viewer.js` needs of three.js (MIT, three.LICENSE). `three.min.js` is three 0.187.0, bundled
-// from this file by esbuild 0.28.2 in a folder with both of them:
+// Parts of three.js that `viewer.js` needs (MIT, three.LICENSE). `three.min.js` is three 0.187.0,
+// bundled from this file by esbuild 0.28.2. Run these commands in a folder with this file:
 //
 //   npm install three@0.187.0 esbuild@0.28.2
 //   npx esbuild three_parts.js --bundle --minify --format=iife --global-name=THREE

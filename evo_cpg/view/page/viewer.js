@@ -1,7 +1,7 @@
-// The animal in 3D: play, scrub, look from where you like. Needs THREE and the scene's JSON.
+// Shows the animal in 3D, with playback and a free camera. Needs THREE and the scene's JSON.
 "use strict";
 (() => {
-  const told = JSON.parse(document.getElementById("scene").textContent);
+  const data = JSON.parse(document.getElementById("scene").textContent);
   const stage = document.getElementById("animal");
   const canvas = stage.querySelector("canvas");
   const button = stage.querySelector(".play");
@@ -10,9 +10,9 @@
   const caption = stage.querySelector(".caption");
   const pace = stage.querySelector(".pace");
   const following = stage.querySelector(".follow");
-  const duration = (told.count - 1) / told.rate;
+  const duration = (data.count - 1) / data.rate;
   slider.max = duration;
-  slider.step = 1 / told.rate;
+  slider.step = 1 / data.rate;
 
   // ---- arrays
   const kinds = { f4: Float32Array, i2: Int16Array, i1: Int8Array, u4: Uint32Array };
@@ -20,7 +20,7 @@
   function array(number, kind) {
     const key = number + kind;
     if (!decoded.has(key)) {
-      const text = atob(told.arrays[number]);
+      const text = atob(data.arrays[number]);
       const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
       decoded.set(key, new kinds[kind](bytes.buffer));
     }
@@ -36,34 +36,34 @@
     stage.classList.add("still-only");
     return;
   }
-  const look = told.look;
-  const radius = told.radius;
+  const look = data.look;
+  const radius = data.radius;
   renderer.outputColorSpace = THREE.SRGBColorSpace;
   renderer.shadowMap.enabled = true;
   renderer.shadowMap.type = THREE.PCFShadowMap;
   const scene = new THREE.Scene();
   const horizon = new THREE.Color(look.distance);
   scene.background = horizon;
-  const sight = (told.water ? 13 : 20) * radius;
-  scene.fog = new THREE.Fog(horizon, (told.water ? 0.3 : 0.25) * sight, sight);
+  const sight = (data.water ? 13 : 20) * radius;
+  scene.fog = new THREE.Fog(horizon, (data.water ? 0.3 : 0.25) * sight, sight);
   const camera = new THREE.PerspectiveCamera(32, 16 / 9, 0.02 * radius, 80 * radius);
   camera.up.set(0, 0, 1);
 
-  scene.add(new THREE.HemisphereLight(look.fill, look.floor[0], told.water ? 2.6 : 1.7));
-  const sun = new THREE.DirectionalLight(look.sun, told.water ? 2.6 : 2.4);
+  scene.add(new THREE.HemisphereLight(look.fill, look.floor[0], data.water ? 2.6 : 1.7));
+  const sun = new THREE.DirectionalLight(look.sun, data.water ? 2.6 : 2.4);
   sun.castShadow = true;
   sun.shadow.mapSize.set(2048, 2048);
   const reach = 2.2 * radius;
   Object.assign(sun.shadow.camera, {
     left: -reach, right: reach, top: reach, bottom: -reach, near: 0.1 * radius, far: 16 * radius,
   });
-  sun.shadow.radius = told.water ? 6 : 3;
+  sun.shadow.radius = data.water ? 6 : 3;
   sun.shadow.bias = -0.0005;
   sun.shadow.normalBias = 0.006 * radius;
   scene.add(sun, sun.target);
-  const beside = told.bearing - 0.9;
+  const beside = data.bearing - 0.9;
   const fromSun = new THREE.Vector3(
-    0.55 * Math.cos(beside), 0.55 * Math.sin(beside), told.water ? 1.6 : 1.0,
+    0.55 * Math.cos(beside), 0.55 * Math.sin(beside), data.water ? 1.6 : 1.0,
   ).normalize().multiplyScalar(6 * radius);
 
   function geometry(mesh) {
@@ -80,7 +80,7 @@
     return made;
   }
 
-  // The floor's pattern: cells of which every other is darker, and lines between them.
+  // Pattern of the floor: cells of alternating brightness, and lines between them.
   function pattern() {
     const side = 512;
     const picture = document.createElement("canvas");
@@ -112,11 +112,11 @@
     texture.anisotropy = renderer.capabilities.getMaxAnisotropy();
     return texture;
   }
-  const tile = 2 * told.spacing;
+  const tile = 2 * data.spacing;
   let floor = null;
-  if (told.terrain) {
-    // Heights at the crossings of lines; two triangles to a cell.
-    const [x, y, z] = ["x", "y", "z"].map((name) => array(told.terrain[name], "f4"));
+  if (data.terrain) {
+    // Heights at the crossings of lines, with two triangles per cell.
+    const [x, y, z] = ["x", "y", "z"].map((name) => array(data.terrain[name], "f4"));
     const place = new Float32Array(3 * z.length), uv = new Float32Array(2 * z.length);
     const corners = [];
     for (let i = 0, k = 0; i < x.length; i++) {
@@ -130,7 +130,7 @@
       }
     }
     const land = new THREE.BufferGeometry();
-    const normals = array(told.terrain.normals, "i1");
+    const normals = array(data.terrain.normals, "i1");
     land.setAttribute("position", new THREE.BufferAttribute(place, 3));
     land.setAttribute("normal", new THREE.BufferAttribute(normals, 3, true));
     land.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
@@ -141,7 +141,7 @@
     made.receiveShadow = true;
     scene.add(made);
   } else {
-    // It travels with the animal in whole tiles, so that its pattern stays where it is.
+    // The floor moves with the animal by whole tiles, so its pattern stays fixed in the world.
     const tiles = 2 * Math.ceil((1.1 * sight) / tile);
     const texture = pattern();
     texture.repeat.set(tiles, tiles);
@@ -152,15 +152,15 @@
     floor.receiveShadow = true;
     scene.add(floor);
   }
-  for (const stone of told.obstacles) {
+  for (const stone of data.obstacles) {
     const made = solid(stone);
     made.position.fromArray(stone.place);
     made.quaternion.fromArray(stone.turn);
     scene.add(made);
   }
   let sky = null;
-  // Above the water it is lighter, too.
-  const above = look.zenith || (told.water ? look.floor[1] : null);
+  // Under water, the background gets lighter towards the top.
+  const above = look.zenith || (data.water ? look.floor[1] : null);
   if (above) {
     const dome = new THREE.SphereGeometry(60 * radius, 24, 24);
     const place = dome.getAttribute("position");
@@ -169,7 +169,7 @@
     const color = new THREE.Color();
     for (let i = 0; i < place.count; i++) {
       const high = Math.max(0, place.getY(i) / (60 * radius));
-      color.lerpColors(horizon, zenith, Math.min(1, (told.water ? 0.9 : 2.2) * high)).toArray(colors, 3 * i);
+      color.lerpColors(horizon, zenith, Math.min(1, (data.water ? 0.9 : 2.2) * high)).toArray(colors, 3 * i);
     }
     dome.setAttribute("color", new THREE.BufferAttribute(colors, 3));
     dome.rotateX(Math.PI / 2);
@@ -179,7 +179,7 @@
     scene.add(sky);
   }
   let surface = null;
-  if (told.surface !== null) {
+  if (data.surface !== null) {
     surface = new THREE.Mesh(
       new THREE.PlaneGeometry(2 * sight, 2 * sight),
       new THREE.MeshStandardMaterial({
@@ -200,7 +200,7 @@
     pen.fillRect(0, 0, 128, 128);
     return new THREE.CanvasTexture(picture);
   }
-  if (told.goal) {
+  if (data.goal) {
     const light = new THREE.Mesh(
       new THREE.SphereGeometry(0.09 * radius, 24, 24),
       new THREE.MeshBasicMaterial({ color: look.light, fog: false }),
@@ -209,41 +209,41 @@
       map: glow(look.halo), transparent: true, opacity: 0.75, depthWrite: false, fog: false,
     }));
     halo.scale.setScalar(0.9 * radius);
-    light.position.fromArray(told.goal);
-    halo.position.fromArray(told.goal);
+    light.position.fromArray(data.goal);
+    halo.position.fromArray(data.goal);
     scene.add(light, halo);
   }
 
   // ---- the animal
-  const bodies = told.bodies.map((body) => {
+  const bodies = data.bodies.map((body) => {
     const group = new THREE.Group();
     body.parts.forEach((part) => group.add(solid(part)));
     scene.add(group);
     return group;
   });
-  const position = array(told.position, "f4");
-  const rotation = array(told.rotation, "i2");
-  const focus = array(told.focus, "f4");
-  const speed = array(told.speed, "f4");
-  const distance = array(told.distance, "f4");
+  const position = array(data.position, "f4");
+  const rotation = array(data.rotation, "i2");
+  const focus = array(data.focus, "f4");
+  const speed = array(data.speed, "f4");
+  const distance = array(data.distance, "f4");
 
-  // Where its head has been; on the ground it is drawn there.
-  const way = new Float32Array(3 * told.count);
-  const low = told.floor + 0.012 * radius;
-  for (let i = 0; i < told.count; i++) {
-    for (let k = 0; k < 3; k++) way[3 * i + k] = position[3 * (i * bodies.length + told.head) + k];
-    if (!told.water && !told.terrain && told.surface === null) way[3 * i + 2] = low;
+  // Path of the head. On level land it is drawn on the ground.
+  const path = new Float32Array(3 * data.count);
+  const low = data.floor + 0.012 * radius;
+  for (let i = 0; i < data.count; i++) {
+    for (let k = 0; k < 3; k++) path[3 * i + k] = position[3 * (i * bodies.length + data.head) + k];
+    if (!data.water && !data.terrain && data.surface === null) path[3 * i + 2] = low;
   }
   const trail = new THREE.BufferGeometry();
-  trail.setAttribute("position", new THREE.BufferAttribute(way, 3));
+  trail.setAttribute("position", new THREE.BufferAttribute(path, 3));
   const line = new THREE.Line(trail, new THREE.LineBasicMaterial({
     color: look.trail, transparent: true, opacity: 0.8,
   }));
   line.frustumCulled = false;
   scene.add(line);
 
-  // Specks in the water, by which one sees that it moves; always the same ones.
-  if (look.particles && told.water) {
+  // Specks in the water show the motion. A fixed seed always gives the same specks.
+  if (look.particles && data.water) {
     let seed = 1;
     const chance = () => ((seed = (seed * 16807) % 2147483647) / 2147483647);
     const least = [Infinity, Infinity, Infinity], most = [-Infinity, -Infinity, -Infinity];
@@ -254,7 +254,7 @@
     const specks = new Float32Array(3 * 1500);
     for (let i = 0; i < specks.length; i++) {
       const k = i % 3;
-      const from = k === 2 ? told.floor : least[k] - 4 * radius;
+      const from = k === 2 ? data.floor : least[k] - 4 * radius;
       const to = k === 2 ? most[k] + 2 * radius : most[k] + 4 * radius;
       specks[i] = from + chance() * (to - from);
     }
@@ -270,7 +270,7 @@
   controls.enableDamping = false;
   controls.minDistance = 1.2 * radius;
   controls.maxDistance = 0.9 * sight;
-  // On a page the wheel scrolls; with a key held it comes nearer.
+  // The wheel scrolls the page. With Ctrl or Shift held, it zooms.
   controls.enableZoom = false;
   canvas.addEventListener("wheel", (event) => {
     if (!event.ctrlKey && !event.shiftKey) return;
@@ -279,17 +279,17 @@
     zoom(Math.exp(Math.max(-60, Math.min(60, by)) / 300));
   }, { passive: false });
   function zoom(factor) {
-    const arm = camera.position.clone().sub(controls.target).multiplyScalar(factor);
-    const length = Math.max(controls.minDistance, Math.min(controls.maxDistance, arm.length()));
-    camera.position.copy(controls.target).add(arm.setLength(length));
+    const offset = camera.position.clone().sub(controls.target).multiplyScalar(factor);
+    const length = Math.max(controls.minDistance, Math.min(controls.maxDistance, offset.length()));
+    camera.position.copy(controls.target).add(offset.setLength(length));
     draw();
   }
-  const away = (told.water ? 4.3 : 4.4) * radius;
+  const away = (data.water ? 4.3 : 4.4) * radius;
   const views = {
-    side: [told.bearing - Math.PI / 2 + 0.35, told.water ? 0.42 : 0.24],
-    top: [told.bearing - Math.PI / 2, 1.5],
-    behind: [told.bearing + Math.PI + 0.12, 0.35],
-    front: [told.bearing + 0.3, 0.25],
+    side: [data.bearing - Math.PI / 2 + 0.35, data.water ? 0.42 : 0.24],
+    top: [data.bearing - Math.PI / 2, 1.5],
+    behind: [data.bearing + Math.PI + 0.12, 0.35],
+    front: [data.bearing + 0.3, 0.25],
   };
   function from(view) {
     const [around, up] = views[view];
@@ -312,27 +312,28 @@
     const axis = { left: +left, right: +right, start: +start, stop: +stop };
     drawing.addEventListener("click", (event) => {
       const box = drawing.getBoundingClientRect();
-      const share = ((event.clientX - box.left) / box.width - axis.left) / (axis.right - axis.left);
-      if (share >= 0 && share <= 1) {
-        seek(axis.start + share * (axis.stop - axis.start) - told.start);
+      const across = (event.clientX - box.left) / box.width;
+      const fraction = (across - axis.left) / (axis.right - axis.left);
+      if (fraction >= 0 && fraction <= 1) {
+        seek(axis.start + fraction * (axis.stop - axis.start) - data.start);
       }
     });
     return { bar, axis };
   });
 
   function show() {
-    const frame = Math.min(now * told.rate, told.count - 1);
-    const i = Math.min(Math.floor(frame), told.count - 2 < 0 ? 0 : told.count - 2);
-    const share = told.count > 1 ? frame - i : 0;
-    const j = Math.min(i + 1, told.count - 1);
+    const frame = Math.min(now * data.rate, data.count - 1);
+    const i = Math.min(Math.floor(frame), data.count - 2 < 0 ? 0 : data.count - 2);
+    const fraction = data.count > 1 ? frame - i : 0;
+    const j = Math.min(i + 1, data.count - 1);
     bodies.forEach((body, b) => {
       const one = i * bodies.length + b, two = j * bodies.length + b;
       here.fromArray(position, 3 * one);
-      body.position.copy(here.lerp(there.fromArray(position, 3 * two), share));
+      body.position.copy(here.lerp(there.fromArray(position, 3 * two), fraction));
       turn.fromArray(rotation, 4 * one).normalize();
-      body.quaternion.copy(turn.slerp(next.fromArray(rotation, 4 * two).normalize(), share));
+      body.quaternion.copy(turn.slerp(next.fromArray(rotation, 4 * two).normalize(), fraction));
     });
-    here.fromArray(focus, 3 * i).lerp(there.fromArray(focus, 3 * j), share);
+    here.fromArray(focus, 3 * i).lerp(there.fromArray(focus, 3 * j), fraction);
     if (following.checked) {
       camera.position.add(there.copy(here).sub(controls.target));
       controls.target.copy(here);
@@ -341,19 +342,19 @@
     sun.position.copy(here).add(fromSun);
     if (floor) {
       const whole = (x) => tile * Math.round(x / tile);
-      floor.position.set(whole(here.x), whole(here.y), told.floor);
+      floor.position.set(whole(here.x), whole(here.y), data.floor);
     }
-    if (surface) surface.position.set(here.x, here.y, told.surface);
-    trail.setDrawRange(Math.max(0, i - 8 * told.rate), Math.min(i, 8 * told.rate) + 1);
+    if (surface) surface.position.set(here.x, here.y, data.surface);
+    trail.setDrawRange(Math.max(0, i - 8 * data.rate), Math.min(i, 8 * data.rate) + 1);
     slider.value = now;
-    const told_time = told.start + now;
-    clock.textContent = `${told_time.toFixed(1)} / ${(told.start + duration).toFixed(1)} s`;
-    slider.setAttribute("aria-valuetext", `${told_time.toFixed(1)} s`);
-    const grid = `grid ${+told.spacing.toPrecision(3)} m`;
+    const shown_time = data.start + now;
+    clock.textContent = `${shown_time.toFixed(1)} / ${(data.start + duration).toFixed(1)} s`;
+    slider.setAttribute("aria-valuetext", `${shown_time.toFixed(1)} s`);
+    const grid = `grid ${+data.spacing.toPrecision(3)} m`;
     caption.textContent =
-      `${speed[i].toFixed(2)} m/s · ${distance[i].toFixed(2)} m ${told.measured} · ${grid}`;
+      `${speed[i].toFixed(2)} m/s · ${distance[i].toFixed(2)} m ${data.measured} · ${grid}`;
     for (const { bar, axis } of cursors) {
-      const part = (told_time - axis.start) / (axis.stop - axis.start);
+      const part = (shown_time - axis.start) / (axis.stop - axis.start);
       bar.hidden = part < 0 || part > 1;
       bar.style.left = `${100 * (axis.left + (axis.right - axis.left) * part)}%`;
     }
@@ -365,7 +366,7 @@
     requestAnimationFrame((instant) => {
       waiting = false;
       if (playing) {
-        // A frame may bear an earlier time than the click that began.
+        // The time of a frame may be earlier than the click that started playback.
         now += Math.max(0, Math.min(instant - last, 100)) / 1000 * +pace.value;
         last = instant;
         if (now > duration) now = 0;
@@ -399,7 +400,7 @@
   canvas.addEventListener("keydown", (event) => {
     const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (event.key === " ") play(!playing);
-    else if (by) { play(false); seek(now + by / told.rate); }
+    else if (by) { play(false); seek(now + by / data.rate); }
     else return;
     event.preventDefault();
   });
@@ -409,7 +410,7 @@
     renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
     renderer.setSize(box.width, box.height, false);
     camera.aspect = box.width / box.height;
-    // A narrow window shows as much of the animal.
+    // A narrow window shows as much of the animal as a wide one.
     camera.fov = camera.aspect < 1.4 ? 32 * Math.min(1.8, 1.4 / camera.aspect) : 32;
     camera.updateProjectionMatrix();
     draw();

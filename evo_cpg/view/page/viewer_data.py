@@ -18,7 +18,7 @@ from evo_cpg.view.meshes import head_index, pieces
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.scene import Panel, Scene, scene_of
 
-# Places per second, between which the viewer interpolates.
+# Frames per second. The viewer interpolates between them.
 RATE = 30.0
 # Window over which the path of the camera's focus is smoothed, s.
 _CALM = 1.0
@@ -26,7 +26,7 @@ _CALM = 1.0
 _FAR = 14.0
 # Range of a signed number of 16 bits.
 _SHORT = 32767
-# Corners of a stone that are enough for a page.
+# Largest number of corners of a stone.
 _FINE = 1500
 _STONE = "#999188"
 # Fields of a look that the viewer uses.

@@ -1,4 +1,4 @@
-"""Format numbers, and values from files that may come from strangers."""
+"""Format numbers, and values from files of unknown origin."""
 
 import math
 from pathlib import PurePath
@@ -13,7 +13,7 @@ _LETTERS = 120
 
 
 def number(value: float | np.floating) -> str:
-    """Return a number with three digits; a dash for NaN."""
+    """Return a number with three digits, or a dash for NaN."""
     if not math.isfinite(value):
         return "\N{EN DASH}"
     words = f"{value:.3g}"
@@ -28,7 +28,7 @@ def with_unit(each: Quantity) -> str:
 
 
 def quantity(value: Any, unit: Any) -> str:
-    """Return a number from a file with its unit; an empty text for any other value."""
+    """Return a number from a file with its unit, or an empty text for any other value."""
     if not _is_number(value):
         return ""
     return f"{100 * value:.3g} %" if unit == "%" else f"{value:.3g} {unit}".rstrip()
@@ -39,12 +39,12 @@ def _is_number(value: Any) -> bool:
 
 
 def listed(value: Any) -> list[Any]:
-    """Return a list from a file; an empty list for any other value."""
+    """Return a list from a file, or an empty list for any other value."""
     return value if isinstance(value, list) else []
 
 
 def cell(value: Any) -> str:
-    """Return any value as a short text; a dash for None."""
+    """Return any value as a short text, or a dash for None."""
     if value is None:
         return "\N{EN DASH}"
     words = f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -52,7 +52,7 @@ def cell(value: Any) -> str:
 
 
 def without_folders(word: str) -> str:
-    """Return a path without its folders, because pages are shown to others."""
+    """Return a path without its folders, because other people may read the page."""
     key, mark, value = word.partition("=")
     place = value if mark else word
     if PurePath(place).is_absolute() or place.startswith("~"):
