@@ -24,17 +24,17 @@ from evo_cpg.view.figure import (
     new_figure,
 )
 
-# Label and colour of each contribution to the work, by its name in the ledger.
+# Label and colour of each kind of work, by its name in the ledger.
 _WORKERS = {
     "motors": ("motors", BLUE),
-    "dampers": ("dampers of joints", SKY),
-    "limits": ("limits of joints", PINK),
-    "lift": ("ground, upwards", "#b45309"),
+    "dampers": ("joint dampers", SKY),
+    "limits": ("joint limits", PINK),
+    "lift": ("ground, normal forces", "#b45309"),
     "friction": ("ground, friction", ORANGE),
-    "limbs": ("limbs that meet", "#5b2a86"),
+    "limbs": ("limb contacts", "#5b2a86"),
     "water": ("water", GREEN),
     "own": ("force laws of your own", "#7A5C00"),
-    "pushes": ("pushes of chance", GREY),
+    "pushes": ("random pushes", GREY),
 }
 
 # Colours of this program's path and of at most three paths from MuJoCo.
@@ -60,14 +60,14 @@ def audit_figure(
     Args:
         ledger: energy ledger of a trial.
         step: length of the trial's physics steps, s.
-        kept: checks that are fractions of the displacement.
-        paths: path of the root by program, m; empty if MuJoCo was not run.
+        kept: checks of the fraction of the displacement that the animal keeps.
+        paths: path of the root by program, m. Empty if MuJoCo was not run.
         title: text above the picture.
     """
     lower = _REST + _BAR * len(kept)
     figure = new_figure(_WIDTH, _UPPER + lower, title)
     places = figure.add_gridspec(2, 2, height_ratios=(_UPPER, lower), width_ratios=(4, 3))
-    # Without a second opinion there are no paths to compare.
+    # Without MuJoCo there are no paths to compare.
     _draw_energy(figure.add_subplot(places[0, 0] if paths else places[0, :]), ledger, step)
     if paths:
         _draw_paths(figure.add_subplot(places[0, 1]), paths)
@@ -86,11 +86,11 @@ def _draw_energy(axes: Axes, ledger: Ledger, step: float) -> None:
         if np.any(work):
             axes.plot(time[each], np.cumsum(work)[each], color=color, lw=1.5, label=label)
     left_over = np.cumsum(ledger.left_over)[each]
-    axes.plot(time[each], left_over, color=INK, lw=2.2, label="the simulator's own")
+    axes.plot(time[each], left_over, color=INK, lw=2.2, label="unexplained (simulator error)")
     axes.axhline(0, color=GREY, lw=0.8)
     axes.set_xlabel("time (s)")
-    axes.set_ylabel("work so far (J)")
-    axes.set_title("Where the energy comes from and goes")
+    axes.set_ylabel("cumulative work (J)")
+    axes.set_title("Sources and sinks of energy")
     axes.legend(fontsize=8)
 
 
@@ -125,4 +125,4 @@ def _draw_fractions(axes: Axes, kept: Sequence[Check]) -> None:
             axes.text(limit, row, f" {side} {limit:.0f}", va="center", fontsize=8, zorder=4)
     name_rows(axes, [check.question for check in kept])
     axes.set_xlim(0, 105)
-    axes.set_xlabel("percentage of the displacement as it evolved")
+    axes.set_xlabel("displacement kept, relative to the original (%)")

@@ -5,7 +5,7 @@ the animal's course, from the side or from above. One camera circles the animal 
 
 The whole recording is known before the first frame. So the path is smoothed with a symmetric
 window, which does not lag. The distance is fixed, and so is the viewing direction, except for the
-circling camera. So whatever moves in the picture moves in the world.
+circling camera. So everything that moves in the picture moves in the world.
 
 The distance is the smallest at which a sphere around the focus that holds every body fits the
 frame. The sphere fits at every instant if there is a light, and in half of them without one. The
@@ -77,8 +77,8 @@ def follow(
         rate: frames per second of recorded time.
         aspect: width of the picture over its height.
         elevation: height of the eye above the focus as an angle, rad.
-        turn: angle between the line of sight and the animal's course, rad; one per frame if it
-            changes. None for a camera that shows the light or, without a light, the animal's side.
+        turn: angle between the line of sight and the animal's course, rad, with a value per frame
+            if it changes. None for a camera that shows the light or, without a light, the animal's side.
     """
     centre = smooth(position.mean(1), SMOOTHING * rate)
     radius = np.linalg.norm(position - centre[:, None], axis=-1).max() + reach
@@ -119,13 +119,13 @@ def aspect_of(
 
     Args:
         camera: one of `CAMERAS`.
-        frames: number of frames of the film; a circling camera has a turn for each.
+        frames: number of frames of the film. A circling camera has a turn for each frame.
 
     Raises:
         ValueError: no camera has this name.
     """
     if camera not in CAMERAS:
-        raise ValueError(f"camera is {camera!r}; choose {' or '.join(CAMERAS)}")
+        raise ValueError(f"camera is {camera!r}. Allowed: {', '.join(CAMERAS)}")
     if camera == "orbit":
         return _SIDE + 2 * np.pi * np.arange(frames) / frames, _AROUND
     return (_SIDEWAYS, _ASPECTS[camera]) if camera in _ASPECTS else None
@@ -241,7 +241,7 @@ def _sight_of_goal(
     ]
     clearance = [np.linalg.norm(focus - distance * s - goal, axis=-1).min() for s in sights]
     # Choose the first pair in which one sight keeps the eye well clear of the light, else the
-    # clearest sight. Of a pair, choose the sight that shows more of the animal's side.
+    # clearest sight. From a pair, choose the sight that shows more of the animal's side.
     free = [i for i, gap in enumerate(clearance) if gap > distance / 2]
     first = free[0] // 2 * 2 if free else int(np.argmax(clearance))
     pair = [i for i in (first, first + 1) if i in free] or [first]
@@ -272,8 +272,8 @@ def _axes(path: CameraPath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _overshoot(path: CameraPath, position: np.ndarray, reach: float, aspect: float) -> float:
-    """Return how far the bodies stick out of the frame: their largest picture coordinate."""
-    # Cubes around the bodies, aligned with the line of sight, whatever the animal's heading.
+    """Return the bodies' largest picture coordinate, which exceeds 1 outside the frame."""
+    # Cubes around the bodies, aligned with the line of sight, for any heading of the animal.
     corners = reach * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     offset = corners @ np.stack(_axes(path), 1)
     points = (position[:, :, None] + offset[:, None]).reshape(len(position), -1, 3)

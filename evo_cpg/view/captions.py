@@ -29,8 +29,8 @@ def captions(
     Args:
         look: look of the world.
         title: text at the bottom right. If a picture is too narrow for the title and the values,
-            the last values are left out. A title without room beside the time is written smaller,
-            and cut. A small picture has only title and time.
+            the last values are left out. A title that does not fit next to the time shrinks, and
+            may be cut. A small picture has only title and time.
         distance: name of the shown distance.
         note: text below the title.
         size: width and height of the film, pixels.

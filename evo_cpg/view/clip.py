@@ -41,7 +41,7 @@ def sample(
         recording: the motion.
         fps: frames per second of the film.
         speed: recorded seconds per second of film.
-        seconds: recorded time to show, s; all of it by default.
+        seconds: recorded time to show, s, or None for the whole recording.
     """
     start, end = recording.time[0], recording.time[-1]
     if seconds is not None:

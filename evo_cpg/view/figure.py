@@ -117,7 +117,7 @@ def draw_runs(
     Args:
         axes: axes of the drawing.
         x: position of each column.
-        runs: one row for each run; values that are not finite are left out.
+        runs: one row for each run. Values that are not finite are left out.
         color: colour of the line and the band.
         label: label of the line.
         width: width of the line, points.
@@ -145,7 +145,7 @@ def draw_stances(
 
     Args:
         axes: axes with time, s, to the right.
-        stances: beginning and end of each, s.
+        stances: beginning and end of each stance, s.
         window: first and last instant that the axes show, s.
         row: middle of the bars.
         height: height of the bars.

@@ -54,9 +54,9 @@ def film_path(path: str | os.PathLike[str], film: Film, signals: bool = False) -
         check_size(film.size, SMALLEST, " with signals")
     for name, value in (("fps", film.fps), ("speed", film.speed)):
         if not 0 < value < math.inf:
-            raise SettingError(f"{name} is {value:g}; it must be positive and finite")
+            raise SettingError(f"{name} is {value:g}, but must be positive and finite")
     if film.seconds is not None and not film.seconds >= 0:
-        raise SettingError(f"seconds is {film.seconds:g}; it must be a number that is not negative")
+        raise SettingError(f"seconds is {film.seconds:g}, but must be at least 0")
     aspect_of(film.camera)
     return path
 
@@ -69,7 +69,7 @@ def side_by_side(
     processes: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Render recordings in one film, row by row; shorter ones stop at their last frame.
+    """Render recordings in one film, row by row. Shorter recordings stop at their last frame.
 
     Args:
         panels: the animals.
@@ -77,8 +77,8 @@ def side_by_side(
             name such as ``frames/%04d.png`` gives a picture of every frame, counted from 0, in a
             new folder.
         film: settings of the film.
-        processes: number of processes that draw a film. This process draws a still or a sheet. Each
-            process takes some 400 MB of memory and a few seconds to start.
+        processes: number of processes that draw a film. The calling process draws a still or a
+            sheet. Each process takes some 400 MB of memory and a few seconds to start.
         progress: function that receives the number of finished frames and their total.
 
     Returns:
@@ -120,7 +120,7 @@ def picture(
 
     Args:
         panels: the animals.
-        film: settings; a still if they have no sheet.
+        film: settings. Without a sheet, the picture is a still.
         progress: function that receives the number of finished frames and their total.
 
     Raises:

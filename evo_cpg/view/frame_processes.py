@@ -58,7 +58,7 @@ def drawn_frames(
         panels: the animals.
         film: settings of the film.
         frames: frames laid out from the animals and the settings.
-        processes: number of drawing processes; 1 draws in this process.
+        processes: number of drawing processes. With 1, this process draws.
 
     Yields:
         The frames in order: ``(height, width, 3)`` bytes, bottom row first. Each is valid until the

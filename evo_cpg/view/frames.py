@@ -37,17 +37,17 @@ class Film:
     """Settings of a film, a still or a sheet.
 
     Attributes:
-        size: width and height of each animal's picture, pixels; rounded down to even numbers.
+        size: width and height of each animal's picture, pixels, rounded down to even numbers.
         fps: frames per second of the film.
-        seconds: recorded time to show, s; all of it if None. For a still: the instant that it
-            shows, the middle if None.
+        seconds: recorded time to show, s, or None for the whole recording. For a still: the shown
+            instant, or None for the middle.
         speed: recorded seconds per second of film.
-        camera: ``follow`` (from behind towards the light; without a light from the side and a
+        camera: ``follow`` (from behind towards the light, or without a light from the side and a
             little ahead), ``side``, ``top`` or ``orbit`` (once around).
         sheet: columns and rows of moments in one picture, each with all animals. They run evenly
             from the first moment of the film to the last. Moments of a shorter recording lie closer
-            together. With several animals each moment is a column with a heading: its time or, if
-            the recordings differ in length, its number. None for a film or a still.
+            together. A sheet of several animals has a column with a heading for each moment: its
+            time or, if the recordings differ in length, its number. None for a film or a still.
         columns: columns of animals. If None: 1, 2, 3 and 2 columns for one to four animals, and for
             more the square root of their number, rounded up. On a sheet of several animals, 1.
     """
@@ -138,7 +138,7 @@ class Frames:
             yield draw
 
     def sheet(self, pictures: Iterable[Image.Image]) -> Image.Image:
-        """Return a sheet of moments, row by row; a still is a sheet of one."""
+        """Return a sheet of moments, row by row. A still is a sheet of one moment."""
         columns, rows = self._film.sheet or (1, 1)
         gap = _GAP if self._grouped else _GUTTER
         across, down = self.size[0] + gap, self.size[1] + gap
@@ -185,7 +185,7 @@ class Frames:
 def _instants(
     clip: Clip, seconds: float | None, still: bool, sheet: tuple[int, int] | None
 ) -> Sequence[int]:
-    """Return the frames of a clip that are shown: all, one, or those of a sheet."""
+    """Return the shown frames of a clip: all, one, or the frames of a sheet."""
     if still:
         instant = np.median(clip.time) if seconds is None else clip.time[0] + seconds
         return [int(np.abs(clip.time - instant).argmin())]
@@ -193,17 +193,17 @@ def _instants(
         return range(len(clip.time))
     frames, (columns, rows) = len(clip.time), sheet
     if min(sheet) < 1:
-        raise SettingError(f"sheet is {columns}x{rows}; it needs a column and a row at least")
+        raise SettingError(f"sheet is {columns}x{rows}, but needs at least 1 column and 1 row")
     if frames < columns * rows:
         raise SettingError(
-            f"the film has {frames} frames, fewer than a sheet of {columns}x{rows} shows; "
-            "more frames per second or fewer moments would do"
+            f"the film has {frames} frames, fewer than a sheet of {columns}x{rows} shows. "
+            "Choose more frames per second or fewer moments"
         )
     return np.linspace(0, frames - 1, columns * rows).round().astype(int).tolist()
 
 
 def _grid(count: int, columns: int | None) -> tuple[int, int]:
-    """Return columns and rows of so many pictures."""
+    """Return the columns and rows of a number of pictures."""
     if columns is None:
         columns = _COLUMNS[count] if count < len(_COLUMNS) else int(np.ceil(np.sqrt(count)))
     return columns, -(-count // columns)

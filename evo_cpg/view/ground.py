@@ -52,7 +52,7 @@ def fading_disc(visible: float, first: float) -> tuple[pv.PolyData, np.ndarray, 
 def add_ground(stage: Stage) -> Update:
     """Draw the ground with its pattern, up to the horizon."""
     look, marks = stage.look, stage.scene.marks
-    # A net of lines makes slopes visible; on a level floor strong lines stand at the numbers.
+    # A net of lines makes slopes visible. On a level floor, strong lines mark the numbers.
     marked = stage.scene.walks or isinstance(stage.ground, Terrain)
     texture = floor_texture(look.floor, look.grid, look.checkered, marked)
     if isinstance(stage.ground, Terrain):
@@ -116,7 +116,7 @@ def add_numbers(stage: Stage) -> Update:
     marks, radius, sight = stage.scene.marks, stage.radius, stage.sight
     along = (stage.scene.clip.position.mean(1)[:, :2] - marks.origin) @ marks.turn()
     across, ahead = (axis[:2] for axis in level_axes(sight))
-    # The numbers stand beside the path, so that the animal does not tread on them even if it sways.
+    # The numbers stand off the path, so that a swaying animal does not step on them.
     nearer = -np.sign(ahead @ marks.turn()[:, 1]) or -1.0
     side = nearer * (nearer * along[:, 1]).max() + nearer * _BESIDE * radius
     last = int(np.ceil((along[:, 0].max() + 2 * radius) / marks.spacing))

@@ -41,7 +41,7 @@ def lettering(picture: np.ndarray) -> Iterator[ImageDraw.ImageDraw]:
     """Write words into a picture.
 
     Args:
-        picture: bytes ``(height, width, 3)``, bottom row first; changed in place.
+        picture: bytes ``(height, width, 3)``, bottom row first. It is changed in place.
 
     Yields:
         The drawing context for `write`.
@@ -74,7 +74,7 @@ def write(
         bold: whether to use the bold face.
         opacity: opacity of the letters, 0 to 1.
         anchor: point of the text that is at the place, see Pillow's "Text anchors".
-        plate: colour of a translucent plate behind the letters; empty for no plate.
+        plate: colour of a translucent plate behind the letters, or empty for no plate.
     """
     text, face = legible(text), font(size, bold)
     if plate:

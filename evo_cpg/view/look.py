@@ -15,7 +15,7 @@ _SUN_AT_SEA = (-0.4, -0.6, 1.6)
 
 @dataclasses.dataclass(frozen=True)
 class Look:
-    """Colours and proportions of a world; lengths are relative to the animal's radius.
+    """Colours and proportions of a world. Lengths are relative to the animal's radius.
 
     Attributes:
         distance: colour of the background, into which the floor fades.
@@ -23,7 +23,7 @@ class Look:
         grid: colour of the grid lines.
         shadow: colour of shadows.
         shadow_strength: opacity of the soft patches under the bodies, 0 to 1.
-        cast_strength: opacity of the shadows that the sun casts, 0 to 1; 0 for none.
+        cast_strength: opacity of the shadows that the sun casts, 0 to 1. 0 means no shadows.
         sun: colour of the directional light.
         fill: colour of the weak light from the viewer's side.
         ambient: fraction of light that comes from everywhere.

@@ -1,4 +1,4 @@
-"""A map of behaviour: the fitness of the best individual of every kind."""
+"""Picture of a map of gaits: the fitness of the best individual in every cell."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ from evo_cpg.view.units import UNITS, in_words
 
 _EMPTY, _COLOURS = "#eef0f3", "viridis"
 
-# Sizes in inches: a panel, space beside all panels, space above them, and a single panel.
+# Sizes in inches: a panel, space to the right of all panels, space above them, a single panel.
 _PANEL, _BESIDE, _ABOVE = 2.6, 1.5, 1.0
 _ALONE = 4.6
 _PANELS_IN_A_ROW = 5
@@ -96,7 +96,7 @@ def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize, title: 
         panel.set_xlabel(_label(axes[0]))
     for panel in grid[:, 0]:
         panel.set_ylabel(_label(axes[1]))
-    colours, label = ScalarMappable(scale, _COLOURS), "fitness (star: the best of all)"
+    colours, label = ScalarMappable(scale, _COLOURS), "fitness (star: best cell)"
     bar = figure.colorbar(colours, ax=list(grid.flat), label=label, shrink=0.8)
     bar.outline.set_visible(False)
     return figure

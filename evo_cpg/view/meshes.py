@@ -34,7 +34,7 @@ def body_colors(creature: Creature) -> np.ndarray:
     """Return colours ``(bodies, 3)``: red, green and blue from 0 to 1.
 
     A body without a colour of its own takes a palette colour by its number of joints from the head.
-    Bodies on the animal's left are darker, so that legs are told apart.
+    Bodies on the animal's left are darker, so that left and right legs differ.
     """
     links = [
         (i, creature.body_index(body.joint.parent))
@@ -96,7 +96,7 @@ class Piece(NamedTuple):
     Attributes:
         mesh: the surface.
         color: colour of the surface, as six hexadecimal digits after ``#``.
-        name: name of a part of an eye, such as ``pupil1``; empty for the body's own surface.
+        name: name of a part of an eye, such as ``pupil1``, or empty for the body's own surface.
     """
 
     mesh: pv.PolyData

@@ -11,13 +11,13 @@ from evo_cpg.view.offscreen import placed
 
 _STONE = np.array([0.60, 0.57, 0.53])
 _SEED = 20102
-# Waves that make the grain: their number, their lowest and highest wave count across the stone, the
-# change of brightness, and the tilt of the normals.
+# Waves that make the grain: number, lowest and highest wave count across the stone. Then the change
+# of brightness, and the tilt of the normals.
 _WAVES, _LOWEST, _HIGHEST = 60, 2.0, 30.0
 _GRAIN, _ROUGHNESS = 0.07, 0.25
 # Facets along an edge of a block and around a boulder: for the picture, and for a shadow. A frame
-# of 1280 x 720 with five boulders and two blocks took 58 ms. It took 82 ms with twice as many
-# facets, and 43 ms without the sides that face away.
+# of 1280 x 720 with five boulders and two blocks took 58 ms. Twice the facets took 82 ms. Without
+# the sides that face away it took 43 ms.
 _SEEN, _SHADE = (24, 72), (8, 36)
 # Parts deeper in the ground than this fraction of an obstacle's size are not drawn.
 _SUNK = 0.02
@@ -52,7 +52,7 @@ def obstacle_mesh(
 
 
 def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
-    """Return the height of an obstacle's upper side, m; -inf beside it.
+    """Return the height of an obstacle's upper side, m, or -inf outside of it.
 
     Args:
         obstacle: obstacle on the ground.
@@ -132,5 +132,5 @@ def _heading(block: Block) -> np.ndarray:
 
 def _unknown(obstacle: Part) -> TypeError:
     return TypeError(
-        f"no picture for a {type(obstacle).__name__}; an obstacle is a Boulder or a Block"
+        f"cannot draw a {type(obstacle).__name__} as an obstacle. Allowed: Boulder, Block"
     )

@@ -17,7 +17,7 @@ from evo_cpg.errors import UserError
 from evo_cpg.files import OutputError, cannot_write, in_one_piece, require_place
 from evo_cpg.system import scratch_file
 
-# A palette for each frame: with one for the whole film ffmpeg would hold all of it in memory.
+# A palette for each frame. For one common palette, ffmpeg would hold the whole film in memory.
 _GIF_PALETTE = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=bayer"
 _ENCODERS = {
     # Dark gradients show bands above a rate factor of 20. "veryfast" takes a third of the time
@@ -46,7 +46,7 @@ def check_size(
     Args:
         size: width and height, pixels.
         smallest: smallest width and height, pixels.
-        what: words about the needed room, for the message.
+        what: reason for the smallest size, for the message.
 
     Raises:
         SettingError: the picture is too small, or too large.
@@ -58,15 +58,15 @@ def check_size(
         limit = f"largest is {_LARGEST} x {_LARGEST}"
     else:
         return
-    raise SettingError(f"size is {width} x {height} pixels; the {limit}")
+    raise SettingError(f"size is {width} x {height} pixels, but the {limit}")
 
 
 def oversampling(size: tuple[int, int], desired: float) -> float:
-    """Return pixels drawn per pixel of a picture, along a side, limited by what can be drawn.
+    """Return pixels drawn per pixel of a picture, along a side, within the drawable size.
 
     Args:
         size: width and height of the picture, pixels, as `check_size` allows them.
-        desired: desired result, at least 1.
+        desired: desired oversampling, at least 1.
     """
     width, height = size
     most = min(_LARGEST_DRAWN / max(size), (_MOST_DRAWN / (width * height)) ** 0.5)
@@ -77,7 +77,7 @@ def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     """Check that a file of one of these kinds can be written here.
 
     Args:
-        path: path from the user; an existing file is replaced.
+        path: path from the user. An existing file is replaced.
         suffixes: suffixes that the caller can write, such as ``(".mp4", ".gif")``.
 
     Raises:
@@ -88,7 +88,7 @@ def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     if path.suffix.lower() not in suffixes:
         named = f"ends in {path.suffix!r}" if path.suffix else "has no suffix"
         known = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
-        raise OutputError(f"cannot write {path}: the name {named}; use {known}")
+        raise OutputError(f"cannot write {path}: the name {named}. Use {known}")
     return require_place(path)
 
 
@@ -109,10 +109,12 @@ def numbered_path(path: Path) -> Path:
     folder = path.parent
     if folder.is_dir() and any(folder.iterdir()):
         raise OutputError(
-            f"cannot write {path}: the folder {folder} is not empty; name one that does not exist"
+            f"cannot write {path}: the folder {folder} is not empty. Name a new folder"
         )
     if not folder.is_dir() and not folder.parent.is_dir():
-        raise OutputError(f"cannot write {path}: there is no folder {folder.parent} to make it in")
+        raise OutputError(
+            f"cannot write {path}: there is no folder {folder.parent}. Create it first"
+        )
     if not os.access(folder.parent, os.W_OK):
         raise OutputError(f"cannot write {path}: no permission to write in {folder.parent}")
     return path
@@ -143,7 +145,7 @@ def save_numbered(pictures: Iterable[Image.Image], path: Path) -> None:
 
     Args:
         pictures: pictures, counted from 0.
-        path: path such as ``frames/%04d.png``, checked by `numbered_path`; the folder is new or
+        path: path such as ``frames/%04d.png``, checked by `numbered_path`. The folder is new or
             empty.
 
     Raises:
@@ -170,9 +172,9 @@ def film_writer(
     """Write frames to a film: H.264, WebP or GIF.
 
     Args:
-        path: path checked by `output_path`; its suffix decides the kind.
-        size: width and height of the film, pixels; even numbers for ``.mp4``.
-        rendered: width and height of the frames, pixels; ffmpeg averages them down to ``size``.
+        path: path checked by `output_path`. Its suffix decides the kind.
+        size: width and height of the film, pixels. Even numbers for ``.mp4``.
+        rendered: width and height of the frames, pixels. ffmpeg averages them down to ``size``.
         fps: frames per second.
 
     Yields:
@@ -206,7 +208,7 @@ def film_writer(
             complaints.seek(0)
             said = complaints.read().decode(errors="replace").split()
             reason = " ".join(said) or f"code {code}"
-            raise OutputError(f"cannot write {path}: ffmpeg says: {reason}")
+            raise OutputError(f"cannot write {path}: ffmpeg failed: {reason}")
 
 
 def _send(pipe: IO[bytes], frame: np.ndarray) -> None:

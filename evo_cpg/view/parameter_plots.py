@@ -29,7 +29,7 @@ _WIDTH, _BAR, _REST = 8.6, 0.27, 1.9
 def sensitivity_figure(
     rows: Sequence[Sensitivity], measure: str, title: str, most: int = 25
 ) -> Figure:
-    """Draw elasticities as bars; unconfirmed bars are grey and show the simulated change.
+    """Draw elasticities as bars. Unconfirmed bars are grey and show the simulated change.
 
     Parameters that are 0 have no elasticity and are left out.
 
@@ -54,14 +54,14 @@ def sensitivity_figure(
     axes.axvline(0, color=INK, lw=0.9, zorder=4)
     name_rows(axes, [f"{row.key} = {row.value:.4g}" for row in shown])
     axes.margins(x=0.06)
-    axes.set_xlabel(f"change of the {measure} (%) where the parameter grows by 1 %")
+    axes.set_xlabel(f"change of the {measure} (%) if the parameter grows by 1 %")
     axes.grid(axis="x")
     axes.spines["left"].set_visible(False)
     handles = [
-        Patch(color=_MORE, label="derivative: more is faster"),
-        Patch(color=_LESS, label="derivative: more is slower"),
-        Line2D([], [], label=f"run anew with \N{PLUS-MINUS SIGN}{CHANGE:.0%}", **again),
-        Patch(color=_DOUBTFUL, label="derivative does not say what that does"),
+        Patch(color=_MORE, label=f"derivative: growth raises the {measure}"),
+        Patch(color=_LESS, label=f"derivative: growth lowers the {measure}"),
+        Line2D([], [], label=f"simulated with \N{PLUS-MINUS SIGN}{CHANGE:.0%}", **again),
+        Patch(color=_DOUBTFUL, label="derivative not confirmed by simulation"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return figure

@@ -34,7 +34,7 @@ _WINDOW = 5.0
 # Title of a row of joint signals.
 _NAME: dict[str, Any] = {"fontsize": 9, "fontweight": "bold", "pad": 2}
 _SNAPSHOTS = 7
-# Fewer periods in the window are no rhythm. The spectrum of a drift has its peak at 2.
+# Smallest number of periods of a rhythm in the window. The spectrum of a drift peaks at 2.
 _PERIODS = 2.1
 
 
@@ -47,7 +47,7 @@ def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
 
     Args:
         history: columns of equal length: ``generation``, ``best``, ``mean`` and ``diverged``
-            (number of individuals); optionally ``best_so_far`` and ``run``. Values that are not
+            (number of individuals). Optional: ``best_so_far`` and ``run``. Values that are not
             finite are left out.
 
     Raises:
@@ -55,11 +55,11 @@ def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
     """
     missing = [key for key in ("generation", "best", "mean", "diverged") if key not in history]
     if missing:
-        raise ValueError(f"the history has no column {missing[0]!r}; it has {', '.join(history)}")
+        raise ValueError(f"the history has no column {missing[0]!r}, only {', '.join(history)}")
     columns = {key: np.asarray(values, float) for key, values in history.items()}
     generation, column = np.unique(columns["generation"], return_inverse=True)
     if not len(generation):
-        raise ValueError("the history has no rows yet: not one generation is finished")
+        raise ValueError("the history has no rows yet, because no generation is finished")
     runs, row = np.unique(columns.get("run", np.zeros(len(column))), return_inverse=True)
 
     def by_run(key: str) -> Float[np.ndarray, "runs generations"]:
@@ -74,7 +74,7 @@ def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
         (*_, thin) = top.plot(generation, by_run("best").T, color=BLUE, lw=0.7, alpha=0.4)
         thin.set_label("best of the generation, each run")
     for key, label, color, width in (
-        # Wide, so that it is seen below the other line if an elite keeps the two bests equal.
+        # Wide, so that it is visible below the other line if an elite keeps the two bests equal.
         ("best_so_far", "best so far", _PALE_ORANGE, 5.0),
         ("best", "best of the generation", BLUE, 1.5),
         ("mean", "mean of the generation", GREY, 1.3),
@@ -112,14 +112,14 @@ def joint_signals_figure(
 
     Args:
         recording: the motion.
-        axis: axis such as ``z``; by default the axis about which the animal bends most.
+        axis: axis such as ``z``. The default is the axis about which the animal bends most.
         window: first and last instant to show, s. By default 5 s in the middle of the second half:
             the animal has started by then, and has not arrived.
         chains: degrees of freedom that follow one another along the body, by their numbers in the
-            recording. The rows follow them, chain after chain. Without chains, all rows are one
-            chain in the recording's order, from the root to the tips.
+            recording. The rows follow them, chain after chain. If there are no chains, the rows
+            follow the recording from the root to the tips, as one chain.
         signs: for each degree of freedom, -1 if its axis points against the first axis of its
-            chain, see `evo_cpg.analysis.chains.axis_signs`; all are 1 if None.
+            chain (`evo_cpg.analysis.chains.axis_signs`). None means that all signs are 1.
         title: text such as the name of the run.
         signal: name of the dashed line's quantity, with its unit.
 
@@ -132,7 +132,7 @@ def joint_signals_figure(
         raise ValueError("the recording has no joints, so there are no signals to plot")
     axis = bending_axis(recording) if axis is None else axis
     if axis not in available:
-        raise ValueError(f"no joint turns about axis {axis!r}; axes are {', '.join(available)}")
+        raise ValueError(f"no joint turns about axis {axis!r}. Allowed: {', '.join(available)}")
     shown = _in_window(recording, window)
     groups = _in_chains([i for i, name in enumerate(names) if name[2] == axis], chains)
     rows = [row for group in groups for row in group]
@@ -169,14 +169,14 @@ def joint_signals_figure(
 
 
 def _in_window(recording: Recording, window: tuple[float, float] | None) -> Bool[np.ndarray, " t"]:
-    """Return a mask of the instants that are shown; see `joint_signals_figure`."""
+    """Return a mask of the shown instants (`joint_signals_figure`)."""
     end = recording.time[-1]
     start, stop = window or (max(0.0, 0.75 * end - _WINDOW / 2), 0.75 * end + _WINDOW / 2)
     shown = (recording.time >= start) & (recording.time <= stop)
     if shown.sum() < 2:
         raise ValueError(
-            f"the window from {start:g} s to {stop:g} s holds {shown.sum()} instants; the "
-            f"recording runs from {recording.time[0]:g} s to {end:g} s"
+            f"the window from {start:g} s to {stop:g} s holds {shown.sum()} recorded instants, but "
+            f"needs 2. The recording runs from {recording.time[0]:g} s to {end:g} s"
         )
     return shown
 
@@ -184,13 +184,12 @@ def _in_window(recording: Recording, window: tuple[float, float] | None) -> Bool
 def _draw_rows(
     panels: np.ndarray, time: np.ndarray, signals: Mapping[str, np.ndarray]
 ) -> list[Line2D]:
-    """Draw a row for each joint, with a scale on the left and on the right; return two lines.
+    """Draw a row for each joint, with a scale on either side, and return one line of each kind.
 
     Args:
         panels: axes of the rows.
         time: instants, s.
-        signals: signals of the joints ``(t, d)`` by label, first the solid line, then the dashed
-            one.
+        signals: signals of the joints ``(t, d)`` by label: first solid lines, then dashed lines.
     """
     styles = ((BLUE, 1.8, "solid"), (RED, 1.2, (0, (4, 2))))
     tops = [1.25 * max(float(np.abs(values).max()), 1e-3) for values in signals.values()]
@@ -240,8 +239,8 @@ def path_figure(recording: Recording) -> Figure:
     instant = np.repeat(recording.time[chosen], bodies.shape[1])
     dots = above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=trace.norm, lw=0)
     every = (recording.time[-1] - recording.time[0]) / (_SNAPSHOTS - 1)
-    dots.set(alpha=0.6, label=f"its bodies, every {every:.3g} s")
-    above.plot(*root[0], "o", color=INK, ms=6, label="start of its root", zorder=3)
+    dots.set(alpha=0.6, label=f"bodies, every {every:.3g} s")
+    above.plot(*root[0], "o", color=INK, ms=6, label="start of the root", zorder=3)
     lit = bool(np.isfinite(recording.goal).all())
     if lit:
         above.plot(*recording.goal[:2], "*", color=ORANGE, mec=INK, ms=17, label="light", zorder=3)

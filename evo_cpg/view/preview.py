@@ -91,12 +91,12 @@ def preview(
         creature: creature to draw.
         path: name of a ``.png`` file.
         size: width and height, pixels.
-        ground: ground under the creature, with its obstacles, in the world's frame; True for level
-            ground under its lowest point.
+        ground: ground under the creature, with its obstacles, in the world's frame. True means
+            level ground under its lowest point.
         pose: centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``, in the frame of the
             ground, or None for the neutral pose.
-        surface: height of the water in the world's frame, m; infinite for water everywhere, None
-            for no water.
+        surface: height of the water in the world's frame, m. Infinity means water everywhere, None
+            no water.
 
     Returns:
         The path.
@@ -148,7 +148,7 @@ def _at_rest(
     pose: tuple[np.ndarray, np.ndarray] | None,
     surface: float | None,
 ) -> Scene:
-    """Return the scene of one instant, in pale colours; see `preview`."""
+    """Return the scene of one instant, in pale colours (arguments: `preview`)."""
     centres, rotations = neutral_pose(creature) if pose is None else pose
     if ground is True:
         ground = Ground(floor=Plane(height=float(lowest_height(creature, (centres, rotations)))))
@@ -188,7 +188,7 @@ def water_note(surface: float, hull: np.ndarray) -> str:
     """Return a phrase about the creature's place in the water.
 
     Args:
-        surface: height of the water, m; infinite for water everywhere.
+        surface: height of the water, m. Infinity means water everywhere.
         hull: points of the creature ``(n, 3)``, m.
     """
     low, high = float(hull[:, 2].min()), float(hull[:, 2].max())
@@ -200,7 +200,7 @@ def water_note(surface: float, hull: np.ndarray) -> str:
 
 
 def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
-    """Draw arrows along the joint axes, and return the meaning of each colour."""
+    """Draw arrows along the joint axes, and return their colours by meaning."""
     meaning = {}
     for body, centre, turn in _posed(scene):
         if body.joint is None:
@@ -216,7 +216,7 @@ def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
 
 
 def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
-    """Draw lines of sight, depth gauges and pressure sensors; return the meaning of each colour."""
+    """Draw lines of sight, depth gauges and pressure sensors, and return their colours."""
     creature, scale, meaning = scene.creature, _thickness(scene), {}
     posed = {body.name: (body, centre, turn) for body, centre, turn in _posed(scene)}
 
@@ -236,7 +236,7 @@ def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
         body, centre, turn = posed[name]
         for outward in (*np.eye(3)[1:], *-np.eye(3)[1:]):
             add_ball(centre + turn @ body.shape.support(outward), 0.22 * scale, _PRESSURE)
-        meaning["feels contact"] = _PRESSURE
+        meaning["pressure sensor"] = _PRESSURE
     return meaning
 
 
@@ -309,7 +309,7 @@ def _write(
         creature: creature in the picture.
         places: places of its bodies, pixels to the right and down.
         pixels_per_metre: scale of the picture.
-        legend: colour of each meaning.
+        legend: colours by meaning.
         notes: remarks on things outside the picture.
         unit: pixels drawn per unit of a letter's size.
     """

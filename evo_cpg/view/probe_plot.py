@@ -12,7 +12,7 @@ from matplotlib.transforms import Affine2D
 from evo_cpg.training.probe import Probe, seen_from_start
 from evo_cpg.view.figure import BLUE, GREEN, GREY, INK, ORANGE, RED, framed, new_figure
 
-# Colours from lights on the right to lights on the left; all of them stand out on white.
+# Colours from lights on the right to lights on the left. All of them stand out on white.
 _COLOURS = LinearSegmentedColormap.from_list("bearing", ["#5b2a86", BLUE, GREEN, ORANGE, RED])
 # Longer side of the picture, and least length of each side, inches.
 _LONG, _SHORT = 7.4, 5.6
@@ -80,7 +80,7 @@ def _size(probe: Probe, lights: np.ndarray) -> tuple[float, float]:
 
 
 def _bearing(angle: float) -> str:
-    """Return an angle in degrees with a sign; no sign for straight ahead."""
+    """Return an angle in degrees, with a sign unless it is 0."""
     text = f"{np.rad2deg(angle):+.0f}".replace("-", "\N{MINUS SIGN}")
     return f"{text if text[1:] != '0' else '0'}\N{DEGREE SIGN}"
 
@@ -99,6 +99,6 @@ def _legend(fraction: float) -> list[Line2D]:
     return [
         Line2D([], [], ls="", marker=">", color=INK, ms=9, label="start"),
         Line2D([], [], ls="-", color=GREY, marker="o", ms=5, label="path and its end"),
-        star(GREY, f"light, reached: {fraction:.0%} left or less"),
-        star("white", "light, not reached"),
+        star(GREY, f"light reached: at most {fraction:.0%} of the distance left"),
+        star("white", "light not reached"),
     ]

@@ -28,7 +28,7 @@ class Panel(NamedTuple):
     Attributes:
         creature: the animal.
         recording: motion of the animal.
-        title: caption; the creature's name if None.
+        title: caption, or None for the creature's name.
         world: medium, ``water`` or ``land``.
         ground: ground that carries the animal, or None without ground.
         surface: height of the water's surface, m, or None without a surface.
@@ -76,10 +76,10 @@ def check_panel(panel: Panel) -> None:
     """
     if panel.surface is not None and not np.isfinite(panel.surface):
         raise ValueError(
-            f"surface is {panel.surface:g}; it must be finite, or None where there is none"
+            f"surface is {panel.surface:g}, but must be finite, or None without a surface"
         )
     if panel.world not in STYLES:
-        raise ValueError(f"world is {panel.world!r}; choose {' or '.join(STYLES)}")
+        raise ValueError(f"world is {panel.world!r}. Allowed: {', '.join(STYLES)}")
     require_whole(panel.recording, panel.creature)
 
 

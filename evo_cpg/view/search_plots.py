@@ -35,7 +35,7 @@ class Curves(NamedTuple):
         evaluations: number of evaluated individuals after every generation.
         best: fitness of the best so far in every run, as evaluated in training, or NaN before the
             first one.
-        final: fitness of each run's champion; under noise the mean of its re-evaluation. NaN for a
+        final: fitness of each run's champion. With noise, the mean of its re-evaluation. NaN for a
             run without a champion.
     """
 
@@ -56,7 +56,7 @@ def generations_figure(
     Args:
         bests: best values of each setting, by its name.
         label: name of the values, with their unit.
-        single_runs: whether to draw each run, too, as a thin line.
+        single_runs: whether to draw a thin line for each run, too.
     """
     figure = new_figure(8, 4.6)
     axes = figure.subplots()
@@ -115,8 +115,8 @@ def sweep_figure(curves: Sequence[Curves], title: str) -> Figure:
     for row, (curve, color) in enumerate(zip(curves, _colors(len(curves)), strict=True)):
         draw_runs(left, curve.evaluations, curve.best, color)
         _draw_finals(right, row, curve.final[np.isfinite(curve.final)], color)
-    left.set_xlabel("evaluations in a run")
-    left.set_ylabel("fitness of the best so far")
+    left.set_xlabel("evaluations per run")
+    left.set_ylabel("best fitness so far")
     name_rows(right, [_label(curve) for curve in curves])
     # Many long numbers would overlap.
     right.xaxis.set_major_locator(MaxNLocator(4))

@@ -57,7 +57,7 @@ class Spots:
         Args:
             middle: middle of each spot ``(n, 2)``, m.
             axes: half axes of each spot, the columns of ``(n, 2, 2)``, m.
-            opacity: opacity of each spot ``(n,)``, 0 to 1; unchanged if None.
+            opacity: opacity of each spot ``(n,)``, 0 to 1, or None to keep it.
         """
         place = (middle[:, None] + self._own @ axes.mT).reshape(-1, 2)
         self._mesh.points = np.column_stack([place, self._ground.height(place) + self._lift])
@@ -70,7 +70,7 @@ def add_sun_shadows(stage: Stage, meshes: Sequence[pv.PolyData]) -> Update:
     """Draw the shadows that bodies or obstacles cast on the ground in the sun.
 
     Args:
-        stage: scene and camera; nothing is drawn if its look has no cast shadows.
+        stage: scene and camera. Nothing is drawn if its look has no cast shadows.
         meshes: meshes of the bodies, in their own frames.
     """
     look, ground, sun = stage.look, stage.ground, stage.sun
@@ -119,7 +119,7 @@ def add_shadows(stage: Stage, half_extents: np.ndarray) -> Update:
 
 
 def add_contacts(stage: Stage) -> Update:
-    """Draw dark soft spots under bodies that touch the ground; spots fade as the gap opens."""
+    """Draw dark soft spots under bodies that touch the ground. Spots fade as the gap opens."""
     bodies, ground = stage.scene.creature.bodies, stage.ground
     texture = spot_texture(stage.look.shadow, _CONTACT, sharpness=2.6)
     spots = Spots(stage.plotter, texture, ground, stage.lift, len(bodies))

@@ -50,7 +50,7 @@ class Signals(NamedTuple):
         signal: controller's signal for each axis.
         word: name of the controller's signal.
         time: time of the samples, s.
-        feet: names of the bodies that touch the ground; empty without ground.
+        feet: names of the bodies that touch the ground. Empty without ground.
         touched: whether each foot touches the ground.
         highest: angle, rad, and signal at which curves fill their rows.
     """
@@ -82,7 +82,8 @@ def signals_of(
         word: name of the controller's signal.
         same_unit: whether the signal is also an angle, to be drawn on the same scale.
         feet: names of the bodies that touch the ground.
-        touched: whether each foot touches, at the recording's times, or None without ground.
+        touched: whether each foot touches the ground at the recording's times, or None without
+            ground.
     """
     swing = recording.joint_angle.std(0)
     bending = bending_axis(recording) if recording.dof_names else ""
@@ -150,7 +151,7 @@ class Strip:
 
     @framed
     def _page(self, start: float) -> tuple[np.ndarray, tuple[int, int, int, int]]:
-        """Draw a page; return its picture and the edges of its axes: left, right, bottom, top."""
+        """Draw a page. Return its picture, and the left, right, lower and upper axes edges."""
         signals, look, (width, height) = self._signals, self._look, self._size
         figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=look.distance)
         canvas = FigureCanvasAgg(figure)
@@ -175,7 +176,7 @@ class Strip:
         return picture, (left, right, bottom, height - top)
 
     def _curves(self, axes: Axes, start: float, end: float) -> list[float]:
-        """Draw rows of joints, then of feet, from the top down; return the rows' places."""
+        """Draw rows of joints, then of feet, from the top down, and return the rows' middles."""
         signals = self._signals
         inside = (signals.time >= start) & (signals.time <= end)
         time = signals.time[inside]
@@ -210,11 +211,11 @@ class Strip:
         degrees = np.degrees(signals.highest[0])
         words: list[tuple[str, str]] = []
         if signals.names:
-            words = [(f"joint angle, to {degrees:.0f} deg", colours[0])]
+            words = [(f"joint angle, up to {degrees:.0f} deg", colours[0])]
             if np.abs(signals.signal).max(initial=0.0) > 0:
                 words.append((f"- - {signals.word}", colours[1]))
         if signals.feet:
-            words.append(("on the ground", colours[2]))
+            words.append(("foot on the ground", colours[2]))
         # Shrink the text if it would run out of the picture.
         per_letter = self._letter / self._size[0]
         needed = sum(_WIDTH * len(word) + 2 for word, _ in words) * per_letter

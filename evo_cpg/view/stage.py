@@ -15,8 +15,8 @@ from evo_cpg.view.obstacles import obstacle_top
 from evo_cpg.view.scene import Scene, animal_reach
 from evo_cpg.view.terrain import Level, Terrain, heights
 
-# Elevations of the camera to try in turn if something stands in its way, rad, and its least height
-# above the ground, in radii of the animal. Fraction of all bodies and instants that may be hidden:
+# Elevations of the camera to try in turn if something hides the animal, rad. Least height above the
+# ground, in radii of the animal. Fraction of all bodies and instants that may be hidden, because
 # stones that pass in front show their distance.
 _ELEVATIONS, _CLEARANCE, _HIDDEN = np.radians([16.0, 22.0, 28.0, 35.0, 45.0]), 0.3, 0.03
 # The mesh of the ground ends this many visibilities from the path, where it has faded to nothing.
@@ -130,7 +130,7 @@ class Stage:
 
 
 def camera_path(scene: Scene, camera: str, aspect: float) -> CameraPath:
-    """Plan a camera that sees all frames, over anything that stands in its way.
+    """Plan a camera that sees the animal in all frames, above things that would hide it.
 
     Args:
         scene: the animal and its world.

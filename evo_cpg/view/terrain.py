@@ -38,7 +38,7 @@ class Level(NamedTuple):
 
 
 class Terrain(NamedTuple):
-    """Heights at the crossings of grid lines; two triangles make each cell.
+    """Heights at the crossings of grid lines, with two triangles in each cell.
 
     Attributes:
         x: coordinates of the lines across x, ascending, m.
@@ -51,7 +51,7 @@ class Terrain(NamedTuple):
     z: Float[np.ndarray, "nx ny"]
 
     def points(self) -> Float[np.ndarray, "n 3"]:
-        """Return the crossings, m; the last axis of the grid varies fastest."""
+        """Return the crossings, m. The last axis of the grid varies fastest."""
         x, y = np.meshgrid(self.x, self.y, indexing="ij")
         return np.stack([x, y, self.z], -1).reshape(-1, 3)
 
@@ -68,7 +68,7 @@ class Terrain(NamedTuple):
         return np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2).reshape(-1, 3)
 
     def height(self, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
-        """Return the height of the mesh, m; beyond the mesh the height of its nearest edge.
+        """Return the height of the mesh, m. Places beyond the mesh have the height of its edge.
 
         Args:
             place: coordinates x and y, m.
@@ -97,7 +97,7 @@ def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, 
     """
     if not isinstance(floor, Plane | Shore | Relief):
         raise TypeError(
-            f"no heights for a {type(floor).__name__}; a floor is a Plane, a Shore or a Relief"
+            f"a floor of type {type(floor).__name__} has no heights. Allowed: Plane, Shore, Relief"
         )
     flat = np.asarray(place, float).reshape(-1, 2)
     filled = np.zeros((3, -(-len(flat) // _BLOCK) * _BLOCK), np.float32)

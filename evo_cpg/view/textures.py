@@ -21,7 +21,7 @@ def floor_texture(
     Args:
         tints: tints of the ground, from dark to light.
         grid: colour of the lines.
-        checkered: whether alternate grid cells differ in tone; if not, the ground has a net of
+        checkered: whether alternate grid cells differ in tone. If not, the ground has a net of
             light.
         marked: whether the tile's own borders are strong lines.
     """
@@ -78,7 +78,7 @@ def spot_texture(color: str, strength: float, sharpness: float) -> pv.Texture:
 
 
 def _periodic_noise(lowest: float, highest: float) -> np.ndarray:
-    """Return a random field of unit variance; wavelengths are 1/highest to 1/lowest of a tile."""
+    """Return a random field of unit variance, with wavelengths of 1/highest to 1/lowest tiles."""
     generator = np.random.default_rng(int(_SEED + 1000 * lowest + highest))
     frequency = np.hypot(
         np.fft.fftfreq(_TEXELS, 1 / _TEXELS)[:, None], np.fft.rfftfreq(_TEXELS, 1 / _TEXELS)

@@ -2,7 +2,7 @@
 
 from evo_cpg.view.legible import legible
 
-# Units by name; all other terms have no unit.
+# Units by name. All other terms have no unit.
 UNITS = {
     "amplitude": "rad", "bounce": "m", "distance": "m", "energy": "J", "forward": "m",
     "frequency": "Hz", "power": "W", "speed": "m/s", "turning": "rad/s",

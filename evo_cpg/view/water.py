@@ -52,13 +52,13 @@ class Ripples:
         wind = 0.35 + (along / np.where(number > 0, number, 1.0)) ** 2
         self._start = band * wind * np.exp(1j * phase) / np.where(number > 0, number, 1.0) ** 2.3
         self._number = along, across
-        # Waves run in random directions, half of them each way, as on a pond.
+        # Waves run in random directions, forward or backward with equal chance, as on a pond.
         self._rate = np.sqrt(_GRAVITY * number) * generator.choice([-1.0, 1.0], number.shape)
         steepness = np.sqrt(np.mean(np.square(self.slopes(0.0))) * 2)
         self._start *= _STEEPNESS / steepness
 
     def slopes(self, time: float) -> np.ndarray:
-        """Return slopes along x and y ``(2, n, n)`` at a time, s; the tile's first axis is x."""
+        """Return slopes along x and y ``(2, n, n)`` at a time, s. The tile's first axis is x."""
         now = self._start * np.exp(1j * self._rate * time)
         shape = (_TEXELS, _TEXELS)
         return np.stack([np.fft.irfft2(1j * k * now, shape) for k in self._number])

@@ -276,7 +276,7 @@ def test_a_name_that_nothing_shipped_has_departs_from_nothing(walker, monkeypatc
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--out", "page.txt"), "the name ends in '.txt'; use .html or .htm"),
+        (("--out", "page.txt"), "the name ends in '.txt'. Use .html or .htm"),
         (("--out", "nowhere/page.html"), "there is no folder nowhere; create it first"),
         (("--out", "folder.html"), "is a folder; give the name of a file"),
         (("--out", "there.html"), "there.html exists already; --overwrite replaces it"),

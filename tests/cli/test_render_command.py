@@ -157,5 +157,5 @@ def test_wrong_lineages_are_refused(refuse, two_runs, tmp_path):
 
 def test_signals_have_limits(refuse, two_runs):
     assert refuse(two_runs, "--signals", "--size", "100x90") == (
-        "size is 100 x 90 pixels; the smallest with signals is 160 x 110"
+        "size is 100 x 90 pixels, but the smallest with signals is 160 x 110"
     )

@@ -243,23 +243,23 @@ def test_a_film_of_unknown_kind_or_size_is_refused(refused, finished_run, tmp_pa
     assert message == "--size: 'big' is not WIDTHxHEIGHT, such as 1280x720"
     assert "the smallest is 16 x 16" in refused("render", finished_run, "--size", "10x10")
     message = refused("render", finished_run, "--size", "99999x99999")
-    assert message == "size is 99999 x 99999 pixels; the largest is 8192 x 8192"
+    assert message == "size is 99999 x 99999 pixels, but the largest is 8192 x 8192"
     message = refused("render", finished_run, "--sheet", "4x0")
     assert message == "--sheet: '4x0' is not COLUMNSxROWS of at most 99, such as 4x3"
     message = refused("render", finished_run, "--sheet", "9x9", "--seconds", "0.1")
     assert message.startswith("the film has 4 frames, fewer than a sheet of 9x9 shows")
     message = refused("render", finished_run, "--sheet", "4x3", "-o", "film.mp4")
-    assert "the name ends in '.mp4'; use .png" in message
+    assert "the name ends in '.mp4'. Use .png" in message
     assert "the name ends in '.mp4'" in refused("preview", CONFIG, "-o", "body.mp4")
     message = refused("render", finished_run, "--speed", "inf")
-    assert message == "speed is inf; it must be positive and finite"
+    assert message == "speed is inf, but must be positive and finite"
 
 
 def test_a_preview_that_cannot_be_is_refused(refused):
     message = refused("preview", CONFIG, "--size", "12x12", "-o", "body.png")
-    assert message == "size is 12 x 12 pixels; the smallest is 16 x 16"
+    assert message == "size is 12 x 12 pixels, but the smallest is 16 x 16"
     message = refused("preview", CONFIG, "--size", "9999x720", "-o", "body.png")
-    assert message == "size is 9999 x 720 pixels; the largest is 8192 x 8192"
+    assert message == "size is 9999 x 720 pixels, but the largest is 8192 x 8192"
     assert "there is no folder no" in refused("preview", CONFIG, "-o", "no/body.png")
 
 

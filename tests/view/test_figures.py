@@ -142,9 +142,9 @@ def test_joint_signals_show_the_window_that_was_asked_for(recording, still):
 
 
 def test_joint_signals_have_limits(recording):
-    with pytest.raises(ValueError, match="no joint turns about axis 'w'; axes are x, y, z"):
+    with pytest.raises(ValueError, match=r"no joint turns about axis 'w'\. Allowed: x, y, z"):
         joint_signals_figure(recording, axis="w")
-    with pytest.raises(ValueError, match="from 50 s to 60 s holds 0 instants"):
+    with pytest.raises(ValueError, match="from 50 s to 60 s holds 0 recorded instants"):
         joint_signals_figure(recording, window=(50, 60))
     with pytest.raises(ValueError, match="no joints"):
         joint_signals_figure(synthetic.standing(synthetic.swimmer()))
@@ -153,7 +153,7 @@ def test_joint_signals_have_limits(recording):
 def test_a_path_says_what_its_dots_are(recording):
     every = (recording.time[-1] - recording.time[0]) / 6
     dots, start, light = legend_of(path_figure(recording).axes[0])
-    words = (f"its bodies, every {every:.3g} s", "start of its root", "light")
+    words = (f"bodies, every {every:.3g} s", "start of the root", "light")
     assert (dots, start, light) == words
 
 
@@ -194,7 +194,7 @@ def test_fitness_of_several_runs_is_their_median():
 
 def test_fitness_needs_its_columns():
     history = {"generation": np.arange(3), "best": np.arange(3), "diverged": np.zeros(3)}
-    with pytest.raises(ValueError, match="no column 'mean'; it has generation, best, diverged"):
+    with pytest.raises(ValueError, match="no column 'mean', only generation, best, diverged"):
         fitness_figure(history)
     empty = {key: np.zeros(0) for key in ("generation", "best", "mean", "diverged")}
     with pytest.raises(ValueError, match="no rows yet"):
@@ -283,7 +283,7 @@ def test_an_audit_has_a_panel_of_paths_only_where_there_is_a_second_opinion():
         audit_figure(a_ledger(), 1 / 240, kept, paths, "animal: audit")
         for paths in (ways("evo_cpg", "MuJoCo"), {})
     )
-    energy, from_above = "Where the energy comes from and goes", "Paths of the root, from above"
+    energy, from_above = "Sources and sinks of energy", "Paths of the root, from above"
     assert [axes.get_title() for axes in with_.axes] == [energy, from_above, ""]
     assert [axes.get_title() for axes in without.axes] == [energy, ""]
     for figure in (with_, without):

@@ -404,9 +404,9 @@ def test_every_frame_gets_a_picture_of_its_own(creature, recording, tmp_path):
         difference = synthetic.read(folder / f"f{i:03d}.png").astype(int) - frame
         # What the film's compression loses.
         assert np.abs(difference).mean() < 6
-    with pytest.raises(OutputError, match="frames is not empty; name one that does not exist"):
+    with pytest.raises(OutputError, match=r"frames is not empty\. Name a new folder"):
         film(creature, recording, folder / "%04d.png", **settings)
-    with pytest.raises(OutputError, match=r"there is no folder .*nowhere to make it in"):
+    with pytest.raises(OutputError, match=r"there is no folder .*nowhere\. Create it first"):
         film(creature, recording, tmp_path / "nowhere" / "frames" / "%04d.png", **settings)
 
 
@@ -453,7 +453,7 @@ def test_the_floor_moves_with_the_world_not_with_the_camera(creature, recording,
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("swim.avi", r"ends in '\.avi'; use \.mp4, \.webp, \.gif or \.png"),
+        ("swim.avi", r"ends in '\.avi'\. Use \.mp4, \.webp, \.gif or \.png"),
         ("swim", "has no suffix"),
         ("nowhere/swim.mp4", "there is no folder .*nowhere"),
         ("folder.mp4", "it is a folder"),
@@ -482,7 +482,7 @@ def test_a_folder_with_a_colon_is_no_protocol(creature, recording, tmp_path, mon
 
 def test_what_ffmpeg_complains_of_is_told(creature, recording, tmp_path, monkeypatch):
     monkeypatch.setitem(output._ENCODERS, ".mp4", "-c:v nonsense")
-    with pytest.raises(OutputError, match=r"swim\.mp4: ffmpeg says: .*'nonsense'"):
+    with pytest.raises(OutputError, match=r"swim\.mp4: ffmpeg failed: .*'nonsense'"):
         film(creature, recording, tmp_path / "swim.mp4", size=SMALL, fps=10, seconds=0.2)
     assert not list(tmp_path.iterdir())
 
@@ -503,17 +503,17 @@ def test_a_broken_film_leaves_the_old_one(creature, recording, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"world": "air"}, "world is 'air'; choose water or land"),
-        ({"camera": "front"}, "camera is 'front'; choose follow or side or top or orbit"),
-        ({"sheet": (0, 3)}, "sheet is 0x3; it needs a column"),
+        ({"world": "air"}, r"world is 'air'\. Allowed: water, land"),
+        ({"camera": "front"}, r"camera is 'front'\. Allowed: follow, side, top, orbit"),
+        ({"sheet": (0, 3)}, "sheet is 0x3, but needs at least 1 column"),
         ({"sheet": (4, 3), "seconds": 0.1}, "has 4 frames, fewer than .* of 4x3"),
         ({"size": (8, 8)}, "8 x 8 pixels"),
         ({"fps": 0}, "fps is 0"),
-        ({"fps": np.nan}, "fps is nan; it must be positive and finite"),
-        ({"speed": np.inf}, "speed is inf; it must be positive and finite"),
+        ({"fps": np.nan}, "fps is nan, but must be positive and finite"),
+        ({"speed": np.inf}, "speed is inf, but must be positive and finite"),
         ({"speed": -1}, "speed is -1"),
         ({"seconds": -1}, "seconds is -1"),
-        ({"seconds": np.nan}, "seconds is nan; it must be a number that is not negative"),
+        ({"seconds": np.nan}, "seconds is nan, but must be at least 0"),
     ],
 )
 def test_settings_out_of_range_are_refused(creature, recording, tmp_path, settings, words):

@@ -116,7 +116,7 @@ def signals(subject: Subject, motion: Motion) -> Html | None:
     elif not numbers.frequency > 0:
         words = (
             "There are no phase lags, because the joint angles do not repeat in the second half of "
-            "the trial. A frequency in the title of the chart is that of the shown part."
+            "the trial. A frequency in the title of the chart belongs to the shown part."
         )
         parts.append(tag("p", words))
     return join(*parts)
