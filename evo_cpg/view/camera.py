@@ -78,7 +78,8 @@ def follow(
         aspect: width of the picture over its height.
         elevation: height of the eye above the focus as an angle, rad.
         turn: angle between the line of sight and the animal's course, rad, with a value per frame
-            if it changes. None for a camera that shows the light or, without a light, the animal's side.
+            if it changes. None for a camera that shows the light, or the animal's side if there is
+            no light.
     """
     centre = smooth(position.mean(1), SMOOTHING * rate)
     radius = np.linalg.norm(position - centre[:, None], axis=-1).max() + reach

@@ -398,6 +398,6 @@ def test_what_refine_did_is_part_of_how_to_repeat_it(refined):
     nothing = Subject._make([None] * len(Subject._fields))
     told = nothing._replace(folder="eel", meta=meta, config="name: eel")
     shown = origin.repetition(told)
-    assert ("repeats the evolution only" in shown) == isinstance(refined, list)
+    assert ("repeat only the evolution" in shown) == isinstance(refined, list)
     assert ("evo-cpg refine eel --rounds 2" in shown) == isinstance(refined, list)
     assert ("2.5 to 3" in shown) == isinstance(refined, list)

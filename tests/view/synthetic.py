@@ -1,4 +1,4 @@
-"""A ten-box swimmer, a four-legged walker, and invented, exactly known recordings of them."""
+"""A ten-box swimmer, a four-legged walker, and recordings of them from closed formulas."""
 
 import numpy as np
 from PIL import Image
@@ -20,8 +20,8 @@ FREQUENCY = 1.08
 AMPLITUDE = np.radians(24)
 LAG = np.radians(36)
 GOAL = np.array([6.9, 4.0, 0.0])
-# Of the walker: length of a leg's upper or lower half, half the side of its square section, places
-# of the hips, speed and steps per second of one foot.
+# The walker: length of the upper or lower half of a leg, and half the side of its square section.
+# Positions of the hips, speed, and steps per second of one foot.
 LEG, FOOT = 0.24, 0.04
 HIPS = {
     "front_left": (0.22, 0.13),
@@ -63,7 +63,7 @@ def swimmer() -> Creature:
 def swim(seconds: float = 33.0, rate: float = 60.0) -> Recording:
     """A travelling wave of sideways bending that carries the swimmer 8 m to the light.
 
-    Joint i bends by ``AMPLITUDE sin(2 pi FREQUENCY t - LAG i)``; the centre of mass follows a
+    Joint i bends by ``AMPLITUDE sin(2 pi FREQUENCY t - LAG i)``. The centre of mass follows a
     quadratic Bezier curve from the origin to 0.3 m before the light.
     """
     steps = round(seconds * rate)
@@ -132,7 +132,7 @@ def standing(creature: Creature, seconds: float = 1.0, rate: float = 30.0) -> Re
 
 
 def walker() -> Creature:
-    """A trunk with four legs of two boxes each, all joints about y; no eyes and no colours."""
+    """A trunk with four legs of two boxes each, all joints about y, without eyes or colours."""
 
     def leg(name: str, parent: str, anchor: tuple[float, float, float]) -> Body:
         joint = Joint(
@@ -160,8 +160,8 @@ def walker() -> Creature:
 def walk(seconds: float = 20.0, rate: float = 60.0, course: float = 0.0) -> Recording:
     """A trot at ``PACE`` on the ground z = 0, along a bearing from the x axis (rad).
 
-    Every foot rests on the same spot during the first 60 % of its step and then swings forward in
-    an arc; its lowest corner is at z = 0 exactly while it rests, and never below.
+    Every foot rests on one spot during the first 60 % of its step, and then swings forward in an
+    arc. Its lowest corner is at z = 0 exactly while it rests, and never below.
     """
     time = np.arange(round(seconds * rate)) / rate
     trunk = np.column_stack(
@@ -208,14 +208,14 @@ def walk(seconds: float = 20.0, rate: float = 60.0, course: float = 0.0) -> Reco
 
 
 def over(recording: Recording, height, ahead: float = 0.3) -> Recording:
-    """The same motion, made for the ground z = 0, carried over hills.
+    """Carry a motion on the ground z = 0 over hills.
 
-    At every instant the whole animal is lifted to the height below its middle and tilted, about the
-    point there, to the slope within ``ahead`` (m).
+    At every instant the whole animal is lifted to the height below its middle. It is then tilted
+    about the point there, by the mean slope within ``ahead`` (m).
 
     Args:
-        recording: on level ground.
-        height: a function of x and y ``(n, 2)``, m.
+        recording: motion on level ground.
+        height: height of the ground as a function of x and y ``(n, 2)``, m.
         ahead: half of the animal's length.
     """
     middle = recording.position.mean(1)[:, :2]

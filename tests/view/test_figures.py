@@ -1,4 +1,4 @@
-"""Figures: their axes, labels and curves before they are saved, and the ink on the page."""
+"""Figures: axes, labels and curves before saving, and the ink in the saved file."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def recording():
 
 
 def rows_of(axes):
-    """The names of an axes' rows."""
+    """Names of the rows of axes."""
     return [label.get_text() for label in axes.get_yticklabels()]
 
 
@@ -49,7 +49,7 @@ def test_a_saved_figure_has_ink_and_the_size_of_its_frame(tmp_path):
     assert synthetic.read(path).shape == (480, 640, 3)
     assert 0.01 < ink(path) < 0.1
     for name in ("x.txt", "x.mp4"):
-        with pytest.raises(OutputError, match=r"use \.png, \.svg or \.pdf"):
+        with pytest.raises(OutputError, match=r"Use \.png, \.svg or \.pdf"):
             save_figure(figure, tmp_path / name)
 
 
@@ -76,8 +76,8 @@ def test_a_drift_has_no_crests(drift):
 
 
 @pytest.mark.parametrize(("count", "span"), [(2, 1.0), (4, 1.0), (30, 0.15)])
-def test_what_is_too_short_has_no_crests(count, span):
-    """Too few instants, or too little time, for two periods of what is looked for."""
+def test_a_short_signal_has_no_crests(count, span):
+    """There are too few instants, or too little time, for two periods of the oscillation."""
     time = np.linspace(0, span, count)
     assert _crests(time, np.sin(2 * np.pi * 1.3 * time[:, None] / span + [0.0, 0.5])) is None
 
@@ -91,7 +91,7 @@ def test_crests_are_found_on_a_drift():
 
 
 def test_joint_signals_follow_chains(recording, monkeypatch):
-    """Row by row, named; crests are joined within a chain, and the lag is that of the first."""
+    """Rows have names, crests are joined within a chain, and the first chain gives the lag."""
     joined = []
     original = plots._join_crests
 
@@ -104,7 +104,7 @@ def test_joint_signals_follow_chains(recording, monkeypatch):
     first, second = about_z[:3:-1], about_z[:3]
     others = [i for i, name in enumerate(recording.dof_names) if name.endswith(".y")]
     figure = joint_signals_figure(recording, "z", chains=[others, first, second], title="mine")
-    # Above the rows: no curve is hidden by a name.
+    # Names are above the rows and hide no curve.
     shown = [title for axes in figure.axes if (title := axes.get_title(loc="left"))]
     assert not any(axes.texts for axes in figure.axes)
     rows = [*first, *second, about_z[3]]
@@ -119,8 +119,8 @@ def test_joint_signals_follow_chains(recording, monkeypatch):
     assert words == {"joint angle (deg)", "CPG output (no unit)"}
 
 
-def test_joint_signals_of_axes_that_point_either_way():
-    """The lag and the slope of the lines are those of the motion, whichever way it is told."""
+def test_joint_signals_do_not_depend_on_the_signs_of_axes():
+    """With ``signs``, a motion with mirrored axes has the lag of the original motion."""
     motion = synthetic.swim(12)
     signs = np.where(np.arange(len(motion.dof_names)) % 4 < 2, 1.0, -1.0)
     mirrored = motion._replace(joint_angle=motion.joint_angle * signs)
@@ -130,7 +130,7 @@ def test_joint_signals_of_axes_that_point_either_way():
 
 
 @pytest.mark.parametrize("still", [False, True])
-def test_joint_signals_show_the_window_that_was_asked_for(recording, still):
+def test_joint_signals_show_the_given_window(recording, still):
     motion = recording._replace(joint_angle=0 * recording.joint_angle) if still else recording
     figure = joint_signals_figure(motion, "x", window=(2.0, 6.0))
     lines = [axes.get_lines()[-1] for axes in figure.axes]
@@ -141,7 +141,7 @@ def test_joint_signals_show_the_window_that_was_asked_for(recording, still):
     assert ("Hz" in figure.get_suptitle()) != still
 
 
-def test_joint_signals_have_limits(recording):
+def test_joint_signals_that_cannot_be_drawn_are_refused(recording):
     with pytest.raises(ValueError, match=r"no joint turns about axis 'w'\. Allowed: x, y, z"):
         joint_signals_figure(recording, axis="w")
     with pytest.raises(ValueError, match="from 50 s to 60 s holds 0 recorded instants"):
@@ -150,7 +150,7 @@ def test_joint_signals_have_limits(recording):
         joint_signals_figure(synthetic.standing(synthetic.swimmer()))
 
 
-def test_a_path_says_what_its_dots_are(recording):
+def test_the_legend_of_a_path_names_its_dots(recording):
     every = (recording.time[-1] - recording.time[0]) / 6
     dots, start, light = legend_of(path_figure(recording).axes[0])
     words = (f"bodies, every {every:.3g} s", "start of the root", "light")
@@ -160,14 +160,14 @@ def test_a_path_says_what_its_dots_are(recording):
 @pytest.mark.parametrize(
     ("goal", "words"), [(np.nan, "distance from the start (m)"), (3.0, "distance to the light (m)")]
 )
-def test_the_path_says_what_its_distance_is(recording, goal, words):
+def test_the_label_of_the_distance_names_its_origin(recording, goal, words):
     later = path_figure(recording._replace(goal=np.full(3, goal))).axes[1]
     assert later.get_ylabel() == words
     assert later.lines[0].get_ydata().max() == pytest.approx(recording.distance.max())
 
 
-def test_the_best_so_far_is_seen_where_it_is_the_best_of_the_generation():
-    """The lower one of two equal lines is the wider one."""
+def test_the_best_so_far_is_visible_below_an_equal_line():
+    """The lower one of two equal lines is wider."""
     equal = np.array([1.0, 2.0, 2.0])
     columns = {"generation": np.arange(3), "best": equal, "best_so_far": equal, "mean": equal - 1}
     figure = fitness_figure(columns | {"diverged": np.zeros(3)})
@@ -177,7 +177,7 @@ def test_the_best_so_far_is_seen_where_it_is_the_best_of_the_generation():
 
 
 def test_fitness_of_several_runs_is_their_median():
-    """Each run is a thin line; values that are not finite are left out, diverged ones are added."""
+    """Each run is a thin line. Values that are not finite are left out. Diverged ones add up."""
     generation, run = np.tile(np.arange(4), 3), np.repeat(np.arange(3), 4)
     best = 10.0 * run + generation
     mean = np.where((run == 2) | (generation == 0), -np.inf, best - 1)
@@ -211,7 +211,7 @@ def test_generations_have_a_line_and_a_band_for_each_setting():
     assert axes.get_legend().get_title().get_text() == "median of 3 runs, half of them in the band"
 
 
-def test_champions_of_a_pair_share_a_colour_and_the_second_is_filled():
+def test_a_pair_of_groups_has_one_colour_and_the_second_is_filled():
     dots = champions_figure({"a": ([1], [2]), "b": ([3], [4])}, ("x (m)", "y")).axes[0].collections
     assert [dot.get_offsets().tolist() for dot in dots] == [[[1, 2]], [[3, 4]]]
     assert (dots[0].get_edgecolor() == dots[1].get_edgecolor()).all()
@@ -220,7 +220,7 @@ def test_champions_of_a_pair_share_a_colour_and_the_second_is_filled():
 
 @pytest.mark.parametrize("count", [2, 9])
 def test_a_sweep_shows_each_setting_in_its_colour(count):
-    """Those without a champion keep their row."""
+    """Settings without a champion keep their row."""
     best = np.array([[1.0, 2.0], [3.0, 6.0], [np.nan, 7.0]])
     tried = np.array([10, 20])
     names = [f"{i}" * 40 for i in range(count)]
@@ -244,8 +244,11 @@ def test_a_fit_shows_data_and_model_with_their_units():
     assert fitted.get_ydata().tolist() == [4.5, 5.5, 6.5]
 
 
-def test_sensitivities_are_bars_and_doubtful_ones_are_grey():
-    """A bar is the elasticity, or, where it is not confirmed, the change found; 0 has none."""
+def test_sensitivities_are_bars_and_unconfirmed_ones_are_grey():
+    """A bar is the elasticity, or the simulated change if the derivative is not confirmed.
+
+    A parameter that is 0 has no bar.
+    """
     rows = [
         Sensitivity("up", 2.0, 0.5, 0.02, 0.04, 1.0),
         Sensitivity("down", 2.0, -0.5, -0.02, 0.04, 1.0),
@@ -268,20 +271,20 @@ def a_ledger() -> Ledger:
     return Ledger(**{name: np.full(shape[name], 0.01) for name in Ledger._fields})
 
 
-def ways(*programs: str) -> dict[str, np.ndarray]:
-    """Arcs that part, by program."""
+def diverging_paths(*programs: str) -> dict[str, np.ndarray]:
+    """Paths that separate, by program."""
     ahead = np.linspace(0, 1, STEPS)
     return {
         name: np.stack([ahead, 0.2 * i * ahead**2, 0 * ahead]) for i, name in enumerate(programs)
     }
 
 
-def test_an_audit_has_a_panel_of_paths_only_where_there_is_a_second_opinion():
-    """Without one the energy has the whole row, and nothing is left blank."""
+def test_an_audit_has_a_panel_of_paths_only_with_mujoco():
+    """If MuJoCo was not run, the energy fills the whole row."""
     kept = [Check("half_step", "way kept at half the step", 0.97, 0.9, True, "%")]
     with_, without = (
         audit_figure(a_ledger(), 1 / 240, kept, paths, "animal: audit")
-        for paths in (ways("evo_cpg", "MuJoCo"), {})
+        for paths in (diverging_paths("evo_cpg", "MuJoCo"), {})
     )
     energy, from_above = "Sources and sinks of energy", "Paths of the root, from above"
     assert [axes.get_title() for axes in with_.axes] == [energy, from_above, ""]
@@ -296,10 +299,10 @@ def test_an_audit_has_a_panel_of_paths_only_where_there_is_a_second_opinion():
     assert [text.get_text().strip() for text in shares.texts] == ["> 90"]
 
 
-def test_all_of_mujocos_opinions_are_drawn_each_in_a_colour_of_its_own():
-    """On the ground a brain is asked for its own senses, too."""
+def test_every_path_from_mujoco_has_its_own_colour():
+    """There are up to three of them, for a walker with a brain."""
     hard = "MuJoCo, hard contacts"
-    paths = ways("evo_cpg", "MuJoCo", hard, f"{hard}, own senses")
+    paths = diverging_paths("evo_cpg", "MuJoCo", hard, f"{hard}, own senses")
     figure = audit_figure(a_ledger(), 1 / 240, [], paths, "animal: audit")
     lines = figure.axes[1].get_lines()
     drawn = {line.get_label(): line.get_color() for line in lines if line.get_label() in paths}
@@ -316,8 +319,8 @@ AXES = (
 
 @pytest.mark.parametrize("filled", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize(("count", "panels"), [(1, 1), (2, 1), (3, 4), (4, 4)])
-def test_maps_of_any_number_of_axes(count, panels, filled):
-    """Each cell shows its elite, of a fourth axis the best; empty ones are blank."""
+def test_maps_of_one_to_four_axes_are_drawn(count, panels, filled):
+    """Each cell shows its elite, or the best elite along a fourth axis. Empty cells are blank."""
     rng = np.random.default_rng(0)
     values = rng.random([axis.cells for axis in AXES[:count]])
     values = np.where(rng.random(values.shape) < filled, values, np.nan)
@@ -346,7 +349,7 @@ def test_the_best_cell_has_a_star():
 
 
 def test_a_probe_fills_the_lights_that_were_reached():
-    """Each path has the colour of its light, which says at what bearing it was."""
+    """Each path has the colour of its light, and each light has a label with its bearing."""
     lights = [(3.0, 1.0, 0.0), (3.0, -1.0, 0.0)]
     situations = tuple(Situation((0.0, 0.0, 0.0), 0.0, light=light) for light in lights)
     paths = np.linspace(0, 1, 5)[None, :, None] * np.array([lights[0], (0.5, 0.0, 0.0)])[:, None]

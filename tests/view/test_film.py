@@ -1,4 +1,4 @@
-"""Films: what is written decodes as asked for, and the animal can be seen in it."""
+"""Films: the files decode to the given size and frames, and show the animal."""
 
 import dataclasses
 import itertools
@@ -45,7 +45,7 @@ def recording():
 
 
 def ten_frames(creature, recording, path, **given):
-    """A film of the whole recording, and what was told while it was made."""
+    """Film of the whole recording, and the progress that was reported."""
     told = []
     film(
         creature,
@@ -67,7 +67,7 @@ def movie(creature, recording, tmp_path_factory):
 
 
 def decode(path):
-    """All frames of a film, with the size that the file itself states."""
+    """All frames of a film, in the size that the file states."""
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path)]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
     result = subprocess.run(command, capture_output=True, check=True)
@@ -77,7 +77,7 @@ def decode(path):
 
 
 def seen(creature, motion, world="water", view="follow", ground=None):
-    """The motion at 30 frames a second, and the camera that looks at it in 16:9."""
+    """The motion at 30 frames a second, and a camera for it in 16:9."""
     clip = sample(motion, 30)
     scene = scene_of(Panel(creature, motion, world=world, ground=ground), clip)
     return clip, camera_path(scene, view, 16 / 9)
@@ -88,7 +88,7 @@ def orange(image):
     return (image[..., 0].astype(int) - image[..., 2] > 90) & (image[..., 1] < 165)
 
 
-def test_a_film_has_the_size_and_frames_asked_for(movie):
+def test_a_film_has_the_given_size_and_frames(movie):
     path, told = movie
     frames = decode(path)
     assert [frame.shape for frame in frames] == [(108, 192, 3)] * 10
@@ -103,14 +103,14 @@ def test_the_animal_moves_from_frame_to_frame(movie):
     assert np.ptp(heads, axis=0).max() > 5
 
 
-def test_the_head_is_where_the_camera_says(creature, recording, tmp_path):
+def test_the_head_is_where_the_camera_projects_it(creature, recording, tmp_path):
     path = film(creature, recording, tmp_path / "still.png", size=(640, 360), seconds=14, title="")
     image = synthetic.read(path)
     assert image.shape == (360, 640, 3)
     clip, camera = seen(creature, recording)
     x, y = project(camera, clip.position[:, :2].mean(1, keepdims=True), 640 / 360)[14 * 30, 0]
     row, column = np.argwhere(orange(image)).mean(0)
-    # The two orange bodies at the front are about 40 pixels long; their sides are in shade.
+    # The two orange bodies at the front are about 40 pixels long. Their sides are in shade.
     assert np.hypot(column - 320 * (1 + x), row - 180 * (1 - y)) < 12
 
 
@@ -119,12 +119,12 @@ def test_every_body_stays_in_the_frame(creature, recording, world):
     clip, camera = seen(creature, recording, world)
     place = project(camera, clip.position, 1280 / 720)
     assert np.abs(place).max() < 0.95
-    # Not lost in the distance either: it spans a third of the picture, seen end-on an eighth.
+    # The animal is not too small: it spans a third of the picture, or an eighth if seen end-on.
     span = np.ptp(place, axis=1).max(1)
     assert np.median(span) > 0.6 and span.min() > 0.25
 
 
-def test_the_light_is_in_the_frame_from_the_start_and_never_near_the_camera(creature, recording):
+def test_the_light_stays_in_the_frame_and_off_the_camera(creature, recording):
     clip, camera = seen(creature, recording)
     goals = np.repeat(recording.goal[None, None], len(clip.time), 0)
     assert np.abs(project(camera, goals, 1280 / 720)).max() < 1
@@ -133,13 +133,12 @@ def test_the_light_is_in_the_frame_from_the_start_and_never_near_the_camera(crea
 
 @pytest.mark.parametrize("world", ["water", "land"])
 @pytest.mark.parametrize("view", ["side", "top"])
-def test_from_the_side_and_from_above_the_animal_crosses_the_picture(
-    creature, recording, world, view
-):
+def test_the_animal_crosses_the_picture_from_side_and_top(creature, recording, world, view):
     clip, camera = seen(creature, recording, world, view)
     place = project(camera, clip.position, 1280 / 720)
     assert np.abs(place).max() < 0.95
-    # Its way goes to the right, and what is above or to the left of it is higher in the picture.
+    # The path goes to the right. Points above the animal (side) or to its left (top) are higher in
+    # the picture.
     way = recording.goal - clip.position[0].mean(0)
     way /= np.linalg.norm(way)
     upward = {"side": [0.0, 0.0, 1.0], "top": [-way[1], way[0], 0.0]}[view]
@@ -150,8 +149,8 @@ def test_from_the_side_and_from_above_the_animal_crosses_the_picture(
     assert (up[:, 1] > 0.02).all() and np.abs(up[:, 0]).max() < 1e-6
 
 
-def test_the_side_is_seen_over_what_stands_before_it(creature, recording):
-    """A low camera rises where a stone would hide the animal; the one above has no need to."""
+def test_the_side_camera_looks_over_a_stone(creature, recording):
+    """The low camera rises if a stone would hide the animal. The top camera does not."""
     middle = recording.position.reshape(-1, 3).mean(0)
     way = recording.goal - recording.position[0].mean(0)
     aside = np.array([way[1], -way[0], 0.0]) / np.linalg.norm(way)
@@ -170,7 +169,7 @@ def test_the_side_is_seen_over_what_stands_before_it(creature, recording):
 
 @pytest.mark.parametrize("world", ["water", "land"])
 def test_the_camera_goes_around_once(creature, recording, world):
-    """Evenly, at one height and distance, with the animal in the middle."""
+    """It turns evenly, at one height and distance, with the animal in the middle."""
     for motion in (recording, recording._replace(goal=np.full(3, np.nan))):
         clip, camera = seen(creature, motion, world, "orbit")
         offset = camera.position - camera.focus
@@ -185,8 +184,8 @@ def test_the_camera_goes_around_once(creature, recording, world):
         assert np.abs(np.median(place.mean(1), axis=0)).max() < 0.1
 
 
-def test_around_a_hill_the_camera_stays_above_it(creature, recording):
-    """A boulder that it would come through lifts the whole orbit."""
+def test_the_orbit_stays_above_a_boulder(creature, recording):
+    """A boulder on the camera's path lifts the whole orbit."""
     _, bare = seen(creature, recording, "land", "orbit")
     place = bare.position[len(bare.position) // 2]
     stone = Boulder(tuple(place - [0, 0, 1.0]), 1.6)
@@ -196,8 +195,8 @@ def test_around_a_hill_the_camera_stays_above_it(creature, recording):
     assert np.linalg.norm(bare.position - place + [0, 0, 1.0], axis=1).min() < 1.6
 
 
-def test_what_faces_the_viewer_does_so_all_around(creature, recording, tmp_path):
-    """The light's halo and the sky are seen from behind as from before."""
+def test_halo_and_sky_face_the_viewer_all_around(creature, recording, tmp_path):
+    """The light's halo and the sky are visible from the front and from behind."""
     settings = {"size": SMALL, "title": "", "fps": 2, "camera": "orbit"}
     resting = recording._replace(
         position=np.repeat(recording.position[-1:], len(recording.time), 0),
@@ -216,13 +215,13 @@ def test_what_faces_the_viewer_does_so_all_around(creature, recording, tmp_path)
             walker, walk, tmp_path / "q.png", seconds=2.0 * quarter, world="land",
             ground=Ground(floor=Plane()), **settings,
         )  # fmt: skip
-        # Blue above, sand below.
+        # The picture is blue above and has sand below.
         above, below = (synthetic.read(path)[rows].mean((0, 1)) for rows in (np.s_[:3], np.s_[60:]))
         assert above[2] > below[2] + 20 and below[0] > below[2] + 20
 
 
 def beginning(recording: Recording, count: int) -> Recording:
-    """Its first instants."""
+    """The first instants of a recording."""
     kept = {"goal", "dof_names"}
     fields = {name: getattr(recording, name)[:count] for name in set(recording._fields) - kept}
     return recording._replace(**fields)
@@ -230,7 +229,7 @@ def beginning(recording: Recording, count: int) -> Recording:
 
 @pytest.mark.slow
 def test_several_processes_draw_the_same_film(movie, creature, recording, tmp_path, monkeypatch):
-    """In its order, frame by frame; the last round is not full: 10 frames, 6 ahead."""
+    """Frames are in order. The last round is not full: 10 frames, 6 ahead."""
     monkeypatch.setattr(frame_processes, "_WORTH", 3)
     path, told = ten_frames(creature, recording, tmp_path / "two.mp4", processes=2)
     assert told == movie[1]
@@ -239,11 +238,11 @@ def test_several_processes_draw_the_same_film(movie, creature, recording, tmp_pa
     np.testing.assert_array_equal(together, alone)
 
 
-def test_a_process_that_cannot_draw_is_told_of(creature, recording, monkeypatch):
-    """A thread stands for the process."""
-    made = Film(SMALL, 10, 0.5, camera="nowhere")
+def test_a_process_that_cannot_draw_is_reported(creature, recording, monkeypatch):
+    """A thread replaces the process."""
+    made = Film(SMALL, 10, 0.5, camera="missing")
     monkeypatch.setattr(frame_processes, "_films", [([Panel(creature, recording)], made)])
-    words = "draws frames failed: camera is 'nowhere'"
+    words = "draws frames failed: camera is 'missing'"
     with ThreadPoolExecutor(1) as pool, pytest.raises(DrawingError, match=words):
         next(frame_processes._in_order(pool, 5, 2))
 
@@ -251,12 +250,12 @@ def test_a_process_that_cannot_draw_is_told_of(creature, recording, monkeypatch)
 @pytest.mark.parametrize(
     ("frames", "cores", "processes"), [(239, 8, 1), (240, 64, 2), (990, 2, 2), (990, 64, 8)]
 )
-def test_as_many_processes_as_are_worth_their_start(frames, cores, processes):
+def test_short_films_use_fewer_processes(frames, cores, processes):
     assert frame_processes.drawing_processes(frames, cores) == processes
 
 
 def test_animals_stand_side_by_side(creature, recording, tmp_path):
-    """Each in its place, row by row; one that is shorter waits at its end."""
+    """Each is in its place, row by row. A shorter recording stops at its last frame."""
     short = beginning(recording, 61)
     walk = synthetic.walk(2.0)
     panels = [
@@ -285,8 +284,8 @@ def test_animals_stand_side_by_side(creature, recording, tmp_path):
     assert decode(movie)[0].shape == (height, 3 * width + 2 * gap, 3)
 
 
-def test_the_camera_is_calm(creature, recording):
-    """It moves as fast as the animal travels, without the tail beat."""
+def test_the_camera_moves_without_the_tail_beat(creature, recording):
+    """Its speed is close to the speed of the animal."""
     clip, camera = seen(creature, recording)
     speed = np.linalg.norm(np.diff(camera.focus, axis=0), axis=1) * 30
     assert speed.max() < 1.35 * clip.speed.max()
@@ -300,7 +299,7 @@ def test_the_camera_stays_off_a_light_that_the_animal_overshoots():
     assert np.linalg.norm(camera.position - goal, axis=1).min() > 1.5
 
 
-def test_smoothing_keeps_a_straight_way_and_drops_a_wobble():
+def test_smoothing_keeps_a_straight_path_and_removes_a_wobble():
     time = np.linspace(0, 20, 601)
     steady = np.column_stack([time, -2 * time, 0 * time])
     assert np.allclose(smooth(steady, 24), steady)
@@ -344,7 +343,7 @@ def test_a_small_film_is_animated(creature, recording, tmp_path, kind):
 
 
 def test_a_sheet_shows_moments_from_the_first_to_the_last(creature, recording, tmp_path):
-    """Each is the still of its instant, in rows."""
+    """Each picture equals the still of its instant. Pictures are in rows."""
     settings = {"size": SMALL, "title": "", "fps": 1}
     sheet = film(creature, recording, tmp_path / "s.png", sheet=(2, 2), **settings)
     image, (width, height), gap = synthetic.read(sheet).astype(int), SMALL, 4
@@ -362,7 +361,7 @@ def test_a_sheet_shows_moments_from_the_first_to_the_last(creature, recording, t
 def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
     creature, recording, tmp_path, monkeypatch
 ):
-    """One animal below another, under the moment's time or, of unequal recordings, its number."""
+    """A column has a heading: the time, or the number of the moment if lengths differ."""
     said = []
 
     def heard(text: str, width: int, height: int) -> np.ndarray:
@@ -381,7 +380,7 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
     assert said == ["0.0 s", "32.0 s"]
     assert (image[:, width : width + apart] == 255).all()
     assert (image[head + height : head + height + gap] == 255).all()
-    # Headings are white and black; below them is the water.
+    # Headings are white and black. Below them is the water.
     assert np.ptp(image[:head].astype(int), axis=2).max() < 12
     assert image[:head, :width].min() < 100 and image[head:, :width].mean() < 120
     alone = film(creature, recording, tmp_path / "a.png", title="", **settings)
@@ -402,15 +401,15 @@ def test_every_frame_gets_a_picture_of_its_own(creature, recording, tmp_path):
     movie = film(creature, recording, tmp_path / "film.mp4", **settings)
     for i, frame in enumerate(decode(movie)):
         difference = synthetic.read(folder / f"f{i:03d}.png").astype(int) - frame
-        # What the film's compression loses.
+        # Loss of the film's compression.
         assert np.abs(difference).mean() < 6
     with pytest.raises(OutputError, match=r"frames is not empty\. Name a new folder"):
         film(creature, recording, folder / "%04d.png", **settings)
-    with pytest.raises(OutputError, match=r"there is no folder .*nowhere\. Create it first"):
-        film(creature, recording, tmp_path / "nowhere" / "frames" / "%04d.png", **settings)
+    with pytest.raises(OutputError, match=r"there is no folder .*missing\. Create it first"):
+        film(creature, recording, tmp_path / "missing" / "frames" / "%04d.png", **settings)
 
 
-def test_broken_frames_leave_no_folder(creature, recording, tmp_path):
+def test_interrupted_frames_leave_no_folder(creature, recording, tmp_path):
     def interrupt(done, total):
         raise KeyboardInterrupt
 
@@ -429,7 +428,7 @@ def test_a_walker_without_a_light_is_filmed_on_land(creature, tmp_path):
     image = synthetic.read(
         film(creature, standing, tmp_path / "stand.png", size=SMALL, world="land", title="")
     )
-    # Sand all around, on which the head is orange and the tail is blue.
+    # There is sand all around. On it the head is orange and the tail is blue.
     assert orange(image).sum() > 60
     assert (image[..., 2] - image[..., 0] > 60)[SMALL[1] // 3 :].sum() > 60
     assert np.median(image[-20:, :, 0] - image[-20:, :, 2]) > 20
@@ -455,7 +454,7 @@ def test_the_floor_moves_with_the_world_not_with_the_camera(creature, recording,
     [
         ("swim.avi", r"ends in '\.avi'\. Use \.mp4, \.webp, \.gif or \.png"),
         ("swim", "has no suffix"),
-        ("nowhere/swim.mp4", "there is no folder .*nowhere"),
+        ("missing/swim.mp4", "there is no folder .*missing"),
         ("folder.mp4", "it is a folder"),
     ],
 )
@@ -473,21 +472,21 @@ def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch):
         film(creature, recording, tmp_path / "frames" / "%04d.png", size=SMALL)
 
 
-def test_a_folder_with_a_colon_is_no_protocol(creature, recording, tmp_path, monkeypatch):
+def test_a_folder_name_may_have_a_colon(creature, recording, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     os.mkdir("run:1")
     made = film(creature, recording, "run:1/swim.png", size=SMALL, sheet=(1, 1))
     assert synthetic.read(made).shape == (SMALL[1], SMALL[0], 3)
 
 
-def test_what_ffmpeg_complains_of_is_told(creature, recording, tmp_path, monkeypatch):
+def test_errors_of_ffmpeg_are_reported(creature, recording, tmp_path, monkeypatch):
     monkeypatch.setitem(output._ENCODERS, ".mp4", "-c:v nonsense")
     with pytest.raises(OutputError, match=r"swim\.mp4: ffmpeg failed: .*'nonsense'"):
         film(creature, recording, tmp_path / "swim.mp4", size=SMALL, fps=10, seconds=0.2)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_broken_film_leaves_the_old_one(creature, recording, tmp_path):
+def test_an_interrupted_film_leaves_the_old_one(creature, recording, tmp_path):
     path = tmp_path / "swim.mp4"
     path.write_bytes(b"old")
 

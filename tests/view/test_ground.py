@@ -1,4 +1,4 @@
-"""Walkers: the ground is where the physics has it, and the picture shows what touches it."""
+"""Walkers: the ground is at the height of the physics, and pictures show the contacts."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def recording():
 
 @pytest.fixture(scope="module")
 def stills(creature, recording, tmp_path_factory):
-    """A function that renders a still, each only once; scenery left out goes by name."""
+    """A function that renders each still only once. ``without`` names a function to skip."""
     folder = tmp_path_factory.mktemp("stills")
     painted = {}
 
@@ -86,16 +86,16 @@ def test_the_synthetic_walker_touches_the_ground_exactly(creature, recording):
 
 @pytest.mark.parametrize("height", [0.0, 0.3])
 def test_the_ground_is_at_the_height_of_the_physics(creature, recording, stills, height):
-    """The strong line 4 m from the start is where a plane of this height puts it."""
+    """The strong line 4 m from the start is at the height of the plane."""
     raised = recording._replace(position=recording.position + height * UP)
     image = stills(raised, ground=Ground(floor=Plane(height=height)))
     along = np.linspace(-0.5, 0.4, 10)
     line = np.column_stack([0 * along + 4, along, 0 * along + height])
     here = brightness(image, place(creature, raised, line))
     for offset in ([0.07, 0, 0], [-0.07, 0, 0]):
-        beside = brightness(image, place(creature, raised, line + offset))
-        assert (beside - here).mean() > 25
-    # A plane 5 cm off is told apart.
+        next_to_it = brightness(image, place(creature, raised, line + offset))
+        assert (next_to_it - here).mean() > 25
+    # A plane 5 cm higher is distinguishable.
     above = brightness(image, place(creature, raised, line + 0.05 * UP))
     assert (above - here).mean() > 20
 
@@ -104,11 +104,11 @@ def blue(image):
     return int((image[..., 2] - image[..., 0] > 60)[image.shape[0] // 3 :].sum())
 
 
-def test_a_foot_below_the_ground_is_hidden_and_one_above_it_is_not(recording, stills):
+def test_the_ground_hides_only_feet_below_it(recording, stills):
     standing = blue(stills())
     sunk = blue(stills(recording._replace(position=recording.position - 0.05 * UP)))
     hovering = blue(stills(recording._replace(position=recording.position + 0.05 * UP)))
-    # Of the two shins that rest, one nearly hidden behind a third, 5 of the 24 cm are gone.
+    # Two shins rest, one of them nearly hidden behind a third. They lose 5 of their 24 cm.
     assert sunk < 0.94 * standing
     assert hovering == pytest.approx(standing, rel=0.05)
 
@@ -126,7 +126,7 @@ def test_dark_spots_lie_under_the_feet_that_touch(creature, recording, stills):
     assert 2 <= touching.sum() < 4
     # The far feet are partly hidden by the near ones.
     assert (np.array(depth)[touching] > 30).all()
-    # And nowhere else than within 8 cm or so of a foot.
+    # All spots are within about 8 cm of a foot.
     rows, columns = np.nonzero(darker > 12)
     away = np.abs(np.column_stack([columns, rows])[:, None] - spots).max(-1).min(1)
     assert len(rows) > 100 and away.max() < 30
@@ -142,18 +142,18 @@ def test_a_spot_pales_as_the_foot_lifts(recording, stills):
 
 
 def test_the_sun_shadow_darkens_the_ground_once(stills):
-    """Where the shadows of two bodies overlap it is no darker than elsewhere."""
+    """Overlapping shadows of two bodies are no darker than one shadow."""
     look = STYLES["land"]
     bare, shaded = stills(without="add_sun_shadows"), stills()
     changed = (bare - shaded).sum(-1) > 60
     assert changed.mean() > 0.01
     black = np.array([int(look.shadow[i : i + 2], 16) for i in (1, 3, 5)])
-    share = ((bare - shaded).sum(-1) / (bare - black).sum(-1))[changed]
-    assert np.median(share) == pytest.approx(look.cast_strength, abs=0.03)
-    assert np.quantile(share, 0.98) < look.cast_strength + 0.06
+    fraction = ((bare - shaded).sum(-1) / (bare - black).sum(-1))[changed]
+    assert np.median(fraction) == pytest.approx(look.cast_strength, abs=0.03)
+    assert np.quantile(fraction, 0.98) < look.cast_strength + 0.06
 
 
-def test_the_numbers_stand_beside_the_way(creature, recording, stills):
+def test_the_numbers_stand_beside_the_path(creature, recording, stills):
     inked = (stills(without="add_numbers") - stills()).mean(-1) > 40
     assert inked.sum() > 150
     # The nearest is "3 m", on the viewer's side (y < 0) of a line at x = 3, to the right of it.
@@ -176,8 +176,8 @@ def test_a_picture_has_sky_sun_and_contrast(stills):
 
 
 @pytest.mark.parametrize("world", list(STYLES))
-def test_captions_can_be_read(world, stills):
-    """WCAG asks for a contrast of 4.5 of text with what lies behind it."""
+def test_captions_contrast_with_their_background(world, stills):
+    """WCAG requires a contrast of 4.5 between text and background."""
     image = stills(world=world)[300:, :].reshape(-1, 3) / 255
     linear = np.where(image > 0.04045, ((image + 0.055) / 1.055) ** 2.4, image / 12.92)
     behind = np.median(linear @ [0.2126, 0.7152, 0.0722])
@@ -194,7 +194,7 @@ def test_left_and_right_legs_differ(creature):
         for part in ("thigh", "shin"):
             left, right = (colors[names.index(f"{name}_{side}_{part}")] for side in SIDES)
             assert left.sum() < 0.8 * right.sum()
-    # What has no side keeps its colour.
+    # Bodies in the middle keep their colour.
     assert np.allclose(body_colors(synthetic.swimmer())[0], colors[0])
 
 
@@ -204,7 +204,7 @@ def test_the_camera_sees_a_walker_from_the_side_and_does_not_sway(creature, cour
     clip, path = camera(creature, motion)
     spots = project(path, clip.position, SIZE[0] / SIZE[1])
     assert np.abs(spots).max() < 0.8
-    # It stays where it is in the picture and crosses the world to the right.
+    # The animal keeps its place in the picture, and crosses the world to the right.
     trunk = spots[:, 0]
     assert np.ptp(trunk, axis=0).max() < 0.05
     start = project(path, np.repeat(clip.position[:1, :1], len(spots), 0), SIZE[0] / SIZE[1])
@@ -222,13 +222,13 @@ def test_the_pattern_stays_where_the_animal_started(recording, stills):
     elsewhere = synthetic.walk(8, course=1.1)
     elsewhere = elsewhere._replace(position=elsewhere.position + shift)
     assert np.abs(stills() - stills(elsewhere)).mean() < 1.5
-    # But a step later, in the same pose, the ground has passed beneath it.
+    # One step later, in the same pose, the ground below has moved in the picture.
     later = stills(seconds=INSTANT + 1 / synthetic.STEP_RATE)
     assert np.abs(stills() - later)[200:].mean() > 5
 
 
-def test_without_ground_the_floor_is_below_the_way(creature, recording, stills):
-    """Nothing that looks like ground is drawn where there is none: no numbers, and far below."""
+def test_without_ground_the_floor_is_below_the_path(creature, recording, stills):
+    """The floor has no numbers and is far below the animal, so it does not look like ground."""
     deep = recording._replace(position=recording.position - 40 * UP)
     assert np.abs(stills(ground=None) - stills(deep, ground=None)).mean() < 1.0
     assert np.abs(stills(ground=None) - stills()).mean() > 5
@@ -250,14 +250,14 @@ def test_a_preview_of_a_walker_stands_on_its_ground(creature, tmp_path):
     # The ground fades towards the title and the scale bar, and lies behind names and bodies.
     assert changed[SIZE[1] // 2 :].mean() > 0.5
     assert changed[:30].mean() < 0.05
-    # A dark spot beside the sole of the leg that is nearest (lowest in the picture).
+    # A dark spot lies at the sole of the nearest leg, which is lowest in the picture.
     feet = np.argwhere(bare[..., 2] - bare[..., 0] > 40)
     row, column = feet[feet[:, 0].argmax()]
     assert standing[row + 1 : row + 4, column - 2 : column + 3].mean() < 165
     assert bare[row + 3 : row + 6, column - 2 : column + 3].mean() > 215
 
 
-def test_names_that_cover_each_other_are_moved_apart():
+def test_overlapping_names_are_moved_apart():
     places = np.array([(100.0, 50.0), (110.0, 54.0), (400.0, 50.0), (105.0, 50.0)])
     sizes = np.full((4, 2), (80.0, 20.0))
     apart = _apart(places, sizes)

@@ -29,12 +29,12 @@ NAMES = ("頭部", "хвост", "ουρά", "🐟😀", "あタマ", "머리", 
         ("\ue000", "<E000>"),
     ],
 )
-def test_what_the_font_lacks_is_spelt_out(text, expected):
+def test_missing_characters_are_spelt_out(text, expected):
     assert legible(text) == expected
 
 
 def drawn(text):
-    """The pixels of a text, light on dark."""
+    """Pixels of a text, light on dark."""
     picture = np.zeros((60, 240, 3), np.uint8)
     with lettering(picture) as draw:
         write(draw, text, (10, 40), 24, "white")
@@ -43,7 +43,7 @@ def drawn(text):
 
 @pytest.mark.parametrize("text", NAMES)
 def test_a_picture_shows_every_letter(text):
-    """More of them are wider."""
+    """More letters are wider."""
     shown = [drawn(text[:count]) > 100 for count in (1, len(text))]
     widths = [np.ptp(np.flatnonzero(image.any(0))) for image in shown]
     assert widths[0] > 3
@@ -51,8 +51,8 @@ def test_a_picture_shows_every_letter(text):
         assert widths[1] > widths[0]
 
 
-def test_words_stand_where_they_were_put():
-    """Anchors are those of Pillow; a plate lies behind the letters."""
+def test_words_stand_at_their_anchor():
+    """Anchors follow Pillow. A plate lies behind the letters."""
     picture = np.zeros((60, 240, 3), np.uint8)
     with lettering(picture) as draw:
         write(draw, "x", (120, 30), 20, "#ff0000", anchor="mm", plate="#0000ff")
@@ -62,12 +62,12 @@ def test_words_stand_where_they_were_put():
 
 
 def test_scripts_differ_in_a_picture():
-    """They are no boxes, which all look alike."""
+    """Missing glyphs would all be drawn as equal boxes."""
     images = [drawn(text).tobytes() for text in ("хвост", "ουρά", "머리", "尾部", "頭部")]
     assert len(set(images)) == len(images)
 
 
-def test_pictures_of_an_animal_with_such_names(tmp_path):
+def test_names_of_an_animal_may_be_in_any_script(tmp_path):
     """No glyph is missing: matplotlib would warn, and a warning is an error here."""
     creature, motion = synthetic.swimmer(), synthetic.swim(12)
     new = {body.name: name for body, name in zip(creature.bodies, NAMES, strict=True)}
@@ -89,7 +89,7 @@ def test_pictures_of_an_animal_with_such_names(tmp_path):
     )
     plain = preview(creature, tmp_path / "plain.png", (320, 180))
     named = preview(other, tmp_path / "body.png", (320, 180))
-    # Other words on the same animal.
+    # Only the words on the animal differ.
     changed = np.abs(synthetic.read(named) - synthetic.read(plain)).max(-1) > 60
     assert 0.005 < changed.mean() < 0.1
     parts = [name.rpartition(".") for name in motion.dof_names]

@@ -13,8 +13,8 @@ from polyhedra import ball_mesh, tetrahedron, wedge
 
 
 @pytest.mark.parametrize("shape", [tetrahedron(), wedge(), ball_mesh(0.1, 2)], ids="twb")
-def test_a_mesh_is_drawn_as_it_is(shape):
-    """Same volume and bounds, and each triangle with the normal of its plane: edges stay sharp."""
+def test_a_drawn_mesh_matches_its_shape(shape):
+    """Volume and bounds are equal. Edges are sharp: triangles have the normals of their planes."""
     mesh = shape_mesh(shape)
     assert mesh.volume == pytest.approx(shape.volume, rel=1e-5)
     np.testing.assert_allclose(np.array(mesh.bounds_size) / 2, shape.half_extents, rtol=1e-5)
@@ -25,7 +25,7 @@ def test_a_mesh_is_drawn_as_it_is(shape):
 
 
 def test_an_eye_looks_out_of_a_mesh():
-    """White and pupil lie about the place where the line of sight leaves the body."""
+    """White and pupil lie near the point where the line of sight leaves the body."""
     shape = tetrahedron()
     body = Body("b", shape, Material(1000.0))
     sensor = LightSensor("b", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 3.0)
@@ -46,6 +46,6 @@ def test_a_preview_shows_meshes(tmp_path):
     )
     path = preview(creature, tmp_path / "meshes.png", (320, 240), ground=True)
     image = synthetic.read(path)
-    # The wedge is the head, orange; the box is the tail, blue.
+    # The wedge is the orange head, and the box is the blue tail.
     assert (image[..., 0] - image[..., 2] > 120).sum() > 1000
     assert (image[..., 2] - image[..., 0] > 80).sum() > 500

@@ -1,4 +1,4 @@
-"""What happens to a picture where the disk is full."""
+"""A picture on a full disk."""
 
 import errno
 import os
@@ -8,7 +8,7 @@ import pytest
 from evo_cpg.files import OutputError, in_one_piece
 
 
-def test_a_full_disk_is_told_and_leaves_what_was_there(tmp_path):
+def test_a_full_disk_is_reported_and_keeps_the_old_file(tmp_path):
     path = tmp_path / "plot.png"
     path.write_bytes(b"as it was")
     words = r"cannot write .*plot\.png \(No space left on device\)"

@@ -1,4 +1,4 @@
-"""What a page of a run is made of: escaping, charts, and the scene that its viewer decodes."""
+"""Parts of the page of a run: escaping, charts, and the scene that its viewer decodes."""
 
 import base64
 import json
@@ -21,7 +21,7 @@ from evo_cpg.view.scene import Panel
 
 
 def decoded(made: dict, number: int, kind: str) -> np.ndarray:
-    """An array as the viewer reads it."""
+    """An array, decoded as in the viewer."""
     return np.frombuffer(base64.b64decode(made["arrays"][number]), kind)
 
 
@@ -43,7 +43,7 @@ def test_a_long_table_is_folded():
 
 
 def test_the_scene_holds_the_motion():
-    """To the last bit of a float for places, to 1e-4 for rotations; equal arrays stand once."""
+    """Positions are exact as floats, and rotations to 1e-4. Equal arrays are stored once."""
     creature, motion = synthetic.swimmer(), synthetic.swim(3.0)
     made = json.loads(json.dumps(viewer_data(Panel(creature, motion))))
     clip = sample(motion, RATE)
@@ -55,7 +55,7 @@ def test_the_scene_holds_the_motion():
     np.testing.assert_allclose(
         Rotation.from_quat(turns).as_matrix().reshape(clip.rotation.shape), clip.rotation, atol=1e-4
     )
-    # Ten equal boxes and their triangles.
+    # Ten equal boxes have one array of points and one of triangles.
     meshes = [body["parts"][0] for body in made["bodies"]]
     assert len({(mesh["points"], mesh["triangles"]) for mesh in meshes}) == 1
     assert len({mesh["color"] for mesh in meshes}) > 3
@@ -80,7 +80,7 @@ def test_uneven_ground_and_stones_are_in_the_scene():
     assert level["terrain"] is None and level["floor"] == 0.0 and not level["water"]
 
 
-def test_a_chart_takes_the_colours_of_the_page_and_knows_its_time():
+def test_a_chart_has_the_colours_of_the_page_and_its_time_range():
     touched = np.zeros((300, 2), bool)
     touched[30:60, 0] = touched[120:180, 1] = True
     none = np.full(2, np.nan)
@@ -91,6 +91,6 @@ def test_a_chart_takes_the_colours_of_the_page_and_knows_its_time():
     assert "&lt;left&gt;" in made and "$right$" in made and "a &lt; b" in made
     # Text stays text.
     assert re.search(r"<text[^>]*>time \(s\)</text>", made)
-    told = dict(re.findall(r'data-(\w+)="([^"]+)"', made))
-    assert (float(told["start"]), float(told["stop"])) == (0.5, 2.5)
-    assert 0.05 < float(told["left"]) < 0.3 and 0.9 < float(told["right"]) <= 1.0
+    attributes = dict(re.findall(r'data-(\w+)="([^"]+)"', made))
+    assert (float(attributes["start"]), float(attributes["stop"])) == (0.5, 2.5)
+    assert 0.05 < float(attributes["left"]) < 0.3 and 0.9 < float(attributes["right"]) <= 1.0

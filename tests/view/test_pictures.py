@@ -25,14 +25,14 @@ from evo_cpg.view.scene import grid_spacing
 def test_a_mesh_is_closed_and_has_the_size_of_its_shape(shape):
     mesh = shape_mesh(shape)
     assert np.allclose(np.array(mesh.bounds_size) / 2, shape.half_extents, rtol=0.02)
-    # Rounding takes a little off a box; chords take a little off the others.
+    # Rounded edges make a box a little smaller. Chords make the other shapes a little smaller.
     assert mesh.volume == pytest.approx(shape.volume, rel=0.07)
     assert mesh.volume < shape.volume
     assert np.abs(shape.distance(np.asarray(mesh.points))).max() < 0.3 * shape.half_extents.min()
     outward = np.einsum("ij,ij->i", mesh.points, mesh.point_data.active_normals)
     assert (outward > 0).all()
-    # Corners run anticlockwise, seen from outside: sides that face away are not drawn. Where
-    # octants meet without a gap, triangles between them have no area.
+    # Corners run anticlockwise, seen from outside, because sides that face away are not drawn.
+    # Triangles between octants that meet without a gap have no area.
     a, b, c = np.moveaxis(np.asarray(mesh.points, float)[mesh.regular_faces], 1, 0)
     volumes = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) / 18
     assert volumes.min() > -1e-12 and volumes.sum() == pytest.approx(mesh.volume)
@@ -75,8 +75,8 @@ STONES = (Boulder((1.5, 0.8, 0.0), 0.3), Block((-2.0, -1.2, 0.0), (0.2, 0.3, 0.4
 
 
 @pytest.mark.parametrize("floor", [Plane(), Plane((0.0, 0.0995, 0.995))], ids=["level", "slope"])
-def test_a_preview_shows_what_stands_around(tmp_path, floor):
-    """Stones are grey; each of them adds to the picture, and those far away are counted."""
+def test_a_preview_shows_near_stones(tmp_path, floor):
+    """Stones are grey. Each stone adds grey to the picture. Stones far away are counted."""
     creature = synthetic.swimmer()
     centres, turns = neutral_pose(creature)
     pose = centres + np.array([0, 0, 0.5]), turns
@@ -96,12 +96,12 @@ def test_a_preview_shows_what_stands_around(tmp_path, floor):
 
 
 def blue(image: np.ndarray) -> np.ndarray:
-    """Where a picture is bluer than it is red."""
+    """Mask of the pixels with more blue than red."""
     return image[..., 2].astype(int) - image[..., 0] > 12
 
 
-def test_under_water_a_preview_looks_so(tmp_path):
-    """All around the animal; on dry land nothing but its hind end is blue."""
+def test_a_preview_under_water_is_blue(tmp_path):
+    """It is blue all around the animal. On dry land only the hind end is blue."""
     creature = synthetic.walker()
 
     def seen(**where):
@@ -114,7 +114,7 @@ def test_under_water_a_preview_looks_so(tmp_path):
 
 
 def test_a_preview_shows_the_surface_of_the_water(tmp_path):
-    """The sheet ends at land that rises out of it; what is below it is tinted."""
+    """The surface ends at land that rises out of it, and tints bodies below it."""
     creature = synthetic.swimmer()
 
     def picture(**where):
@@ -124,15 +124,15 @@ def test_a_preview_shows_the_surface_of_the_water(tmp_path):
     dry, half, low = picture(), picture(surface=0.0), picture(surface=-0.5)
     assert blue(low)[150:].mean() > 0.7 > 0.1 > blue(dry)[150:].mean()
     warm = [((each[..., 0] - each[..., 2]) > 100).sum() for each in (low, half, dry)]
-    # What is above the water keeps its colours.
+    # Bodies above the water keep their colours.
     assert warm[2] > warm[0] > 1.1 * warm[1] > 0
-    # A slope that goes down to the left of the picture, where the animal looks: half is land.
+    # A slope falls to the left of the picture, where the animal looks. Half of it is land.
     centres, turns = neutral_pose(creature)
     slope = Ground(floor=Plane((0.3, 0.0, 0.954)))
     pose = centres + np.array([0, 0, 0.8]), turns
     shore = blue(picture(ground=slope, pose=pose, surface=0.3))
     assert shore[100:, :120].mean() > 0.8 > 0.2 > shore[:160, -120:].mean()
-    # Water that lies under level ground is not seen.
+    # Water under level ground is invisible.
     buried = picture(ground=Ground(floor=Plane(height=-0.2)), surface=-0.3)
     assert blue(buried).mean() < 0.05
 
@@ -147,20 +147,20 @@ def test_a_preview_shows_the_surface_of_the_water(tmp_path):
         (-0.25, "0.25 m above the water"),
     ],
 )
-def test_a_preview_says_where_the_water_is(surface, words):
+def test_a_preview_describes_the_water(surface, words):
     assert water_note(surface, np.array([[0.0, 0, 0], [0, 0, 1.0]])) == words
 
 
-def test_a_preview_has_limits(tmp_path):
-    with pytest.raises(OutputError, match=r"use \.png"):
+def test_a_preview_of_wrong_kind_or_size_is_refused(tmp_path):
+    with pytest.raises(OutputError, match=r"Use \.png"):
         preview(synthetic.swimmer(), tmp_path / "body.mp4")
-    for size, words in (((4, 4), "4 x 4 pixels; .* 16 x 16"), ((8193, 200), "8192 x 8192")):
+    for size, words in (((4, 4), "4 x 4 pixels, .* 16 x 16"), ((8193, 200), "8192 x 8192")):
         with pytest.raises(SettingError, match=words):
             preview(synthetic.swimmer(), tmp_path / "body.png", size=size)
 
 
 def test_a_small_preview_has_no_words(tmp_path):
-    """What is written is dark; the animal and what stands for its axes are not."""
+    """Words are dark. The animal and the arrows of its axes are not."""
 
     def dark(size):
         image = synthetic.read(preview(synthetic.swimmer(), tmp_path / "x.png", size))
@@ -169,8 +169,8 @@ def test_a_small_preview_has_no_words(tmp_path):
     assert dark((320, 180)) > 100 > 3 * dark((318, 178))
 
 
-def test_a_preview_has_no_dots_that_feel_where_there_is_no_ground(tmp_path):
-    """They are pink; a gauge of depth is blue, and shown where it is."""
+def test_a_preview_shows_pressure_sensors_only_on_ground(tmp_path):
+    """Pressure sensors are pink. A depth gauge is blue, and drawn with or without ground."""
     creature = dataclasses.replace(
         synthetic.swimmer(),
         pressure_sensors=("b0", "b1", "b2"),
@@ -191,9 +191,9 @@ def test_a_preview_has_no_dots_that_feel_where_there_is_no_ground(tmp_path):
 
 
 @pytest.mark.parametrize("size", [(16, 16), (8192, 16), (8192, 8192), (7680, 4320), (1280, 720)])
-def test_no_more_is_drawn_than_can_be(size):
-    for wanted in (1.25, 2.0, 3.0):
-        factor = oversampling(size, wanted)
-        assert 1 <= factor <= wanted
+def test_oversampling_stays_within_the_drawable_size(size):
+    for desired in (1.25, 2.0, 3.0):
+        factor = oversampling(size, desired)
+        assert 1 <= factor <= desired
         assert factor * max(size) <= 16384 and factor**2 * size[0] * size[1] <= 2**26 + 1
     assert oversampling((1280, 720), 3.0) == 3.0

@@ -1,4 +1,4 @@
-"""Relief, obstacles and the water's surface: where the physics has them, and told apart."""
+"""Relief, obstacles and the water's surface: drawn where the physics has them, and distinct."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from films import film
 SIZE = (320, 180)
 INSTANT = 3.0
 SLANT = (0.28, 0.0, 0.96)
-# Falls from 0.3 m on the animal's left to -0.5 m on its right, which the viewer faces.
+# A shore that falls from 0.3 m on the animal's left to -0.5 m on its right, on the viewer's side.
 SHORE_BESIDE = Shore("y", -1.0, 1.0, -0.5, 0.3)
 WATERLINE = 0.25
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -45,7 +45,7 @@ FLOORS = {
 
 
 def height_of(floor, x, y):
-    """The same heights from the definitions."""
+    """Heights from the definitions of the floors."""
     if isinstance(floor, Plane):
         n = np.array(floor.normal)
         return (floor.height - n[0] * x - n[1] * y) / n[2]
@@ -69,7 +69,7 @@ def test_the_mesh_has_the_terrains_heights(name):
     assert np.allclose(z, height_of(floor, x, y), atol=1e-5)
     assert (np.diff(terrain.x) > 0).all() and (np.diff(terrain.y) > 0).all()
     assert terrain.x[0] < -10 and terrain.x[-1] > 10
-    # Between its lines the mesh is as good as its triangles are small.
+    # Between its lines, the error of the mesh depends on the size of its triangles.
     spots = np.random.default_rng(1).uniform(-2, 2, (500, 2))
     off = terrain.height(spots) - height_of(floor, *spots.T)
     assert np.abs(off).max() < (0.006 if "relief" in name else 1e-5)
@@ -77,7 +77,7 @@ def test_the_mesh_has_the_terrains_heights(name):
     assert np.allclose(np.linalg.norm(normal, axis=1), 1) and (normal[:, 2] > 0).all()
 
 
-def test_the_triangles_are_those_of_the_height():
+def test_the_triangles_lie_at_the_height_of_the_mesh():
     terrain = make_terrain(bumps(), np.zeros((1, 2)), 0.5, 3.0)
     corners = terrain.points()[terrain.triangles()]
     middle = corners.mean(1)
@@ -103,10 +103,10 @@ def test_a_stone_has_the_shape_of_the_physics(stone):
     gap, outward = distance(world.T)
     assert np.abs(gap).max() < 1e-5
     normal = np.asarray(mesh.point_data.active_normals) @ turn.T
-    # Two faces share an edge, whose way out is of one of them.
+    # At an edge of two faces, the outward direction belongs to one of them.
     along = np.einsum("ij,ji->i", normal, np.asarray(outward))
     assert along.min() > -1e-6 and (along > 0.99).mean() > 0.9
-    # From above: outside of it nothing, over it the upper side.
+    # The top is the upper side over the stone, and -inf outside of it.
     spots = np.random.default_rng(2).uniform(-1, 1, (600, 2))
     top = obstacle_top(stone, spots)
     over = np.isfinite(top)
@@ -120,8 +120,8 @@ def test_a_stone_has_the_shape_of_the_physics(stone):
         assert np.asarray(gap).min() > -1e-6
 
 
-def test_what_is_buried_is_not_drawn():
-    """Through ground that fades towards the horizon it would shine."""
+def test_buried_obstacles_are_not_drawn():
+    """Buried parts would be visible through ground that fades towards the horizon."""
     stones = (Boulder((0.0, 0.0, 0.0), 1.0), Boulder((5.0, 0.0, -1.5), 1.0))
     plotter = pv.Plotter(off_screen=True)
     add_obstacles(plotter, stones, 0.3, lambda place: np.zeros(len(place)))
@@ -129,7 +129,7 @@ def test_what_is_buried_is_not_drawn():
     seen = actor.mapper.dataset
     plotter.close()
     corners = np.asarray(seen.points)[seen.regular_faces]
-    # The upper half, and below it a fiftieth of the diameter and, at most, a facet of 5 degrees.
+    # The upper half is drawn, and below it at most 1/50 of the diameter and a facet of 5 degrees.
     assert corners[..., 2].max() == pytest.approx(1.0, abs=1e-3)
     deep = 0.04 + np.radians(180 / 35)
     assert -deep < corners[..., 2].min() < 0.0
@@ -149,13 +149,13 @@ def test_ripples_repeat_and_move_like_waves():
     still, later = ripples.slopes(0.0), ripples.slopes(0.1)
     assert np.array_equal(still, Ripples(2.0).slopes(0.0))
     assert np.sqrt((still**2).sum(0).mean()) == pytest.approx(0.12, rel=1e-6)
-    # A slope of a field that repeats is zero on average; and its field has no curl.
+    # The slopes of a periodic field are zero on average, and have no curl.
     assert np.abs(still.mean((1, 2))).max() < 1e-12
     number = 2 * np.pi * np.fft.fftfreq(256, 2.0 / 256)
     spectrum = np.fft.fft2(still)
     curl = number[:, None] * spectrum[1] - number * spectrum[0]
     assert np.abs(curl).max() < 1e-9 * np.abs(number[:, None] * spectrum[0]).max()
-    # omega^2 = g k: within a tenth of a second the wave of the longest kind turns by this much.
+    # In a tenth of a second the longest wave turns by the phase that omega^2 = g k gives.
     first, then = (np.fft.fft2(s[0])[7, 0] for s in (still, later))
     turned = np.angle(then / first)
     assert abs(turned) == pytest.approx(0.1 * np.sqrt(9.81 * 2 * np.pi * 7 / 2.0), rel=1e-6)
@@ -181,7 +181,7 @@ def still(creature, motion, folder, **settings):
 
 
 def seen(creature, motion, ground, surface=None):
-    """The scene, and the camera that looks at it."""
+    """The scene and its camera."""
     world = "water" if surface is not None else "land"
     panel = Panel(creature, motion, world=world, ground=ground, surface=surface)
     scene = scene_of(panel, sample(motion, 30))
@@ -198,7 +198,7 @@ def spots(creature, motion, ground, surface, points):
     return np.column_stack([SIZE[0] * (1 + x) / 2, SIZE[1] * (1 - y) / 2]).astype(int)
 
 
-def test_water_and_land_are_told_apart(creature, wading, tmp_path):
+def test_water_and_land_differ_in_colour(creature, wading, tmp_path):
     ground = Ground(floor=SHORE_BESIDE)
     image = still(creature, wading, tmp_path, ground=ground, surface=0.0)
     x = wading.position[int(INSTANT * 60), 0, 0]
@@ -214,15 +214,15 @@ def test_water_and_land_are_told_apart(creature, wading, tmp_path):
     (red, _, blue), (red_water, _, blue_water) = mean
     assert red - blue > 20
     assert blue_water - red_water > 10
-    # The orange trunk is above the surface, and the feet can be seen below it.
+    # The orange trunk is above the surface, and the feet are visible below it.
     orange = (image[..., 0] - image[..., 2] > 150) & (image[..., 1] < 140)
     assert orange.mean() > 0.01
     bare = still(creature, wading, tmp_path, ground=ground, world="land")
     assert np.abs(bare - image)[orange].mean() < 12
 
 
-def test_what_is_under_water_is_tinted_and_what_is_above_is_not(creature, wading, tmp_path):
-    """Raising the surface over the trunk's lower half takes the red out of it there."""
+def test_only_bodies_under_water_are_tinted(creature, wading, tmp_path):
+    """A surface above the trunk's lower half removes the red there."""
     ground = Ground(floor=SHORE_BESIDE)
     low = still(creature, wading, tmp_path, ground=ground, surface=0.0)
     high = still(creature, wading, tmp_path, ground=ground, surface=0.25)
@@ -236,8 +236,8 @@ def test_what_is_under_water_is_tinted_and_what_is_above_is_not(creature, wading
         assert (np.abs(change).max() < 12) == (not tinted)
 
 
-def test_the_water_moves_by_itself(creature, wading, tmp_path):
-    """The same pose in the same place half a second later: only the ripples differ."""
+def test_ripples_move_with_time(creature, wading, tmp_path):
+    """Two stills of one pose, half a second apart, differ only in the ripples."""
     later = wading._replace(time=wading.time + 0.5)
     one, two = (
         still(creature, motion, tmp_path, ground=Ground(floor=SHORE_BESIDE), surface=0.0)
@@ -250,8 +250,8 @@ def test_the_water_moves_by_itself(creature, wading, tmp_path):
 
 
 @pytest.mark.parametrize(("surface", "seen"), [(-0.3, True), (0.2, True), (0.45, False)])
-def test_the_surface_is_shown_where_something_comes_out_of_it(creature, surface, seen):
-    """The walker's back is at about 0.58 - 0.3 m, the ridge beside it at 0.4."""
+def test_the_surface_is_shown_if_something_rises_out_of_it(creature, surface, seen):
+    """The walker's back is at about 0.58 - 0.3 m, and the ridge next to it at 0.4 m."""
     walk = synthetic.walk(2)
     clip = sample(walk._replace(position=walk.position - [0.0, 0.0, 0.5]), 30)
     ridge = Ground(floor=Shore("y", -1.0, 1.0, -0.5, 0.4))
@@ -259,13 +259,13 @@ def test_the_surface_is_shown_where_something_comes_out_of_it(creature, surface,
     assert not surface_is_seen(creature, clip, None, 0.2)
 
 
-def test_deep_under_the_surface_the_film_is_as_ever(tmp_path):
+def test_a_deep_animal_is_drawn_without_the_surface(tmp_path):
     swimmer, swim = synthetic.swimmer(), synthetic.swim(6)
     deep, boundless = (still(swimmer, swim, tmp_path, surface=s) for s in (5.0, None))
     assert np.array_equal(deep, boundless)
     shallow = still(swimmer, swim, tmp_path, surface=0.0)
     assert shallow.mean() > deep.mean() + 40
-    # WCAG asks for a contrast of 4.5 of text with what lies behind it.
+    # WCAG requires a contrast of 4.5 between text and background.
     behind, written = (
         np.median(np.where(c > 0.04045, ((c + 0.055) / 1.055) ** 2.4, c / 12.92) @ _LUMINANCE)
         for c in (shallow[150:] / 255, np.array(pv.Color(SHORE.text).float_rgb))
@@ -274,7 +274,7 @@ def test_deep_under_the_surface_the_film_is_as_ever(tmp_path):
 
 
 def test_ground_with_relief_hides_what_is_behind_it(creature, tmp_path):
-    """Sunk by a quarter of a metre into hills, of the blue shins is little left."""
+    """If the walker sinks by a quarter of a metre, the hills hide most of the blue shins."""
     floor = bumps(height=0.1)
     walk = synthetic.over(synthetic.walk(6), lambda place: heights(floor, place))
     sunk = walk._replace(position=walk.position - [0.0, 0.0, 0.25])
@@ -286,8 +286,8 @@ def test_ground_with_relief_hides_what_is_behind_it(creature, tmp_path):
     assert count[1] < 0.35 * count[0]
 
 
-def test_relief_can_be_read(creature, tmp_path):
-    """The slopes differ in brightness by more than the level ground does."""
+def test_shading_shows_the_relief(creature, tmp_path):
+    """The brightness varies more on hills than on level ground."""
     walk = synthetic.walk(6)
     level = Ground(floor=Shore("x", 90.0, 91.0, 0.0, 0.1))
     tones = []
@@ -299,7 +299,7 @@ def test_relief_can_be_read(creature, tmp_path):
 
 
 def test_ground_nearly_level_looks_like_level_ground(creature, tmp_path):
-    """A shore far away puts the same things in the same places, by the other way of drawing."""
+    """Ground with a shore far away is drawn as a mesh, with the same things in the same places."""
     walk = synthetic.walk(6)
     far = Ground(floor=Shore("x", 90.0, 91.0, 0.0, 0.1))
     one, two = (still(creature, walk, tmp_path, world="land", ground=g) for g in (Ground(), far))
@@ -307,7 +307,7 @@ def test_ground_nearly_level_looks_like_level_ground(creature, tmp_path):
     assert not np.array_equal(one, two)
 
 
-def test_the_camera_rises_over_what_hides_the_animal(creature):
+def test_the_camera_rises_over_a_wall_that_hides_the_animal(creature):
     walk = synthetic.walk(6)
     wall = Block((1.5, -1.0, 0.0), (6.0, 0.1, 0.55))
     (scene, low), (_, high) = (
@@ -325,7 +325,7 @@ def test_the_camera_rises_over_what_hides_the_animal(creature):
 
 @pytest.mark.parametrize("ground", [None, Ground(floor=Plane(height=-6.0))])
 def test_the_camera_is_above_the_surface_of_a_diver(creature, ground):
-    """It is a body's length deep, where the eye at the usual slant would be under water."""
+    """The animal is a body length deep. The camera at its usual slant would be under water."""
     walk = synthetic.walk(2)
     rising = walk._replace(position=walk.position - [0.0, 0.0, 1.0])
     rising.position[-1] += [0.0, 0.0, 1.0]
@@ -333,7 +333,7 @@ def test_the_camera_is_above_the_surface_of_a_diver(creature, ground):
     assert path.position[:, 2].min() > 0.1
 
 
-def test_a_surface_that_is_no_height_is_refused(creature, wading, tmp_path):
+def test_a_surface_without_a_finite_height_is_refused(creature, wading, tmp_path):
     with pytest.raises(ValueError, match="surface is nan, but must be finite, or None"):
         film(creature, wading, tmp_path / "walk.png", surface=float("nan"))
 

@@ -22,12 +22,12 @@ def walk():
 
 
 def bright(picture):
-    """Where the cursor is: the colour of the text in the whole height of the axes."""
+    """Columns of the cursor, which has the colour of the text over the full height of the axes."""
     ink = (np.abs(picture.astype(int) - [242, 251, 255]).max(-1) < 30).mean(0)
     return np.flatnonzero(ink > 0.6)
 
 
-def test_one_axis_of_every_joint_is_shown_that_moves(recording):
+def test_one_axis_of_every_moving_joint_is_shown(recording):
     shown = signals_of(recording, "CPG output")
     assert shown.names == tuple(f"b{i}.z" for i in range(1, 10))
     np.testing.assert_array_equal(shown.angle, recording.joint_angle[:, 2::3])
@@ -35,7 +35,7 @@ def test_one_axis_of_every_joint_is_shown_that_moves(recording):
     still = recording.joint_angle.copy()
     still[:, :3] = 0.3
     assert signals_of(recording._replace(joint_angle=still), "").names[0] == "b2.z"
-    # A joint without the axis about which the others bend.
+    # One joint lacks the axis about which the others bend.
     names = ("b1.x", "b1.y", *recording.dof_names[3:])
     part = [i for i in range(27) if i != 2]
     other = recording._replace(
@@ -60,7 +60,7 @@ def test_the_cursor_moves_with_time_and_pages_turn(recording):
 
 
 @pytest.mark.parametrize(("height", "rows"), [(216, 5), (70, 2), (40, 1)])
-def test_as_many_joints_as_have_room_evenly_along_the_body(recording, height, rows):
+def test_joints_with_room_lie_evenly_along_the_body(recording, height, rows):
     strip = Strip(signals_of(recording, "CPG output"), STYLES["water"], (640, height), 1.0)
     numbers = [int(name[1:-2]) for name in strip._signals.names]
     assert len(numbers) == rows
@@ -68,13 +68,13 @@ def test_as_many_joints_as_have_room_evenly_along_the_body(recording, height, ro
     assert strip._signals.angle.shape[1] == rows
 
 
-def test_feet_that_come_down_have_bars(walk):
+def test_feet_that_touch_down_have_bars(walk):
     touched = synthetic.lowest_points(synthetic.walker(), walk)[:, 2::2] < 1e-6
     touched = np.column_stack([touched, np.arange(len(touched)) < 3])
     feet = (*synthetic.HIPS, "tail")
     shown = signals_of(walk, "posture", True, feet, touched)
     strip = Strip(shown, STYLES["land"], (640, 216), 1.0)
-    # The tail rests at first only.
+    # The tail rests only at the start.
     assert strip._signals.feet == tuple(synthetic.HIPS)
     green = np.abs(strip.at(0.0).astype(int) - [47, 125, 79]).max(-1) < 40
     below = green[: 216 // 2]
@@ -86,14 +86,14 @@ def test_feet_that_come_down_have_bars(walk):
     assert Strip(only, STYLES["land"], (640, 100), 1.0).at(1.0).std() > 10
 
 
-def test_a_film_has_the_strip_at_its_foot(recording, tmp_path):
+def test_a_film_has_the_strip_at_its_lower_edge(recording, tmp_path):
     shown = signals_of(recording, "CPG output")
     settings = {"size": (320, 180), "seconds": 3, "title": ""}
     plain = film(synthetic.swimmer(), recording, tmp_path / "a.png", **settings)
     with_strip = film(synthetic.swimmer(), recording, tmp_path / "b.png", signals=shown, **settings)
     image = synthetic.read(with_strip)
     assert image.shape == synthetic.read(plain).shape == (180, 320, 3)
-    # Blue-white curves and orange ones below; sea above.
+    # Blue-white and orange curves are below, and the sea is above.
     foot = image[130:]
     assert ((foot[..., 2] > 200) & (foot[..., 0] < 190)).sum() > 300
     assert ((foot[..., 0] > 180) & (foot[..., 2] < 130)).sum() > 60
