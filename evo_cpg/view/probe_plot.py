@@ -80,7 +80,7 @@ def _size(probe: Probe, lights: np.ndarray) -> tuple[float, float]:
 
 
 def _bearing(angle: float) -> str:
-    """Return an angle in degrees, with a sign unless it is 0."""
+    """Return an angle in degrees, with a sign unless it rounds to 0."""
     text = f"{np.rad2deg(angle):+.0f}".replace("-", "\N{MINUS SIGN}")
     return f"{text if text[1:] != '0' else '0'}\N{DEGREE SIGN}"
 
