@@ -92,7 +92,7 @@ def _text(thing: Any) -> str:
         elif section.kind.value == "admonition":
             pieces += [f"**{section.title}**\n", _paragraphs(section.value.description)]
         else:
-            raise ValueError(f"{thing.path}: no rule for a section {section.kind.value!r}")
+            raise ValueError(f"{thing.path}: unknown docstring section {section.kind.value!r}")
     return "\n".join(pieces)
 
 
@@ -108,7 +108,7 @@ def _item(name: str, text: str) -> str:
 
 
 def _paragraphs(text: str) -> str:
-    """Wrap running text, fence code that follows ``::``, and leave lists and tables as they are."""
+    """Wrap running text and fence code that follows ``::``. Lists and tables stay unchanged."""
     prose, mark, code = _markdown(text).partition("::\n\n")
     done = []
     for block in (prose + ":" * bool(mark)).split("\n\n"):
