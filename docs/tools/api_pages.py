@@ -25,7 +25,9 @@ def reference(names: list[str]) -> str:
 
 @cache
 def _package() -> Any:
-    return griffe.load(PACKAGE, docstring_parser="google")
+    # A description of a result may have several lines and may contain a colon.
+    options = {"returns_multiple_items": False, "returns_named_value": False}
+    return griffe.load(PACKAGE, docstring_parser="google", docstring_options=options)
 
 
 def _entry(name: str, members: str) -> str:
