@@ -18,8 +18,8 @@ where d is the cost of the population's digest and of breeding, for each individ
 here in one process, because every process does this work for all individuals.
 
 Assumptions: the lead sends as fast to other hosts as to processes of this machine. `--latency` and
-`--bandwidth` of a network add to this. All hosts are equally fast, and none is disturbed, although
-the slowest sets the pace. Every process has memory for all genomes.
+`--bandwidth` of a network add to this. The slowest host sets the pace, but here all hosts are
+equally fast and undisturbed. Every process has memory for all genomes.
 """
 
 import argparse
@@ -76,7 +76,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=1000, help="exchanges of each kind")
-    parser.add_argument("--seconds", type=float, default=1.0, help="T: time of all trials, s")
+    parser.add_argument("--seconds", type=float, default=1.0, help="T: time of a host's trials, s")
     parser.add_argument("--individuals", type=int, default=200, help="N: individuals on each host")
     parser.add_argument("--latency", type=float, default=0.0, help="latency of the network, s")
     parser.add_argument("--bandwidth", type=float, default=1e9, help="its bandwidth, bit/s")
