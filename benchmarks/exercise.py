@@ -1,7 +1,7 @@
 """Commands to a population of an animal, the same for us and for our peers.
 
-An exercise has no brain: the commands of the motors are given. They are held over a physics step
-of the config, however finely that is divided.
+An exercise has no brain: the commands of the motors are given. They are constant over a physics
+step of the config, even if the step is divided.
 """
 
 import abc

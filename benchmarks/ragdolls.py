@@ -94,9 +94,9 @@ def _thrown(world: World, count: int, speed: float) -> State:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
-    parser.add_argument("--count", type=int, default=24)
-    parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--step", type=float, default=1 / 240)
+    parser.add_argument("--count", type=int, default=24, help="number of ragdolls")
+    parser.add_argument("--seconds", type=float, default=5.0, help="simulated time, s")
+    parser.add_argument("--step", type=float, default=1 / 240, help="physics step, s")
     arguments = parser.parse_args()
     console = Console()
     console.print(HEADER, soft_wrap=True)

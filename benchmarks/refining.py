@@ -36,7 +36,8 @@ def main() -> None:
     parser.add_argument("config", type=Path, nargs="?", default=SWIMMER)
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--skip-learning", action="store_true", help="compiling it takes minutes")
+    slow = "skip the third method, which takes minutes to compile"
+    parser.add_argument("--skip-learning", action="store_true", help=slow)
     chosen = parser.parse_args()
     out, config_file, overrides = chosen.out, chosen.config, chosen.overrides
     devices = use_cores()
@@ -57,7 +58,7 @@ def main() -> None:
         methods["learned"] = _evolve(learner, start, out / "learned", seconds)
     study = {"before": before, "seconds": seconds, **methods}
     (out / "refining.json").write_text(json.dumps(study, indent=2))
-    print(f"\n{config.name}, {experiment.generations} generations, then {seconds:.0f} s each way\n")
+    print(f"\n{config.name}: {experiment.generations} generations, then {seconds:.0f} s a method\n")
     print("| run | before | " + " | ".join(methods) + " |\n|---|---|" + "---|" * len(methods))
     gains = {name: np.subtract(after, before) for name, after in methods.items()}
     for run, fitness in enumerate(before):
@@ -71,7 +72,7 @@ def main() -> None:
 
 
 def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[list[float], float]:
-    """Return the refined fitness of every champion, and the time for each but compilation, s."""
+    """Return every champion's refined fitness, and the time for each without compilation, s."""
     refine = compile_refinement(experiment, Refinement(count))
     rounds: list[Round] = []
 
@@ -85,7 +86,7 @@ def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[li
 
 
 def _evolve(experiment: Experiment, start: RunFolder, path: Path, seconds: float) -> list[float]:
-    """Return the fitness of every champion after a given time more for each run, s."""
+    """Return every champion's fitness after more training, for ``seconds`` (s) per run."""
     shutil.rmtree(path, ignore_errors=True)
     folder = RunFolder(shutil.copytree(start.path, path))
     spent: list[float] = []

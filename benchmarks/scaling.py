@@ -1,4 +1,4 @@
-"""Trials on all cores, on one core, and on all cores by as many processes.
+"""Trials on all cores, on one core, and on all cores with one process per core.
 
 The trials run the whole stack, as in training, with random genes. Independent processes share only
 the machine. So the speed of one process on all cores, relative to theirs, shows the cost of its
@@ -41,7 +41,7 @@ _ALL, _ONE, _APART = "all", "1 core", "processes"
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """Yield two rows per config and size: all cores beside one core, and beside processes."""
+    """Yield two rows per config and size: all cores against one core, and against processes."""
     cases = [("iwadate2010_swimmer", _QUICK)] if plan.quick else list(_CASES.items())
     for config, steps in cases:
         for size in plan.sizes_or(_SIZE):

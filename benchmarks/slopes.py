@@ -1,7 +1,7 @@
 """Measure the steepest slope on which animals stand: `python -m benchmarks.slopes [CONFIG ...]`.
 
-Motors hold the neutral pose, and weight increases slowly. The limit of statics for the animal's
-final pose stands beside the result. That is the steepest slope on which forces within the friction
+Motors hold the neutral pose, and weight increases slowly. The table also shows the limit of statics
+for the animal's final pose. That is the steepest slope on which forces within the friction
 cones of the touching points balance the weight, by a linear program. The figures are in
 docs/models/contact.md.
 """

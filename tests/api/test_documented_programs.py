@@ -66,7 +66,7 @@ def test_the_notebook_runs_in_order(here, capsys):
     for program in others:
         run(program, names)
     assert (here / "motion.csv").is_file()
-    assert np.isfinite(names["slope"]).all()
+    assert np.isfinite(names["gradient"]).all()
     assert capsys.readouterr().out.count("\n") >= 1 + 10 + 1 + 1
 
 
