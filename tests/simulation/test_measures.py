@@ -1,4 +1,4 @@
-"""Measures of gait against the same numbers taken from a recording."""
+"""Measures of gait equal the numbers computed from a recording."""
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ WALKER = REPOSITORY / "configs" / "fukui2003_model1.yaml"
 
 
 def one_leg():
-    """The walker's torso with one of its legs: three bodies to compile, not nine."""
+    """Return the walker's torso with one leg: three bodies to compile, not nine."""
     contents = load_config(WALKER).model_dump(mode="json")
     contents["creature"]["bodies"] = contents["creature"]["bodies"][:3]
     return contents
@@ -31,7 +31,7 @@ def one_leg():
     ],
 )
 def lived(request):
-    """Terms of some animals, and what they did."""
+    """Evaluation of some animals, and their recordings."""
     on_ground = request.param != "iwadate2010_swimmer"
     names = [name for name in MEASURES if on_ground or name not in GROUND_MEASURES]
     settings = {"simulation.steps": STEPS, "measures": names}
@@ -44,7 +44,7 @@ def lived(request):
     return experiment, on_ground, found, records
 
 
-def test_each_is_what_a_recording_shows(lived):
+def test_measures_equal_numbers_from_a_recording(lived):
     experiment, on_ground, found, records = lived
     tree, rate = experiment.world.tree, experiment.parts.simulation.control_rate
     duration = STEPS / rate
@@ -55,7 +55,7 @@ def test_each_is_what_a_recording_shows(lived):
         measured = {name: float(values[i]) for name, values in found.descriptors.items()}
         root = motion.position[:, first, : 2 if on_ground else 3]
         way = np.linalg.norm(root[-1] - root[0])
-        # A recording ends at the beginning of the last control step.
+        # A recording ends at the start of the last control step.
         slack = float(np.linalg.norm(np.diff(root, axis=0), axis=1).max()) * 1.5
         assert measured["speed"] == pytest.approx(way / duration, abs=slack / duration)
         assert measured["cost_of_transport"] == pytest.approx(
@@ -73,7 +73,7 @@ def test_each_is_what_a_recording_shows(lived):
         assert measured["turning"] == pytest.approx(about_the_vertical / duration, abs=0.05)
 
 
-def test_time_on_the_ground(lived):
+def test_duty_factor_and_airborne_follow_from_contact_forces(lived):
     experiment, on_ground, found, _ = lived
     if not on_ground:
         return
