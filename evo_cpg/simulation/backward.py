@@ -163,8 +163,8 @@ def _cut_backward(_: None, gradient: State) -> tuple[State]:
     place, height = gradient.position[:2], gradient.position[2:]
     moving = {name: getattr(gradient, name) for name in _FADING}
     size = jnp.sqrt(sum((x * x).sum(0) for x in (height, *moving.values())))
-    said = jnp.sqrt((place * place).sum(0))
-    most = jnp.where(said > 0, _STEEPEST * said, jnp.inf)
+    horizontal = jnp.sqrt((place * place).sum(0))
+    most = jnp.where(horizontal > 0, _STEEPEST * horizontal, jnp.inf)
     fraction = jnp.minimum(1.0, most / jnp.maximum(size, jnp.finfo(size.dtype).tiny))
     fraction = jnp.where(jnp.isfinite(size), fraction, 0.0)
 

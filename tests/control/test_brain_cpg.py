@@ -117,8 +117,8 @@ def test_motor_command_follows_the_rhythm_and_centres_the_joint(chain):
     signal = np.maximum(state.potential[0], 0) - np.maximum(state.potential[1], 0)
     np.testing.assert_allclose(command.signal, signal, rtol=0, atol=1e-15)
     weights = 4.0 * np.array([0.0, 2.0] * 3)
-    wanted = weights * signal - np.array([2.0, 0.5] * 3) * np.asarray(sense.joint_angle)
-    np.testing.assert_allclose(command.target_rate, np.clip(wanted, -1.5, 1.5), atol=1e-14)
+    rate = weights * signal - np.array([2.0, 0.5] * 3) * np.asarray(sense.joint_angle)
+    np.testing.assert_allclose(command.target_rate, np.clip(rate, -1.5, 1.5), atol=1e-14)
 
 
 def test_command_is_limited_to_the_largest_rate(chain):

@@ -117,13 +117,13 @@ def test_waves_with_the_given_lag_grow_fastest(star, arms, lag):
         value = matrix @ wave / wave
         np.testing.assert_allclose(value, value[0], atol=1e-9)
         found[k] = value[0]
-    wanted = round(lag * arms / 360)
-    share = 0.5 / (arms - 1)
-    assert found[wanted] == pytest.approx(share * (arms / 2 - 1 + 1j * arms / 2))
+    number = round(lag * arms / 360)
+    weight = 0.5 / (arms - 1)
+    assert found[number] == pytest.approx(weight * (arms / 2 - 1 + 1j * arms / 2))
     # The opposite wave has the conjugate eigenvalue. Eigenvalues of all others are negative.
-    assert found[arms - wanted] == pytest.approx(found[wanted].conjugate())
-    others = [value for k, value in found.items() if k not in (wanted, arms - wanted)]
-    np.testing.assert_allclose(others, -share, atol=1e-9)
+    assert found[arms - number] == pytest.approx(found[number].conjugate())
+    others = [value for k, value in found.items() if k not in (number, arms - number)]
+    np.testing.assert_allclose(others, -weight, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -145,8 +145,8 @@ def test_the_initial_potentials_have_the_phases_of_the_ring(star):
     tree = star(5, 2)
     potential = initial_state(build_network(tree, ring(72)), (), float).potential
     phase = np.deg2rad(72 * np.arange(5))
-    share = 0.1 * np.array([np.cos(phase), -np.cos(phase)])
-    expected = np.tile(np.maximum(share, 0), (1, 2))  # Second segments equal first ones.
+    start = 0.1 * np.array([np.cos(phase), -np.cos(phase)])
+    expected = np.tile(np.maximum(start, 0), (1, 2))  # Second segments equal first ones.
     np.testing.assert_allclose(potential, expected, atol=1e-9)
 
 

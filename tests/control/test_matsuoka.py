@@ -183,7 +183,7 @@ def test_time_scale_only_stretches_time(chain, scale):
 def reference(gains, times, count):
     """Return outputs ``(times, o, gains)`` of the default chain, integrated by diffrax."""
 
-    def slope(_, state, __):
+    def derivative(_, state, __):
         x, z = state
         y = jnp.maximum(x, 0.0)[::-1]
         inhibition = A * y
@@ -193,7 +193,7 @@ def reference(gains, times, count):
 
     rest = jnp.zeros((2, count, len(gains)))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(slope),
+        diffrax.ODETerm(derivative),
         diffrax.Tsit5(),
         t0=0.0,
         t1=times[-1],
@@ -230,8 +230,8 @@ def test_integration_is_of_fourth_order_without_kinks(chain):
 
     exact = end(1024)
     errors = [np.abs(end(count) - exact).max() for count in steps]
-    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    assert slope == pytest.approx(-4.0, abs=0.2)
+    order = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert order == pytest.approx(-4.0, abs=0.2)
 
 
 @pytest.mark.parametrize(("scale", "substeps"), [(1.0, 1), (0.5, 1), (0.25, 2), (0.05, 9)])
@@ -378,7 +378,7 @@ def test_one_step_of_a_branching_network_equals_plain_runge_kutta(grow):
     x, z = rng.uniform(-1, 1, (2, 2, count))
     u, b = rng.uniform(0, 1, (2, count)), rng.uniform(1, 10, count)
 
-    def slope(state):
+    def derivative(state):
         x, z = state
         y = np.maximum(x, 0)
         crossed, straight = np.maximum(matrix, 0), np.maximum(-matrix, 0)
@@ -387,10 +387,10 @@ def test_one_step_of_a_branching_network_equals_plain_runge_kutta(grow):
         return np.stack([dx, (y - z) / ADAPTATION])
 
     start = np.stack([x, z])
-    k1 = slope(start)
-    k2 = slope(start + h / 2 * k1)
-    k3 = slope(start + h / 2 * k2)
-    k4 = slope(start + h * k3)
+    k1 = derivative(start)
+    k2 = derivative(start + h / 2 * k1)
+    k3 = derivative(start + h / 2 * k2)
+    k4 = derivative(start + h * k3)
     expected = start + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     state = MatsuokaState(jnp.asarray(x), jnp.asarray(z))
     found = jax.jit(lambda s: advance(network, s, jnp.asarray(u), jnp.asarray(b), h))(state)

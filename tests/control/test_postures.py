@@ -149,8 +149,8 @@ def test_graded_genes_are_not_rounded(pendulum):
     for genes, angle in [([0.25, 0.5, 0.1], 152), ([2.0, -1.0, 1.0], 210), ([0.0, 0.0, 0.0], 110)]:
         found = degrees(controller, jnp.array(genes))
         np.testing.assert_allclose(found, [[angle]], rtol=0, atol=1e-5)
-    slope = jax.jacfwd(lambda genes: degrees_of(controller, genes))(jnp.array([0.3, 0.6, 0.2]))
-    np.testing.assert_allclose(slope.ravel(), [80, 40, 20], rtol=1e-5)
+    gradient = jax.jacfwd(lambda genes: degrees_of(controller, genes))(jnp.array([0.3, 0.6, 0.2]))
+    np.testing.assert_allclose(gradient.ravel(), [80, 40, 20], rtol=1e-5)
 
 
 def test_bits_mean_the_same_with_graded_genes(grow):

@@ -215,8 +215,8 @@ def test_half_of_the_redrawn_genes_change():
 def test_about_half_of_the_children_of_a_generation_mutate():
     step = BitGenetics(mutation="flip").next_generation
     keys = jax.random.split(jax.random.key(4), 1000)
-    nobody = jnp.zeros((GENES, POPULATION))
-    children = quick_jit(jax.vmap(lambda key: step(key, nobody, ranks()[0])))(keys)
+    zeros = jnp.zeros((GENES, POPULATION))
+    children = quick_jit(jax.vmap(lambda key: step(key, zeros, ranks()[0])))(keys)
     mutated = np.asarray(children).any(1)
     assert not mutated[:, :ELITES].any()
     each = mutated[:, ELITES:]

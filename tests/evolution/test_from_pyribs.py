@@ -178,7 +178,7 @@ def test_the_reported_map_keeps_the_fittest_unlike_the_emitters_map():
     assert (state.cells["threshold"][order] > WORST).all()
 
 
-def told_of(strategy, change):
+def state_after(strategy, change):
     """Return the state of a search after a generation with changed results."""
     rows, state = search(strategy, 3)
     fitness, measures = worth(rows[-1])
@@ -213,7 +213,7 @@ def replaced(genes, fitness, measures):
 @pytest.mark.parametrize("change", [diverged, unmeasured, replaced])
 def test_excluded_individuals_rank_last_and_stay_off_the_emitters_map(change):
     """The emitters' state equals the state with individuals that are worst and below thresholds."""
-    other, same = (told_of(made(), each) for each in (change, hopeless))
+    other, same = (state_after(made(), each) for each in (change, hopeless))
     jax.tree.map(np.testing.assert_array_equal, other.cells, same.cells)
     jax.tree.map(np.testing.assert_array_equal, other.emitters, same.emitters)
     # The reported map has the individuals that replaced others.

@@ -124,6 +124,6 @@ def test_lexicase_draws_no_diverged_individual_while_others_are_finite():
     fitness = trial_fitness.mean(0)
     drawn = by_lexicase(jax.random.key(6), fitness, trial_fitness, 1000)
     assert set(np.asarray(drawn).tolist()) == {1, 2}
-    nobody = jnp.full((2, 4), -jnp.inf)
-    drawn = by_lexicase(jax.random.key(6), nobody[0], nobody, 1000)
+    diverged = jnp.full((2, 4), -jnp.inf)
+    drawn = by_lexicase(jax.random.key(6), diverged[0], diverged, 1000)
     assert set(np.asarray(drawn).tolist()) == {0, 1, 2, 3}

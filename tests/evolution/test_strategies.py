@@ -126,8 +126,8 @@ def programs(strategy):
 
     @jax.jit
     def step(key, i, genes, state, worth):
-        told, asked = jax.random.split(jax.random.fold_in(key, i))
-        return strategy.ask(asked, strategy.tell(told, state, genes, worth))
+        tell_key, ask_key = jax.random.split(jax.random.fold_in(key, i))
+        return strategy.ask(ask_key, strategy.tell(tell_key, state, genes, worth))
 
     return _PROGRAMS.setdefault(id(strategy), (strategy, begin, step))[1:]
 
@@ -183,10 +183,10 @@ def test_a_state_survives_conversion_to_arrays(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_search_survives_generations_in_which_all_diverge(name):
     def deadly(genes):
-        nobody = jnp.full(genes.shape[1], -jnp.inf)
+        diverged = jnp.full(genes.shape[1], -jnp.inf)
         lost = jnp.full(genes.shape[1], jnp.nan)
         about = {"cost": lost}, {"first": lost, "second": lost}
-        return Evaluation(nobody, *about, jnp.stack([nobody, nobody]))
+        return Evaluation(diverged, *about, jnp.stack([diverged, diverged]))
 
     populations, _, _ = search(made(name), 5, evaluate=deadly, genes=genes_of(name))
     assert np.isfinite(np.array(populations)).all()
@@ -244,7 +244,7 @@ def test_diverged_individuals_get_the_worst_finite_fitness():
     np.testing.assert_array_equal(worst_finite(jnp.array([-jnp.inf, jnp.nan])), [0, 0])
 
 
-def told_genes(genes):
+def genes_after_migration(genes):
     """Return the genes that `tell` of the islands' strategies receives after two generations."""
 
     class Echo(Strategy):
@@ -263,17 +263,17 @@ def told_genes(genes):
     _, state = islands.ask(jax.random.key(0), islands.init(jax.random.key(0), genes))
     for _ in range(2):
         worth = Evaluation(genes[0], {}, {}, genes)
-        told = islands.tell(jax.random.key(0), state, genes, worth)
-        genes, state = islands.ask(jax.random.key(0), told)
+        after = islands.tell(jax.random.key(0), state, genes, worth)
+        genes, state = islands.ask(jax.random.key(0), after)
     return np.asarray(genes[0])
 
 
 def test_the_best_of_an_island_replace_the_worst_of_the_next():
     fitness = np.array([[3, 1, 4, 2], [8, 7, 5, 6], [9, 12, 10, 11]], np.float32)
-    told = told_genes(jnp.asarray(fitness.reshape(1, -1)))
+    after = genes_after_migration(jnp.asarray(fitness.reshape(1, -1)))
     # No individual migrates in the first generation. The two best migrate in the second.
     expected = np.array([[3, 12, 4, 11], [8, 7, 4, 3], [8, 12, 7, 11]])
-    np.testing.assert_array_equal(np.sort(told.reshape(3, 4)), np.sort(expected))
+    np.testing.assert_array_equal(np.sort(after.reshape(3, 4)), np.sort(expected))
 
 
 def test_islands_without_migration_evolve_as_if_alone():
@@ -383,9 +383,9 @@ def test_children_of_numbers_lie_on_the_line_through_their_parents():
     parents = jnp.array([[0] * 2000, [1] * 2000])
     children = np.asarray(vary(jax.random.key(0), genes, parents))
     a, b = np.asarray(genes).T
-    shares = (children - a[:, None]).T @ (b - a) / ((b - a) @ (b - a))
-    np.testing.assert_allclose(children, a[:, None] + shares * (b - a)[:, None], atol=1e-5)
-    assert abs(shares.mean()) < 0.04 and shares.std() == pytest.approx(0.5, rel=0.06)
+    fractions = (children - a[:, None]).T @ (b - a) / ((b - a) @ (b - a))
+    np.testing.assert_allclose(children, a[:, None] + fractions * (b - a)[:, None], atol=1e-5)
+    assert abs(fractions.mean()) < 0.04 and fractions.std() == pytest.approx(0.5, rel=0.06)
 
 
 @pytest.mark.parametrize("name", ["Sep_CMA_ES", "DifferentialEvolution"])
@@ -409,13 +409,13 @@ def test_evosax_starts_with_given_genomes_and_learns_of_replaced_ones():
     genes, state = strategy.ask(jax.random.key(0), strategy.init(jax.random.key(0), given))
     np.testing.assert_array_equal(genes, jnp.ones((GENES, SIZE)))
     moved = genes.at[:, 3].set(0.5)
-    told = strategy.tell(jax.random.key(0), state, moved, sphere(moved))
-    np.testing.assert_array_equal(told.numbers[:, 3], moved[:, 3])
+    after = strategy.tell(jax.random.key(0), state, moved, sphere(moved))
+    np.testing.assert_array_equal(after.numbers[:, 3], moved[:, 3])
     # A clipped individual is reported with its numbers before clipping.
-    np.testing.assert_array_equal(told.numbers[:, 4], given[:, 4])
-    np.testing.assert_array_equal(told.state.population, told.numbers.T)
+    np.testing.assert_array_equal(after.numbers[:, 4], given[:, 4])
+    np.testing.assert_array_equal(after.state.population, after.numbers.T)
     # Differential evolution keeps an individual that is better than its child.
-    np.testing.assert_allclose(told.state.fitness, -sphere(moved).fitness)
+    np.testing.assert_allclose(after.state.fitness, -sphere(moved).fitness)
 
 
 def test_a_distribution_starts_at_the_mean_of_the_better_half():
@@ -423,9 +423,9 @@ def test_a_distribution_starts_at_the_mean_of_the_better_half():
     given = jax.random.normal(jax.random.key(0), (GENES, SIZE))
     genes, state = strategy.ask(jax.random.key(0), strategy.init(jax.random.key(0), given))
     worth = sphere(genes)
-    told = strategy.tell(jax.random.key(0), state, genes, worth)
+    after = strategy.tell(jax.random.key(0), state, genes, worth)
     better = np.argsort(-np.asarray(worth.fitness))[: SIZE // 2]
-    np.testing.assert_allclose(told.state.mean, np.asarray(genes)[:, better].mean(1), rtol=1e-5)
+    np.testing.assert_allclose(after.state.mean, np.asarray(genes)[:, better].mean(1), rtol=1e-5)
 
 
 def test_unknown_parameters_of_evosax_are_refused():

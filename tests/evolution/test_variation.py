@@ -28,7 +28,7 @@ def switches(seed: int, genes: int, pairs: int, probability: float) -> np.ndarra
     children = np.asarray(cross(jax.random.key(seed), population, *mates, probability))
     assert children.dtype == population.dtype
     one, two = children[:, ::2], children[:, 1::2]
-    first, second = (population[:, who] for who in mates)
+    first, second = (population[:, parents] for parents in mates)
     from_second = one == second
     np.testing.assert_array_equal(one, np.where(from_second, second, first))
     np.testing.assert_array_equal(two, np.where(from_second, first, second))

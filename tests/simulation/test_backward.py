@@ -54,11 +54,11 @@ def test_faded_gradients_equal_the_closed_form(kept, budget, monkeypatch):
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("kept", [None, 0.5])
 def test_gradients_over_rough_ground_are_cut_at_ten_times_the_positions(kept):
-    decay, sensible, by_hand = 3.0, 10.0, 0.0
+    decay, limit, by_hand = 3.0, 10.0, 0.0
     below = 0.0
     for _ in range(STEPS):
         by_hand += below + 1
-        below = (kept or 1) * min(decay * (below + 1), sensible)
+        below = (kept or 1) * min(decay * (below + 1), limit)
     rough = Backward(kept, rough=True)
     slope = jax.grad(end_position)(2.0, decay, rough)
     assert float(slope) == pytest.approx(by_hand, rel=1e-12)
@@ -89,8 +89,8 @@ def test_gradients_of_the_height_fade_over_rough_ground():
 
 
 def test_a_horizon_is_the_time_in_which_gradients_fade_to_1_over_e():
-    share = retention(np.array([2.0, np.inf]), 60.0)
-    np.testing.assert_allclose(share**120, [np.exp(-1), 1.0], rtol=1e-12)
+    kept = retention(np.array([2.0, np.inf]), 60.0)
+    np.testing.assert_allclose(kept**120, [np.exp(-1), 1.0], rtol=1e-12)
 
 
 def slopes(how: Backward | None) -> jax.Array:

@@ -71,10 +71,10 @@ class Until(Task):
         number = jnp.where(transition.step == 0, 0, transition.step + steps - stop)
         inner = self.task.update(inner, transition._replace(step=number), steps)
         new = inner, transition.before.state.position[2], airborne + transition.airborne, stop
-        goes_on = transition.step < stop
+        counts = transition.step < stop
 
         def choose(old: jax.Array, new: jax.Array) -> jax.Array:
-            return jnp.where(jnp.broadcast_to(goes_on, new.shape), new, old)
+            return jnp.where(jnp.broadcast_to(counts, new.shape), new, old)
 
         return jax.tree.map(choose, tally, new)
 
@@ -259,11 +259,11 @@ def test_gradients_equal_central_differences(animal):
             single = np.eye(len(slope))[:, largest[: len(slope)]]
             directions = np.concatenate([random / np.linalg.norm(random, axis=0), single], 1)
             differences, terms = differences_of(animal, program, individual, seconds, directions)
-            wanted, doubt = closest(differences)
+            expected, uncertainty = closest(differences)
             assert ((terms["airborne"] < 1) == on_land).all()
             assert np.linalg.norm(slope) > 1e-3
-            error = np.abs(directions.T @ slope / wanted - 1)
-            sure.append(doubt < TOLERANCE)
+            error = np.abs(directions.T @ slope / expected - 1)
+            sure.append(uncertainty < TOLERANCE)
             assert (error[sure[-1]] < TOLERANCE).all()
     # In water, differences are uncertain only if derivatives of many genes cancel.
     assert np.mean(sure) > (0.75 if on_land else 0.95)

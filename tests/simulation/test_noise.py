@@ -162,8 +162,8 @@ def test_the_recording_of_a_noisy_trial_has_the_same_noise(simulation):
     distance = np.asarray(outcome.terms["distance"])
     assert len(np.unique(distance[:3])) == 3 and distance[3] == distance[0]
     place = np.asarray(frames["position"])[:, :, simulation.world.tree.names.index("head")]
-    way = np.linalg.norm(np.array([3.0, 1.0, 0.5])[:, None] - place, axis=1)
-    np.testing.assert_allclose(distance, way.mean(0) / way[0], rtol=1e-5)
+    goal_distance = np.linalg.norm(np.array([3.0, 1.0, 0.5])[:, None] - place, axis=1)
+    np.testing.assert_allclose(distance, goal_distance.mean(0) / goal_distance[0], rtol=1e-5)
 
 
 @pytest.mark.usefixtures("x64")
@@ -179,6 +179,6 @@ def test_noise_is_the_same_with_native_code_and_jax(simulation):
             "position"
         ]
 
-    found, wanted = (trial(noisy, engine) for engine in ("native", "jax"))
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
-    assert np.abs(wanted - trial(silent, "native")).max() > 0.05
+    found, expected = (trial(noisy, engine) for engine in ("native", "jax"))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+    assert np.abs(expected - trial(silent, "native")).max() > 0.05

@@ -146,8 +146,8 @@ def test_a_box_rests_on_level_ground_and_on_a_moderate_slope(slope):
     motion = coast(world, rest.state, 0.25, H)
     # The creep rate of friction is f / c, with f = m g sin a / 4 and c = 60 m / h.
     creep = 9.81 * np.sin(a) / 4 / 60 * H
-    way = np.linalg.norm(motion.position - np.asarray(rest.state.position), axis=1)[-1]
-    assert way == pytest.approx(0.25 * creep, rel=0.05, abs=1e-8)
+    displacement = np.linalg.norm(motion.position - np.asarray(rest.state.position), axis=1)[-1]
+    assert displacement == pytest.approx(0.25 * creep, rel=0.05, abs=1e-8)
 
 
 def legged(stiffness: float, legs, length: float = 0.2) -> Creature:

@@ -39,7 +39,7 @@ def only(simulation, number: int):
     return dataclasses.replace(simulation, situations=simulation.situations[number : number + 1])
 
 
-def live(simulation, trial=None, keys=None):
+def simulate(simulation, trial=None, keys=None):
     """Return the outcome and the frames of all lanes."""
 
     def run(genes, keys, trial):
@@ -51,7 +51,7 @@ def live(simulation, trial=None, keys=None):
 
 @pytest.fixture(scope="module")
 def together(simulation):
-    return live(simulation, TRIAL)
+    return simulate(simulation, TRIAL)
 
 
 def test_a_lane_equals_a_simulation_with_its_situation_only(simulation, together):
@@ -60,7 +60,7 @@ def test_a_lane_equals_a_simulation_with_its_situation_only(simulation, together
     assert outcome.alive.all()
     for number in range(3):
         lanes = number == TRIAL
-        alone, motion = live(only(simulation, number))
+        alone, motion = simulate(only(simulation, number))
         for name, values in outcome.terms.items():
             np.testing.assert_array_equal(values[lanes], alone.terms[name][lanes])
         for name, values in frames.items():
@@ -74,13 +74,13 @@ def test_the_order_of_situations_does_not_matter(simulation, together):
     """Only the numbers of the situations change. Results are equal to the last bit."""
     order = (2, 0, 1)
     turned = dataclasses.replace(simulation, situations=tuple(SITUATIONS[i] for i in order))
-    outcome, frames = live(turned, np.argsort(order)[TRIAL])
+    outcome, frames = simulate(turned, np.argsort(order)[TRIAL])
     jax.tree.map(np.testing.assert_array_equal, (outcome, frames), together)
 
 
 def test_equal_situations_give_equal_trials(simulation, together):
     twice = dataclasses.replace(simulation, situations=SITUATIONS[:1] * 2)
-    outcome, _ = live(twice, TRIAL % 2)
+    outcome, _ = simulate(twice, TRIAL % 2)
     same = TRIAL == 0
     for name, values in outcome.terms.items():
         np.testing.assert_array_equal(values[same], together[0].terms[name][same])
@@ -99,13 +99,13 @@ def test_animals_start_in_their_situations(simulation, together):
     goals = [tuple(motion.goal) for motion in motions]
     assert goals == [(3.0, 1.0, 0.5), (3.0, -2.0, 0.5), (3.0, 1.0, 0.5)]
     for motion in motions:
-        way = np.linalg.norm(motion.position[0, 1] - motion.goal)
-        assert motion.distance[0] == pytest.approx(way, rel=1e-6)
+        goal_distance = np.linalg.norm(motion.position[0, 1] - motion.goal)
+        assert motion.distance[0] == pytest.approx(goal_distance, rel=1e-6)
 
 
 def test_the_first_situation_is_the_default(simulation):
-    given = live(only(simulation, 0))
-    jax.tree.map(np.testing.assert_array_equal, live(simulation), given)
+    given = simulate(only(simulation, 0))
+    jax.tree.map(np.testing.assert_array_equal, simulate(simulation), given)
 
 
 class Where(Task):
@@ -158,10 +158,10 @@ def test_one_situation_is_a_constant_of_the_program(simulation):
 
 def test_every_trial_adds_its_noise_to_its_situation(simulation):
     noisy = dataclasses.replace(simulation, noise=Noise(joint_angle=0.1, push=0.3))
-    outcome, frames = live(noisy, TRIAL, KEYS)
+    outcome, frames = simulate(noisy, TRIAL, KEYS)
     angles = np.asarray(frames["joint_angle"])[0]
     assert len(np.unique(angles)) == len(TRIAL)
-    alone, motion = live(only(noisy, 1), None, KEYS)
+    alone, motion = simulate(only(noisy, 1), None, KEYS)
     lanes = TRIAL == 1
     np.testing.assert_array_equal(angles[:, lanes], motion["joint_angle"][0][:, lanes])
     for name, values in outcome.terms.items():

@@ -58,8 +58,8 @@ class TransportAndSlip(Task):
         }
 
     def terms(self, tally, steps):
-        way = tally["end"] - tally["start"]
-        length = jnp.sqrt(way[0] ** 2 + way[1] ** 2)
+        displacement = tally["end"] - tally["start"]
+        length = jnp.sqrt(displacement[0] ** 2 + displacement[1] ** 2)
         weight = sum(body.shape.volume * body.material.density for body in WALKER.bodies) * GRAVITY
         return {
             "cost_of_transport": tally["energy"] / (weight * jnp.maximum(length, 1e-3)),
@@ -145,8 +145,8 @@ def test_cost_of_transport_and_slip_follow_from_the_recording(trial, individual)
     middle = (rate + np.vstack([np.zeros_like(rate[:1]), rate[:-1]])) / 2
     energy = np.abs(motion.torque[:STEPS] * middle).sum() / RATE
     centre = (position * mass[:, None]).sum(1) / mass.sum()
-    way = max(np.linalg.norm((centre[-1] - centre[0])[:2]), 1e-3)
-    cost = energy / (mass.sum() * GRAVITY * way)
+    displacement = max(np.linalg.norm((centre[-1] - centre[0])[:2]), 1e-3)
+    cost = energy / (mass.sum() * GRAVITY * displacement)
     assert found["cost_of_transport"] == pytest.approx(cost, rel=5e-3, abs=1e-3)
 
     # A foot under load penetrates the ground slightly. Under a tiny load it is within 0.01 mm of

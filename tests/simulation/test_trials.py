@@ -20,7 +20,7 @@ from trials import experiment
 # Amplitude (rad/s) and frequency (Hz): two swimmers, one at rest, one with NaN, and one with a rate
 # that no body can follow.
 GENES = np.array([[3.0, 2.0, 0.0, np.nan, 1e7], [1.0, 2.0, 1.0, 1.0, 3.0]], np.float32)
-LIVING = 3
+SURVIVORS = 3
 STEPS = 90
 
 
@@ -29,13 +29,13 @@ def trial():
     """Outcome, and recordings with one more step, for the last rates."""
     short, long = experiment(STEPS).simulation, experiment(STEPS + 1).simulation
     outcome, frames = quick_jit(
-        lambda g: (rollout(short, g), rollout(long, g, observers=Recorder(LIVING)))
+        lambda g: (rollout(short, g), rollout(long, g, observers=Recorder(SURVIVORS)))
     )(GENES)
     names = ["tail", "head"]
-    return outcome, [as_recording(long, frames, names, i) for i in range(LIVING)]
+    return outcome, [as_recording(long, frames, names, i) for i in range(SURVIVORS)]
 
 
-@pytest.mark.parametrize("individual", range(LIVING))
+@pytest.mark.parametrize("individual", range(SURVIVORS))
 def test_terms_follow_from_the_recording(trial, individual):
     outcome, recordings = trial
     terms = {name: float(values[individual]) for name, values in outcome.terms.items()}
@@ -78,17 +78,17 @@ def test_the_commanded_wave_follows_the_genes(trial):
 
 def test_diverged_individuals_score_minus_infinity(trial):
     outcome, _ = trial
-    assert np.asarray(outcome.alive).tolist() == [True] * LIVING + [False] * 2
+    assert np.asarray(outcome.alive).tolist() == [True] * SURVIVORS + [False] * 2
     task = experiment(STEPS).simulation.task
     fitness = np.asarray(score(task, outcome, {"energy": jnp.float32(2.0)}))
-    assert (fitness[LIVING:] == -np.inf).all()
-    terms = {name: np.asarray(values[:LIVING]) for name, values in outcome.terms.items()}
+    assert (fitness[SURVIVORS:] == -np.inf).all()
+    terms = {name: np.asarray(values[:SURVIVORS]) for name, values in outcome.terms.items()}
     expected = (
         -np.minimum(terms["distance"], 1.5)
         - 0.2 * np.minimum(terms["energy"] / 2.0, 1.0)
         + 0.5 * terms["light"]
     )
-    np.testing.assert_allclose(fitness[:LIVING], expected, rtol=1e-6)
+    np.testing.assert_allclose(fitness[:SURVIVORS], expected, rtol=1e-6)
 
 
 def test_a_fitness_that_is_not_finite_becomes_minus_infinity():

@@ -69,10 +69,12 @@ def judged(task, motion):
 def test_distance_is_the_straight_line_over_ground(motion, heading):
     position = motion[0]
     terms = judged(Distance(heading=heading), motion)
-    way = position[-1] - position[0]
-    np.testing.assert_allclose(terms["distance"], np.hypot(way[0], way[1]), rtol=1e-5)
-    np.testing.assert_allclose(terms["forward"], way[0], rtol=1e-5, atol=1e-5)
-    assert (way[0] < 0).any()
+    displacement = position[-1] - position[0]
+    np.testing.assert_allclose(
+        terms["distance"], np.hypot(displacement[0], displacement[1]), rtol=1e-5
+    )
+    np.testing.assert_allclose(terms["forward"], displacement[0], rtol=1e-5, atol=1e-5)
+    assert (displacement[0] < 0).any()
     fitness = Distance(heading=heading).fitness(terms, {})
     np.testing.assert_array_equal(fitness, terms["distance" if heading == "any" else "forward"])
 
@@ -93,9 +95,9 @@ def test_the_weights_of_a_walk_are_in_torso_lengths(heading):
     weights |= {"bounce_weight": 5.0, "airborne_weight": 7.0}
     task = Walk(torso_length=0.5, heading=heading, **weights)
     terms = {"distance": 4.0, "forward": -3.0, "tilt": 0.1, "bounce": 0.02, "airborne": 0.3}
-    way = 4.0 if heading == "any" else -3.0
+    displacement = 4.0 if heading == "any" else -3.0
     fitness = float(task.fitness({name: jnp.float32(x) for name, x in terms.items()}, {}))
-    assert fitness == pytest.approx(2 * way / 0.5 - 3 * 0.1 - 5 * 0.02 / 0.5 - 7 * 0.3)
+    assert fitness == pytest.approx(2 * displacement / 0.5 - 3 * 0.1 - 5 * 0.02 / 0.5 - 7 * 0.3)
 
 
 @pytest.mark.parametrize("bounce", [0.0, 1e-3])
@@ -135,10 +137,10 @@ def test_a_trial_in_the_dark_measures_distance_from_the_start():
     np.testing.assert_allclose(head[1][0], [0, 0, 0.75], atol=1e-7)
     np.testing.assert_allclose(head[1] - [0, 0, 0.75], head[0], atol=1e-5)
     assert np.isnan(recordings[1].goal).all() and np.isfinite(recordings[0].goal).all()
-    way = np.linalg.norm((head[1] - head[1][0])[:, :2], axis=1)
-    np.testing.assert_allclose(recordings[1].distance, way, atol=1e-7)
-    assert way[-1] > 5e-3
-    assert float(outcome.terms["distance"][0]) == pytest.approx(way[-1], rel=1e-5)
+    distance = np.linalg.norm((head[1] - head[1][0])[:, :2], axis=1)
+    np.testing.assert_allclose(recordings[1].distance, distance, atol=1e-7)
+    assert distance[-1] > 5e-3
+    assert float(outcome.terms["distance"][0]) == pytest.approx(distance[-1], rel=1e-5)
     assert outcome.alive.all()
 
 
