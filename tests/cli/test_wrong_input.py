@@ -191,8 +191,8 @@ def test_legs_that_cannot_reach_their_postures_are_refused(refused):
     walker = REPOSITORY / "configs" / "fukui2003_model1.yaml"
     narrow = "creature.bodies.2.joint.limits_deg=[-75, 60]"
     assert refused("train", walker, narrow, "--out", "run") == (
-        f"{walker}: controller: the postures turn joint front_left_lower.y from -70 to 70 degrees, "
-        "counted from the neutral pose; its limits_deg allow -75 to 60"
+        f"{walker}: controller: the postures turn joint front_left_lower.y from -70 to 70 degrees "
+        "(neutral pose: 0), but its limits_deg allow -75 to 60"
     )
 
 
@@ -312,7 +312,7 @@ def test_a_preview_that_cannot_be_is_refused(refused):
             "my_tasks:Lost",
             {},
             "task.type: Lost.update fails at line 71 of my_tasks.py (ValueError: there is no body "
-            "'nose'; there are head, ",
+            "'nose'. Allowed: head, ",
         ),
     ],
 )

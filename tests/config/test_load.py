@@ -414,13 +414,13 @@ def test_axes_may_point_the_other_way():
 def test_limbs_have_drives_of_their_own_and_unknown_ones_are_named():
     message = problem(small(controller__groups={"fins": ["fin*"]}))
     assert message.startswith(
-        "controller.groups.fins.0: 'fin*' matches no body; valid here: head, tail"
+        "controller.groups.fins.0: 'fin*' matches no body (valid here: head, tail)"
     )
     message = problem(small(controller__axes={"q": {"gain": 2}}))
-    assert message.startswith("controller.axes.q: no joint turns about 'q'; valid here: z")
+    assert message.startswith("controller.axes.q: no joint turns about 'q' (valid here: z)")
     message = problem(small(controller__cpg={"opposite": ["fin"]}))
     assert message.startswith(
-        "controller.cpg.opposite.0: 'fin' matches no body; valid here: head, tail"
+        "controller.cpg.opposite.0: 'fin' matches no body (valid here: head, tail)"
     )
     message = problem(small(controller__axes={"z": {"gian": 2}}))
     assert message.startswith("controller.axes.z.gian: unknown key; did you mean 'gain'?")
@@ -430,8 +430,8 @@ def test_couplings_are_read_and_wrong_ones_are_answered_with_their_place():
     coupling = {"source": "tail.y", "target": "tail.z"}
     message = problem(small(controller__cpg={"couplings": [coupling]}))
     assert message == (
-        "controller.cpg.couplings.0.source: 'tail.y' is no degree of freedom; did you mean "
-        "'tail.z'? valid here: tail.z; the controller must name parts of creature 'pair'"
+        "controller.cpg.couplings.0.source: 'tail.y' is no degree of freedom (did you mean "
+        "'tail.z'? valid here: tail.z); the controller must name parts of creature 'pair'"
     )
     message = problem(small(controller__cpg={"couplings": [coupling | {"wieght": 1}]}))
     assert message.startswith("controller.cpg.couplings.0.wieght: unknown key; did you mean")
