@@ -179,10 +179,10 @@ def inverted() -> trimesh.Trimesh:
     ("mesh", "expected"),
     [
         (concave, r"it is not convex: vertex \d+ lies .* m beyond the plane of face \d+"),
-        (lambda: two_boxes(SIZE), "it consists of 2 separate pieces; allowed: one"),
+        (lambda: two_boxes(SIZE), "it consists of 2 separate pieces. Allowed: one"),
         (holed, "it is open: 4 of 17 edges do not join two faces"),
-        (inverted, "it is inside out: its faces look inwards; flip its normals"),
-        (lambda: trimesh.creation.icosphere(4), "it has 5120 triangles; allowed: at most 2000"),
+        (inverted, "it is inside out: its faces look inwards. Flip its normals"),
+        (lambda: trimesh.creation.icosphere(4), "it has 5120 triangles. Allowed: at most 2000"),
         (whisker, "128 of its 128 triangles are lower than 0.01% of its longest side"),
     ],
     ids=["concave", "pieces", "open", "inverted", "huge", "whisker"],
