@@ -29,9 +29,10 @@ class Phases(NamedTuple):
     Attributes:
         reference: index of the foot whose touch-downs begin the strides, or None if no foot touches
             down twice.
-        phase: mean phase of each foot, a fraction of a stride from 0 to 1. NaN without touch-down.
+        phase: mean phase of each foot, a fraction of a stride from 0 to 1. NaN without touch-down
+            in these strides.
         regularity: length of each foot's mean vector, from 0 (random phases) to 1 (equal phases).
-            NaN without touch-down.
+            NaN without touch-down in these strides.
     """
 
     reference: int | None

@@ -258,8 +258,8 @@ def _of_the_ground(simulation: Simulation, numbers: GaitNumbers, moving: float) 
         Quantity("airborne", "airborne fraction", airborne, "",
                  "fraction of the control steps in which nothing touches the ground", swims),
         Quantity("slip", "slip", slip, "m/s",
-                 "horizontal speed of each foot's lowest point, in control steps between two "
-                 "others with contact, mean of all feet",
+                 "horizontal speed of each foot's lowest point, in all control steps of a contact "
+                 "except its first and last, mean of all feet",
                  brief),
         Quantity("relative_slip", "relative slip", slip / moving, "", "slip / path speed",
                  brief or _STAYS),

@@ -46,8 +46,9 @@ class Limits:
         overload: largest torque of a motor beyond its limit, as a fraction of the limit.
         speed: largest speed of the root, in lengths of the animal per second, or None for the speed
             after a fall from twenty times its length.
-        power: largest power of all motors, W per kg of animal, or None for no limit.
-        free_energy: largest energy beyond the energy that costs fitness, as a fraction of it.
+        power: largest power of all motors, W for each kg of animal, or None for no limit.
+        free_energy: largest excess of the energy spent over the most that costs fitness, as a
+            fraction of the latter.
         seen_through_ground: largest fraction of the light seen with ground in the way.
     """
 
