@@ -137,7 +137,7 @@ def test_a_mesh_can_stand_in_the_configuration_itself(folder):
         ("shape.scale=[1, 2]", r"scale: \[1, 2\]: must be a number or a list of 3 numbers"),
         ("shape.scale=-1", "scale: -1: input should be greater than 0"),
         ("shape.scle=2", "shape.scle: unknown key; did you mean 'scale'"),
-        ("shape.scale=1", "head.stl: its longest side is 300 m; .* it needs scale: 0.001"),
+        ("shape.scale=1", "head.stl: its longest side is 300 m. .* set scale: 0.001"),
         ("shape={type: mesh}", "shape.file: is missing and has no default"),
         ("shape={type: mesh, vertices: []}", "shape.faces: is missing and has no default"),
         ("shape={type: mesh, fiel: ok.stl}", "shape.fiel: unknown key; did you mean 'file'"),
@@ -215,7 +215,7 @@ def test_a_file_that_holds_no_mesh_is_refused(folder, content, expected):
     [
         (np.nan, "a coordinate of a vertex is not a finite number"),
         (np.inf, "a coordinate of a vertex is not a finite number"),
-        (1e38, r"its longest side is 1e\+38 m; allowed: 0.001 to 100 m"),
+        (1e38, r"its longest side is 1e\+38 m. Allowed: 0.001 to 100 m"),
     ],
 )
 @pytest.mark.filterwarnings("error")
