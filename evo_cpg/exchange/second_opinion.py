@@ -1,7 +1,7 @@
 """A second opinion on a champion: the same motor commands in MuJoCo.
 
 The exported model (`evo_cpg.exchange.mjcf_export`) starts in the champion's initial state. There
-are two ways to drive it:
+are two modes of driving it:
 
 - The recorded commands of the champion's controller, step by step.
 - The controller itself, with the senses of MuJoCo's animal (`Brain`). A controller that corrects

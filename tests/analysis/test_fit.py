@@ -192,8 +192,8 @@ def test_intervals_hold_the_friction_of_a_sliding_block():
     # The block starts level, and lies flat on the incline after the first steps. Then its
     # acceleration is g (sin a - mu cos a).
     slope, lying = np.deg2rad(20), times > 0.3
-    way = np.asarray(quick_jit(model)(jnp.asarray(parameters.values)))[:, 0] / np.cos(slope)
-    acceleration = 2 * np.polyfit(times[lying], way[lying], 2)[0]
+    distance = np.asarray(quick_jit(model)(jnp.asarray(parameters.values)))[:, 0] / np.cos(slope)
+    acceleration = 2 * np.polyfit(times[lying], distance[lying], 2)[0]
     ideal = 9.81 * (np.sin(slope) - 0.15 * np.cos(slope))
     np.testing.assert_allclose(acceleration, ideal, rtol=1e-3)
     held, _ = coverage(model, parameters.values, [0.1], 1e-3, 0)

@@ -43,7 +43,7 @@ def test_frequency_amplitude_and_lag_of_a_travelling_wave(frequency, lag):
     assert found.has_wave() == (10 <= lag <= 70)
 
 
-def test_a_wave_needs_one_frequency_and_a_lag_at_every_gap():
+def test_a_wave_needs_one_frequency_and_lags_everywhere():
     names = tuple(f"segment{i}.z" for i in range(6))
     angles = wave(1.0, 30.0)
     angles[:, 3] = wave(1.1, 30.0)[:, 3]

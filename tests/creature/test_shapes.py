@@ -107,7 +107,7 @@ def test_divergence_theorem(shape, resolution):
 
 
 @each_shape
-def test_surface_points_lie_on_the_surface_and_normals_point_out(shape):
+def test_surface_points_and_normals_are_on_the_surface(shape):
     """The distance is 0 at the points, negative slightly inside and positive outside."""
     points, normals, _ = shape.surface(4)
     np.testing.assert_allclose(shape.distance(points), 0, atol=1e-15)

@@ -360,12 +360,12 @@ LEFT_OUT = {
 
 
 @pytest.mark.parametrize("name", LEFT_OUT)
-def test_what_belongs_to_the_world_is_left_out_by_name(read, name):
+def test_world_settings_are_left_out_by_name(read, name):
     text, expected = LEFT_OUT[name]
     assert expected in read(text).left_out
 
 
-def test_pairs_of_our_own_export_need_no_word(read):
+def test_pairs_of_our_export_are_not_reported(read):
     pair = '<contact><pair geom1="t" geom2="g" condim="1"/></contact>'
     assert read(model(top=pair)).left_out == (GRAVITY,)
 
