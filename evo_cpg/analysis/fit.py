@@ -50,7 +50,7 @@ _TOLERANCE, _MOST_STEPS = 1e-6, 60
 
 # Largest component of the residuals along J at the end, in units of their noise. It is the distance
 # to the linear model's minimum in standard errors. At this distance, 94.5 % instead of 95 % of the
-# intervals hold. With kinks in the model (rectifiers, contact) the component may not reach 0.
+# intervals hold. The component may not reach 0 if the model has kinks (rectifiers, contact).
 _OFFSET = 0.2
 
 # Relative singular value below which directions are left out, because of rounding.
@@ -177,7 +177,7 @@ def fit(
     )
     residuals = (gap / (members @ sigma)[None]).reshape(-1)
     scale = 1.0 if noise is not None else (residuals * residuals).sum() / freedom
-    # With singular values, an undetermined direction has a large error instead of none.
+    # Singular values give an undetermined direction a large error instead of none.
     along, singular, turned = decomposed(derivatives, sigma)
     least = jnp.finfo(data.dtype).eps * singular[0] * len(start)
     rows = turned / jnp.maximum(singular, least)[:, None]

@@ -73,8 +73,8 @@ _NEUTRAL = 1e-4
 # Swing, as a fraction of the widest swing, below which an oscillator has no phase but rounding.
 _FAINT = 1e-9
 
-# Relative size below which a harmonic counts as missing. Without the first harmonics, the orbit may
-# consist of several equal rounds.
+# Relative size below which a harmonic counts as missing. The orbit may consist of several equal
+# rounds if the first harmonics are missing.
 _FUNDAMENTAL = 1e-2
 
 # Number of intervals that the simulation must stay on an unstable orbit.

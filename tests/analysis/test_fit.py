@@ -16,7 +16,7 @@ from evo_cpg.simulation.track import track
 from tiny_run import CONFIG, TINY
 
 TRIALS = 100
-# Of 100 intervals that hold the truth with probability 0.95, 90 to 99 do so in 98 of 100 cases.
+# Bounds of successes of 100 intervals: 90 to 99 hold the truth in 98 of 100 cases.
 FEWEST, MOST = 90, 99
 
 pytestmark = pytest.mark.usefixtures("x64")
