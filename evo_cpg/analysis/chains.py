@@ -26,8 +26,8 @@ class Chain(NamedTuple):
         oscillators: oscillators from head to tail.
         part: all oscillators connected to the chain, directly or not, with coupled neighbours.
         places: places of the chain's oscillators in the part.
-        sides: sign of each gap: 1 if neighbours inhibit opposite sides, so that they swing together
-            except for the lag; -1 if they inhibit equal sides, so that they swing in opposition.
+        sides: sign of each gap. 1: neighbours inhibit opposite sides, and swing together except for
+            the lag. -1: neighbours inhibit equal sides, and swing in opposition.
     """
 
     name: str
@@ -75,8 +75,8 @@ def joint_rows(simulation: Simulation) -> list[tuple[int, ...]]:
 def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, " d"]:
     """Return signs that make joint angles in a row refer to one direction.
 
-    -1 where, in the neutral pose, an axis points against that of the first of its row; 1 elsewhere,
-    also where it is square to it.
+    The sign is -1 if, in the neutral pose, an axis points against the first axis of its row. It is
+    1 for all other axes, also for perpendicular ones.
 
     Args:
         tree: the creature.

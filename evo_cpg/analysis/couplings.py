@@ -2,9 +2,9 @@
 
     x = log(b, s, r)
 
-with the adaptation gain b, the stronger of the two couplings between neighbours s, and the weaker
-in units of it, r. The wave runs away from the stronger: that is ``parent_weight`` where it runs
-from head to tail and ``child_weight`` where it runs the other way.
+with the adaptation gain b, the stronger coupling s between neighbours, and the ratio r of the
+weaker coupling to the stronger one. The stronger coupling is ``parent_weight`` for a wave from head
+to tail, and ``child_weight`` for a wave from tail to head.
 """
 
 import dataclasses
@@ -25,8 +25,8 @@ from evo_cpg.control.matsuoka import (
 )
 from evo_cpg.creature.tree import Tree
 
-# Bounds of b, s and r. Beyond them waves are ragged (r near 1: equally strong neighbours make no
-# wave), recover slowly (r near 0) or are faint (large b).
+# Bounds of b, s and r. Beyond them waves are irregular (r near 1: equal couplings make no wave),
+# recover slowly (r near 0) or are faint (large b).
 GAINS, STRONGER, RATIOS = (1.0, 20.0), (0.5, 2.0), (0.05, 0.5)
 
 

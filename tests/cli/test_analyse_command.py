@@ -120,7 +120,7 @@ def test_the_numbers_are_those_that_the_trial_measured(walker):
         assert float(shown[name][0]) == pytest.approx(terms[key], rel=0.03), key
     # Shares of the physics steps there; here of the control steps in which none of them touches, so
     # that of the others all but one physics step may be in the air.
-    whole, substeps = float(shown["airborne share"][0]), load_config(WALKER).simulation.substeps
+    whole, substeps = float(shown["airborne fraction"][0]), load_config(WALKER).simulation.substeps
     most = whole + (1 - whole) * (substeps - 1) / substeps
     assert 0.1 < whole <= terms["airborne"] + 1e-3 and terms["airborne"] <= most
 

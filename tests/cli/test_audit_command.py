@@ -25,10 +25,10 @@ from tiny_run import CONFIG, PAIR
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ("half_stp=0.5", "there is no limit 'half_stp'; did you mean half_step?"),
-        ("xyz=1", "there is no limit 'xyz'; allowed: half_step, "),
+        ("half_stp=0.5", "there is no limit 'half_stp'. Did you mean half_step?"),
+        ("xyz=1", "there is no limit 'xyz'. Allowed: half_step, "),
         ("way=1", "there is no limit 'way'"),
-        ("half_step=", "'' is no limit; allowed: a number of at least 0"),
+        ("half_step=", "'' is no limit. Allowed: a number of at least 0"),
         ("half_step=-1", "'-1' is no limit"),
         ("half_step=nan", "'nan' is no limit"),
         ("half_step=1_0", "'1_0' is no limit"),

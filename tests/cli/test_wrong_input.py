@@ -172,7 +172,7 @@ def test_a_setting_longer_than_a_file_name_is_a_setting(refused):
     ("mesh", "scale", "expected"),
     [
         (lambda: trimesh.creation.annulus(0.05, 0.1, 0.1), 1, "it is not convex"),
-        (lambda: trimesh.creation.box((300, 200, 100)), 1, "it needs scale: 0.001"),
+        (lambda: trimesh.creation.box((300, 200, 100)), 1, "set scale: 0.001"),
         (whisker, 1, "triangles are lower than"),
         (lambda: trimesh.creation.box(), 10**20, "input should be less than 1000000000"),
     ],

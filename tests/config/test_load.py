@@ -447,7 +447,7 @@ def test_couplings_are_read_and_wrong_ones_are_answered_with_their_place():
 def test_bodies_must_form_one_tree():
     data = small()
     del data["creature"]["bodies"][1]["joint"]
-    assert "'head' and 'tail' both have no joint; exactly one body" in problem(data)
+    assert "'head' and 'tail' both have no joint. Allowed: one body" in problem(data)
     data = small()
     data["creature"]["bodies"][0]["joint"] = data["creature"]["bodies"][1]["joint"] | {
         "parent": "tail"

@@ -137,7 +137,7 @@ def test_a_mesh_can_stand_in_the_configuration_itself(folder):
         ("shape.scale=[1, 2]", r"scale: \[1, 2\]: must be a number or a list of 3 numbers"),
         ("shape.scale=-1", "scale: -1: input should be greater than 0"),
         ("shape.scle=2", "shape.scle: unknown key; did you mean 'scale'"),
-        ("shape.scale=1", "head.stl: its longest side is 300 m; .* it needs scale: 0.001"),
+        ("shape.scale=1", "head.stl: its longest side is 300 m. .* set scale: 0.001"),
         ("shape={type: mesh}", "shape.file: is missing and has no default"),
         ("shape={type: mesh, vertices: []}", "shape.faces: is missing and has no default"),
         ("shape={type: mesh, fiel: ok.stl}", "shape.fiel: unknown key; did you mean 'file'"),
@@ -179,10 +179,10 @@ def inverted() -> trimesh.Trimesh:
     ("mesh", "expected"),
     [
         (concave, r"it is not convex: vertex \d+ lies .* m beyond the plane of face \d+"),
-        (lambda: two_boxes(SIZE), "it consists of 2 separate pieces; allowed: one"),
+        (lambda: two_boxes(SIZE), "it consists of 2 separate pieces. Allowed: one"),
         (holed, "it is open: 4 of 17 edges do not join two faces"),
-        (inverted, "it is inside out: its faces look inwards; flip its normals"),
-        (lambda: trimesh.creation.icosphere(4), "it has 5120 triangles; allowed: at most 2000"),
+        (inverted, "it is inside out: its faces look inwards. Flip its normals"),
+        (lambda: trimesh.creation.icosphere(4), "it has 5120 triangles. Allowed: at most 2000"),
         (whisker, "128 of its 128 triangles are lower than 0.01% of its longest side"),
     ],
     ids=["concave", "pieces", "open", "inverted", "huge", "whisker"],
@@ -215,7 +215,7 @@ def test_a_file_that_holds_no_mesh_is_refused(folder, content, expected):
     [
         (np.nan, "a coordinate of a vertex is not a finite number"),
         (np.inf, "a coordinate of a vertex is not a finite number"),
-        (1e38, r"its longest side is 1e\+38 m; allowed: 0.001 to 100 m"),
+        (1e38, r"its longest side is 1e\+38 m. Allowed: 0.001 to 100 m"),
     ],
 )
 @pytest.mark.filterwarnings("error")
