@@ -77,8 +77,8 @@ def write_page(
     Args:
         opened: the run and the champion.
         trial: number of the champion's trial, from 0.
-        number: number of the chosen run, of several; None for the best.
-        output: path of the page; None for one in the run folder.
+        number: number of the chosen run, of several, or None for the best.
+        output: path of the page, or None for one in the run folder.
         doing: called with the name of each step after the replay.
         warn: called with a sentence if ``config.yaml`` has changed since the run.
 
@@ -160,7 +160,7 @@ def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float
 
 
 def _expected(champion: Champion) -> dict[str, float]:
-    """Return the mean fitness in fresh draws; empty if there were none."""
+    """Return the mean fitness in fresh draws, or empty if there were none."""
     if champion.expected is None:
         return {}
     return {f"mean fitness in {champion.lives} fresh draws": champion.expected}

@@ -77,8 +77,8 @@ class Audit:
         verdict: all checks.
         trials: trials of the champion in the unchanged simulation.
         step_length: duration of a physics step, s.
-        opinions: our result of the first trial, and MuJoCo's; empty without a second opinion.
-        missing: reason why second opinions are missing; empty if none is.
+        opinions: our result of the first trial, and MuJoCo's, or empty without a second opinion.
+        missing: reason why second opinions are missing, or empty if none is.
     """
 
     verdict: Verdict
@@ -347,7 +347,7 @@ def _between_limbs(
     ledgers: Sequence[Ledger],
     check: Callable[..., Check],
 ) -> list[Check]:
-    """Return the checks of limbs that may touch; empty if no two can meet."""
+    """Return the checks of limbs that may touch, or empty if no two can meet."""
     checks, world = [], experiment.simulation.world
     if world.pairs is not None or any(np.any(one.limbs) for one in ledgers):
         pushed = max(_given(one, one.limbs) for one in ledgers)

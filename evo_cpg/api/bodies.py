@@ -44,7 +44,7 @@ class Bodies:
             count: number of individuals.
 
         Returns:
-            The function and its argument; None if all individuals have the configuration's numbers.
+            The function and its argument, or None if all individuals have the configuration's numbers.
 
         Raises:
             ConfigError: wrong numbers, see `evo_cpg.config.batched.build_batch`.

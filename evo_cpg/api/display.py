@@ -61,7 +61,7 @@ class Heartbeat(Work):
     Args:
         what: name of the work.
         printed: time of the last printed line, s; minus infinity if there was none.
-        expected: duration that was measured before, s; None if nothing was.
+        expected: duration that was measured before, s, or None if nothing was.
         clock: function that returns the time, s.
     """
 
@@ -115,7 +115,7 @@ class Heartbeat(Work):
         """Print due lines, in a thread, while the block lasts.
 
         Args:
-            write: function that prints a line; None for standard error.
+            write: function that prints a line, or None for standard error.
         """
         over = threading.Event()
 
@@ -181,7 +181,7 @@ def working(
     Args:
         what: name of the work.
         counted: whether the work reports its finished steps.
-        expected: duration that was measured before, s; None if nothing was.
+        expected: duration that was measured before, s, or None if nothing was.
         stays: whether the line stays on a terminal after the work.
 
     Yields:
@@ -227,7 +227,7 @@ def progress(
         completed: number of steps done before.
         first: name of the work before the first step.
         last: name of the work after the last step.
-        expected: duration of the work before the first step, s; None if it was not measured.
+        expected: duration of the work before the first step, s, or None if it was not measured.
 
     Yields:
         A function to call after every step, with a line about the state and the duration of the

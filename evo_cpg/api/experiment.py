@@ -149,7 +149,7 @@ class Experiment:
 
         Args:
             key: seed of all random draws: a number or a JAX key.
-            count: number of genomes; None for the configuration's population.
+            count: number of genomes, or None for the configuration's population.
         """
         shape = (self.population if count is None else count,)
         return np.asarray(self.parts.simulation.genome.random(_key(key), shape)).T.copy()
@@ -196,11 +196,11 @@ class Experiment:
         Args:
             key: seed of the noise in the trials: a number or a JAX key.
             genomes: genomes of the individuals, ``(n, genes)``.
-            bodies: numbers in which individuals differ, by key; see `rollout`.
+            bodies: numbers in which individuals differ, by key (see `rollout`).
 
         Raises:
             ValueError: the genomes or the numbers of the bodies have another shape.
-            ConfigError: a number of the bodies is wrong; see `rollout`.
+            ConfigError: a number of the bodies is wrong (see `rollout`).
         """
         trials = self.rollout(key, genomes, bodies)
         outcome = Outcome(*jax.tree.map(jnp.asarray, (trials.terms, trials.alive)))
@@ -390,7 +390,7 @@ class Experiment:
         return given.T.astype(np.float32)
 
     def _noise(self, key: Array, count: int) -> Array | None:
-        """Return raw keys of all trials, ``(words, count x trials)``; None without noise."""
+        """Return raw keys of all trials, ``(words, count x trials)``, or None without noise."""
         if self.parts.simulation.noise.silent:
             return None
         individual, trial = np.divmod(np.arange(count * self.trials), self.trials)

@@ -32,7 +32,7 @@ def fitness_function(
     Args:
         parts: internal parts of the experiment.
         scales: scales of the task.
-        keys: random keys of the noise in the trials; None without noise.
+        keys: random keys of the noise in the trials, or None without noise.
         horizon: time constant of the decay of derivatives, s. None for derivatives that are exact
             in water and cut on the ground, infinity for exact derivatives.
         parameters: numbers of the configuration that are the function's second argument.

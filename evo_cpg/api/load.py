@@ -34,7 +34,7 @@ def load(
             contents of such a file as a dictionary, with file names relative to the working folder.
         overrides: settings to change: ``["seed=3", "world.gravity=1.6"]`` as on the command line,
             or ``{"seed": 3, "world.gravity": 1.6}``.
-        cores: number of cores that share a population; None for all cores. If JAX has already
+        cores: number of cores that share a population, or None for all cores. If JAX has already
             computed something, its devices are kept.
         trust: whether you trust the configuration. A trusted one may name files outside its folder
             and run code of classes in modules next to it, outside the working folder.

@@ -58,7 +58,7 @@ class Opened:
 
     @functools.cached_property
     def changed(self) -> str | None:
-        """Warning that ``config.yaml`` changed since the champion evolved; None if unchanged.
+        """Warning that ``config.yaml`` changed since the champion evolved, or None if unchanged.
 
         Raises:
             RunFolderError: there is no champion.
@@ -134,7 +134,7 @@ class OpenedChampion(Opened):
 
     Attributes:
         champion: the individual.
-        recording: motion in its first trial; None if not kept or of another configuration.
+        recording: motion in its first trial, or None if not kept or of another configuration.
     """
 
     champion: Champion

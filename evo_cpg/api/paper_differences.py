@@ -20,7 +20,7 @@ _CONTINUED = re.compile(r"^\s+# ?(.*)$")
 
 
 def paper_differences(config: ExperimentConfig) -> PaperDifferences | None:
-    """Return the differences; None if no configuration of this name is shipped."""
+    """Return the differences, or None if no configuration of this name is shipped."""
     if config.name not in shipped_names():
         return None
     ours = shipped(config.name)

@@ -60,7 +60,7 @@ class Member(Opened):
 
     @property
     def checkpoint(self) -> Checkpoint | None:
-        """Newest checkpoint; None if there is none yet."""
+        """Newest checkpoint, or None if there is none yet."""
         return self.folder.load() if self.folder.config.is_file() else None
 
     @property
@@ -141,7 +141,7 @@ def claim(folder: Path, plan: Mapping[str, Any]) -> None:
 
 
 def read_plan(folder: Path) -> dict[str, Any] | None:
-    """Read the plan of a sweep; None if the folder holds no sweep.
+    """Read the plan of a sweep, or None if the folder holds no sweep.
 
     Raises:
         RunFolderError: the file of the plan is damaged.
@@ -170,7 +170,7 @@ def members_of(
     Args:
         folder: folder of the sweep.
         plan: plan of the sweep.
-        names: names of the settings to build; None for all.
+        names: names of the settings to build, or None for all.
 
     Raises:
         RunFolderError: the configuration has changed since the sweep began.

@@ -47,7 +47,7 @@ class Trained:
         folder: the run folder, for `evo-cpg render` and the other commands.
         genome: genome of the champion.
         fitness: fitness of the champion.
-        expected: mean fitness of the champion with fresh noise; None without noise.
+        expected: mean fitness of the champion with fresh noise, or None without noise.
         terms: task's terms of the champion.
         history: rows of metrics.csv.
     """
@@ -138,7 +138,7 @@ def begin_run(
         run: run whose folder is made.
         devices: number of devices of this process.
         source: file of the configuration.
-        start: initial genomes; None for random ones.
+        start: initial genomes, or None for random ones.
         processes: number of processes that evolve together.
 
     Raises:
@@ -232,12 +232,12 @@ class Recorder:
         experiment: experiment that evolves.
         folder: run folder.
         least: smallest allowed fraction of its displacement that the champion keeps at half the
-            physics step; None for no check.
+            physics step, or None for no check.
         animal: digest of all that the program of a trial depends on; the compile time is stored
             under this digest. None to store no time.
 
     Attributes:
-        seen: result of the first check; None without one.
+        seen: result of the first check, or None without one.
         checks: whether the champion is to be checked.
         skipped: whether the check was skipped.
     """
@@ -296,11 +296,11 @@ class Recorder:
             )
 
     def expected_to_record(self) -> float | None:
-        """Estimate the remaining time to compile for `record`, s; None without a measurement."""
+        """Estimate the remaining time to compile for `record`, s, or None without a measurement."""
         return self._program and self._program.left
 
     def expected_to_look(self) -> float | None:
-        """Estimate the remaining time to compile for `look`, s; None without a measurement."""
+        """Estimate the remaining time to compile for `look`, s, or None without a measurement."""
         return self._look and self._look.left
 
     def keep(self, champion: Champion) -> None:
@@ -345,7 +345,7 @@ class _Compilation:
 
     Args:
         thread: thread that compiles.
-        expected: expected duration, s; None without a measurement.
+        expected: expected duration, s, or None without a measurement.
         compile_it: function that returns the program.
         given: arguments of ``compile_it``.
     """
@@ -368,7 +368,7 @@ class _Compilation:
 
     @property
     def left(self) -> float | None:
-        """Estimate of the remaining time, s; None without a measurement."""
+        """Estimate of the remaining time, s, or None without a measurement."""
         if self._program.done():
             return 0.0
         if self._expected is None or self._start is None:
@@ -381,7 +381,7 @@ class _Compilation:
 
 
 def first_look_limit(config: ExperimentConfig) -> float | None:
-    """Return the limit of the first check of a champion; None without a check."""
+    """Return the limit of the first check of a champion, or None without a check."""
     return config.audit.half_step if config.audit.after_training else None
 
 
@@ -399,7 +399,7 @@ def evolve(
         folder: run folder.
         on_generation: called with the new rows of metrics.csv after every generation.
         recorder: recorder that compiles meanwhile.
-        team: processes that evolve together; None for this one alone.
+        team: processes that evolve together, or None for this one alone.
 
     Raises:
         RunFolderError: no individual of any generation has a finite fitness.

@@ -25,7 +25,7 @@ def version() -> str:
 
 
 def checkout() -> Path | None:
-    """Return the folder of this program's checkout; None if it was installed."""
+    """Return the folder of this program's checkout, or None if it was installed."""
     folder = Path(evo_cpg.__file__).parents[1]
     # An installed package may lie in a checkout of another project.
     return folder if os.path.exists(folder / ".git") else None

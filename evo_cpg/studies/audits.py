@@ -122,7 +122,7 @@ def _others(row: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _second_opinion(row: dict[str, Any]) -> float | None:
-    """Return the displacement in the last program, relative to our own; None without a program."""
+    """Return the displacement in the last program, relative to our own, or None without a program."""
     others = _others(row)
     return others[-1]["way"] / row["opinions"][0]["way"] if others else None
 

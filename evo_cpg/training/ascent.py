@@ -43,7 +43,7 @@ class GradientLengths(NamedTuple):
     """State of `clip_long_gradients`.
 
     Attributes:
-        mean: exponential moving average of the gradients' length; 0 before the first.
+        mean: exponential moving average of the gradients' length, or 0 before the first.
         finite: number of finite gradients.
     """
 
@@ -189,7 +189,7 @@ class Climbed(NamedTuple):
 
     Attributes:
         genes: best genes of each individual.
-        fitness: fitness of these genes; -inf if it was never a number.
+        fitness: fitness of these genes, or -inf if it was never a number.
         finite: number of finite gradients of each individual; others count as zero.
     """
 
@@ -204,7 +204,7 @@ class Free(NamedTuple):
     Attributes:
         values: initial values of the numbers.
         simulation: function that returns the simulation at other values, which may be traced.
-        rebuild: function that builds the experiment at other values; None if not allowed.
+        rebuild: function that builds the experiment at other values, or None if not allowed.
     """
 
     values: Float[np.ndarray, " k"]

@@ -29,7 +29,7 @@ class Champion(NamedTuple):
             of the trials.
         lives: number of re-evaluations with fresh noise; see
             `evo_cpg.training.reevaluation`.
-        expected: mean fitness of re-evaluations that did not end early; None without any.
+        expected: mean fitness of re-evaluations that did not end early, or None without any.
         ended_early: number of re-evaluations that ended by a broken rule or by divergence.
     """
 
@@ -65,7 +65,7 @@ class Checkpoint(NamedTuple):
         history: rows of metrics.csv.
         scales: task's scales in each run; ones before the first generation.
         state: strategy's state, from `state_arrays`.
-        chosen: best individual of each run with fresh noise; empty without noise or before all
+        chosen: best individual of each run with fresh noise, or empty without noise or before all
             generations are done.
     """
 

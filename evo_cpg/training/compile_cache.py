@@ -32,7 +32,7 @@ def keep_compiled_programs() -> Path | None:
     """Make JAX keep compiled programs. Call this before JAX runs anything.
 
     Returns:
-        The folder; None if none can be made, the cache is off, or the user has chosen one.
+        The folder, or None if none can be made, the cache is off, or the user has chosen one.
     """
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_SECONDS)
     if not jax.config.values["jax_enable_compilation_cache"]:
@@ -57,7 +57,7 @@ def keep_compiled_programs() -> Path | None:
 
 
 def compiled_folder() -> Path | None:
-    """Return the folder for compiled programs, existing or not; None without a home folder."""
+    """Return the folder for compiled programs, existing or not, or None without a home folder."""
     own = jax.config.values["jax_compilation_cache_dir"]
     if own:
         return Path(own)

@@ -41,11 +41,11 @@ class _Times(TypedDict):
 
 
 def expected_seconds(operations: float, animal: str | None = None) -> float | None:
-    """Estimate the time to compile an animal's trial, s; None without a measurement.
+    """Estimate the time to compile an animal's trial, s, or None without a measurement.
 
     Args:
         operations: approximate number of operations of the trial.
-        animal: digest of all that the program depends on; None for code that is not kept.
+        animal: digest of all that the program depends on, or None for code that is not kept.
     """
     times = _read()
     known = times["animals"].get(animal or "")

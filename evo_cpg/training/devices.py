@@ -43,7 +43,7 @@ def use_cores(count: int | None = None) -> int:
     After JAX has run something, the devices can no longer change.
 
     Args:
-        count: number of cores to use; None for all that this process may run on.
+        count: number of cores to use, or None for all that this process may run on.
 
     Returns:
         The number of devices.
@@ -63,7 +63,7 @@ def population_mesh(count: int | None = None) -> Mesh:
     """Return the mesh of devices over which the population is sharded.
 
     Args:
-        count: number of devices; None for all of this process.
+        count: number of devices, or None for all of this process.
     """
     devices = jax.local_devices()[:count]
     return Mesh(np.array(devices), (POPULATION_AXIS,))

@@ -27,7 +27,7 @@ class GaitMap(NamedTuple):
 
 
 def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMap | None:
-    """Return the map of a run; None if its strategy has none.
+    """Return the map of a run, or None if its strategy has none.
 
     Raises:
         StrategyError: the checkpoint comes from another strategy.

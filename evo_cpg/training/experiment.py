@@ -48,7 +48,7 @@ TABLE_COLUMNS = (
 
 
 class Learning(NamedTuple):
-    """Settings of the elites' gradient ascent; see `evo_cpg.training.memetic`.
+    """Settings of the elites' gradient ascent (see `evo_cpg.training.memetic`).
 
     Attributes:
         every: number of generations between two ascents.
@@ -74,7 +74,7 @@ class Experiment(NamedTuple):
         runs: number of independent populations.
         trials: number of trials of every individual, over which the fitness is averaged: one for
             each situation, or any number of trials of the only situation.
-        learning: settings of the elites' ascent; None for evolution alone.
+        learning: settings of the elites' ascent, or None for evolution alone.
     """
 
     name: str
@@ -92,7 +92,7 @@ class Generation(NamedTuple):
     """Results of one generation of every run.
 
     Attributes:
-        fitness: mean fitness of every individual over its trials; -inf if it diverged in any.
+        fitness: mean fitness of every individual over its trials, or -inf if it diverged in any.
         terms: task's terms, averaged over the trials.
         alive: False where an individual diverged.
         scales: task's scales.
@@ -121,7 +121,7 @@ def begin(
 
     Args:
         experiment: experiment to evolve.
-        start: initial genomes; None for random ones.
+        start: initial genomes, or None for random ones.
     """
     genome, strategy = experiment.simulation.genome, experiment.strategy
     size = (strategy.population,)
@@ -150,7 +150,7 @@ def trial_keys(
     individual: Int[np.ndarray, " n"],
     trial: Int[np.ndarray, " n"],
 ) -> UInt32[Array, "w n"] | None:
-    """Return raw random keys for the noise of some trials; None without noise.
+    """Return raw random keys for the noise of some trials, or None without noise.
 
     Args:
         experiment: experiment whose seed is used.
@@ -186,7 +186,7 @@ def generation_keys(experiment: Experiment, generation: ArrayLike) -> UInt32[Arr
 
 
 def situation_numbers(experiment: Experiment) -> Int[np.ndarray, " trials"] | None:
-    """Return the situation number of each trial; None if there is one situation."""
+    """Return the situation number of each trial, or None if there is one situation."""
     several = len(experiment.simulation.situations) > 1
     return np.arange(experiment.trials) if several else None
 
@@ -214,7 +214,7 @@ def compile_trials(
     Args:
         simulation: simulation of a trial.
         mesh: the devices.
-        width: number of individuals in a chunk; None to choose it from the population.
+        width: number of individuals in a chunk, or None to choose it from the population.
         inputs: numbers of the simulation in which individuals differ.
 
     Returns:
@@ -347,7 +347,7 @@ def judge(
 def judge_each(
     task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]
 ) -> Float[Array, "trials *n"]:
-    """Return the fitness in each trial; -inf if the individual diverged."""
+    """Return the fitness in each trial, or -inf if the individual diverged."""
     return jax.vmap(lambda trial: score(task, trial, scales), in_axes=-1)(outcome)
 
 

@@ -55,7 +55,7 @@ def until(
 
 
 def champion_at(lineage: Sequence[Champion], generation: int) -> Champion | None:
-    """Return the champion after a generation; None before the first champion.
+    """Return the champion after a generation, or None before the first champion.
 
     Args:
         lineage: lineage of one run.

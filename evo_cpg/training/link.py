@@ -51,7 +51,7 @@ class Link:
         self._send(_DATA, content)
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the next frame; None if the other process has left or is lost.
+        """Return the next frame, or None if the other process has left or is lost.
 
         Raises:
             queue.Empty: no frame arrives in time.
@@ -84,7 +84,7 @@ class Link:
         self._frames.put(None)
 
     def _listen(self) -> str | None:
-        """Receive frames until the connection ends. Return the reason; None after a goodbye."""
+        """Receive frames until the connection ends. Return the reason, or None after a goodbye."""
         try:
             while True:
                 kind, length = _HEAD.unpack(self._take(_HEAD.size))

@@ -50,7 +50,7 @@ def remembered(experiment: Experiment) -> int:
 
 
 def available() -> int | None:
-    """Return the bytes of the machine or its container; None if unknown."""
+    """Return the bytes of the machine or its container, or None if unknown."""
     found = []
     for file in _CONTROL_GROUPS:
         # The group may be missing or without a limit.

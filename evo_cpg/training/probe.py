@@ -28,8 +28,8 @@ class Probe(NamedTuple):
     Attributes:
         situations: initial situations; all have a light.
         start_distance: initial distance from the light, m.
-        distance: final distance as a fraction of the initial one; NaN if the animal diverged.
-        light: light seen by the best eye, mean over the trial, 0 to 1; NaN if diverged.
+        distance: final distance as a fraction of the initial one, or NaN if the animal diverged.
+        light: light seen by the best eye, mean over the trial, 0 to 1, or NaN if diverged.
         alive: False if the animal diverged.
         paths: positions of the root's centre, m, once per control step.
     """

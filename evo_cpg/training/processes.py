@@ -287,7 +287,7 @@ def join(
 
 
 def difference(rows: Sequence[bytes]) -> str:
-    """Name the processes with different rows, the lead's group first; empty if all are equal."""
+    """Name the processes with different rows, the lead's group first, or empty if all are equal."""
     groups: dict[bytes, list[int]] = {}
     for index, row in enumerate(rows):
         groups.setdefault(row, []).append(index)

@@ -89,7 +89,7 @@ class Contest:
         """Take the results of a round and drop the worse half.
 
         Args:
-            fitness: fitness in every place; -inf if an evaluation ended early.
+            fitness: fitness in every place, or -inf if an evaluation ended early.
         """
         each = self._population // len(self._left)
         results = fitness[: each * len(self._left)].reshape(len(self._left), each)
@@ -102,7 +102,7 @@ class Contest:
             self._left = self._left[: -(-len(self._left) // 2)]
 
     def chosen(self) -> Champion | None:
-        """Return the best candidate with its results; None without any candidate."""
+        """Return the best candidate with its results, or None without any candidate."""
         if not len(self._left):
             return None
         return self._result(int(self._left[0]))
@@ -127,7 +127,7 @@ class Contest:
         )
 
     def _means(self) -> Float[np.ndarray, " candidates"]:
-        """Return the mean fitness of evaluations that did not end early; -inf if all did."""
+        """Return the mean fitness of evaluations that did not end early, or -inf if all did."""
         completed = self._evaluations - self._failures
         return np.where(completed > 0, self._sum / np.maximum(completed, 1), -np.inf)
 

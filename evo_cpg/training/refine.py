@@ -41,7 +41,7 @@ class Refinement(NamedTuple):
     Attributes:
         rounds: number of rounds of ascent and selection.
         steps: number of moves of each lane in a round.
-        lanes: number of simultaneous individuals; None for a full vector of trials per core.
+        lanes: number of simultaneous individuals, or None for a full vector of trials per core.
         seed: seed of the lanes' draws.
     """
 
@@ -99,8 +99,8 @@ def compile_refinement(
     Args:
         experiment: experiment in which the champion evolved.
         settings: settings of the refinement.
-        mesh: devices to use; None for all.
-        devices: number of devices in training; None for the number used here.
+        mesh: devices to use, or None for all.
+        devices: number of devices in training, or None for the number used here.
         free: numbers of the experiment that are refined as well. The chosen individual is evaluated
             in an experiment that is rebuilt with them.
 

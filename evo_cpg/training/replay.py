@@ -115,7 +115,7 @@ def replay(
         experiment: experiment in which the individual evolved.
         devices: number of devices that shared the population in training.
         genes: genome of the individual.
-        keys: random keys of the trials; None without noise.
+        keys: random keys of the trials, or None without noise.
         numbers: situation numbers of the trials, see `situation_numbers`.
         recorded: number of the trial to record, from 0.
         full: whether to record all quantities, see `evo_cpg.simulation.recording.Recorder`.

@@ -41,7 +41,7 @@ class Place(NamedTuple):
         count: number of processes.
         host: host of the lead.
         port: port at which the lead listens.
-        names: hosts of all processes; empty if unknown.
+        names: hosts of all processes, or empty if unknown.
     """
 
     index: int
@@ -218,7 +218,7 @@ def _send(connection: socket.socket, message: Mapping[str, Any]) -> None:
 
 
 def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
-    """Return the received line; empty if none arrives in time or the line is not ours.
+    """Return the received line, or empty if none arrives in time or the line is not ours.
 
     No byte after the line is read, as frames may follow.
     """

@@ -127,7 +127,7 @@ class RunFolder:
         Args:
             config_text: the resolved configuration.
             meta: contents of meta.json.
-            start: initial genomes; None for random ones.
+            start: initial genomes, or None for random ones.
 
         Raises:
             OutputError: the folder cannot be written.
@@ -202,7 +202,7 @@ class RunFolder:
             raise cannot_write(self.path, error) from None
 
     def load_start(self) -> Float[np.ndarray, "g all"] | None:
-        """Return the initial genomes of the run; None if random.
+        """Return the initial genomes of the run, or None if random.
 
         Raises:
             RunFolderError: the file is missing, cannot be read, or holds something else.
@@ -220,7 +220,7 @@ class RunFolder:
         return genes
 
     def read_meta(self) -> dict[str, Any]:
-        """Return the contents of meta.json; empty if missing or broken."""
+        """Return the contents of meta.json, or empty if missing or broken."""
         try:
             meta = read_json(self.meta, dict[str, Any])
         except (OSError, ValueError):
@@ -254,7 +254,7 @@ class RunFolder:
             old.unlink(missing_ok=True)
 
     def load(self) -> Checkpoint | None:
-        """Return the newest readable checkpoint; None before the first generation is done.
+        """Return the newest readable checkpoint, or None before the first generation is done.
 
         Raises:
             RunFolderError: there are checkpoints, but none that can be read.
@@ -432,7 +432,7 @@ class RunFolder:
 
     @property
     def newest(self) -> int:
-        """Number of finished generations, from the newest checkpoint's name; 0 if there is none.
+        """Number of finished generations, from the newest checkpoint's name, or 0 if there is none.
 
         The file is not read, so this is quick.
         """
@@ -456,7 +456,7 @@ class RunFolder:
 
 
 def read_checked(path: Path, is_sound: Callable[[Any], bool]) -> Any:
-    """Return the contents of a JSON file; None if there is no file.
+    """Return the contents of a JSON file, or None if there is no file.
 
     Args:
         path: path of the file.

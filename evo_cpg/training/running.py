@@ -34,8 +34,8 @@ class Trials(NamedTuple):
 
     Attributes:
         genes: genome of every individual.
-        keys: random key of every trial; None without noise.
-        numbers: number of the situation of every trial; None if there is only one.
+        keys: random key of every trial, or None without noise.
+        numbers: number of the situation of every trial, or None if there is only one.
     """
 
     genes: Float[np.ndarray, "g individuals"]
@@ -207,7 +207,7 @@ class Running:
         return self._choice.genes(self.checkpoint.genes) if self._choice else self.checkpoint.genes
 
     def _keys(self) -> np.ndarray | None:
-        """Return the random keys of all next trials; None without noise."""
+        """Return the random keys of all next trials, or None without noise."""
         keys = jax.device_get(self._programs.keys(np.int32(self._number)))
         return self._choice.keys(keys, self._experiment.trials) if self._choice else keys
 
@@ -219,7 +219,7 @@ def compile_evolution(experiment: Experiment) -> Evolution:
 
 
 def _load(folder: RunFolder, team: Team) -> Checkpoint | None:
-    """Return the newest checkpoint of the lead's folder; None before the first generation."""
+    """Return the newest checkpoint of the lead's folder, or None before the first generation."""
     checkpoint = folder.load() if team.leads else None
     if team.count == 1:
         return checkpoint

@@ -47,8 +47,8 @@ class Varied(NamedTuple):
     """Results of an individual, one for each simulation and draw.
 
     Attributes:
-        displacement: mean over its trials, m; NaN if it diverged.
-        fitness: mean over its trials; -inf if it diverged.
+        displacement: mean over its trials, m, or NaN if it diverged.
+        fitness: mean over its trials, or -inf if it diverged.
         alive: False if it diverged in any trial.
         terms: means of the task's terms and of the measures.
     """
