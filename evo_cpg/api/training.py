@@ -205,7 +205,7 @@ def reopen_run(
         noted = _known(run, devices, source, processes)
     folder.update_meta(**noted)
     found = machine_changes(before, here)
-    return [f"{folder.path}: {difference}; bits may differ" for difference in found]
+    return [f"{folder.path}: {difference}. Bits may differ" for difference in found]
 
 
 def _genes(experiment: Experiment, start: ArrayLike) -> np.ndarray:
@@ -233,8 +233,8 @@ class Recorder:
         folder: run folder.
         least: smallest allowed fraction of its displacement that the champion keeps at half the
             physics step, or None for no check.
-        animal: digest of all that the program of a trial depends on; the compile time is stored
-            under this digest. None to store no time.
+        animal: digest of all that the program of a trial depends on. The compile time is stored
+            under this digest. None stores no time.
 
     Attributes:
         seen: result of the first check, or None without one.
@@ -253,7 +253,7 @@ class Recorder:
         self.checks, self.skipped = least is not None, False
         self._experiment, self._folder, self._least = experiment, folder, least
         self._animal = animal
-        # Without noise, the recording measures the displacement to compare with.
+        # The recording measures the reference displacement if there is no noise.
         self._measures_displacement = self.checks and experiment.simulation.noise.silent
         self._displacement: float | None = None
         self._thread = ThreadPoolExecutor(1, "recording")
@@ -271,8 +271,8 @@ class Recorder:
         """Start to compile the programs.
 
         Args:
-            spent: time spent on the code of the trials, about that of each program here. None if
-                unknown.
+            spent: time spent on the code of the trials. Each program here takes about as long.
+                None if unknown.
         """
         from evo_cpg.training.replay import compile_replay
 
@@ -288,7 +288,7 @@ class Recorder:
         if self._least is not None:
             from evo_cpg.api.audit import compile_first_look
 
-            # With noise, the displacement at the original step takes another program.
+            # The displacement at the original step takes another program if there is noise.
             programs = 1 if self._measures_displacement else 2
             expected = None if took is None else programs * took
             self._look = _Compilation(
@@ -419,16 +419,16 @@ def evolve(
             team=team,
         )
     if done.champion is None:
-        everybody = experiment.strategy.population
-        if any(row["diverged"] < everybody for row in done.history):
+        count = experiment.strategy.population
+        if any(row["diverged"] < count for row in done.history):
             task = type(experiment.simulation.task).__name__
             raise RunFolderError(
-                f"{folder.path}: of those that did not diverge nobody has a fitness that is a "
-                f"finite number, so there is no champion; see `fitness` and `scales` of {task}"
+                f"{folder.path}: no individual has a finite fitness, so there is no champion. "
+                f"Check `fitness` and `scales` of {task}"
             )
         raise RunFolderError(
             f"{folder.path}: every individual of every generation diverged, so there is no "
-            "champion; try more substeps or weaker motors"
+            "champion. Try more substeps or weaker motors"
         )
     return done.champion
 
