@@ -2,7 +2,7 @@
 
 The times are kept in the folder of the compiled programs. A known animal takes its earlier time
 without LLVM, because its code is kept. Another animal takes the earlier animals' time per operation
-(`evo_cpg.simulation.operations`). Without a measurement there is no estimate.
+(`evo_cpg.simulation.operations`). There is no estimate before the first measurement.
 """
 
 import contextlib

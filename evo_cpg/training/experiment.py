@@ -32,7 +32,7 @@ _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
 _STRATEGY, _ASKS = 4, 5
 
 
-# Columns of metrics.csv for any strategy; ``run`` only with several runs.
+# Columns of metrics.csv for any strategy. Only several runs have the column ``run``.
 TABLE_COLUMNS = (
     "generation",
     "run",
@@ -99,7 +99,7 @@ class Generation(NamedTuple):
         best: index of the fittest individual in each run.
         best_genes: genome of the fittest individual.
         next_genes: population of the next generation, run by run.
-        state: strategy's state; the first axis of every array is the run.
+        state: strategy's state. The first axis of every array is the run.
         metrics: strategy's metrics, by name.
     """
 
@@ -203,7 +203,7 @@ def compile_trials(
 ) -> Callable[..., Outcome]:
     """Return a function that runs the trials of a population, in chunks on the mesh's devices.
 
-    The host feeds the devices block by block; the devices do not loop over chunks. So their memory
+    The host feeds the devices block by block. The devices do not loop over chunks. So their memory
     and the compiled program do not depend on the size of the population. A device never holds
     more than two chunks.
 
@@ -219,8 +219,8 @@ def compile_trials(
 
     Returns:
         A function of the host arrays that `rollout` takes, compiled at its first call. The next
-        argument is the number of trials of each individual. Keys, numbers and results are then
-        those of trials, with the trials of an individual next to each other. The last argument
+        argument is the number of trials of each individual. Keys, numbers and results have one
+        entry for each trial. The trials of an individual are next to each other. The last argument
         holds the values of the inputs.
     """
 
@@ -269,7 +269,7 @@ def breed(
         outcome: outcome of the trials.
         index: number of the generation, from 0. It alone selects the random stream, so a resumed
             run draws the numbers of an uninterrupted run.
-        scales: task's scales; ignored in generation 0, which measures them.
+        scales: task's scales. They are ignored in generation 0, which measures them.
         state: strategy's state.
     """
     simulation, strategy = experiment.simulation, experiment.strategy
@@ -324,7 +324,7 @@ def judge(
 
     Args:
         task: task that defines the fitness.
-        outcome: outcome of all trials; trials of an individual on the last axis.
+        outcome: outcome of all trials, with the trials of an individual on the last axis.
         scales: task's scales.
 
     Returns:

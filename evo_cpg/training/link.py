@@ -16,14 +16,14 @@ BEAT = 2.0
 """Time between two heartbeats, s."""
 
 SILENCE = 18.0
-"""Time without any byte after which the other process counts as dead or stopped, s. It is less than
-the patience of a team, so that the report names the process."""
+"""Time without any byte after which the other process counts as dead or stopped, s. It is shorter
+than the patience of a team, so that the report names the process."""
 
 # Kind and length of a frame.
 _HEAD = struct.Struct("<BQ")
 _DATA, _HEARTBEAT, _LOST, _GOODBYE = range(4)
 
-# Number of bytes that are sent at a time; each piece may take `SILENCE`.
+# Number of bytes that are sent at a time. Each piece may take `SILENCE`.
 _PIECE = 1 << 20
 
 

@@ -25,8 +25,8 @@ EVALUATIONS = 16
 """Number of evaluations of each remaining candidate that ends the rounds."""
 
 FIRST_ROUND = 2**30
-"""The random numbers of a round are those of this generation and the ones after it, which no run
-comes to."""
+"""Generation number whose random numbers the first round uses. Later rounds use the next numbers.
+No run reaches these generations."""
 
 
 def is_finished(experiment: Experiment, checkpoint: Checkpoint) -> bool:
@@ -51,7 +51,7 @@ class Contest:
     """Sequential halving among the candidates of one run.
 
     Args:
-        candidates: individuals; of those with equal genomes the first counts.
+        candidates: individuals. Only the first of equal genomes counts.
         population: number of evaluations in a round.
 
     Attributes:
@@ -78,7 +78,7 @@ class Contest:
         )
 
     def places(self) -> Places:
-        """Return the places of the next round; spare places repeat the last evaluation."""
+        """Return the places of the next round. Spare places repeat the last evaluation."""
         each = self._population // len(self._left)
         candidates = np.repeat(self._left, each)
         draws = np.tile(np.arange(each), len(self._left))
@@ -155,7 +155,7 @@ class Choice:
         """Return the genomes of the next round.
 
         Args:
-            genes: genomes of the populations; runs with a finished contest keep them.
+            genes: genomes of the populations. Runs with a finished contest keep them.
         """
         population = genes.shape[1] // len(self._contests)
         population_genes = genes.copy()
