@@ -332,7 +332,7 @@ def test_a_process_that_never_comes(cli, tmp_path):
     code, _, err = cli(*command, *several)
     assert code == 2
     assert "1 of 2 processes did not connect to localhost:" in err
-    assert "within 0.5 s: process 1 (localhost); --join-timeout allows them longer" in err
+    assert "within 0.5 s: process 1 (localhost). Allow more time with --join-timeout" in err
     assert not (tmp_path / "run").exists()
 
 
