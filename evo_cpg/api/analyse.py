@@ -45,7 +45,7 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         ConfigError: the configuration of the run is wrong.
         LockedError: another process writes into the folder.
         RunFolderError: there is no run, the run has no champion, or the champion's number of genes
-            differs from that of its ``config.yaml``.
+            does not fit its ``config.yaml``.
         ValueError: there is no such trial.
     """
     folder = RunFolder(run)
@@ -77,8 +77,8 @@ def write_page(
     Args:
         opened: the run and the champion.
         trial: number of the champion's trial, from 0.
-        number: number of the chosen run, of several; None for the best.
-        output: path of the page; None for one in the run folder.
+        number: number of the chosen run, or None for the run of the best champion.
+        output: path of the page, or None for one in the run folder.
         doing: called with the name of each step after the replay.
         warn: called with a sentence if ``config.yaml`` has changed since the run.
 
@@ -151,7 +151,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
 
 
 def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:
-    """Return the fraction that `train` measured at half the step, None if of another champion."""
+    """Return the fraction that `train` measured at half the step, or None for another champion."""
     first = meta.get("half_step")
     if not isinstance(first, Mapping) or first.get("genes_sha256") != genes_digest(champion.genes):
         return None
@@ -160,7 +160,7 @@ def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float
 
 
 def _expected(champion: Champion) -> dict[str, float]:
-    """Return the mean fitness in fresh draws; empty if there were none."""
+    """Return the mean fitness in fresh draws of the noise, or {} without fresh draws."""
     if champion.expected is None:
         return {}
     return {f"mean fitness in {champion.lives} fresh draws": champion.expected}

@@ -44,7 +44,7 @@ class Bodies:
             count: number of individuals.
 
         Returns:
-            The function and its argument; None if all individuals have the configuration's numbers.
+            The function and its argument, or None if no individual differs from the configuration.
 
         Raises:
             ConfigError: wrong numbers, see `evo_cpg.config.batched.build_batch`.
@@ -54,7 +54,7 @@ class Bodies:
         for key, values in columns.items():
             if values.shape != (count,):
                 raise ValueError(
-                    f"{key} must have a value for each of the {count} individuals, got the shape "
+                    f"{key} must have one value for each of the {count} individuals, got the shape "
                     f"{values.shape}"
                 )
         differs = {

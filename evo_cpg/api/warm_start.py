@@ -52,7 +52,7 @@ def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
     _require_same_plan(experiment, earlier.experiment, path)
     checkpoint = earlier.folder.load()
     if checkpoint is None or checkpoint.champion is None:
-        raise RunFolderError(f"{path} has no champion yet; train it first")
+        raise RunFolderError(f"{path} has no champion yet. Train it first")
     chosen = [_of_run(checkpoint, experiment, run) for run in range(experiment.runs)]
     genes = [
         _first_population(experiment, checkpoint, champion, run, what)
@@ -112,6 +112,6 @@ def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) 
     for name, value in expected.items():
         if found[name] != value:
             raise RunFolderError(
-                f"{path}: animals of another plan evolved there: its {name}: {found[name]}; "
-                f"asked for: {value}"
+                f"{path} holds animals of another plan. Its {name}: {found[name]}. "
+                f"Requested: {value}"
             )

@@ -96,7 +96,7 @@ def in_order(values: Sequence[float] | np.ndarray, digits: int = 2) -> str:
 
 
 def beside(values: Mapping[str, Sequence[float]], first: str) -> dict[str, str]:
-    """Return the fraction of pairs in which each setting beats the first, with its p value.
+    """Return the fraction of pairs in which each setting beats the first setting, with p values.
 
     The p values are from the two-sided Mann-Whitney test. Holm's correction covers all settings
     except the first.
@@ -106,7 +106,7 @@ def beside(values: Mapping[str, Sequence[float]], first: str) -> dict[str, str]:
         first: name of the setting that the other settings are compared with.
 
     Returns:
-        Text for each setting, which is empty for the first and if there is nothing to test.
+        Text for each setting. It is empty for the first setting, and if no test is possible.
     """
     found = {
         name: compare({name: own, first: values[first]})

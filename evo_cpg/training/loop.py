@@ -33,7 +33,7 @@ def train(
     on_compiled: Callable[[], object] = lambda: None,
     team: Team = ALONE,
 ) -> Checkpoint:
-    """Evolve one experiment; see `train_together`."""
+    """Evolve one experiment (see `train_together`)."""
     return train_together(
         [experiment], [folder], lambda number, rows: on_generation(rows), mesh, on_compiled, team
     )[0]
@@ -56,7 +56,7 @@ def train_together(
         folders: a run folder for each, created before.
         on_generation: called after each generation of an experiment, with its number and its new
             rows of metrics.csv, one for each run.
-        mesh: devices to use; None for all of this process.
+        mesh: devices to use, or None for all of this process.
         on_compiled: called once, after the program of the trials has been compiled and run. It can
             start a thread that compiles later programs.
         team: processes that evolve together. Only the lead reads and writes the folders.

@@ -30,7 +30,7 @@ _CONTROL_GROUPS = (
 
 
 class TooLargeError(UserError):
-    """Error for a run that needs more memory than the machine has; shown to the user."""
+    """Error for a run that needs more memory than the machine has, shown to the user."""
 
 
 def needed(experiment: Experiment) -> int:
@@ -50,7 +50,7 @@ def remembered(experiment: Experiment) -> int:
 
 
 def available() -> int | None:
-    """Return the bytes of the machine or its container; None if unknown."""
+    """Return the bytes of the machine or its container, or None if unknown."""
     found = []
     for file in _CONTROL_GROUPS:
         # The group may be missing or without a limit.
@@ -74,18 +74,13 @@ def require_memory(experiment: Experiment) -> None:
     individuals = experiment.runs * experiment.strategy.population
     state = remembered(experiment)
     most = (there - _REST - _COPIES * state) // (_COPIES * _GENE * genes) // experiment.runs
-    beside = (
-        f" and the {state / 2**30:.2g} GiB that their search remembers"
-        if state > _MENTIONED
-        else ""
-    )
+    searched = f" and {state / 2**30:.2g} GiB of search state" if state > _MENTIONED else ""
     smaller = (
-        f"allowed here: {most}"
+        f"Allowed here: {most}"
         if most > 1
-        else "no population is small enough, but a smaller controller may be, or a search that "
-        "remembers less"
+        else "No population is small enough. Try a smaller controller, or a search with less state"
     )
     raise TooLargeError(
-        f"evolution.population: {individuals} individuals in all, of {genes} genes,{beside} need "
-        f"up to {need / 2**30:.1f} GiB, and there are {there / 2**30:.1f}; {smaller}"
+        f"evolution.population: {individuals} individuals in all, of {genes} genes,{searched} need "
+        f"up to {need / 2**30:.1f} GiB, but this machine has {there / 2**30:.1f} GiB. {smaller}"
     )

@@ -3,8 +3,8 @@
 In every round the lanes of all cores take some gradient steps, each with its own settings (see
 `evo_cpg.training.ascent`). Each lane starts from one of the best individuals so far, half of them
 with a random kick. The shortest horizons double from round to round. After a round the best are
-evaluated in chunks as wide as those of training. So a refined champion is evaluated, and replays,
-exactly like an evolved one.
+evaluated in chunks as wide as in training. So a refined champion is evaluated, and replays, exactly
+like an evolved champion.
 """
 
 import time
@@ -41,7 +41,7 @@ class Refinement(NamedTuple):
     Attributes:
         rounds: number of rounds of ascent and selection.
         steps: number of moves of each lane in a round.
-        lanes: number of simultaneous individuals; None for a full vector of trials per core.
+        lanes: number of simultaneous individuals, or None for a full vector of trials per core.
         seed: seed of the lanes' draws.
     """
 
@@ -61,7 +61,7 @@ class Round(NamedTuple):
         values: free numbers of the champion.
         gain: fitness gain of the round.
         gradients: number of gradients that were computed.
-        finite: number of finite gradients; the others count as zero.
+        finite: number of finite gradients. Other gradients count as zero.
         seconds: duration of the round, s.
     """
 
@@ -99,15 +99,15 @@ def compile_refinement(
     Args:
         experiment: experiment in which the champion evolved.
         settings: settings of the refinement.
-        mesh: devices to use; None for all.
-        devices: number of devices in training; None for the number used here.
+        mesh: devices to use, or None for all.
+        devices: number of devices in training, or None for the number used here.
         free: numbers of the experiment that are refined as well. The chosen individual is evaluated
             in an experiment that is rebuilt with them.
 
     Returns:
         A function of a champion and of a callback for the `Round` after every round, compiled at
         its first call. The result is the refined champion or, if nothing better was found, the
-        original. Fitness is compared in this experiment; the recorded fitness is ignored.
+        original. Fitness is compared in this experiment. The recorded fitness is ignored.
     """
     mesh = mesh or population_mesh()
     lanes = settings.lanes or mesh.size * max(1, LANES // experiment.trials)

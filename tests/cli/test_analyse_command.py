@@ -23,7 +23,7 @@ from evo_cpg.view.page import origin
 from evo_cpg.view.page.subject import Subject
 from tiny_run import CONFIG, REPOSITORY, TINY
 
-CHANGED = "config.yaml is not the one that the champion was evolved with"
+CHANGED = "config.yaml has changed since the champion evolved"
 WALKER = REPOSITORY / "configs" / "fukui2003_model2.yaml"
 MEASURES = ("speed", "power", "cost_of_transport", "duty_factor", "airborne")
 SMALL_WALK = (

@@ -83,7 +83,7 @@ def test_an_elite_is_audited_and_not_the_champion(cli, mapped, monkeypatch):
     code, _, complaint = cli("audit", run, "--cell", name, "--all")
     assert code == 2 and "--all and --cell: give one of them" in complaint
     code, _, complaint = cli("audit", run, "--cell", "9,9")
-    assert code == 2 and "there is no cell 9,9; a cell is speed 0 to 2" in complaint
+    assert code == 2 and "there is no cell 9,9. Allowed: speed 0 to 2" in complaint
 
 
 def test_an_elite_is_audited_with_all_its_terms(mapped):

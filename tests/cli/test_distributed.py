@@ -331,8 +331,8 @@ def test_a_process_that_never_comes(cli, tmp_path):
     several = ("--hosts", loopback(2), "--process", 0, "--join-timeout", 0.5)
     code, _, err = cli(*command, *several)
     assert code == 2
-    assert "of 2 processes 1 did not come to localhost:" in err
-    assert "within 0.5 s: process 1 (localhost); --join-timeout allows them longer" in err
+    assert "1 of 2 processes did not connect to localhost:" in err
+    assert "within 0.5 s: process 1 (localhost). Allow more time with --join-timeout" in err
     assert not (tmp_path / "run").exists()
 
 

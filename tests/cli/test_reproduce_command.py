@@ -153,13 +153,12 @@ def test_runs_of_another_configuration_are_not_taken(made, tmp_path):
 
 
 def test_quick_results_say_so_and_stay_apart(made, tmp_path):
-    with pytest.raises(RunFolderError, match=r"holds full results \(ends\); choose another --out"):
+    with pytest.raises(RunFolderError, match=r"holds full results \(ends\)\. Choose another --out"):
         make(TWIN, ["ends"], made, True, False, 2)
     folder = tmp_path / "quick"
     make(TWIN, ["ends"], folder, True, False, 2)
     assert (
-        "**Quick: scaled down, a test of the program and no result.**"
-        in (folder / "ends.md").read_text()
+        "**Quick: a small test of the program, not a result.**" in (folder / "ends.md").read_text()
     )
     told = provenance.read(folder)["ends"]
     assert told["quick"] is True
@@ -192,7 +191,7 @@ def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
     shop = Workshop(drawn, folder, False, 2)
     dead = shop.checkpoint("few")._replace(records=(None, None))
     monkeypatch.setattr(Workshop, "checkpoint", lambda self, name: dead)
-    assert stills(shop, {"x": "few"}).rows == [["x", "nobody lives", "", "", "", ""]]
+    assert stills(shop, {"x": "few"}).rows == [["x", "no champion", "", "", "", ""]]
 
 
 def test_what_was_measured_is_kept_until_champions_or_the_program_change(

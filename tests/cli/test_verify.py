@@ -60,7 +60,7 @@ def test_an_altered_config_is_found_by_digest_and_by_replay(copied_run, cli):
     code, out, err = cli("verify", copied_run.path)
     assert (code, out) == (3, "")
     found = complaints(err, copied_run.path)
-    assert found[0] == "config.yaml is not the one that the champion was evolved with"
+    assert found[0] == "config.yaml has changed since the champion evolved"
     assert any(line.startswith("energy: recorded 0.") and "replayed 0." in line for line in found)
 
 
@@ -129,7 +129,7 @@ def test_a_damaged_champion_is_named_with_the_way_out(copied_run, cli):
         code, out, err = cli(command, copied_run.path)
         assert (code, out) == (2, "") and err.count("\n") == 1
         assert f"{copied_run.champion} is damaged" in err
-        assert f"`evo-cpg resume {copied_run.path}` writes it anew" in err
+        assert f"`evo-cpg resume {copied_run.path}` writes it again" in err
 
 
 def test_a_run_in_which_nobody_lived_says_so(copied_run, cli, monkeypatch):
@@ -137,9 +137,9 @@ def test_a_run_in_which_nobody_lived_says_so(copied_run, cli, monkeypatch):
     monkeypatch.setattr(loop, "train", lambda *_, **__: dead)
     code, out, err = cli("resume", copied_run.path, "--generations", GENERATIONS + 1)
     assert (code, out) == (2, "") and err.count("\n") == 1
-    assert "every individual of every generation diverged, so there is no champion; try" in err
+    assert "every individual of every generation diverged, so there is no champion. Try" in err
     row = {"generation": 0, "diverged": 7}
     monkeypatch.setattr(loop, "train", lambda *_, **__: dead._replace(history=[row]))
     code, out, err = cli("resume", copied_run.path, "--generations", GENERATIONS + 2)
     assert (code, out) == (2, "") and err.count("\n") == 1
-    assert "of those that did not diverge nobody has a fitness that is a finite number" in err
+    assert "no individual has a finite fitness, so there is no champion. Check" in err

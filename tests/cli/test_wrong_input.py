@@ -202,7 +202,7 @@ def test_a_place_that_cannot_take_a_run_is_refused(refused, tmp_path):
     (used / "config.yaml").write_text("name: mine\n")
     message = refused("train", CONFIG, *TINY, "--out", used)
     assert message == (
-        f"{used} already holds a run; go on with `evo-cpg resume {used}` or choose another --out"
+        f"{used} already holds a run. Continue with `evo-cpg resume {used}` or choose another --out"
     )
     other = tmp_path / "other"
     other.mkdir()
@@ -231,7 +231,7 @@ def test_a_run_with_a_broken_config_or_no_champion_is_refused(refused, tmp_path)
     config["creature"] = str(REPOSITORY / "configs" / config["creature"])
     (run / "config.yaml").write_text(yaml.safe_dump(config))
     for command in ("verify", "render", "plot"):
-        assert refused(command, run) == "run has no champion yet; train it first".replace(
+        assert refused(command, run) == "run has no champion yet. Train it first".replace(
             "run", str(run), 1
         )
 

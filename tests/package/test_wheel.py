@@ -151,5 +151,5 @@ def test_commands_work_in_an_empty_environment(wheel, tmp_path):
     # Only a clone has the benchmarks.
     bench = call("evo-cpg", "bench", "brain")
     assert bench.returncode == 2 and bench.stderr.startswith(
-        "evo-cpg: the benchmark suite is part of a checkout of evo_cpg; there is none in "
+        "evo-cpg: the benchmark suite is part of a checkout of evo_cpg, but "
     )
