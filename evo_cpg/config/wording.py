@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 import pydantic
 
 from evo_cpg.config.allowed import Allowed, is_of_key, key_of
-from evo_cpg.config.errors import KeyProblem, nearest
+from evo_cpg.config.errors import KeyProblem, suggestion
 from evo_cpg.config.keys import value_at
 
 _Section = TypeVar("_Section", bound=pydantic.BaseModel)
@@ -14,7 +14,7 @@ _Section = TypeVar("_Section", bound=pydantic.BaseModel)
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 _LENGTH = ("too_short", "too_long")
 
-_TRUTHS = "YAML reads yes, no, on, off, true and false as truth values; in quotes they are text"
+_TRUTHS = "YAML reads yes, no, on, off, true and false as booleans. Put text in quotes"
 
 
 def worded(
@@ -38,7 +38,7 @@ def worded(
     if is_of_key(problem):
         return KeyProblem(key, _about_key(given, value_at(data, (*key, given))))
     if kind in _UNKNOWN_KEY:
-        return KeyProblem(key, f"unknown key; {_near_key(allowed, key)}")
+        return KeyProblem(key, f"unknown key. {_near_key(allowed, key)}")
     if kind == "missing":
         beside = [p["loc"][-1] for p in problems if p["loc"][:-1] == problem["loc"][:-1]]
         missing = [place + 1 for place in beside if isinstance(place, int)]
@@ -54,7 +54,7 @@ def worded(
         expected = problem.get("ctx", {}).get("expected_tags", "")
         expected = expected.replace("'custom'", "or module:Class for your own")
         found = given.get("type")
-        return KeyProblem((*key, "type"), f"{found!r} is not known; allowed: {expected}")
+        return KeyProblem((*key, "type"), f"{found!r} is not known. Allowed: {expected}")
     if kind in _LENGTH:
         limits = problem.get("ctx", {})
         least, most = limits.get("min_length"), limits.get("max_length")
@@ -91,18 +91,18 @@ def _about_kind(allowed: Allowed, key: tuple[str | int, ...], given: Any) -> str
     words = allowed.words(key)
     problem = f"must be {words}"
     if isinstance(given, bool) and words.startswith("text"):
-        return f"{problem}; {_TRUTHS}"
+        return f"{problem}. {_TRUTHS}"
     hint = allowed.hint(key, given)
-    return f"{problem}; {hint}" if hint else problem
+    return f"{problem}. {hint}" if hint else problem
 
 
 def _about_key(given: Any, value: Any) -> str:
     """Return the problem with a key that is not text."""
     if isinstance(given, bool):
-        return f"the key {given} must be text; {_TRUTHS}"
+        return f"the key {given} must be text. {_TRUTHS}"
     if value is None:
-        return f"the key {given} must be text; if it follows a decimal comma, write a point"
-    return f"the key {given} must be text; write it in quotes: '{given}'"
+        return f"the key {given} must be text. If it follows a decimal comma, write a point"
+    return f"the key {given} must be text. Write it in quotes: '{given}'"
 
 
 def _is_wrong_kind(problem: Any) -> bool:
@@ -117,7 +117,7 @@ def _near_key(allowed: Allowed, key: tuple[str | int, ...]) -> str:
     inner = []
     if len(key) == 1:
         inner = [f"{section}.{key[0]}" for section in valid if key[0] in allowed.keys((section,))]
-    return f"did you mean {' or '.join(inner)}?" if inner else nearest(str(key[-1]), valid)
+    return f"Did you mean {' or '.join(inner)}?" if inner else suggestion(str(key[-1]), valid)
 
 
 def _closest(problems: list[Any], data: dict[str, Any]) -> Any:
