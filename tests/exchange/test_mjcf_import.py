@@ -290,7 +290,8 @@ def two(first: str = "", second: str = "") -> str:
                     for axis in ("1 0 0", "0 1 0", "0 0 1")
                 )
             ),
-            "body 'limb': limits_deg: the three axes lie in one plane if the middle one turns by -90 deg",
+            "body 'limb': limits_deg: the three axes lie in one plane if the middle one turns by "
+            "-90 degrees",
         ),
         (model(geoms=LIMB + '<geom size="0.2"/>'), "body 'limb': it has 2 geoms; allowed: one"),
         (
