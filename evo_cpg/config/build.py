@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evo_cpg.config.errors import ConfigError, Key, KeyProblem, suggestion, under
+from evo_cpg.config.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.config.lines import located
 from evo_cpg.config.own_checks import check_own_forces, check_own_returns, check_own_strategy
 from evo_cpg.config.own_classes import require_code
@@ -223,7 +223,7 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
         problem = None
         if name not in MEASURES:
             known = [*MEASURES, *(own if key[0] == "evolution" else ())]
-            problem = f"is not a measure. {suggestion(name, known)}"
+            problem = f"is not a measure: {nearest(name, known)}"
         elif name in own:
             problem = "is already a term of the task"
         elif name in GROUND_MEASURES and world.contact_model is None:

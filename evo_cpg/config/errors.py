@@ -2,7 +2,7 @@
 
 import contextlib
 import copyreg
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,12 +48,6 @@ class ConfigError(KeyProblem):
         where = [_clipped(str(source)), *([] if line is None else [f"line {line}"])]
         where += [_clipped(".".join(map(str, key)))] if key else []
         self.args = (": ".join([*where, _clipped(problem, 700)]),)
-
-
-def suggestion(word: str, valid: Iterable[str]) -> str:
-    """Return the hint of `nearest` as sentences that can follow a full stop."""
-    hint = nearest(word, valid).replace("did you mean", "Did you mean", 1)
-    return hint.replace("valid here", "Valid here", 1)
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from evo_cpg.config.errors import ConfigError, Key, KeyProblem, suggestion, under
+from evo_cpg.config.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.config.files import read_small
 from evo_cpg.config.keys import follow, is_index, value_at
 from evo_cpg.config.lines import located
@@ -214,7 +214,7 @@ def _elsewhere(path: Path) -> str:
     # The folder may be missing or unreadable.
     with contextlib.suppress(OSError):
         names = [other.name for other in path.parent.iterdir() if other.suffix in (".yaml", ".yml")]
-    return f". {suggestion(path.name, names)}" if names else ""
+    return f": {nearest(path.name, names)}" if names else ""
 
 
 def _apply(data: dict[str, Any], override: str) -> None:

@@ -37,13 +37,13 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     parts = key.split(".")
     place, known = follow(config.model_dump(mode="json"), parts)
     if known < len(parts):
-        problem = f"does not exist. {_hint(config, key)}"
+        problem = f"does not exist: {_hint(config, key)}"
     elif isinstance(place, float):
         return place
     elif isinstance(place, int) and not isinstance(place, bool):
         problem = f"is a whole number ({place}) and has no derivative"
     elif isinstance(place, (dict, list)):
-        problem = f"is a part of the configuration, not a number. {_hint(config, key)}"
+        problem = f"is a part of the configuration, not a number: {_hint(config, key)}"
     else:
         problem = f"is {place!r}, not a number"
     raise ConfigError(source, parts, problem)
@@ -150,4 +150,4 @@ def _hint(config: ExperimentConfig, key: str) -> str:
     last = key.rsplit(".", 1)[-1]
     near += difflib.get_close_matches(key, keys, n=3, cutoff=0.6)
     near += [other for other in keys if other.rsplit(".", 1)[-1] == last]
-    return f"Did you mean {', '.join(dict.fromkeys(near[:4]))}?" if near else "See docs/config.md"
+    return f"did you mean {', '.join(dict.fromkeys(near[:4]))}?" if near else "see docs/config.md"

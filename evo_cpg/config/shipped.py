@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
-from evo_cpg.config.errors import ConfigError, suggestion
+from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.files import make_folder, write_whole
 from evo_cpg.system import resolved
 
@@ -62,8 +62,8 @@ def shipped(name: str) -> Shipped:
     """
     folder = shipped_folder()
     if folder is None or name not in shipped_names():
-        hint = suggestion(name, shipped_names())
-        raise ConfigError(name, (), f"no configuration of this name comes with evo-cpg. {hint}")
+        hint = nearest(name, shipped_names())
+        raise ConfigError(name, (), f"no configuration of this name comes with evo-cpg: {hint}")
     path = folder / f"{name}.yaml"
     about = _head(path.read_text(encoding="utf-8"))
     summary = re.split(r"(?<=\.) (?=[A-Z])", about, maxsplit=1)[0].removesuffix(".")
@@ -91,12 +91,12 @@ def find_config(given: Path | str, folders: bool = False) -> Path:
         return shipped(name).path
     if there:
         return path
-    hint = f"Did you mean '{name}.yaml'? " if os.path.isfile(f"{name}.yaml") else ""
+    hint = f"did you mean '{name}.yaml'? " if os.path.isfile(f"{name}.yaml") else ""
     raise ConfigError(
         name,
         (),
-        "no such file here, and no configuration of this name comes with evo-cpg. "
-        f"{hint}{suggestion(name, shipped_names())}",
+        "no such file here, and no configuration of this name comes with evo-cpg: "
+        f"{hint}{nearest(name, shipped_names())}",
     )
 
 

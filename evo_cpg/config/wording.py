@@ -5,7 +5,7 @@ from typing import Any, TypeVar
 import pydantic
 
 from evo_cpg.config.allowed import Allowed, is_of_key, key_of
-from evo_cpg.config.errors import KeyProblem, suggestion
+from evo_cpg.config.errors import KeyProblem, nearest
 from evo_cpg.config.keys import value_at
 
 _Section = TypeVar("_Section", bound=pydantic.BaseModel)
@@ -38,12 +38,12 @@ def worded(
     if is_of_key(problem):
         return KeyProblem(key, _about_key(given, value_at(data, (*key, given))))
     if kind in _UNKNOWN_KEY:
-        return KeyProblem(key, f"unknown key. {_near_key(allowed, key)}")
+        return KeyProblem(key, f"unknown key: {_near_key(allowed, key)}")
     if kind == "missing":
         beside = [p["loc"][-1] for p in problems if p["loc"][:-1] == problem["loc"][:-1]]
         missing = [place + 1 for place in beside if isinstance(place, int)]
         if missing:
-            return KeyProblem(key, f"{short(given)}: {max(missing)} values are needed")
+            return KeyProblem(key, f"{short(given)}: must have {max(missing)} values")
         return KeyProblem(key, "is missing and has no default")
     message = problem["msg"].removeprefix("Value error, ")
     if kind == "value_error":
@@ -65,6 +65,7 @@ def worded(
         return KeyProblem(key, f"{short(given)}: {_about_kind(allowed, key, given)}")
     keys = {key_of(each, data) for each in problems}
     more = f" ({len(keys)} problems in all)" if len(keys) > 1 else ""
+    message = message.replace("Input should be", "must be", 1)
     return KeyProblem(key, f"{short(given)}: {message[:1].lower()}{message[1:]}{more}")
 
 
@@ -117,7 +118,7 @@ def _near_key(allowed: Allowed, key: tuple[str | int, ...]) -> str:
     inner = []
     if len(key) == 1:
         inner = [f"{section}.{key[0]}" for section in valid if key[0] in allowed.keys((section,))]
-    return f"Did you mean {' or '.join(inner)}?" if inner else suggestion(str(key[-1]), valid)
+    return f"did you mean {' or '.join(inner)}?" if inner else nearest(str(key[-1]), valid)
 
 
 def _closest(problems: list[Any], data: dict[str, Any]) -> Any:

@@ -58,7 +58,7 @@ def test_what_cannot_be_copied_is_said_in_a_line(cli, tmp_path):
     assert (code, out) == (2, "")
     assert err.startswith("evo-cpg: hexapod.yaml: already exists and is not the file of hexapod")
     code, _, err = cli("configs", "copy", "hexapot", folder=tmp_path)
-    assert code == 2 and "Did you mean 'hexapod'?" in err
+    assert code == 2 and "did you mean 'hexapod'?" in err
 
 
 def test_a_run_by_name_says_which_it_was(cli, tmp_path):
@@ -101,7 +101,7 @@ def test_an_unknown_name_is_answered_by_every_command(cli, tmp_path, command):
     code, out, err = cli(command, "hexapodd", *more.get(command, []), folder=tmp_path)
     assert (code, out) == (2, "")
     assert err.startswith("evo-cpg: hexapodd: no such file here") and err.count("\n") == 1
-    assert "Did you mean 'hexapod'?" in err
+    assert "did you mean 'hexapod'?" in err
 
 
 def test_what_a_shell_completes(tmp_path, monkeypatch):

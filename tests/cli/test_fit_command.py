@@ -231,7 +231,7 @@ def test_what_is_no_recording_is_refused(cli, config, tmp_path, header, rows, wo
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["world.water.form_darg"], "Did you mean world.water.form_drag"),
+        (["world.water.form_darg"], "did you mean world.water.form_drag"),
         (["world.water.form_drag=much"], "'much' is not a number"),
         (["world.watr.form_drag=1"], "world.watr.form_drag: does not exist"),
         (["world.ground.restitution=0.5"], "world.ground.restitution: does not exist"),

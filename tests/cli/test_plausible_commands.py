@@ -31,7 +31,7 @@ def test_validate_takes_settings_for_every_file(cli):
     assert (code, out.count("\n")) == (0, 2)
     code, out, err = cli("validate", CONFIG, "seed=-1")
     assert (code, out) == (2, "")
-    assert f"{CONFIG}: seed: -1: input should be greater than or equal to 0" in err
+    assert f"{CONFIG}: seed: -1: must be greater than or equal to 0" in err
     code, out, err = cli("validate", "seed=3")
     assert (code, out) == (2, "")
     assert "seed=3 is a setting; name a configuration file, too" in err

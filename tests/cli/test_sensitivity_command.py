@@ -37,7 +37,7 @@ def test_it_ranks_what_it_was_asked_for(finished_run, cli, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["world.water.form_darg"], "Did you mean world.water.form_drag"),
+        (["world.water.form_darg"], "did you mean world.water.form_drag"),
         (["simulation.steps"], "is a whole number"),
         (["--seconds", 99], "--seconds: 99; a trial"),
         (["--seconds", 0.02], "0.0333 s at least are needed"),

@@ -131,7 +131,7 @@ def test_every_command_rejects_an_invalid_config(refused, tmp_path, command):
     path = tmp_path / "x.yaml"
     path.write_text("name: x\ncreature: {name: y, bodies: [}\n")
     assert refused(command, path).startswith(f"{path}: line 2, column ")
-    assert "no such file. Did you mean 'x.yaml'?" in refused(command, tmp_path / "y.yaml")
+    assert "no such file: did you mean 'x.yaml'?" in refused(command, tmp_path / "y.yaml")
     assert "cannot be read (Is a directory)" in refused(command, tmp_path)
 
 
@@ -139,16 +139,16 @@ def test_every_command_rejects_an_invalid_config(refused, tmp_path, command):
     ("override", "expected"),
     [
         ("seed", "command line: 'seed' is not of the form key.path=value"),
-        ("controller.cpg.pair_wait=1", "controller.cpg.pair_wait: unknown key. Did you mean"),
-        ("creature.materials.body.density=-1", "body.density: -1: input should be greater than 0"),
-        ("creature.bodies.1.repeat=0", "repeat: 0: input should be greater than or equal to 1"),
-        ("creature.bodies.1.joint.parent=hed", "'hed' does not exist. Did you mean 'head'?"),
+        ("controller.cpg.pair_wait=1", "controller.cpg.pair_wait: unknown key: did you mean"),
+        ("creature.materials.body.density=-1", "body.density: -1: must be greater than 0"),
+        ("creature.bodies.1.repeat=0", "repeat: 0: must be greater than or equal to 1"),
+        ("creature.bodies.1.joint.parent=hed", "'hed' does not exist: did you mean 'head'?"),
         ("evolution.population=8", "elites: must be fewer than the population of 8, got 20"),
         (
             "evolution={elites: 400}",
             ": evolution: elites: must be fewer than the population of 200",
         ),
-        ("creature.bodies.0.shape.size=[0.1, 0.2]", "size: [0.1, 0.2]: 3 values are needed"),
+        ("creature.bodies.0.shape.size=[0.1, 0.2]", "size: [0.1, 0.2]: must have 3 values"),
         ("simulation.start=[0, 0, -3]", "start: [0, 0, -3]: must have at most 2, has 3"),
         ("creature.bodies.0.name=''", "bodies.0.name: '': must not be empty"),
         ('creature.bodies.0.name="a\\nb"', r"bodies.0.name: 'a\nb': must be on one line"),
@@ -156,7 +156,7 @@ def test_every_command_rejects_an_invalid_config(refused, tmp_path, command):
         ("creature.bodies.².repeat=5", "creature.bodies has no ²"),
         ('name="a\\0b"', "name: 'a\\x00b': "),
         ("task.light_weight=2", "eq. 10 requires"),
-        ("world.gravity=.nan", "world.gravity: nan: input should be a finite number"),
+        ("world.gravity=.nan", "world.gravity: nan: must be a finite number"),
     ],
 )
 def test_invalid_setting_is_rejected_before_any_output(refused, override, expected):
@@ -174,7 +174,7 @@ def test_a_long_setting_is_not_read_as_a_file_name(refused):
         (lambda: trimesh.creation.annulus(0.05, 0.1, 0.1), 1, "it is not convex"),
         (lambda: trimesh.creation.box((300, 200, 100)), 1, "it needs scale: 0.001"),
         (whisker, 1, "triangles are lower than"),
-        (lambda: trimesh.creation.box(), 10**20, "input should be less than 1000000000"),
+        (lambda: trimesh.creation.box(), 10**20, "must be less than 1000000000"),
     ],
     ids=["annulus", "millimetres", "whisker", "scale"],
 )
@@ -340,7 +340,7 @@ def test_invalid_task_of_ones_own_is_rejected(
         ),
         ("creature.sensors=[{type: velocty}]", "'velocty' is not known. Allowed: 'velocity', or m"),
         ("creature.sensors=[{body: head}]", "creature.sensors.0.type: is missing and has no de"),
-        ("creature.sensors=[{type: velocity, body: hed}]", "Did you mean 'head'?"),
+        ("creature.sensors=[{type: velocity, body: hed}]", "did you mean 'head'?"),
         (
             "controller={type: 'my_tasks:Stiff'}",
             "controller.type: Stiff.act must return 27 numbers for its target_rate, shape (27, 7) "
@@ -373,7 +373,7 @@ def test_validate_reports_every_file_and_fails_if_one_is_wrong(cli, tmp_path):
     code, out, err = cli("validate", tmp_path / "x.yaml", CONFIG)
     assert code == 2
     assert out == f"{CONFIG}: 10 bodies, 27 joint axes, 20 kg, 1639 genes\n"
-    assert err.startswith(f"evo-cpg: {tmp_path / 'x.yaml'}: line 1: nam: unknown key. Did you")
+    assert err.startswith(f"evo-cpg: {tmp_path / 'x.yaml'}: line 1: nam: unknown key: did you")
     assert err.count("\n") == 1
 
 
@@ -421,16 +421,16 @@ def test_a_creature_without_genes_is_drawn_and_exported(cli, tmp_path):
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("evolution.generations=0", "evolution.generations: 0: input should be greater than"),
-        ("evolution.population=0", "evolution.population: 0: input should be greater than"),
-        ("simulation.steps=0", "simulation.steps: 0: input should be greater than"),
-        ("simulation.trials=0", "simulation.trials: 0: input should be greater than"),
+        ("evolution.generations=0", "evolution.generations: 0: must be greater than"),
+        ("evolution.population=0", "evolution.population: 0: must be greater than"),
+        ("simulation.steps=0", "simulation.steps: 0: must be greater than"),
+        ("simulation.trials=0", "simulation.trials: 0: must be greater than"),
         ("simulation.trials=[]", "simulation.trials: []: must have at least 1, has 0"),
-        ("runs=0", "runs: 0: input should be greater than"),
+        ("runs=0", "runs: 0: must be greater than"),
         ("controller.brain.hidden=[0]", "hidden layers need at least one unit each, got (0,)"),
         ("creature.bodies=[]", "creature.bodies: []: must have at least 1, has 0"),
         ("creature.bodies.1.joint.axes=[]", "joint.axes: []: must have at least 1, has 0"),
-        ("creature.bodies.0.shape.size=[0, 1, 1]", "shape.size.0: 0: input should be greater"),
+        ("creature.bodies.0.shape.size=[0, 1, 1]", "shape.size.0: 0: must be greater"),
         ("creature.name=''", "creature.name: '': must not be empty"),
     ],
 )

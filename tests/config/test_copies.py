@@ -216,8 +216,8 @@ def test_copies_are_read_back_and_differentiated_together():
     [
         (STAR, {"name": "arm{i}"}, ": name: a radial body needs {j} in its name, got 'arm{i}'"),
         (STAR, {"radial": 1}, ": name: {j} has no value in 'arm{j}_{i}' without `radial`"),
-        (STAR, {"radial": 0}, ".radial: 0: input should be greater than or equal to 1"),
-        (STAR, {"raidal": 5}, ".raidal: unknown key. Did you mean 'radial'?"),
+        (STAR, {"radial": 0}, ".radial: 0: must be greater than or equal to 1"),
+        (STAR, {"raidal": 5}, ".raidal: unknown key: did you mean 'radial'?"),
         (BUG, {"name": "thigh"}, ": name: a mirrored body needs {side} in its name, got 'thigh'"),
         (BUG, {"mirror": "w"}, ".mirror: 'w': must be 'x', 'y', 'z' or null"),
     ],
@@ -240,7 +240,7 @@ def test_mirrored_limb_must_be_on_the_positive_side():
 
 
 def test_parent_name_without_a_copy_does_not_exist():
-    expected = "bodies.2.joint.parent: 'arm{j}_2' does not exist. Did you mean"
+    expected = "bodies.2.joint.parent: 'arm{j}_2' does not exist: did you mean"
     assert refused(changed(STAR, repeat=1)).startswith(expected)
 
 
@@ -276,7 +276,7 @@ def test_eye_on_an_unknown_copy_is_rejected():
     data = yaml.safe_load(STAR)
     data["light_sensors"][0]["body"] = "tip{side}"
     assert refused(data).startswith(
-        "light_sensors.0.body: 'tip{side}' does not exist. Valid here: arm1_1, "
+        "light_sensors.0.body: 'tip{side}' does not exist: valid here: arm1_1, "
     )
 
 

@@ -120,7 +120,7 @@ def test_bearing_of_a_light_is_relative_to_the_start_heading():
     [
         ("floor={type: shoer}", "Allowed: 'plane', 'shore', 'hills', 'relief'"),
         ("floor={type: shore, start: 2, stop: 1, stop_height: 0}", "stop (1) must be more than"),
-        ("floor={type: shore, stop: 1, stop_hight: 0}", "Did you mean 'stop_height'"),
+        ("floor={type: shore, stop: 1, stop_hight: 0}", "did you mean 'stop_height'"),
         ("floor={type: hills, size: 100, spacing: 0.1}", "Allowed: 2 to 256"),
         ("floor={type: relief, heights: [[0, 1], [0]]}", "equally long"),
         ("floor={type: relief, heights: [[0, 1]]}", "1 x 2 heights"),

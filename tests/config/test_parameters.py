@@ -167,8 +167,8 @@ def test_derivatives_of_a_walker_equal_finite_differences():
 @pytest.mark.parametrize(
     ("key", "words"),
     [
-        ("world.water.form_darg", "does not exist. Did you mean world.water.form_drag"),
-        ("form_drag", "does not exist. Did you mean world.water.form_drag?"),
+        ("world.water.form_darg", "does not exist: did you mean world.water.form_drag"),
+        ("form_drag", "does not exist: did you mean world.water.form_drag?"),
         ("creature.bodies.7.shape.size.0", r"bodies.7.*does not exist"),
         ("creature.bodies.1.shape", "a part of the configuration.*creature.bodies.1.shape.size.0"),
         ("simulation.steps", r"is a whole number \(18\)"),

@@ -171,15 +171,15 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
         ),
         (
             ["simulation.trials=[{}, {strat: [1, 2]}]"],
-            "simulation.trials.1.strat: unknown key. Did you mean 'start'?",
+            "simulation.trials.1.strat: unknown key: did you mean 'start'?",
         ),
         (
             ["simulation.trials=[{}, {light: {bearing: 3}}]"],
-            "simulation.trials.1.light.bearing: unknown key. Did you mean 'bearing_deg'?",
+            "simulation.trials.1.light.bearing: unknown key: did you mean 'bearing_deg'?",
         ),
         (
             ["simulation.trials=[{light: {distance: -1}}]"],
-            "simulation.trials.0.light.distance: -1: input should be greater than 0",
+            "simulation.trials.0.light.distance: -1: must be greater than 0",
         ),
         (
             ["simulation.trials=[{light: {distance: '5'}}]"],

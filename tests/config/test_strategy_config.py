@@ -111,7 +111,7 @@ def test_an_algorithm_of_evosax():
     given = "{type: evosax, algorithm: LM_MA_ES, islands: {count: 4}}"
     assert build(CONFIG, f"evolution={given}").strategy.strategy.population == 50
     for bad, words in (
-        ("{type: evosax, algorithm: Sep_CMA}", "evosax has no 'Sep_CMA'. Did you mean 'Sep_CMA_ES"),
+        ("{type: evosax, algorithm: Sep_CMA}", "evosax has no 'Sep_CMA': did you mean 'Sep_CMA_ES"),
         ("{type: evosax, algorithm: Open_ES, population: 7}", "Open_ES of 7 individuals can.*even"),
         (
             "{type: evosax, algorithm: Open_ES, population: 30, islands: {count: 2}}",
@@ -190,7 +190,7 @@ def test_missing_evosax_is_reported_with_its_installation(monkeypatch):
         (
             CONFIG,
             ["evolution={type: map_elites, axes: [{name: sped, range: [0, 1]}]}"],
-            r"axes\.0\.name: 'sped' is not a measure\. Did you mean 'speed'\?.*distance",
+            r"axes\.0\.name: 'sped' is not a measure: did you mean 'speed'\?.*distance",
         ),
         (
             CONFIG,
@@ -217,7 +217,7 @@ def test_missing_evosax_is_reported_with_its_installation(monkeypatch):
         (
             CONFIG,
             ["measures=[speed, power, gait]"],
-            r"measures\.2: 'gait' is not a measure\. Valid here",
+            r"measures\.2: 'gait' is not a measure: valid here",
         ),
         (CONFIG, ["measures=[energy]"], "'energy' is not a measure"),
         (

@@ -104,7 +104,7 @@ def test_limits_are_in_the_animals_own_measure():
         (["audit.disqualify=[power]"], "audit.power: is missing"),
         (["audit.disqualify=[penetration]"], "audit.disqualify: 'penetration' needs ground"),
         (["audit.disqualify=[sped]"], "audit.disqualify.0: 'sped'"),
-        (["audit.half_stp=1"], "Did you mean 'half_step'?"),
+        (["audit.half_stp=1"], "did you mean 'half_step'?"),
         (["audit.half_step=-1"], "audit.half_step: -1"),
     ],
 )

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from evo_cpg.config.errors import Key, KeyProblem, suggestion
+from evo_cpg.config.errors import Key, KeyProblem, nearest
 from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
 from evo_cpg.config.schema.frames import moved, reflected, unit
 from evo_cpg.config.schema.joint import JointConfig
@@ -264,7 +264,7 @@ class CreatureConfig(Section):
             # A name with placeholders stands for bodies, and is in no list of names.
             if name in valid or (key[-1] != "material" and copies_named(name, everything)):
                 continue
-            problem = f"{name!r} does not exist. {suggestion(name, valid)}"
+            problem = f"{name!r} does not exist: {nearest(name, valid)}"
             if "*" in name:
                 problem = f"{problem}. A name here may contain placeholders such as {{i}}, but no *"
             raise KeyProblem(key, problem)

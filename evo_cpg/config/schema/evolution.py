@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag, model_validator
 from typing_extensions import override
 
-from evo_cpg.config.errors import KeyProblem, suggestion
+from evo_cpg.config.errors import KeyProblem, nearest
 from evo_cpg.config.schema.choice import CustomConfig, Options, by_type
 from evo_cpg.config.schema.section import Count, Finite, Fraction, NotNegative, Positive, Section
 from evo_cpg.evolution.archive import Axis
@@ -413,7 +413,7 @@ class EvosaxConfig(MapSection):
         except ImportError as error:
             raise _missing("evosax", error) from None
         if self.algorithm not in known:
-            problem = f"evosax has no {self.algorithm!r}. {suggestion(self.algorithm, known)}"
+            problem = f"evosax has no {self.algorithm!r}: {nearest(self.algorithm, known)}"
             raise KeyProblem(("algorithm",), problem)
         try:
             return self.into(
