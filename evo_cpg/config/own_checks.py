@@ -37,7 +37,7 @@ from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
 _INDIVIDUALS = 7
 _BATCH = (_INDIVIDUALS,)
 
-# Returns the problem of a value, to follow the name of the method; None if the value is valid.
+# Returns the problem of a value, worded to follow the name of the method, or None.
 Test = Callable[[Any], str | None]
 
 

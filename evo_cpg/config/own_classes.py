@@ -37,7 +37,7 @@ def require_code(config: ExperimentConfig, folders: Iterable[Path]) -> None:
         module = part.type.partition(":")[0]
         top = module.partition(".")[0]
         if not top:
-            # A relative name without a package; the import itself reports the error.
+            # A relative name without a package. The import itself reports the error.
             continue
         there, found = _found(top)
         if not there:

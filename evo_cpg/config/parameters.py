@@ -32,7 +32,7 @@ from evo_cpg.spatial.decisions import all_hold
 from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
 from evo_cpg.training.experiment import Experiment
 
-# Distance of neighbouring values, as a fraction of the value; absolute if the value is 0.
+# Distance of neighbouring values, as a fraction of the value, or absolute if the value is 0.
 _STEP = 1e-4
 
 # Fractions of the step to build at: on both sides, or on one if the other is not allowed.

@@ -201,7 +201,7 @@ def test_invalid_values_are_rejected():
         walls.require(np.array([0.1]))
 
 
-def test_number_at_the_end_of_its_range_has_a_one_sided_derivative():
+def test_number_at_its_limit_has_a_one_sided_derivative():
     # Mass is volume times density, so its derivative is the volume. Damping is its own number.
     parameters = parametrise(
         swimmer("creature.bodies.1.joint.damping=0"),

@@ -118,7 +118,7 @@ def test_every_start_is_on_the_ground():
     assert difference == pytest.approx(0.7, abs=1e-4)
 
 
-def test_a_task_of_ones_own_keeps_its_light_unless_an_entry_moves_it(tmp_path, monkeypatch):
+def test_own_task_keeps_its_light_unless_an_entry_moves_it(tmp_path, monkeypatch):
     (tmp_path / "lit_task.py").write_text(TASK)
     monkeypatch.syspath_prepend(str(tmp_path))
     data = load_config(CONFIG).model_dump()
@@ -133,7 +133,7 @@ SURFACE = ("world.water.surface=1", "world.water.density=1250")
 
 
 @pytest.mark.slow
-def test_a_settled_start_floats_at_the_surface_with_place_heading_and_light():
+def test_settled_start_floats_at_its_place_and_heading():
     """Each situation keeps its own position and heading, and the light rises with the root."""
     trials = "[{}, {start: [2, 1], start_heading_deg: 90}]"
     neutral = situations(trials, *SURFACE)

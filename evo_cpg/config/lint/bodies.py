@@ -121,7 +121,7 @@ def postures(case: Case) -> Iterator[LintWarning]:
     given: Any = case.config.controller
     if given.type != "postures":
         return
-    # Too many bits are refused later; the limit avoids an overflow.
+    # The limit avoids an overflow. Too many bits are rejected later.
     reach = given.angle_step * (2.0 ** min(given.bits_per_joint, 60) - 1)
     if reach <= 2 * np.pi:
         yield case.warning(
