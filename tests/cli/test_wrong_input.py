@@ -357,7 +357,7 @@ def test_invalid_sensor_or_controller_of_ones_own_is_rejected(
 
 
 def config_with_tasks(tmp_path, monkeypatch):
-    """Write the modules of tasks, and return a configuration for a file beside them."""
+    """Write the modules of tasks, and return a configuration that can use them."""
     (tmp_path / "my_tasks.py").write_text(TASKS)
     (tmp_path / "broken_tasks.py").write_text("def :\n")
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])

@@ -95,7 +95,7 @@ SHIPPED = sorted((REPOSITORY / "configs").glob("*.yaml"))
 @pytest.mark.parametrize(
     "path",
     [
-        # With boulders, the search for a start takes six seconds.
+        # The search for a start among boulders takes six seconds.
         pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * path.stem.endswith("boulders"))
         for path in SHIPPED
     ],

@@ -108,7 +108,7 @@ WALKING = (
     "controller.cpg.time_scale",
     "controller.rate_gain",
 )
-# Relative step. With a tenth of it, rounding affects terms that hardly depend on static friction.
+# Relative step. Rounding at a tenth of it affects terms that hardly depend on static friction.
 DIFFERENCE = 1e-5
 
 

@@ -33,7 +33,7 @@ def stranger(monkeypatch):
 
 @pytest.fixture
 def theirs(tmp_path, monkeypatch):
-    """Return a foreign folder, with the working folder beside it."""
+    """Return a foreign folder, next to the working folder."""
     (tmp_path / "theirs").mkdir()
     (tmp_path / "mine").mkdir()
     (tmp_path / "secret.yaml").write_text(CREATURE)
