@@ -129,7 +129,7 @@ def test_wrong_numbers_are_named(experiment, genomes, numbers):
 
 def test_values_that_change_the_layout_are_refused(experiment, genomes):
     fitness = experiment.fitness_function(numbers=["controller.cpg.time_scale"])
-    words = r"time_scale=0\.1 the simulation is laid out differently"
+    words = r"another layout at controller\.cpg\.time_scale=0\.1"
     with pytest.raises(evo.ConfigError, match=words):
         fitness(genomes[0], np.array([0.1]))
     compiled = jax.jit(jax.grad(fitness, 1))

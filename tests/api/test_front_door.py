@@ -343,7 +343,7 @@ def test_wrong_arguments_are_named(experiment, genomes):
         environment.step(environment.reset(jax.random.key(0)), jnp.zeros(5))
     with pytest.raises(TypeError, match=r"must be a list of settings, such as \['seed=3'\]"):
         evo.load(CONFIG, "seed=3")
-    with pytest.raises(evo.ConfigError, match=r"world.gravty: unknown key; did you mean 'gravity'"):
+    with pytest.raises(evo.ConfigError, match=r"world.gravty: unknown key: did you mean 'gravity'"):
         evo.load(CONFIG, {"world.gravty": 1.6})
 
 

@@ -246,12 +246,12 @@ def test_lint_reports_no_falling_if_a_law_may_hold_the_creature(glider):
     ("setting", "expected"),
     [
         ({"type": "plate:PlateLift", "options": {"body": "wing", "area": 1}}, "no body 'wing'"),
-        ({"type": "plate:PlateLift"}, "cannot be built with them"),
+        ({"type": "plate:PlateLift"}, "cannot be built with these options"),
         ({"type": "plate:Nobody"}, "cannot be imported"),
         ({"type": "wriggler:Wave"}, "is not a subclass of evo_cpg.physics.force_law:ForceLaw"),
         (
             {"type": "plate:Wrong", "options": {"body": "fluke", "area": 1}},
-            r"Wrong.wrench must return 6 x 2, shape \(6, 2, 7\)",
+            r"Wrong.wrench must return 6 x 2 numbers, shape \(6, 2, 7\)",
         ),
         (
             {"type": "plate:Broken", "options": {"body": "fluke", "area": 1}},

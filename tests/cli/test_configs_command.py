@@ -56,7 +56,7 @@ def test_what_cannot_be_copied_is_said_in_a_line(cli, tmp_path):
     (tmp_path / "hexapod.yaml").write_text("mine")
     code, out, err = cli("configs", "copy", "hexapod", folder=tmp_path)
     assert (code, out) == (2, "")
-    assert err.startswith("evo-cpg: hexapod.yaml: exists already, and is not that of hexapod")
+    assert err.startswith("evo-cpg: hexapod.yaml: already exists and is not the file of hexapod")
     code, _, err = cli("configs", "copy", "hexapot", folder=tmp_path)
     assert code == 2 and "did you mean 'hexapod'?" in err
 

@@ -13,8 +13,8 @@ from tiny_run import CONFIG, PAIR, REPOSITORY
 GRAMS = "creature.materials.body.density=1"
 RADIANS = "task.light.bearing_deg=0.524"
 SAID = (
-    f"{CONFIG}: creature.materials.body.density: 1: plausible are 20 to 23000 kg/m^3; in "
-    "g/cm^3 it would be 1000 kg/m^3: write that\n"
+    f"{CONFIG}: creature.materials.body.density: 1: plausible: 20 to 23000 kg/m^3. "
+    "If it is in g/cm^3, write 1000\n"
 )
 
 
@@ -31,7 +31,7 @@ def test_validate_takes_settings_for_every_file(cli):
     assert (code, out.count("\n")) == (0, 2)
     code, out, err = cli("validate", CONFIG, "seed=-1")
     assert (code, out) == (2, "")
-    assert f"{CONFIG}: seed: -1: input should be greater than or equal to 0" in err
+    assert f"{CONFIG}: seed: -1: must be greater than or equal to 0" in err
     code, out, err = cli("validate", "seed=3")
     assert (code, out) == (2, "")
     assert "seed=3 is a setting; name a configuration file, too" in err
@@ -61,12 +61,12 @@ def test_train_and_preview_warn_and_go_on(cli, tmp_path):
     heavy = "creature.materials.body.density=19"
     code, _, err = cli("preview", CONFIG, heavy, "-o", tmp_path / "body.png", "--size", "64x36")
     assert code == 0
-    assert "evo-cpg: warning: " in err and "plausible are 20" in err
+    assert "evo-cpg: warning: " in err and "plausible: 20 to" in err
     assert (tmp_path / "body.png").is_file()
     run = tmp_path / "run"
     code, _, err = cli("train", CONFIG, *PAIR, "evolution.generations=1", RADIANS, "--out", run)
     assert code == 0
-    assert "task.light.bearing_deg: 0.524: in degrees this is hardly a turn; as radians" in err
+    assert "task.light.bearing_deg: 0.524: in degrees this is hardly a turn. If it is in" in err
     # Of the one hinge of this animal, once.
     assert err.count(f"{CONFIG}: coupled to no other oscillator, and at rest under a") == 1
     assert (run / "champion.npz").is_file()

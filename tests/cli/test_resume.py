@@ -157,7 +157,7 @@ def test_resume_refuses_more_generations_than_a_file_may_ask_for(finished_run, c
     before = config.read_text()
     code, _, err = cli("resume", finished_run, "--generations", 10**14)
     assert code == 2
-    assert "evolution.generations: 100000000000000: input should be less than or equal to" in err
+    assert "evolution.generations: 100000000000000: must be less than or equal to" in err
     assert config.read_text() == before
 
 

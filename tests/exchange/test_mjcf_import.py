@@ -280,7 +280,7 @@ def two(first: str = "", second: str = "") -> str:
         ),
         (
             model(joints=two().replace("0 1 0", "0 0 1")),
-            "body 'limb': axes: they must be independent of each other and not zero",
+            "body 'limb': axes: must be linearly independent and not zero",
         ),
         (
             model(
@@ -289,7 +289,8 @@ def two(first: str = "", second: str = "") -> str:
                     for axis in ("1 0 0", "0 1 0", "0 0 1")
                 )
             ),
-            "body 'limb': limits_deg: where the middle one of three axes turns by -90 degrees",
+            "body 'limb': limits_deg: the three axes lie in one plane if the middle one turns by "
+            "-90 degrees",
         ),
         (model(geoms=LIMB + '<geom size="0.2"/>'), "body 'limb': it has 2 geoms. Allowed: one"),
         (
@@ -388,7 +389,7 @@ def two(first: str = "", second: str = "") -> str:
         ),
         (
             model(geoms=LIMB + 999 * f'<body>{SPARE_HINGE}<geom size="0.1"/></body>'),
-            "model 'model': bodies: 1001 bodies with 'body1001'; allowed: up to 1000",
+            "model 'model': bodies: 1001 bodies with 'body1001'. Allowed: up to 1000",
         ),
         (
             model().replace('"limb"', '"limb&#27;[31m"'),

@@ -224,7 +224,7 @@ def test_bodies_with_different_pairs_check_all_pairs():
     apart = with_numbers(config, {k: v[1] for k, v in given.items()}, path)
     wider = BodyPlan(apart, path, {k: v[1:2] * 1.1 for k, v in given.items()})
     assert wider.build(given)[1].tolist() == [False, True, False]
-    with pytest.raises(ConfigError, match="limbs can meet that never do in the others"):
+    with pytest.raises(ConfigError, match="limbs can touch that cannot touch in the other bodies"):
         build_batch(apart, path, {k: v[:1] for k, v in given.items()}, like=wider.batched)
 
 

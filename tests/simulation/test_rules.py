@@ -102,7 +102,7 @@ def test_limits_scale_with_the_size_and_mass_of_the_animal():
     ("overrides", "words"),
     [
         (["audit.disqualify=[power]"], "audit.power: is missing"),
-        (["audit.disqualify=[penetration]"], "audit.disqualify: penetration: there is no ground"),
+        (["audit.disqualify=[penetration]"], "audit.disqualify: 'penetration' needs ground"),
         (["audit.disqualify=[sped]"], "audit.disqualify.0: 'sped'"),
         (["audit.half_stp=1"], "did you mean 'half_step'?"),
         (["audit.half_step=-1"], "audit.half_step: -1"),
