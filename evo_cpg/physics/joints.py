@@ -216,8 +216,8 @@ class Condensed(NamedTuple):
 class Joints(NamedTuple):
     """Joints of a group, in their own coordinates x.
 
-    With one or two axes x is ``q``. With three axes x is the rotation across the joint in world
-    axes, and S is 1.
+    For one or two axes x is ``q``. For three axes x is the rotation across the joint in world axes,
+    and S is 1.
 
     Attributes:
         axes: S, (3, k, bodies, ...).

@@ -127,15 +127,15 @@ class Pairs(eqx.Module):
 
     @property
     def looped(self) -> bool:
-        """Whether there are so many pairs that they are looped over."""
+        """True if there are so many pairs that a loop computes them."""
         return len(self.first) > _MOST_WRITTEN_OUT
 
 
 def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs | None:
     """Return the pairs of a creature that may touch; None if there are none.
 
-    With the pairs of a whole plan (``settings.only``), the pairs that may pass through each other
-    in this creature have zero stiffness and no force.
+    If the pairs are those of a whole plan (``settings.only``), pairs that may pass through each
+    other in this creature have zero stiffness and no force.
     """
     boxes = [body.shape.rounded_box for body in creature.bodies_of(tree.names)]
 
@@ -156,7 +156,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
     def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
         """Return whether each pair still has the right kind."""
         if settings.only is None and is_traced(tree, boxes):
-            raise Undecidable("which limbs can meet")
+            raise Undecidable("the pairs of limbs that can touch would change")
         kinds = [run for run in made[2] for _ in range(run.count)]
         treated = zip(kinds, *made[:2], strict=True)
         return all_hold(_still(tree, turned, boxes, *each) for each in treated)

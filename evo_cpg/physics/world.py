@@ -105,7 +105,7 @@ class World(eqx.Module):
             ValueError: there is no ground.
         """
         if self.contact_model is None:
-            raise ValueError("there is no ground to be rough")
+            raise ValueError("the world has no ground, so friction cannot be scaled")
         axes = (1,) * np.ndim(factor)
         factor = xp.asarray(factor)[None] if axes else factor
         static, dynamic = (
@@ -122,6 +122,6 @@ class World(eqx.Module):
             ValueError: there is no water.
         """
         if self.water is None:
-            raise ValueError("there is no water to drag")
+            raise ValueError("the world has no water, so drag cannot be scaled")
         forces = (law.scaled(factor) if isinstance(law, Drag) else law for law in self.forces)
         return dataclasses.replace(self, forces=tuple(forces))

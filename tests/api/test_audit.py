@@ -473,7 +473,7 @@ def test_under_chance_ways_are_means_over_the_same_fresh_draws(swimming):
 
 
 def test_changes_that_a_world_does_not_have_are_refused(honest, swimming):
-    with pytest.raises(ValueError, match="no water to drag"):
+    with pytest.raises(ValueError, match="no water, so drag cannot be scaled"):
         with_drag(honest[0].simulation, 1.1)
     with pytest.raises(ValueError, match="no ground to be rough"):
         with_friction(swimming[0].simulation, 1.1)

@@ -323,7 +323,7 @@ FLOAT32: dict[str, Callable[..., Array]] = {
         erf, erf_inv, cbrt, sinh, cosh, asinh, acosh, atanh,
     )
 }  # fmt: skip
-"""The functions by the names of JAX's primitives."""
+"""Elementary functions by the names of JAX's primitives."""
 
 
 def _exp_parts(x: Array, greatest: int) -> tuple[Array, Array]:
