@@ -229,10 +229,10 @@ def test_verifier_finds_invalid_nodes():
         (4, {"operands": (y,)}, "has types float32 -> float32, not n n -> n"),
         (4, {"operands": (y, test)}, "has types float32, bool"),
         (4, {"operands": (y, choice)}, "before it is made"),
-        (4, {"uniform": True}, "is the same for all individuals"),
-        (4, {"detail": 3}, "has the detail 3"),
-        (4, {"number": 2}, "greater number"),
-        (4, {"value": 1.0}, "has the value"),
+        (4, {"uniform": True}, "is uniform, but its operand"),
+        (4, {"detail": 3}, "has the wrong detail 3"),
+        (4, {"number": 2}, "greater or equal number"),
+        (4, {"value": 1.0}, "has the wrong value"),
         (5, {"dtype": np.dtype(np.float64)}, "not b a a -> a"),
     ]
     for place, changes, message in wrong:
@@ -296,7 +296,7 @@ def test_verifier_finds_invalid_loops():
     for changes, message in (
         ({"count": None}, "number of rounds or a condition"),
         ({"test": detail.body}, "in another block"),
-        ({"following": tuple(following)}, "several types"),
+        ({"following": tuple(following)}, "different types"),
     ):
         one = dataclasses.replace(loop, detail=detail._replace(**changes))
         nodes = [*graph.nodes[:place], one, *graph.nodes[place + 1 :]]
