@@ -74,7 +74,7 @@ def bias_of_mean(world: World, kin: Kinematics, moving: BodyMotion, h: float) ->
     """Return the change of the bias wrench with mean velocity products, world axes.
 
     Args:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         kin: kinematics at the start of the step.
         moving: motion of the bodies at the end of the step, in the pose of the start.
         h: step, s.

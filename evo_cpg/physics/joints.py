@@ -239,7 +239,7 @@ class Joints(NamedTuple):
         torque: Float[Array, "d *n"],
         torque_derivative: Float[Array, "d *n"],
     ) -> "Joints":
-        """Return the joints of a group; see `evo_cpg.physics.articulated.solve`."""
+        """Return the joints of a group (see `evo_cpg.physics.articulated.solve`)."""
         axes, tau, diagonal = (
             of_joints(x, group, torque.ndim - 1) for x in (axes, torque, torque_derivative)
         )

@@ -1,7 +1,7 @@
 """Pairs of bodies of one creature that must not pass through each other, and their gaps.
 
 A pair has the ground's contact law (`evo_cpg.physics.contact`) without friction and restitution.
-With the separation velocity v_n of the nearest points at the end of the step,
+The separation velocity of the nearest points at the end of the step is v_n. The force is
 
     f_n = max(0, c (v* - v_n)),      v* = -gap / h, or slowly out of an overlap.
 
@@ -261,7 +261,7 @@ def _case(
 def _still(
     tree: Tree, turned: Numbers, boxes: list[RoundedBox], run: Alike, first: int, second: int
 ) -> Condition:
-    """Return whether a pair still fits the kind and the axes of a run; see `_case`."""
+    """Return whether a pair still fits the kind and the axes of a run (see `_case`)."""
     both = boxes[first], boxes[second]
     if run.kind in ("flat", "boxes"):
         return _case(tree, turned, boxes, first, second) == run[:2]

@@ -87,7 +87,7 @@ def static_forces(
     """Return the generalised forces on a creature at rest.
 
     Args:
-        world: the creature and its surroundings; flow of the water is ignored.
+        world: the creature and its environment. The water is taken as still.
         h: step of the simulation, which determines how far the creature sinks into the ground, s.
         base: pose from which x is measured.
         friction: friction state at the base.

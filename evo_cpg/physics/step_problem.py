@@ -96,7 +96,7 @@ class StepProblem(NamedTuple):
     """Minimisation problem of a step.
 
     Attributes:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         h: step, s.
         equations: equations of motion of this step.
         mass: M, ``(v, v, *n)``, kg, kg m and kg m^2.

@@ -160,7 +160,7 @@ def test_signs_are_kept(signs, made):
     assert made in counts([root])
 
 
-def test_the_written_order_is_kept_if_the_result_depends_on_it():
+def test_without_reordering_the_written_order_is_kept():
     """Keep the order of ``((a + b c) + d) - e f`` and of a difference with the product first."""
     builder = Builder()
     a, b, c, d, e, f = given_nodes(builder, 6)

@@ -82,7 +82,7 @@ def test_jax_computes_the_smallest_part():
     assert calls(run, x) == 2
 
 
-def test_the_warning_names_the_program_and_its_parts_are_native():
+def test_parts_of_a_program_on_jax_are_native():
     def function(x):
         return jnp.sort(part(smooth, x), 0) + part(smooth, 2 * x)
 

@@ -299,7 +299,7 @@ def test_invariants_are_computed_before_the_loop():
     assert {node.op for node in body} == {"mul"}
 
 
-def test_an_inner_loop_ignores_individuals_that_left_the_outer_one():
+def test_inner_loops_skip_individuals_that_left_the_outer():
     """The inner loop's condition is combined with the outer loop's condition."""
 
     def function(x):

@@ -40,7 +40,7 @@ def test_normal_numbers_agree_with_jax():
     assert_agrees(lambda seed: jax.random.normal(jax.random.key(seed[0]), (8,)), SEEDS)
 
 
-def test_numbers_of_each_round_and_a_shared_key_agree_with_jax():
+def test_random_numbers_of_a_shared_key_agree_with_jax():
     """Draw as a controller draws its noise: equal for all individuals, new in each step."""
 
     def path(run, words):

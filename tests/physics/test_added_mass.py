@@ -151,7 +151,7 @@ def test_a_uniform_stream_is_a_moving_frame():
     np.testing.assert_allclose(ours, velocity(still, state), rtol=1e-8, atol=1e-8)
 
 
-def test_entry_into_water_slows_a_body_and_exit_does_not():
+def test_water_entry_slows_a_body_and_exit_does_not():
     """Without gravity, m v = (m + rho V / 2) v' on entry, and v' is constant on exit."""
     world = ideal(single(Sphere(0.1), 500.0), surface=0.0)
     state = resting_state(world.tree, (2,), jnp.float64)

@@ -63,7 +63,7 @@ def test_equations_agree_with_the_articulated_bodies(found):
     assert np.abs(M @ it["y"] - wanted).max() < 1e-10 * np.abs(wanted).max()
 
 
-def test_the_matrix_is_symmetric_and_gives_the_energy_of_the_bodies(found):
+def test_mass_matrix_is_symmetric_and_gives_the_energy(found):
     _, _, it = found
     np.testing.assert_allclose(it["M"], it["M"].T, rtol=0, atol=1e-12 * np.abs(it["M"]).max())
     angular, linear = it["kin"].angular, it["kin"].linear

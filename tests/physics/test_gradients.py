@@ -103,7 +103,7 @@ def equal_central_differences(swim, torque_limit: float, jit) -> None:
 
 
 @pytest.mark.slow
-def test_a_gradient_through_contact_of_two_balls_equals_central_differences():
+def test_gradients_of_rolling_balls_equal_central_differences():
     """A motor joins the balls. One swings while the other rolls. Compiled as for users."""
     flesh = Material(500.0, 0.2, 0.6, 0.5)
     motor = Actuator(0.5, 20.0, stiffness=8.0)
@@ -176,7 +176,7 @@ def test_a_gradient_through_contact_equals_central_differences():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("seconds", "difference", "error"), [(1, 3e-9, 1e-5), (2, 1e-9, 1e-4)])
-def test_gradients_of_walkers_equal_central_differences_in_the_median(seconds, difference, error):
+def test_median_gradients_of_walkers_equal_central_differences(seconds, difference, error):
     """Differentiate 16 of Fukui's quadrupeds in random postures along a random direction each.
 
     Contacts that open, close or begin to slide are kinks, and some paths have one within the

@@ -171,9 +171,9 @@ def test_spring_frequency_equals_the_closed_form():
 def test_soft_limit_holds_a_constant_push(gain):
     """A joint under a constant torque tau rests tau / k beyond a limit of stiffness k.
 
-    k = I w^2 + g w with w = 2 pi 10 Hz, the reduced inertia I and the motor's gain g; damping
-    c = 2 I w. From rest at the limit, a damped spring of ratio z = c / 2 sqrt(I k) overshoots by
-    exp(-pi z / sqrt(1 - z^2)), and the implicit step by less.
+    k = I w^2 + g w with w = 2 pi 10 Hz, the reduced inertia I and the motor's gain g. The damping
+    is c = 2 I w. A damped spring of ratio z = c / 2 sqrt(I k), at rest at the limit, overshoots by
+    exp(-pi z / sqrt(1 - z^2)). The implicit step overshoots less.
     """
     limits, push = 0.5, 0.4
     creature = spring_pair(0.0, limits=limits, motor=Actuator(gain, push))
@@ -236,7 +236,7 @@ def two_boxes(**joint) -> World:
     return World(build_tree(creature), 0.0)
 
 
-def test_a_dashpot_set_to_the_neutral_angle_is_a_passive_spring_and_damper(x64):
+def test_a_neutral_dashpot_equals_a_passive_spring_and_damper(x64):
     """Both move equally. The dense equation of the step tests other target angles."""
     dashpot = two_boxes(actuator=Actuator(0.05, stiffness=3.0))
     passive = two_boxes(stiffness=3.0, damping=0.05)
@@ -280,7 +280,7 @@ def test_an_overloaded_dashpot_applies_its_limit(x64):
 
 
 @pytest.mark.parametrize("limit", [25.0, 2.5])
-def test_a_limited_motor_on_a_light_limb_adds_only_its_work(limit, x64):
+def test_a_limited_motor_adds_only_its_work(limit, x64):
     """The leg also turns about its length, where its inertia is small.
 
     Torques held at their limits would accelerate it to 1400 rad/s in one step. The velocity
@@ -314,7 +314,7 @@ def test_a_limited_motor_on_a_light_limb_adds_only_its_work(limit, x64):
     assert energy.max() > 1.0 and rise < 0.25 * energy.max()
 
 
-def test_a_joint_without_a_motor_does_not_lower_the_order(x64):
+def test_a_joint_without_a_motor_keeps_second_order(x64):
     """Another joint has a limited motor within its limit. The step stays of second order."""
     chain = box_chain(3, "z", Actuator(0.5, 5.0))
     loose = dataclasses.replace(chain.bodies[2].joint, actuator=None)

@@ -133,7 +133,7 @@ def columns(values):
     return jnp.asarray(np.moveaxis(np.asarray(values), 0, -1))
 
 
-def test_an_ellipsoid_is_as_far_from_a_ball_as_a_search_finds(x64):
+def test_gaps_of_ellipsoids_and_balls_equal_a_search(x64):
     count = 60
     axes, ways = placed(np.random.default_rng(2), count)
     centre = np.random.default_rng(3).uniform(0.25, 0.6, count)[:, None] * ways

@@ -169,7 +169,7 @@ def test_points_lie_on_the_bodies(case):
         assert nearer.max() < 1e-5
 
 
-def test_further_points_of_tilted_flat_boxes_lie_on_both_boxes(x64):
+def test_further_points_of_flat_boxes_lie_on_both(x64):
     """Each point lies on the outline of its rectangle, so its gap is exact too."""
     rng = np.random.default_rng(5)
     away = rng.normal(scale=0.16, size=(COUNT, 3)) * [1, 1, 0.2]

@@ -179,7 +179,7 @@ def test_a_tiny_claw_keeps_spinning(axes, engine):
 
 
 @pytest.mark.parametrize("shape", [Sphere(0.05), Capsule(0.05, 0.2)])
-def test_the_height_over_a_block_has_a_derivative_in_float32(shape):
+def test_clearance_has_a_derivative_in_float32(shape):
     """The search for the start height uses this derivative."""
     world = alone(shape, obstacles=(Block((0.0, 0.0, 0.0), (1.0, 1.0, 0.01)),), floor=ABYSS)
 

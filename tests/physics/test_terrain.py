@@ -81,7 +81,7 @@ def test_a_relief_is_bilinear_and_level_beyond_its_edges():
     np.testing.assert_allclose(normal[:, 0], [0.0, 0.0, 1.0])
 
 
-def test_a_block_slides_down_a_relief_as_down_a_plane():
+def test_a_relief_accelerates_a_block_like_a_plane():
     """The acceleration is g (sin - mu cos), and the block never leaves the ground."""
     tilt = np.arctan(SLOPE)
     turned = (np.cos(tilt / 2), 0.0, -np.sin(tilt / 2), 0.0)
@@ -111,7 +111,7 @@ def test_a_ball_bounces_off_a_wall():
     np.testing.assert_allclose(states.position[:, 2, 0], 0.1, atol=1e-3)
 
 
-def test_bodies_come_to_rest_on_a_block_and_at_a_boulder():
+def test_bodies_rest_on_a_block_and_at_a_boulder():
     """The box rests on the block, and the ball in the corner of boulder and plane."""
     step_up = Block((0.0, 0.0, 0.0), (1.0, 1.0, 0.3))
     world = alone(Box((0.2, 0.2, 0.1)), static=0.8, dynamic=0.8, obstacles=(step_up,))

@@ -64,11 +64,9 @@ def pressed(world: World, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.nd
     """Return normal and tangential forces ``(steps, points, n)``, and mu_s times the former.
 
     Assert that no normal force is negative, that friction is within its cone plus the residual, and
-    that the residuals, relative to the forces, are small:
-
-    - solution: 1e-3 in all but one of 2000 steps, and 0.1 in all (docs/models/contact.md measured
-      one in 10,000 contact steps),
-    - Coulomb's law: 1e-2 in 99 % of the contact steps, and 1 in all.
+    that residuals relative to the forces are small. The residual of the solution is at most 1e-3 in
+    all but one of 2000 steps, and 0.1 in all (docs/models/contact.md: one of 10,000 contact steps).
+    The residual of Coulomb's law is at most 1e-2 in 99 % of the contact steps, and 1 in all.
     """
     support = np.asarray(effort.contact_frame_force, float)
     across, along = support[:, 2], np.hypot(support[:, 0], support[:, 1])

@@ -4,9 +4,9 @@ A vector alone would repeat the loop until its last individual is done, and comp
 one. So the vectors of a *group* enter such a loop together. Each vector runs separately while
 many of its individuals are active. The remaining active individuals then move, one by one, into the
 lanes of a packed vector in scratch memory. When an individual is done, the next takes its lane. All
-values that the loop reads move to the packed vector, and carried values move back. AVX-512 has an
-instruction that compresses the chosen numbers of a vector; the first lanes are then filled vector
-by vector.
+values that the loop reads move to the packed vector, and carried values move back. One instruction
+of AVX-512 compresses the chosen numbers of a vector, so that the first lanes are filled vector by
+vector.
 
 An individual's values do not depend on the lane, so its bits do not depend on its neighbours.
 """

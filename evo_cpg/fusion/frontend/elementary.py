@@ -1,8 +1,8 @@
 """Elementary functions of float32 as basic arithmetic without branches.
 
 Each is a pure elementwise function of one or two arrays of float32. It traces to operations that a
-vector unit performs for all lanes at once: additions, products, quotients, roots, roundings,
-comparisons, selections, conversions and integer operations on the bits.
+vector unit performs for all lanes at once. These are arithmetic, roots, roundings, comparisons,
+selections, conversions and integer operations on the bits.
 
 The argument is first reduced to a short interval, where a polynomial approximates the result. The
 table writes k for an integer. The constants that k multiplies are sums of parts. All parts but the
