@@ -119,7 +119,7 @@ def test_a_gradient_is_one_piece_of_code():
 
 
 def test_empty_results_keep_their_type(x64):
-    """With float64 enabled, a float32 program and its derivatives stay in float32."""
+    """A float32 program and its derivatives stay in float32 if float64 is enabled."""
 
     def parts(x):
         return x[:0], x * x

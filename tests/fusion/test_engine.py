@@ -208,7 +208,7 @@ def test_the_self_test_runs_once_for_each_version(monkeypatch, tmp_path):
     )
     engine._wrong.cache_clear()
     assert engine.target() == own and len(runs) == 1
-    # Without a folder for code, every process tests.
+    # Every process tests if there is no folder for code.
     machine.keep_code_in(None)
     engine._wrong.cache_clear()
     assert engine.target() == own and len(runs) == 2

@@ -36,8 +36,8 @@ def ideal(creature: Creature, gravity: float = 0.0, **water) -> World:
 def test_coefficients_of_ellipsoids(axes):
     """Lamb's integrals by Carlson's: alpha = 2/3 abc R_D(b^2, c^2, a^2), M = alpha / (2 - alpha).
 
-    A body of revolution moves no water if it turns about its long axis. About the other axes a
-    slender body moves V (a^2 + b^2) / 5, the inertia of its own volume.
+    A body of revolution has no added inertia about its long axis. The added inertia of a slender
+    body about its other axes is the inertia of its own volume, V (a^2 + b^2) / 5.
     """
     a = np.array(axes, float)
     volume = 4 / 3 * np.pi * a.prod()
@@ -56,7 +56,7 @@ def test_coefficients_of_ellipsoids(axes):
 
 
 def test_coefficients_of_other_shapes():
-    """A sphere moves half of its displaced water. A box equals its ellipsoid of equal volume."""
+    """A sphere's added mass is half of its water. A box equals its ellipsoid of equal volume."""
     sphere = ellipsoid(Sphere(0.2))
     np.testing.assert_allclose(sphere, [0, 0, 0, *[Sphere(0.2).volume / 2] * 3], rtol=1e-9)
     ball, box = Ellipsoid((0.3, 0.2, 0.1)), Box((0.6, 0.4, 0.2))
@@ -152,7 +152,7 @@ def test_a_uniform_stream_is_a_moving_frame():
 
 
 def test_water_entry_slows_a_body_and_exit_does_not():
-    """Without gravity, m v = (m + rho V / 2) v' on entry, and v' is constant on exit."""
+    """If gravity is zero, m v = (m + rho V / 2) v' on entry, and v' is constant on exit."""
     world = ideal(single(Sphere(0.1), 500.0), surface=0.0)
     state = resting_state(world.tree, (2,), jnp.float64)
     state = dataclasses.replace(

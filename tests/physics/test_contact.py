@@ -101,7 +101,7 @@ def test_restitution_is_the_ratio_of_speeds(name):
         hit = (np.asarray(support)[:, 2].sum(1) > 0).argmax(0)
         speed = np.asarray(states.velocity)[:, 5]
         columns = np.arange(len(drops))
-        # Without a bounce, the impact step only moves the body down to the ground.
+        # The impact step of a body that does not bounce only moves it down to the ground.
         after = np.maximum(speed[hit, columns], speed[hit + 1, columns])
         ratio = after / -speed[hit - 1, columns]
         np.testing.assert_allclose(ratio, setting, atol=0.05)

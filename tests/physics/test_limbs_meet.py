@@ -261,7 +261,7 @@ def test_gradients_through_touching_limbs_equal_central_differences(x64, engine)
 
 @pytest.mark.parametrize("yaw", [0, 20, 45])
 def test_boxes_that_cannot_touch_are_no_pair(yaw):
-    """They are apart along their common axis. With a yaw, their reach alone cannot decide this."""
+    """They are apart along their common axis. Their reach alone cannot decide this after a yaw."""
     turn = euler_to_matrix(0.0, 0.0, np.radians(yaw))
     bodies = [Body("trunk", Box((0.3, 0.3, 0.05)), FLESH)]
     for side, name in ((1, "left"), (-1, "right")):

@@ -148,7 +148,7 @@ def angular_momentum(tree, states):
 @pytest.mark.parametrize("engine", ["native", "jax"])
 @pytest.mark.parametrize("axes", [1, 2, 3])
 def test_a_tiny_claw_keeps_spinning(axes, engine):
-    """A claw of a thousandth of the size on a free joint keeps its rate, and the pair its spin."""
+    """A tiny claw on a free joint keeps its rate, and the pair its angular momentum."""
     large, small = 0.5, 0.0005
     ways = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))[:axes]
     joint = Joint(
