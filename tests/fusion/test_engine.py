@@ -1,4 +1,4 @@
-"""Plain JAX computes the smallest part without native code, and a warning names it."""
+"""Plain JAX computes the smallest part that has no native code, and a warning names it."""
 
 import ctypes
 import functools
