@@ -156,7 +156,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
     def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
         """Return whether each pair still has the right kind."""
         if settings.only is None and is_traced(tree, boxes):
-            raise Undecidable("the pairs of limbs that can touch would change")
+            raise Undecidable("traced numbers cannot decide which limbs can touch")
         kinds = [run for run in made[2] for _ in range(run.count)]
         treated = zip(kinds, *made[:2], strict=True)
         return all_hold(_still(tree, turned, boxes, *each) for each in treated)

@@ -312,7 +312,7 @@ def test_a_preview_that_cannot_be_is_refused(refused):
             "my_tasks:Lost",
             {},
             "task.type: Lost.update fails at line 71 of my_tasks.py (ValueError: there is no body "
-            "'nose'. Allowed: head, ",
+            "'nose'; there are head, ",
         ),
     ],
 )

@@ -52,8 +52,8 @@ def test_long_branches_agree_with_jax(count, texts):
 def test_a_long_branch_of_a_switch_agrees_with_jax(texts):
     def function(x):
         which = jnp.clip(jnp.floor(x[0] * 3), -1, 4).astype(jnp.int32)
-        ways = [lambda y, k=k: long_branch(y, float(k)) for k in range(3)]
-        return lax.switch(which, ways, x)
+        branches = [lambda y, k=k: long_branch(y, float(k)) for k in range(3)]
+        return lax.switch(which, branches, x)
 
     assert_agrees(function, sample((6, 37)), rtol=1e-5, atol=1e-6)
 

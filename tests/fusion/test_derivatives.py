@@ -51,8 +51,8 @@ def test_forward_and_reverse_derivatives_equal_those_of_jax(name, x64):
 
     @functools.partial(jax.jit, static_argnums=0)
     def both(run, x):
-        slope = jax.grad(functools.partial(weighed, run))(x)
-        return slope, jax.jvp(run, (x,), (along,))[1]
+        gradient = jax.grad(functools.partial(weighed, run))(x)
+        return gradient, jax.jvp(run, (x,), (along,))[1]
 
     found = both(functools.partial(fuse, function, batch_ndim=1), x)
     expected = both(function, x)
@@ -127,5 +127,5 @@ def test_empty_results_keep_their_type(x64):
     x = sample((3, 4), 1, "f4")
     empty, _ = jax.jit(lambda x: fuse(parts, x, batch_ndim=1))(x)
     assert empty.dtype == np.float32 and empty.shape == (0, 4)
-    slope = jax.jit(jax.grad(lambda x: sum(y.sum() for y in fuse(parts, x, batch_ndim=1))))(x)
-    np.testing.assert_allclose(slope, 2 * x, rtol=1e-6)
+    gradient = jax.jit(jax.grad(lambda x: sum(y.sum() for y in fuse(parts, x, batch_ndim=1))))(x)
+    np.testing.assert_allclose(gradient, 2 * x, rtol=1e-6)

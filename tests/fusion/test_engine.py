@@ -24,12 +24,12 @@ from evo_cpg.fusion.unsupported import Unsupported
 def cleared_caches():
     """Clear the caches of one process before and after a test."""
     folder = machine._folder
-    asked = engine._warn_once, engine._wrong, machine.host, machine._llvm
-    for cached in asked:
+    caches = engine._warn_once, engine._wrong, machine.host, machine._llvm
+    for cached in caches:
         cached.cache_clear()
     yield
     machine.keep_code_in(folder)
-    for cached in asked:
+    for cached in caches:
         cached.cache_clear()
 
 

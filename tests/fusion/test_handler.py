@@ -1,4 +1,4 @@
-"""The entry into native code, called in the way of XLA."""
+"""The entry into native code, called as by XLA."""
 
 import ctypes
 import re

@@ -132,8 +132,8 @@ def errors():
 @pytest.mark.parametrize("name", ["linear momentum", "angular momentum", "energy", "position"])
 def test_free_motion_converges_at_second_order(errors, name):
     """The exponent of the error in h, over three halvings, is 2 within 0.2."""
-    slope = -np.polyfit(np.log(STEP_COUNTS), np.log(errors[name]), 1)[0]
-    assert abs(slope - 2) < 0.2, (slope, errors[name])
+    order = -np.polyfit(np.log(STEP_COUNTS), np.log(errors[name]), 1)[0]
+    assert abs(order - 2) < 0.2, (order, errors[name])
 
 
 def test_a_single_body_keeps_its_linear_momentum_exactly():

@@ -83,21 +83,21 @@ def test_gradients_with_limited_motors_equal_central_differences():
 def equal_central_differences(swim, torque_limit: float, jit) -> None:
     @jit
     def forward(parameters, direction):
-        (value, torque), (slope, _) = jax.jvp(swim, (parameters,), (direction,))
-        return value, slope, torque
+        (value, torque), (gradient, _) = jax.jvp(swim, (parameters,), (direction,))
+        return value, gradient, torque
 
     units = jnp.eye(len(PARAMETERS))
-    differences, slopes = [], []
+    differences, gradients = [], []
     for unit in units:
         (up, *_), (down, *_) = (
             forward(PARAMETERS + sign * DIFFERENCE * unit, unit) for sign in (1, -1)
         )
         differences.append((up - down) / (2 * DIFFERENCE))
-        _, slope, torque = forward(jnp.asarray(PARAMETERS), unit)
-        slopes.append(slope)
+        _, gradient, torque = forward(jnp.asarray(PARAMETERS), unit)
+        gradients.append(gradient)
         assert 0 < torque < torque_limit
     assert np.abs(differences).min() > 1e-4
-    np.testing.assert_allclose(slopes, differences, rtol=1e-6)
+    np.testing.assert_allclose(gradients, differences, rtol=1e-6)
     reverse, _ = jit(jax.grad(swim, has_aux=True))(jnp.asarray(PARAMETERS))
     np.testing.assert_allclose(reverse, differences, rtol=1e-6)
 
@@ -132,7 +132,7 @@ def test_gradients_of_rolling_balls_equal_central_differences():
         return state.position @ jnp.array([1.0, 0.7, 0.4]), support.max()
 
     numbers = np.array([0.3, 0.8, 0.5])
-    slope, support = jit_as_for_users(jax.grad(roll, has_aux=True))(jnp.asarray(numbers))
+    gradient, support = jit_as_for_users(jax.grad(roll, has_aux=True))(jnp.asarray(numbers))
     assert support > 1.0
     value = jit_as_for_users(lambda numbers: roll(numbers)[0])
     units = np.eye(len(numbers)) * DIFFERENCE
@@ -140,7 +140,7 @@ def test_gradients_of_rolling_balls_equal_central_differences():
         (value(numbers + unit) - value(numbers - unit)) / (2 * DIFFERENCE) for unit in units
     ]
     assert np.abs(differences).min() > 1e-3
-    np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(gradient, differences, rtol=1e-5, atol=1e-8)
 
 
 @pytest.mark.slow
@@ -163,7 +163,7 @@ def test_a_gradient_through_contact_equals_central_differences():
         state, support = jax.lax.scan(advance, start, length=60)
         return state.position @ jnp.array([1.0, 0.7, 0.4]), support.max()
 
-    slope, support = quick_jit(jax.grad(walk, has_aux=True))(jnp.asarray(angles))
+    gradient, support = quick_jit(jax.grad(walk, has_aux=True))(jnp.asarray(angles))
     assert support > 1.0
     value = quick_jit(lambda angles: walk(angles)[0])
     units = np.eye(len(angles)) * DIFFERENCE
@@ -171,7 +171,7 @@ def test_a_gradient_through_contact_equals_central_differences():
         (value(angles + unit) - value(angles - unit)) / (2 * DIFFERENCE) for unit in units
     ]
     assert np.abs(differences).max() > 1e-3
-    np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(gradient, differences, rtol=1e-5, atol=1e-8)
 
 
 @pytest.mark.slow
@@ -201,8 +201,8 @@ def test_median_gradients_of_walkers_equal_central_differences(seconds, differen
         state, _ = jax.lax.scan(jax.checkpoint(advance), start, held)
         return state.position[0] + 0.5 * state.position[1]
 
-    slope = quick_jit(jax.grad(lambda x: walk(x).sum()))(jnp.asarray(postures))
-    ours = (np.asarray(slope) * direction).sum((0, 1))
+    gradient = quick_jit(jax.grad(lambda x: walk(x).sum()))(jnp.asarray(postures))
+    ours = (np.asarray(gradient) * direction).sum((0, 1))
     value = quick_jit(walk)
     ahead, behind = (value(postures + sign * difference * direction) for sign in (1.0, -1.0))
     differences = np.asarray(ahead - behind) / (2 * difference)

@@ -195,8 +195,8 @@ def test_a_recording_has_the_mean_force_of_every_pair(x64):
     def advance(carry, k):
         state, warmstart = carry
         wave = genes[0] * jnp.sin(2 * np.pi * genes[1] * (k // substeps) / 60)
-        told = signs[:, None] * wave[None]
-        new, effort = step(world, state, told, H, warmstart=warmstart)
+        commanded = signs[:, None] * wave[None]
+        new, effort = step(world, state, commanded, H, warmstart=warmstart)
         return (new, effort.warmstart), effort.pair_force
 
     start = (

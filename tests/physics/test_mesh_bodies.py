@@ -148,15 +148,15 @@ def test_drag_of_a_ball_mesh_is_near_the_sphere(resolution, tolerance):
     mesh = ball_mesh(0.1, 3)
     world = in_water(single(mesh), resolution, form_drag=1.0, skin_drag=0.05)
     rng = np.random.default_rng(2)
-    way = rng.normal(size=(3, 50))
-    way /= np.linalg.norm(way, axis=0)
-    velocity = jnp.asarray(np.concatenate([np.zeros((3, 50)), way])[:, None])
+    direction = rng.normal(size=(3, 50))
+    direction /= np.linalg.norm(direction, axis=0)
+    velocity = jnp.asarray(np.concatenate([np.zeros((3, 50)), direction])[:, None])
     wrench, _ = resistance(world, velocity)
     force = wrench[3:, 0]
     expected = 500 * (1 + 3 * np.pi / 4 * 0.05) * np.pi * 0.1**2
-    along = -(force * way).sum(0)
+    along = -(force * direction).sum(0)
     np.testing.assert_allclose(along, expected, rtol=tolerance)
-    assert np.linalg.norm(force + along * way, axis=0).max() < tolerance * expected
+    assert np.linalg.norm(force + along * direction, axis=0).max() < tolerance * expected
 
 
 def test_added_mass_of_meshes_equals_the_shapes():

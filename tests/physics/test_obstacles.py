@@ -38,16 +38,19 @@ RUBBLE = (
 def surface(shape, count=400):
     """Return points on the surface of a shape, and along the edges of a box."""
     rng = np.random.default_rng(0)
-    ways = rng.normal(size=(count, 3))
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
     if isinstance(shape, Box):
         signs = rng.choice([-1.0, 1.0], (count, 3))
-        on_edges = np.where(np.arange(3) == rng.integers(0, 3, count)[:, None], ways, signs)
-        return np.concatenate([ways / np.abs(ways).max(1)[:, None], on_edges]) * shape.half_extents
+        on_edges = np.where(np.arange(3) == rng.integers(0, 3, count)[:, None], directions, signs)
+        return (
+            np.concatenate([directions / np.abs(directions).max(1)[:, None], on_edges])
+            * shape.half_extents
+        )
     if isinstance(shape, Capsule):
         along = rng.uniform(-0.5, 0.5, count) * shape.length
-        return ways * shape.radius + along[:, None] * [1.0, 0.0, 0.0]
-    return ways * shape.half_extents
+        return directions * shape.radius + along[:, None] * [1.0, 0.0, 0.0]
+    return directions * shape.half_extents
 
 
 def surface_of(obstacle):
@@ -124,9 +127,9 @@ SEMI_AXES = np.array([0.15, 0.06, 0.02])
 
 def placed(rng, count):
     axes = np.array([euler_to_matrix(*rng.uniform(-np.pi, np.pi, 3)) for _ in range(count)])
-    ways = rng.normal(size=(count, 3))
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
-    return axes, ways
+    directions = rng.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    return axes, directions
 
 
 def columns(values):
@@ -135,8 +138,8 @@ def columns(values):
 
 def test_gaps_of_ellipsoids_and_balls_equal_a_search(x64):
     count = 60
-    axes, ways = placed(np.random.default_rng(2), count)
-    centre = np.random.default_rng(3).uniform(0.25, 0.6, count)[:, None] * ways
+    axes, directions = placed(np.random.default_rng(2), count)
+    centre = np.random.default_rng(3).uniform(0.25, 0.6, count)[:, None] * directions
     radius = np.full(count, 0.1)
     semi = np.tile(SEMI_AXES, (count, 1))
     gap, normal = quick_jit(nearest_to_ball)(
@@ -160,9 +163,11 @@ def test_gaps_of_ellipsoids_and_balls_equal_a_search(x64):
 def test_an_ellipsoid_moved_by_its_gap_touches_a_box(x64):
     """It touches after a displacement by its gap along the normal, and not before."""
     count, rng = 200, np.random.default_rng(4)
-    axes, ways = placed(rng, count)
+    axes, directions = placed(rng, count)
     half = np.array([0.25, 0.1, 0.2])
-    centre = ways / np.abs(ways / half).max(1)[:, None] * rng.uniform(1.0, 1.3, (count, 1))
+    centre = (
+        directions / np.abs(directions / half).max(1)[:, None] * rng.uniform(1.0, 1.3, (count, 1))
+    )
     semi = np.tile(SEMI_AXES, (count, 1))
     straight = np.tile(np.eye(3), (count, 1, 1))
     box = RoundedBoxes(

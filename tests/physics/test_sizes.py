@@ -150,12 +150,12 @@ def angular_momentum(tree, states):
 def test_a_tiny_claw_keeps_spinning(axes, engine):
     """A tiny claw on a free joint keeps its rate, and the pair its angular momentum."""
     large, small = 0.5, 0.0005
-    ways = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))[:axes]
+    directions = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))[:axes]
     joint = Joint(
         parent="trunk",
         parent_anchor=(large / 2, 0.0, 0.0),
         child_anchor=(0.0, 0.0, 0.0),
-        axes=ways,
+        axes=directions,
         lower=(-99.0,) * axes,
         upper=(99.0,) * axes,
     )

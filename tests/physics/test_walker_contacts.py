@@ -364,9 +364,9 @@ def test_derivatives_of_a_contact_step_equal_central_differences(touching):
         return (weights * plain(dataclasses.replace(state, velocity=velocity)).velocity).sum()
 
     value = quick_jit(outcome)
-    slope = np.asarray(quick_jit(jax.grad(outcome))(state.velocity))
-    assert np.isfinite(slope).all()
+    gradient = np.asarray(quick_jit(jax.grad(outcome))(state.velocity))
+    assert np.isfinite(gradient).all()
     for axis in range(6):
         change = jnp.zeros_like(state.velocity).at[axis].set(1e-6)
         up, down = (value(state.velocity + sign * change) for sign in (1, -1))
-        np.testing.assert_allclose(slope[axis].sum(), (up - down) / 2e-6, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(gradient[axis].sum(), (up - down) / 2e-6, rtol=1e-5, atol=1e-6)

@@ -159,14 +159,14 @@ def test_implicit_derivative_is_half_the_exact_derivative():
     @quick_jit
     def both(v):
         derivative = drag(world.law(Drag), world.water.density, v[:, None])[1]
-        slope = jax.jacfwd(
+        jacobian = jax.jacfwd(
             lambda v: drag(world.law(Drag), world.water.density, v[:, None])[0][:, 0]
         )(v)
-        return derivative[..., 0], slope
+        return derivative[..., 0], jacobian
 
-    (angular, mixed, linear), slope = map(np.asarray, both(velocity))
+    (angular, mixed, linear), jacobian = map(np.asarray, both(velocity))
     full = np.block([[angular, mixed], [mixed.T, linear]])
-    np.testing.assert_allclose(full, -slope / 2, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(full, -jacobian / 2, rtol=1e-10, atol=1e-12)
 
 
 def test_drag_of_a_turning_sphere_is_friction_alone():
