@@ -74,7 +74,7 @@ def _bind(function: Callable, args: tuple, batch_ndim: int, name: str) -> Any:
     program = Program(name, internals.opened(closed), own, len(shared))
     unknown = sorted(each for each in program.primitives if not is_supported(each))
     if unknown and not _tracing.get():
-        raise Unsupported(f"it has no rule for {', '.join(unknown)}")
+        raise Unsupported(f"no rule for {', '.join(unknown)}")
     found = fused_p.bind(*shared, *leaves, program=program, batch=tuple(batch))
     return jax.tree.structure(result).unflatten(found)
 

@@ -21,7 +21,7 @@ from evo_cpg.spatial.linear import dot, matmul, matvec, matvec_t, t_matmul
 # from the surface to 30 semi-axes away, for an ellipsoid of 0.15, 0.06 and 0.02 m.
 _ROOT_STEPS = 5
 
-# Rounds for the point of a box. Of 2000 random pairs, one was wrong after one round, none after 2.
+# Rounds for the point of a box. One of 2000 random pairs was wrong after one round, none after 2.
 _ROUNDS = 2
 
 # Squared length (m^2), or another quantity, added to divisors that may be zero.

@@ -142,7 +142,7 @@ def with_mean_products(
     tree push off from nothing. The motion that predicts the final velocities may be inexact.
 
     Args:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         h: step, s.
         equations: equations of the step.
         root: acceleration of the root's velocity.

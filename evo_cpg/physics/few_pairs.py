@@ -66,7 +66,7 @@ class FewPairContacts(NamedTuple):
     def find(
         cls, tree: Tree, pairs: Pairs, kin: Kinematics, qd: Float[Array, "d *n"], h: float
     ) -> "FewPairContacts":
-        """Return the contacts of a step; see `evo_cpg.physics.pair_contacts.find_pair_contacts`."""
+        """Find the contacts of a step (see `evo_cpg.physics.pair_contacts.find_pair_contacts`)."""
         where = separations(pairs, kin)
         target_velocity = rest_velocity(where.gap, h)
         bias = _bias(pairs, kin.origin, kin, where)

@@ -97,7 +97,7 @@ class Bodies:
             ValueError: if there is no body with this name.
         """
         if name not in self.tree.names:
-            raise ValueError(f"there is no body {name!r}; there are {', '.join(self.tree.names)}")
+            raise ValueError(f"there is no body {name!r}. Allowed: {', '.join(self.tree.names)}")
         return self.tree.names.index(name)
 
     def wrench_on(

@@ -5,13 +5,14 @@ Each law gives its torque at the present rates and its derivative. The implicit 
 
 - Passive: ``-k (q + h qd) - c qd``, T = h (c + h k).
 - Limit: a one-sided spring and damper, ``-K max(0, qd_end - v*)`` with ``K = c + h k``. The rate v*
-  brings the joint just to its limit at the end of the step. Beyond the limit, v* is the return rate
-  of the spring. The limit never slows a returning joint. A step of one solve (no ground, no motor
-  limits) uses a spring and damper if the joint would pass its limit at the present rate.
+  brings the joint just to its limit at the end of the step. If the joint is past its limit, v* is
+  the return rate of the spring. The limit never slows a returning joint. A step of one solve (no
+  ground, no motor limits) uses a spring and damper if the joint would pass its limit at the present
+  rate.
 - Motor: ``g (rate* - qd) + k_m (angle* - q - h qd)``, T = h (g + h k_m), with a limit on the torque
   at the *end* of the step. A limit on the torque before the step makes the motor chatter and exceed
-  its limit threefold. With k_m = 0 the motor is a velocity servo (Iwadate 2010: "angular-velocity
-  control"). With rate* = 0 the motor is a dashpot (Fukui 2003, 2.6).
+  its limit threefold. If k_m = 0, the motor is a velocity servo (Iwadate 2010:
+  "angular-velocity control"). If rate* = 0, the motor is a dashpot (Fukui 2003, 2.6).
 """
 
 import jax.numpy as jnp

@@ -216,8 +216,8 @@ class Condensed(NamedTuple):
 class Joints(NamedTuple):
     """Joints of a group, in their own coordinates x.
 
-    With one or two axes x is ``q``. With three axes x is the rotation across the joint in world
-    axes, and S is 1.
+    For one or two axes x is ``q``. For three axes x is the rotation across the joint in world axes,
+    and S is 1.
 
     Attributes:
         axes: S, (3, k, bodies, ...).
@@ -239,7 +239,7 @@ class Joints(NamedTuple):
         torque: Float[Array, "d *n"],
         torque_derivative: Float[Array, "d *n"],
     ) -> "Joints":
-        """Return the joints of a group; see `evo_cpg.physics.articulated.solve`."""
+        """Return the joints of a group (see `evo_cpg.physics.articulated.solve`)."""
         axes, tau, diagonal = (
             of_joints(x, group, torque.ndim - 1) for x in (axes, torque, torque_derivative)
         )

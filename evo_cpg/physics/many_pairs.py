@@ -110,7 +110,7 @@ class _Run(NamedTuple):
 
 
 class ManyPairContacts:
-    """Nearest points of many pairs; see `evo_cpg.physics.pair_contacts.PairContacts`.
+    """Nearest points of many pairs (see `evo_cpg.physics.pair_contacts.PairContacts`).
 
     Args:
         tree: the creature.
@@ -401,7 +401,7 @@ class ManyPairForces:
 
 
 class _Point(NamedTuple):
-    """One point of one pair; see `_Points`."""
+    """One point of one pair (see `_Points`)."""
 
     watched: Array
     gap: Array

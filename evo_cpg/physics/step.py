@@ -1,10 +1,10 @@
 """One step of the world: forces, the implicit solve, integration.
 
 The integrator is semi-implicit Euler: the velocities at the end of the step move the positions.
-Velocity products and drag are means of their values before and after the step. Without stiff forces
-the motion is therefore of second order, because positions and velocities leapfrog. A step without
-motor limits and contact takes two solves with one matrix. `evo_cpg.physics.step_solver` solves the
-other steps.
+Velocity products and drag are means of their values before and after the step. The motion is
+therefore of second order if no forces are stiff, because positions and velocities leapfrog. A step
+without motor limits and contact takes two solves with one matrix. `evo_cpg.physics.step_solver`
+solves the other steps.
 """
 
 import functools
@@ -68,7 +68,7 @@ def step(
     """Advance the world by ``h`` seconds.
 
     Args:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         state: state at the start of the step.
         target_rate: target rates of the motors, constant over the step, rad/s.
         h: step, s.
@@ -131,7 +131,7 @@ def _finish(h: float, state: State, solution: StepSolution) -> tuple[State, Effo
 
 
 def _can_overload(tree: Tree) -> bool:
-    """Return whether any motor may have a torque limit; traced limits count as limits."""
+    """Return whether any motor may have a torque limit. Traced limits count as limits."""
     gains = tree.servo_gain, tree.servo_stiffness
     if not isinstance(tree.torque_limit, np.ndarray):
         return True

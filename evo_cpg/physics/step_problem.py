@@ -68,8 +68,8 @@ _SAME_TORQUE = 1e-3
 # Turn of a joint in a step (rad) beyond which the initial mass matrix is wrong at the end.
 _LARGEST_TURN = 0.3
 
-# Joint axes in a chain beyond which equations are solved body by body. The residual in float32, of
-# a chain of boxes on the ground, is below 1e-3 with 10 joints, at times 1e-3 with 20, 0.2 with 40.
+# Joint axes in a chain beyond which equations are solved body by body. Residuals in float32 for a
+# chain of boxes on the ground: below 1e-3 with 10 joints, at times 1e-3 with 20, 0.2 with 40.
 _LONGEST_ELIMINATED = 16
 
 # Force (N) or torque (N m) that counts as zero.
@@ -96,7 +96,7 @@ class StepProblem(NamedTuple):
     """Minimisation problem of a step.
 
     Attributes:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         h: step, s.
         equations: equations of motion of this step.
         mass: M, ``(v, v, *n)``, kg, kg m and kg m^2.

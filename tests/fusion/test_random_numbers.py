@@ -1,4 +1,4 @@
-"""Random numbers drawn in fused functions are those that JAX draws."""
+"""Random numbers drawn in fused functions equal those of JAX."""
 
 import functools
 
@@ -27,7 +27,7 @@ EXACT = {
 
 
 @pytest.mark.parametrize("name", EXACT)
-def test_to_the_last_bit(name):
+def test_random_numbers_equal_those_of_jax_bit_for_bit(name):
     def draw(seed):
         return EXACT[name](jax.random.key(seed[0]))
 
@@ -35,13 +35,13 @@ def test_to_the_last_bit(name):
         np.testing.assert_array_equal(got, wanted, strict=True)
 
 
-def test_normal_numbers():
-    """But for the last digits of the inverse of the error function."""
+def test_normal_numbers_agree_with_jax():
+    """Only the last digits of the inverse error function may differ."""
     assert_agrees(lambda seed: jax.random.normal(jax.random.key(seed[0]), (8,)), SEEDS)
 
 
-def test_a_number_for_each_round_and_a_key_that_all_share():
-    """As a controller draws its noise: the same for all, another for each step."""
+def test_random_numbers_of_a_shared_key_agree_with_jax():
+    """Draw as a controller draws its noise: equal for all individuals, new in each step."""
 
     def path(run, words):
         def advance(x, i):
@@ -67,8 +67,8 @@ def test_a_number_for_each_round_and_a_key_that_all_share():
     assert_agrees(inside, SEEDS)
 
 
-def test_the_published_vectors():
-    """Of the reference implementation of Salmon et al. (kat_vectors of Random123)."""
+def test_published_threefry_vectors_are_reproduced():
+    """The reference implementation of Salmon et al. lists them (kat_vectors of Random123)."""
     words = [
         ((0, 0), (0, 0), (0x6B200159, 0x99BA4EFE)),
         ((0xFFFFFFFF,) * 2, (0xFFFFFFFF,) * 2, (0x1CB996FC, 0xBB002BE7)),
