@@ -117,6 +117,7 @@ def test_the_present_lag_keeps_the_settings():
     np.testing.assert_allclose(x, [5.5, 1.0, 0.2], rtol=0.01)
 
 
+@pytest.mark.slow
 def test_an_unreachable_lag_raises_with_the_reachable_range():
     with pytest.raises(UnreachableRhythmError, match=r"70 degrees is out of reach\. Allowed") as e:
         solved(3, 1.0, 70.0)

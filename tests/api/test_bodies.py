@@ -51,6 +51,7 @@ def test_one_program_serves_all_populations(experiment, genomes, numbers):
     assert experiment._bodies.trials({DENSITY: np.full(3, 1000.0)}, 3) is None
 
 
+@pytest.mark.slow
 def test_a_longer_limb_shelters_other_surface_points(genomes):
     """Other points are sheltered in each body. They have no area, even at the surface."""
     loaded = evo.load(CONFIG, [*TINY, "simulation.steps=30", "world.water.surface=0.02"])
@@ -100,6 +101,7 @@ def test_a_new_pair_of_colliding_limbs_makes_a_new_plan():
         np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_kink_refuses_the_derivative_but_not_the_value():
     """The initial height follows the longest lower leg."""
     loaded = evo.load(WALKER, ["simulation.steps=2"])
@@ -137,10 +139,11 @@ def test_values_that_change_the_layout_are_refused(experiment, genomes):
         compiled(genomes[0], np.array([0.1])).block_until_ready()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
     "overrides",
-    [["creature.bodies.1.repeat=1"], pytest.param([], marks=pytest.mark.slow)],
+    [["creature.bodies.1.repeat=1"], []],
     ids=["two bodies", "three bodies"],
 )
 def test_the_gradient_by_body_numbers_equals_finite_differences(overrides):

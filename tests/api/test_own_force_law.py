@@ -212,6 +212,7 @@ def test_a_force_law_trains_replays_and_balances_energy(glider):
     assert np.abs(book.impulse).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_number_of_a_law_has_a_derivative(glider):
     """Compare the derivative with a central difference of rebuilt simulations."""
     source = glider / "glider.yaml"

@@ -34,6 +34,7 @@ def checkpoint_of(earlier):
     return found
 
 
+@pytest.mark.slow
 def test_each_run_begins_with_its_own_champion(earlier):
     _, (genes, provenance) = start(earlier, "champion", "seed=7", "world.water.density=900")
     assert genes.shape == (evo.load(CONFIG, SHORT).gene_count, 16)

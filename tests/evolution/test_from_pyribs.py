@@ -160,6 +160,7 @@ def test_a_run_under_vmap_equals_the_run_alone():
         jax.tree.map(np.testing.assert_array_equal, one, alone)
 
 
+@pytest.mark.slow
 def test_the_reported_map_keeps_the_fittest_unlike_the_emitters_map():
     populations, state = search(made(learning_rate=0.05, sigma=0.3), 40)
     best = {}

@@ -110,6 +110,7 @@ def test_restitution_is_the_ratio_of_speeds(name):
             np.testing.assert_allclose(ratio, kept_speed(setting, places), atol=0.005)
 
 
+@pytest.mark.slow
 def test_a_bounce_converges_with_the_time_step():
     """Errors of height and speed 0.3 s after a ball's bounce are proportional to h.
 

@@ -74,6 +74,7 @@ def test_gradients_equal_central_differences(torque_limit):
     equal_central_differences(make_swim(torque_limit), torque_limit, quick_jit)
 
 
+@pytest.mark.slow
 def test_gradients_with_limited_motors_equal_central_differences():
     """Differentiate a pair, compiled as for users."""
     swim = make_swim(50.0, bodies=2, axes="y")

@@ -73,7 +73,9 @@ def overlap(shape, position, orientation):
     return np.maximum(-np.min(gap, 0), 0.0)
 
 
-@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name == "box" else pytest.mark.slow) for name in SHAPES]
+)
 def test_thrown_bodies_do_not_pass_through_rubble(x64, name):
     """The bound on depth is half of the displacement of the fastest points in a step, at 4 m/s.
 
@@ -105,6 +107,7 @@ def test_thrown_bodies_do_not_pass_through_rubble(x64, name):
     assert deep.max() < 0.5 * 4.0 * H
 
 
+@pytest.mark.slow
 def test_a_beam_rests_on_the_edges_of_two_blocks(x64):
     """The sides of a box and a capsule rest on the edges. Their ends are in the air."""
     gap = Block((-0.3, 0.0, 0.1), (0.1, 0.3, 0.1)), Block((0.3, 0.0, 0.1), (0.1, 0.3, 0.1))
@@ -206,6 +209,7 @@ def test_a_capsule_lies_across_a_beam_at_any_angle(x64):
     np.testing.assert_allclose(tilt, 0.0, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_touched_obstacles_at_an_end_take_precedence():
     """A post penetrates the front of a log. Two blocks near its middle do not touch."""
     post = Block((0.5, 0.0, 0.5), (0.05, 0.05, 0.5))

@@ -145,6 +145,7 @@ def test_a_rod_that_whirls_does_not_pass_a_post():
     np.testing.assert_allclose(ends[0] / spin, ends[1] / spin, atol=0.06)
 
 
+@pytest.mark.slow
 def test_slow_parts_are_not_swept():
     """A displacement of 4 cm in a step is slow for a margin of 5 cm."""
     obstacles = THIN, Boulder((0.3, 0.0, 0.0), 0.1)

@@ -181,6 +181,7 @@ def test_a_compiled_program_serves_other_bodies():
         np.testing.assert_allclose(term[2], alone.terms[name][0], rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_bodies_with_different_pairs_check_all_pairs():
     """One body has legs that cannot meet, one has legs that overlap from the start."""
     path, overrides, _ = CASES["walker"]

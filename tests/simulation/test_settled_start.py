@@ -59,6 +59,7 @@ def capsule_slice(z: float) -> float:
     return np.pi * width**2 + 2 * width * 0.3
 
 
+@pytest.mark.slow
 def test_animals_that_differ_in_numbers_share_compiled_programs():
     def floating(fraction):
         return settled(

@@ -44,6 +44,7 @@ def test_learning_does_not_depend_on_other_runs(learned, tmp_path):
     assert untimed(beside) == untimed(learned.history)
 
 
+@pytest.mark.slow
 def test_a_resumed_run_learns_equally(learned, tmp_path):
     folder = RunFolder(tmp_path / "run")
     folder.create("", {})

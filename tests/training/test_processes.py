@@ -171,6 +171,7 @@ else:
 """
 
 
+@pytest.mark.slow
 def test_waiting_for_a_stuck_process_ends(tmp_path):
     lead, other = run(LATE, 2, tmp_path, 1.0, 3.0)
     words = "process 0 has waited 1 s for a second look (its own took 0.0 s). Another process hangs"
@@ -179,5 +180,6 @@ def test_waiting_for_a_stuck_process_ends(tmp_path):
     assert other.startswith(f"process 1 of 2: {words}")
 
 
+@pytest.mark.slow
 def test_a_late_process_is_awaited(tmp_path):
     assert run(LATE, 2, tmp_path, 120.0, 3.0) == ["done\n", "done\n"]

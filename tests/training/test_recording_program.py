@@ -44,6 +44,7 @@ def folder_of(path, overrides):
     return build_experiment(load_config(CONFIG, overrides), CONFIG), folder
 
 
+@pytest.mark.slow
 def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered, capsys):
     settings = (*TINY, "seed=76", "audit.after_training=false")
     experiment, folder = folder_of(tmp_path / "run", settings)

@@ -59,6 +59,7 @@ def test_rounds_only_gain_and_add_up(refined):
     assert (after.run, after.index, after.generation) == (*before[5:7], before.generation)
 
 
+@pytest.mark.slow
 def test_a_refined_champion_replays_exactly(refined):
     _, after, _ = refined
     fitness, terms, _ = replay_champion(MADE, after, 2)
