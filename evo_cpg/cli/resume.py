@@ -12,7 +12,7 @@ from evo_cpg.cli.options import Cores, Run, Tensorboard
 def resume(
     run: Run,
     generations: Annotated[
-        int | None, typer.Option(min=1, help="Evolve up to this many generations in all.")
+        int | None, typer.Option(min=1, help="Continue to this total number of generations.")
     ] = None,
     cores: Cores = None,
     distribution: Distribution = ONE_PROCESS,
