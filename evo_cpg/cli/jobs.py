@@ -360,7 +360,7 @@ def _failed(job: Any, group: Sequence[Member], work: Work) -> list[str]:
     if left:
         path = Path(job.paths.stderr)
         last = [line for line in described_by(path).splitlines() if line.strip()][-_LAST_LINES:]
-        work.say(f"job {job.job_id} failed ({', '.join(left)}); {path} ends:")
+        work.say(f"job {job.job_id} failed ({', '.join(left)}). {path} ends:")
         for line in last or ["(nothing)"]:
             work.say(f"    {line}")
     return left

@@ -73,5 +73,5 @@ def test_wrong_lists_are_refused(text, process, words):
 def test_a_file_without_hosts_is_refused(tmp_path):
     file = tmp_path / "hosts"
     file.write_text("# none\n")
-    with pytest.raises(UsageError, match="names no host. Write one on each line"):
+    with pytest.raises(UsageError, match=r"names no host\. Write one on each line"):
         place_in(str(file))

@@ -115,7 +115,7 @@ def test_version_names_the_commit_of_a_checkout(tmp_path):
     author = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
     (tmp_path / "file").write_text("one")
     subprocess.run(["git", "-C", tmp_path, "add", "file"], check=True)
-    subprocess.run(["git", "-C", tmp_path, *who, "commit", "-qm", "x"], check=True)
+    subprocess.run(["git", "-C", tmp_path, *author, "commit", "-qm", "x"], check=True)
     command = ["git", "-C", str(tmp_path), "rev-parse", "HEAD"]
     head = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     commit = commit_of(tmp_path)

@@ -42,7 +42,7 @@ def test_the_second_process_is_told_who_holds_the_folder(tmp_path):
             with pytest.raises(LockedError, match=words) as refused, locked(tmp_path):
                 pass
             assert "\n" not in str(refused.value)
-            assert str(refused.value).endswith("; wait until that has ended, or end it")
+            assert str(refused.value).endswith(". Wait until that process ends, or end it")
         finally:
             holder.kill()
 
@@ -108,7 +108,7 @@ def test_a_folder_that_is_made_for_nothing_goes_again(tmp_path):
 
 def test_a_place_that_holds_no_lock_is_refused(tmp_path):
     (tmp_path / "file").touch()
-    words = "file is a file; choose another --out"
+    words = r"file is a file\. Choose another --out"
     with pytest.raises(OutputError, match=words), locked(tmp_path / "file", make=True):
         pass
     words = r"cannot write .*missing \(No such file"
