@@ -359,8 +359,8 @@ def test_the_page_plays_and_scrubs_in_a_browser_without_a_network(request, tmp_p
         assert now == pytest.approx(0.75 * box[2], abs=0.1)
 
         assert not tab.complaints
-        asked = [address for address in tab.requests if not address.startswith("data:")]
-        assert asked == [(run / "analysis.html").resolve().as_uri()]
+        requested = [address for address in tab.requests if not address.startswith("data:")]
+        assert requested == [(run / "analysis.html").resolve().as_uri()]
         assert tab.paper().startswith(b"%PDF")
 
 

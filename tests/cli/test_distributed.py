@@ -119,7 +119,7 @@ class Hosts:
             process.kill()
             process.wait()
 
-    def said(self, index: int) -> str:
+    def errors(self, index: int) -> str:
         """Return the errors of a process, without the progress of the lead."""
         lines = (self._logs / f"{index}.err").read_text().splitlines(True)
         return "".join(line for line in lines if not _NO_ERROR.match(line))
@@ -129,7 +129,7 @@ class Hosts:
         end = time.monotonic() + within
         for index in which:
             self.processes[index].wait(max(0.0, end - time.monotonic()))
-        return [(self.processes[index].returncode, self.said(index)) for index in which]
+        return [(self.processes[index].returncode, self.errors(index)) for index in which]
 
 
 def lose(
@@ -146,7 +146,7 @@ def lose(
     command = ("train", CONFIG, *ENDLESS, "--out", run, *options)
     with Hosts(compiled, folder, *command, count=count) as hosts:
         while generations_done(run) < generations:
-            assert all(process.poll() is None for process in hosts.processes), hosts.said(0)
+            assert all(process.poll() is None for process in hosts.processes), hosts.errors(0)
             time.sleep(0.01)
         hosts.processes[which].send_signal(how)
         return hosts.ends(*(index for index in range(count) if index != which))
@@ -154,12 +154,12 @@ def lose(
 
 def assert_lost(ends: list[tuple[int, str]], run: Path, words: str) -> None:
     """Check that each process printed one line about the loss."""
-    for code, said in ends:
-        assert code == ExitCode.LOST, said
-        assert said.startswith("evo-cpg: process "), said
-        assert words in said
+    for code, err in ends:
+        assert code == ExitCode.LOST, err
+        assert err.startswith("evo-cpg: process "), err
+        assert words in err
         advice = f". Continue with `evo-cpg resume {run}`, on any number of processes\n"
-        assert said.endswith(advice) and said.count("\n") == 1, said
+        assert err.endswith(advice) and err.count("\n") == 1, err
 
 
 def test_two_processes_equal_one_process(alone, finish, tmp_path):

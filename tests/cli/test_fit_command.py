@@ -143,16 +143,16 @@ def test_drag_and_initial_speed_are_recovered(cli, config, tmp_path):
     write(table, header, rows)
     fitted, picture = tmp_path / "fitted.yaml", tmp_path / "fitted.png"
     keys = ("world.water.form_drag=0.5", "initial.velocity.x=1.0")
-    code, said, complaint = cli("fit", config, table, *keys, "-o", fitted, "--plot", picture)
+    code, out, complaint = cli("fit", config, table, *keys, "-o", fitted, "--plot", picture)
     assert code == 0, complaint
-    assert "warning" not in said
+    assert "warning" not in out
     after, whole = (load_config(path).model_dump() for path in (fitted, config))
     assert after["world"]["water"].pop("form_drag") == pytest.approx(0.8, rel=0.02)
     # Nothing else of the configuration changed.
     del whole["world"]["water"]["form_drag"]
     assert after == whole
     assert 0.01 < ink(picture) < 0.5
-    line = next(line for line in said.splitlines() if "initial.velocity.x" in line)
+    line = next(line for line in out.splitlines() if "initial.velocity.x" in line)
     low, high = (float(line.split()[i]) for i in (-3, -1))
     assert low < 1.3 < high and high - low < 0.02
     code, _, complaint = cli("fit", config, table, *keys, "-o", fitted)
@@ -175,9 +175,9 @@ def test_a_constant_of_the_cpg_is_recovered(finished_run, cli, tmp_path):
     data = np.asarray(exact) + 1e-4 * np.random.default_rng(1).normal(size=exact.shape)
     table = tmp_path / "data.csv"
     write(table, ("time", *columns), np.column_stack([times, data]))
-    code, said, complaint = cli("fit", folder.config, table, key, "--run", folder.path)
+    code, out, complaint = cli("fit", folder.config, table, key, "--run", folder.path)
     assert code == 0, complaint
-    line = next(line for line in said.splitlines() if key in line)
+    line = next(line for line in out.splitlines() if key in line)
     low, high = (float(line.split()[i]) for i in (-3, -1))
     assert low < truth * value < high and high - low < 0.02 * value
 

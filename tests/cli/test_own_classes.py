@@ -142,7 +142,7 @@ def test_refine_reports_a_fitness_without_gradient(fresh_cli, tmp_path):
     recorded = folder.load_champion()[0].fitness
     code, out, err = fresh_cli("refine", run, "--rounds", 1, "--steps", 2, "--cores", 1)
     assert (code, out) == (0, f"{run}\n")
-    # Each of the two devices of this process computes 48.
+    # Each of the two devices of this process computes 48 gradients.
     assert "96 gradients, 96 not finite" in err
     assert "no gradient was finite" in err
     # The changed configuration gives another fitness, which is reported, too.

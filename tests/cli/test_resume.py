@@ -177,9 +177,7 @@ def test_resume_refuses_changes_of_the_columns_of_metrics(finished_run, cli, tmp
         before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
         code, _, err = cli("resume", folder, "--generations", GENERATIONS + 1)
         assert code == 2 and "Traceback" not in err
-        assert (
-            f"metrics.csv would {words}, but all its rows must have" in err
-        )
+        assert f"metrics.csv would {words}, but all its rows must have" in err
         assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 

@@ -401,7 +401,7 @@ def test_training_without_a_device_writes_nothing(tmp_path):
     assert not folder.exists()
 
 
-# In words
+# Messages for errors
 
 
 @pytest.mark.parametrize(
