@@ -23,7 +23,9 @@ def bench(
     ] = None,
     sizes: Annotated[
         str | None,
-        typer.Option(help="Numbers of individuals, such as 1,15,200 (default: by case)."),
+        typer.Option(
+            help="Numbers of individuals, such as 1,15,200 (default: depends on the case)."
+        ),
     ] = None,
     json: Annotated[
         Path | None, typer.Option("--json", help="Also write the rows to this file.")

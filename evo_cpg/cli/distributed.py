@@ -71,8 +71,8 @@ class Distribution(NamedTuple):
         float | None,
         typer.Option(
             min=0,
-            help="Time to wait for the other processes, s, in addition to twice the time of its "
-            "own trials (default: 20).",
+            help="Time to wait for the other processes, s, in addition to twice the time that "
+            "this process takes for its trials (default: 20).",
         ),
     ] = None
 

@@ -115,6 +115,9 @@ Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse values that are allowed but not plausible.")
 ]
 Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use (default: all).")]
+CoresOfRun = Annotated[
+    int | None, typer.Option("--cores", min=1, help="Cores to use (default: as in training).")
+]
 Tensorboard = Annotated[
     bool,
     typer.Option("--tensorboard", help="Write RUN/tensorboard with the columns of metrics.csv."),

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.options import Cores, Number, Run
+from evo_cpg.cli.options import CoresOfRun, Number, Run
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,7 +34,7 @@ def refine(
     steps: Annotated[int, typer.Option(min=1, help="Steps of each lane in a round.")] = 20,
     number: Number = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the lanes.")] = 0,
-    cores: Cores = None,
+    cores: CoresOfRun = None,
 ) -> None:
     """Improve the champion along the gradient of its fitness."""
     from evo_cpg.cli.champions import use_cores_of

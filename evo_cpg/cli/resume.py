@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.distributed import ONE_PROCESS, Distribution
-from evo_cpg.cli.options import Cores, Run, Tensorboard
+from evo_cpg.cli.options import CoresOfRun, Run, Tensorboard
 
 
 def resume(
@@ -14,7 +14,7 @@ def resume(
     generations: Annotated[
         int | None, typer.Option(min=1, help="Continue to this total number of generations.")
     ] = None,
-    cores: Cores = None,
+    cores: CoresOfRun = None,
     distribution: Distribution = ONE_PROCESS,
     tensorboard: Tensorboard = False,
 ) -> None:

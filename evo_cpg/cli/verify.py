@@ -4,10 +4,10 @@ import sys
 from pathlib import Path
 
 from evo_cpg.cli.errors import ExitCode
-from evo_cpg.cli.options import Cores, Run
+from evo_cpg.cli.options import CoresOfRun, Run
 
 
-def verify(run: Run, cores: Cores = None) -> None:
+def verify(run: Run, cores: CoresOfRun = None) -> None:
     """Replay the champion and compare it with the record."""
     import numpy as np
 
