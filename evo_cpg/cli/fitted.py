@@ -218,7 +218,7 @@ def _check_names(
         for name in given:
             if name not in valid:
                 hint = nearest(name, valid) if valid else "the creature has no joints"
-                raise UsageError(f"{path}: there is no column {prefix}{name}: {hint}")
+                raise UsageError(f"{path}: unknown column {prefix}{name}: {hint}")
     for name in beginnings:
         short, valid = name.removeprefix(INITIAL), beginning_names(simulation)
         if short not in valid:
