@@ -88,7 +88,7 @@ def render(
             f"--title: {len(title or ())} for {1 + len(others)} animals. Give one for each"
         )
     if len(others) >= _MOST:
-        raise UsageError(f"--beside: {len(others) + 1} runs are too many. Allowed: {_MOST}")
+        raise UsageError(f"--beside: {len(others) + 1} runs are too many. Allowed: up to {_MOST}")
     generations = None if lineage is None else _generations(lineage)
     name = "lineage" if lineage is not None else which.of_cell.removeprefix("_") or "champion"
     name += which.of_trial + ("_beside_others" if others else "")

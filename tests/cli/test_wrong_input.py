@@ -209,7 +209,7 @@ def test_a_place_that_cannot_take_a_run_is_refused(refused, tmp_path):
     (other / "thesis.tex").write_text("years of work")
     assert "is not empty and holds no run" in refused("train", CONFIG, *TINY, "--out", other)
     file = other / "thesis.tex"
-    assert "is a file; choose another --out" in refused("train", CONFIG, *TINY, "--out", file)
+    assert "is a file. Choose another --out" in refused("train", CONFIG, *TINY, "--out", file)
     assert "cannot write" in refused("train", CONFIG, *TINY, "--out", file / "run")
     for place in ("/proc/run", "/sys/run", f"/{'x' * 300}"):
         assert f"cannot write {place} (" in refused("train", CONFIG, *TINY, "--out", place)
