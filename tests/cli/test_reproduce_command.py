@@ -171,7 +171,7 @@ def test_quick_results_are_marked_and_kept_apart(made, tmp_path):
 
 @pytest.mark.slow
 def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
-    """Picture and table have a row for each run. A run without a champion has an empty row."""
+    """Picture and table have a row for each run, without numbers if a run has no champion."""
     folder = tmp_path / "drawn"
     shutil.copytree(made, folder)
 
