@@ -209,7 +209,7 @@ def test_invalid_output_folder_is_rejected(refused, tmp_path):
     (other / "thesis.tex").write_text("years of work")
     assert "is not empty and holds no run" in refused("train", CONFIG, *TINY, "--out", other)
     file = other / "thesis.tex"
-    assert "is a file; choose another --out" in refused("train", CONFIG, *TINY, "--out", file)
+    assert "is a file. Choose another --out" in refused("train", CONFIG, *TINY, "--out", file)
     assert "cannot write" in refused("train", CONFIG, *TINY, "--out", file / "run")
     for place in ("/proc/run", "/sys/run", f"/{'x' * 300}"):
         assert f"cannot write {place} (" in refused("train", CONFIG, *TINY, "--out", place)
@@ -473,22 +473,22 @@ def test_uncoupled_and_resting_oscillators_get_a_warning(cli, tmp_path):
     text = (REPOSITORY / "configs/starfish_land.yaml").read_text()
     path.write_text(re.sub(r"\n      - \{source: .arm\[145\].*", "", text))
     warned = f"evo-cpg: warning: {path}: "
-    couple = "controller.cpg.couplings and rings couple them"
+    couple = "Couple them with controller.cpg.couplings or rings"
     code, _, err = cli("validate", path)
     assert code == 0
     alone = "arm1_1.z, arm4_1.z, arm5_1.z"
-    rest = f"{warned}coupled to no other oscillator, and at rest under a constant drive: {alone}; "
-    pair = "a pair alone swings where controller.cpg.pair_weight (1.07) is more than 1.13"
+    rest = f"{warned}coupled to no other oscillator, and at rest under a constant drive: {alone}. "
+    pair = "An isolated pair oscillates if controller.cpg.pair_weight (1.07) is more than 1.13"
     gain = "less than 1 + the adaptation gain (1 to 10)"
-    assert err == f"{rest}{couple}; {pair} (constants: swapped) and {gain}\n"
+    assert err == f"{rest}{couple}. {pair} (constants: swapped) and {gain}\n"
     code, _, err = cli("validate", path, "controller.cpg.pair_weight=1.3")
-    assert (code, err) == (0, f"{warned}coupled to no other oscillator: {alone}; {couple}\n")
+    assert (code, err) == (0, f"{warned}coupled to no other oscillator: {alone}. {couple}\n")
 
 
 def test_resting_oscillators_get_a_warning(cli):
     code, _, err = cli("validate", CONFIG, "controller.cpg.sensory_feedback=-2")
     assert code == 0
     assert ": at rest under a constant drive: segment1.x, segment1.y, " in err
-    assert "controller.cpg.max_tonic_input + sensory_feedback is -1; it must be positive\n" in err
+    assert "controller.cpg.max_tonic_input + sensory_feedback is -1 and must be positive\n" in err
     code, _, err = cli("validate", CONFIG, "controller.cpg.constants=as_printed")
     assert code == 0 and " is more than 8.71 (constants: as_printed) and " in err

@@ -141,7 +141,7 @@ def test_commands_work_in_an_empty_environment(wheel, tmp_path):
     run("evo-cpg", "export", run_folder, "run.xml")
     run("evo-cpg", "export", "hexapod", "hexapod.xml")
     assert (empty / "run.xml").is_file() and (empty / "hexapod.xml").is_file()
-    assert "comes out as recorded (exactly)" in run("evo-cpg", "verify", run_folder)
+    assert "is as recorded (exactly)" in run("evo-cpg", "verify", run_folder)
     run("evo-cpg", "resume", run_folder, "--generations", 3)
     rows = (empty / run_folder / "metrics.csv").read_text().splitlines()
     assert [row.split(",")[0] for row in rows[1:]] == ["0", "1", "2"]

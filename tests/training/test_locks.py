@@ -42,7 +42,7 @@ def test_the_second_process_names_the_holder_of_the_lock(tmp_path):
             with pytest.raises(LockedError, match=words) as refused, locked(tmp_path):
                 pass
             assert "\n" not in str(refused.value)
-            assert str(refused.value).endswith("; wait until that has ended, or end it")
+            assert str(refused.value).endswith(". Wait until that process ends, or end it")
         finally:
             holder.kill()
 
@@ -108,7 +108,7 @@ def test_an_empty_folder_made_for_a_lock_is_deleted(tmp_path):
 
 def test_a_path_that_cannot_hold_a_lock_is_refused(tmp_path):
     (tmp_path / "file").touch()
-    words = "file is a file; choose another --out"
+    words = r"file is a file\. Choose another --out"
     with pytest.raises(OutputError, match=words), locked(tmp_path / "file", make=True):
         pass
     words = r"cannot write .*missing \(No such file"
