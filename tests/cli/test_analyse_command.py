@@ -125,6 +125,7 @@ def test_numbers_on_the_page_equal_the_measured_terms(walker):
     assert 0.1 < whole <= terms["airborne"] + 1e-3 and terms["airborne"] <= most
 
 
+@pytest.mark.slow
 def test_only_a_walker_has_footfalls(walker, swimmer):
     on_land, in_water = page_of(walker), page_of(swimmer)
     assert "Footfalls" in on_land and "Strouhal" not in on_land

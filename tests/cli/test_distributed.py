@@ -205,6 +205,7 @@ def test_three_processes_equal_one_with_noise_and_learning(finish, tmp_path):
     assert_same_run(tmp_path / "three", tmp_path / "one")
 
 
+@pytest.mark.slow
 def test_a_killed_worker_ends_the_job(compiled, tmp_path):
     ends = lose(compiled, tmp_path, 1, signal.SIGKILL, count=2)
     assert_lost(ends, tmp_path / "run", "process 0 of 2: process 1 (localhost) is gone")
@@ -302,6 +303,7 @@ def test_a_stopped_local_process_is_ended_with_the_others(start, tmp_path):
         os.kill(worker, 0)
 
 
+@pytest.mark.slow
 def test_processes_with_different_configurations_are_refused(compiled, tmp_path):
     hosts = loopback(2)
     started = []

@@ -143,6 +143,7 @@ def exported(cli, finished_run, tmp_path_factory):
     return place
 
 
+@pytest.mark.slow
 def test_an_exported_motion_has_names_and_units(finished_run, exported):
     _, motion, _ = RunFolder(finished_run).load_champion()
     with (exported / "motion.csv").open() as file:

@@ -89,6 +89,7 @@ def test_lineage_selects_generations_by_number(film, two_runs):
     assert size == (196, 54)
 
 
+@pytest.mark.slow
 def test_several_runs_are_shown_side_by_side(film, two_runs, finished_run):
     size, _ = film(two_runs, "--beside", finished_run, "--beside", two_runs, "--camera", "orbit")
     assert size == (296, 54)

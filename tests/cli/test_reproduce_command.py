@@ -105,6 +105,7 @@ def test_an_interrupt_prints_a_command_that_keeps_finished_runs(
     assert capsys.readouterr().err.endswith(words.format(tmp_path / "twin"))
 
 
+@pytest.mark.slow
 def test_a_continued_study_equals_an_uninterrupted_one(made, tmp_path, monkeypatch, capsys):
     folder, group = tmp_path / "stopped", sweep.run_group
 

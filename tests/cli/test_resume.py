@@ -67,6 +67,7 @@ def stop(start, folder: Path, how: signal.Signals) -> tuple[int, str]:
     return process.returncode, err
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_continues_to_the_same_bits(finished_run, start, cli, tmp_path):
     folder = tmp_path / "run"
     code, err = stop(start, folder, signal.SIGINT)

@@ -91,6 +91,7 @@ def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path, monkeypatc
     assert code == 2 and f"--run: {noisy_run} has 2 run(s), counted from 0" in err
 
 
+@pytest.mark.slow
 def test_the_lineage_of_a_noisy_run_ends_with_its_champion(noisy_run, cli, tmp_path):
     picture = tmp_path / "lineage.png"
     options = ("--lineage", "auto", "--size", "64x48", "--seconds", "0.2", "-o", picture)

@@ -76,6 +76,7 @@ def test_importing_does_not_configure_or_start_jax(compiled):
     assert len(loaded) == sum(1 for _ in files) - 1
 
 
+@pytest.mark.slow
 def test_training_never_loads_vtk(finished_run, compiled, tmp_path):
     del finished_run  # Its training has filled the cache of compiled code.
     loaded = python(

@@ -244,6 +244,7 @@ def test_names_that_are_not_utf8_stay_unchanged(tmp_path):
     assert (tmp_path / "table.csv").read_bytes() == b"bad\xff," + "größe".encode()
 
 
+@pytest.mark.slow
 @posix
 def test_without_utf8_commands_read_and_name_files(tmp_path):
     path = tmp_path / "größe·鮫.yaml"

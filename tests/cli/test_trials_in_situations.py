@@ -36,6 +36,7 @@ def test_the_champion_is_verified_exactly(situated_run, cli):
     assert written["simulation"]["trials"] == yaml.safe_load(TRIALS)
 
 
+@pytest.mark.slow
 def test_any_trial_can_be_plotted_and_filmed(situated_run, cli, tmp_path):
     code, out, err = cli("plot", situated_run, "--trial", 2, "-o", tmp_path)
     assert code == 0, err

@@ -123,6 +123,7 @@ def test_curves_show_the_best_champion_of_several_runs():
     assert found["champion"].tolist() == [3.0, 4.0] and found["mean"].tolist() == [1.0, 2.0]
 
 
+@pytest.mark.slow
 def test_watch_follows_a_run_until_control_c(start, tmp_path):
     """Each new generation prints a line. The trainer has more generations than the test needs."""
     folder = tmp_path / "run"
