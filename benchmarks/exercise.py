@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from evo_cpg.control.postures import PostureController
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 # Travelling wave of the target rates about z: amplitude (rad/s), frequency (Hz), and lag from joint
 # to joint (degrees).
@@ -34,7 +34,7 @@ class Exercise(abc.ABC):
         experiment: experiment with the animal and its world.
     """
 
-    experiment: Experiment
+    experiment: ExperimentParts
 
     @abc.abstractmethod
     def lanes(self, count: int) -> Float[np.ndarray, "k n"]:

@@ -18,7 +18,7 @@ import numpy as np
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.training.devices import use_cores
-from evo_cpg.training.experiment import Experiment, Learning
+from evo_cpg.training.experiment import ExperimentParts, Learning
 from evo_cpg.training.loop import train
 from evo_cpg.training.refine import Refinement, Round, compile_refinement
 from evo_cpg.training.run_folder import Checkpoint, RunFolder
@@ -71,7 +71,9 @@ def main() -> None:
         )
 
 
-def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[list[float], float]:
+def _refine(
+    experiment: ExperimentParts, started: Checkpoint, count: int
+) -> tuple[list[float], float]:
     """Return every champion's refined fitness, and the time for each without compilation, s."""
     refine = compile_refinement(experiment, Refinement(count))
     rounds: list[Round] = []
@@ -85,7 +87,9 @@ def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[li
     return after, count * statistics.median(done.seconds for done in rounds[1:])
 
 
-def _evolve(experiment: Experiment, start: RunFolder, path: Path, seconds: float) -> list[float]:
+def _evolve(
+    experiment: ExperimentParts, start: RunFolder, path: Path, seconds: float
+) -> list[float]:
     """Return every champion's fitness after more training, for ``seconds`` (s) per run."""
     shutil.rmtree(path, ignore_errors=True)
     folder = RunFolder(shutil.copytree(start.path, path))

@@ -15,7 +15,7 @@ from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 
 class SineController(Controller):
@@ -81,7 +81,7 @@ EYES = (
 
 def experiment(
     steps: int = 90, population: int = 11, eyes: tuple[LightSensor, ...] = EYES, seed: int = 0
-) -> Experiment:
+) -> ExperimentParts:
     """Return an experiment of the pair: a light ahead to the left, one substep per control step."""
     creature = swimmer(eyes)
     simulation = Simulation(

@@ -18,7 +18,7 @@ from evo_cpg.files import read_json, write_text
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.devices import use_cores
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
     from evo_cpg.view.film import picture
     from evo_cpg.view.frames import Film
     from evo_cpg.view.page.document import document
-    from evo_cpg.view.page.subject import Motion, Subject
+    from evo_cpg.view.page.subject import RecordedMotion, Subject
     from evo_cpg.view.page.viewer_data import RATE, viewer_data
     from evo_cpg.view.scene import panel_of
 
@@ -115,7 +115,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
     numbers = gait_numbers(simulation, experiment.creature, frames, recording)
     doing("drawing")
     panel = panel_of(experiment, recording, experiment.name)
-    motion = Motion(
+    motion = RecordedMotion(
         recording=recording,
         clip=sample(recording, RATE),
         numbers=numbers,
@@ -172,7 +172,7 @@ def _jpeg(picture: "Image.Image") -> bytes:
     return written.getvalue()
 
 
-def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
+def _sentence(experiment: ExperimentParts, config: ExperimentConfig) -> str:
     simulation, creature = experiment.simulation, experiment.creature
     places = (
         ("in water", simulation.world.water is not None),

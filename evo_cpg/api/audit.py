@@ -27,7 +27,7 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training import variations
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.experiment import Experiment, champion_keys, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, champion_keys, situation_numbers
 from evo_cpg.training.probe import blinded
 from evo_cpg.training.variations import Variation, Varied
 
@@ -121,7 +121,7 @@ class Audit:
 
 
 def audits(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     champions: Sequence[Champion],
     limits: Limits,
     config: ExperimentConfig,
@@ -184,7 +184,7 @@ def _complete(champion: Champion, replayed: Varied) -> Champion:
 
 
 def _opinions(
-    experiment: Experiment, champion: Champion, steps: PhysicsSteps
+    experiment: ExperimentParts, champion: Champion, steps: PhysicsSteps
 ) -> tuple[tuple[Opinion, ...], str]:
     """Return our trial and MuJoCo's, and the reason why one is missing."""
     simulation, creature = experiment.simulation, experiment.creature
@@ -201,7 +201,7 @@ def _opinions(
     return (own_opinion(simulation, steps), *theirs) if theirs else (), missing
 
 
-def _brain(experiment: Experiment, champion: Champion) -> Brain:
+def _brain(experiment: ExperimentParts, champion: Champion) -> Brain:
     """Return the brain that drives the champion in its first trial."""
     keys, numbers = champion_keys(experiment, champion), situation_numbers(experiment)
     own = None if keys is None else keys[:, :1]
@@ -210,7 +210,7 @@ def _brain(experiment: Experiment, champion: Champion) -> Brain:
 
 
 def compile_first_look(
-    experiment: Experiment, least: float
+    experiment: ExperimentParts, least: float
 ) -> Callable[[Champion, float | None], Check]:
     """Compile the only check that `train` makes, before there is a champion.
 
@@ -247,7 +247,7 @@ def compile_first_look(
     return look
 
 
-def compile_steps(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
+def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[Trial, ...]]:
     """Return a function that replays all trials of a champion, step by step."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
@@ -274,7 +274,7 @@ def compile_steps(experiment: Experiment) -> Callable[[Champion], tuple[Trial, .
 
 
 def books(
-    experiment: Experiment, champion: Champion, trials: tuple[Trial, ...], limits: Limits
+    experiment: ExperimentParts, champion: Champion, trials: tuple[Trial, ...], limits: Limits
 ) -> list[Check]:
     """Return the checks of the trials themselves, each for the worst trial."""
     simulation, mass = experiment.simulation, float(experiment.creature.mass)
@@ -344,7 +344,7 @@ def books(
 
 
 def _between_limbs(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     found: Sequence[Excursions],
     ledgers: Sequence[Ledger],
     check: Callable[..., Check],
@@ -365,7 +365,7 @@ def _between_limbs(
     return checks
 
 
-def _pairs_that_pass(experiment: Experiment) -> str:
+def _pairs_that_pass(experiment: ExperimentParts) -> str:
     """Name the body pairs that touch in the neutral pose. Their overlap is not checked."""
     world = experiment.simulation.world
     found = pairs_that_touch_at_rest(experiment.creature, world.tree, world.watched)
@@ -375,7 +375,7 @@ def _pairs_that_pass(experiment: Experiment) -> str:
 
 
 def _variations(
-    experiment: Experiment, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
+    experiment: ExperimentParts, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
 ) -> dict[str, Variation]:
     """Return the variations of the simulation, by the key of the limit.
 
@@ -441,7 +441,7 @@ def _replay(champion: Champion, replayed: Varied) -> Check:
     return Check("replay", "error of the replayed fitness", off, _REPLAY, unit="%")
 
 
-def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
+def _carried(experiment: ExperimentParts, trials: Sequence[Trial]) -> float:
     """Return the displacement by the water's flow alone, mean over trials, m."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     water, displacements = simulation.world.water, []

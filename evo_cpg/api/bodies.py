@@ -12,7 +12,7 @@ from evo_cpg.config.numbers import number_at
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import Experiment, compile_trials
+from evo_cpg.training.experiment import ExperimentParts, compile_trials
 
 Numbers = Mapping[str, ArrayLike | Sequence[float]]
 
@@ -30,7 +30,7 @@ class Bodies:
         source: file of the configuration.
     """
 
-    def __init__(self, parts: Experiment, config: ExperimentConfig, source: Path):
+    def __init__(self, parts: ExperimentParts, config: ExperimentConfig, source: Path):
         self._parts, self._config, self._source = parts, config, source
         self._made: dict[frozenset[str], tuple[BodyPlan, Callable[..., Outcome]]] = {}
 

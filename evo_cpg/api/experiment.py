@@ -77,7 +77,7 @@ class Experiment:
 
     def __init__(
         self,
-        parts: training.Experiment,
+        parts: training.ExperimentParts,
         config: ExperimentConfig,
         source: Path,
         replaced: tuple[str, ...] = (),

@@ -16,11 +16,11 @@ from evo_cpg.config.parameters import Parameters
 from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.task import Task
-from evo_cpg.training.experiment import Experiment, judge, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, judge, situation_numbers
 
 
 def fitness_function(
-    parts: Experiment,
+    parts: ExperimentParts,
     scales: dict[str, Float[Array, ""]],
     keys: Array | None,
     horizon: float | None,

@@ -14,7 +14,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.recording import Recording, as_recording
 from evo_cpg.system import named
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 
@@ -44,7 +44,7 @@ class Opened:
 
     folder: RunFolder
     config: ExperimentConfig
-    experiment: Experiment
+    experiment: ExperimentParts
 
     @property
     def devices(self) -> int:
@@ -140,7 +140,7 @@ class OpenedChampion(Opened):
     recording: Recording | None
 
 
-def open_run(run: Path | str, build: Callable[..., Experiment] = build_experiment) -> Opened:
+def open_run(run: Path | str, build: Callable[..., ExperimentParts] = build_experiment) -> Opened:
     """Read a run folder and build its experiment.
 
     Args:

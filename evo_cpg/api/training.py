@@ -244,7 +244,7 @@ class Recorder:
 
     def __init__(
         self,
-        experiment: parts.Experiment,
+        experiment: parts.ExperimentParts,
         folder: RunFolder,
         least: float | None = None,
         animal: str | None = None,
@@ -386,7 +386,7 @@ def first_look_limit(config: ExperimentConfig) -> float | None:
 
 
 def evolve(
-    experiment: parts.Experiment,
+    experiment: parts.ExperimentParts,
     folder: RunFolder,
     on_generation: Callable[[Rows], None],
     recorder: Recorder,
@@ -433,7 +433,7 @@ def evolve(
     return done.champion
 
 
-def follow(experiment: parts.Experiment, folder: RunFolder, team: "Team") -> None:
+def follow(experiment: parts.ExperimentParts, folder: RunFolder, team: "Team") -> None:
     """Evolve as a follower in a team. Nothing is written or shown.
 
     Args:

@@ -14,7 +14,7 @@ from evo_cpg.cli.tables import show_table
 from evo_cpg.config.situations import out_of_reach
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.probe import UNSEEING, Probe, around, blinded, probe, seen_from_start
 from evo_cpg.view.figure import save_figure
 from evo_cpg.view.probe_plot import probe_figure
@@ -188,7 +188,7 @@ def own_situations(opened: Opened) -> tuple[Situation, ...]:
     )
 
 
-def require_reachable(experiment: Experiment, situations: tuple[Situation, ...]) -> None:
+def require_reachable(experiment: ExperimentParts, situations: tuple[Situation, ...]) -> None:
     """Check that every light can be reached.
 
     Raises:

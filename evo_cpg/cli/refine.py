@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from evo_cpg.config.parameters import Parameters
     from evo_cpg.training.ascent import Free
-    from evo_cpg.training.experiment import Experiment
+    from evo_cpg.training.experiment import ExperimentParts
     from evo_cpg.training.refine import Round
 
 
@@ -151,7 +151,7 @@ def _free(parameters: "Parameters") -> "Free":
     from evo_cpg.config.errors import ConfigError
     from evo_cpg.training.ascent import Free
 
-    def rebuild(values: "np.ndarray") -> "Experiment | None":
+    def rebuild(values: "np.ndarray") -> "ExperimentParts | None":
         try:
             config = parameters.config_at(values)
             experiment = build_experiment(config, parameters.source, parameters.folders)

@@ -31,7 +31,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
-from evo_cpg.training.experiment import TABLE_COLUMNS, Experiment
+from evo_cpg.training.experiment import TABLE_COLUMNS, ExperimentParts
 from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.scalars import FOLDER, MissingWriterError, Scalars, require_writer
@@ -162,7 +162,7 @@ def _require_alike(opened: Opened) -> Checkpoint | None:
     return done
 
 
-def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Experiment) -> None:
+def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: ExperimentParts) -> None:
     """Check that the next rows of metrics.csv will have the columns of the earlier rows.
 
     Raises:
@@ -184,7 +184,7 @@ def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Exper
         )
 
 
-def _finished(folder: RunFolder, done: Checkpoint | None, experiment: Experiment) -> bool:
+def _finished(folder: RunFolder, done: Checkpoint | None, experiment: ExperimentParts) -> bool:
     """Return whether a run is finished, and none of its files was lost or changed since."""
     if done is None or not is_finished(experiment, done):
         return False

@@ -46,7 +46,7 @@ from evo_cpg.simulation.task import Task, term_names
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.system import resolved, with_working_folder
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 # Resolution of the quadrature that random surface points are drawn from.
 _DENSE_RESOLUTION = 24
@@ -58,7 +58,7 @@ def build_experiment(
     folders: Iterable[Path] = (),
     layout: PointLayout = "merged",
     pairs: PlanPairs | None = None,
-) -> Experiment:
+) -> ExperimentParts:
     """Build the experiment that a configuration describes.
 
     Args:
@@ -82,7 +82,7 @@ def _build_experiment(
     folders: tuple[Path, ...],
     layout: PointLayout,
     pairs: PlanPairs | None,
-) -> Experiment:
+) -> ExperimentParts:
     for folder in with_working_folder(code_folders(folders)):
         if str(resolved(folder)) not in sys.path:
             sys.path.append(str(resolved(folder)))
@@ -93,7 +93,7 @@ def _build_experiment(
     check_own_returns(config, simulation)
     with under("evolution"):
         strategy = _build_strategy(config, simulation)
-    return Experiment(
+    return ExperimentParts(
         name=config.name,
         creature=creature,
         simulation=simulation,
@@ -123,7 +123,7 @@ def _build_strategy(config: ExperimentConfig, simulation: Simulation) -> Strateg
     return Mapped(given.population, given.build_axes(), strategy) if mapped else strategy
 
 
-def require_genes(experiment: Experiment, source: Path | str) -> None:
+def require_genes(experiment: ExperimentParts, source: Path | str) -> None:
     """Check that the controller has genes.
 
     Args:

@@ -30,7 +30,7 @@ from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.decisions import all_hold
 from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 # Distance of neighbouring values, as a fraction of the value, or absolute if the value is 0.
 _STEP = 1e-4
@@ -71,7 +71,7 @@ class Parameters:
     """
 
     keys: tuple[str, ...]
-    experiment: Experiment
+    experiment: ExperimentParts
     config: ExperimentConfig
     source: Path | str
     folders: tuple[Path, ...]

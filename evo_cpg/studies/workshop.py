@@ -40,7 +40,7 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ class Workshop:
             )
         return self._members[name]
 
-    def experiment(self, name: str) -> Experiment:
+    def experiment(self, name: str) -> ExperimentParts:
         """Return the experiment of a run."""
         return self.member(name).experiment
 

@@ -23,7 +23,7 @@ from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
-from evo_cpg.training.experiment import Experiment, judge, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, judge, situation_numbers
 
 # Range of step sizes in water, in units of genes. They are drawn evenly on a logarithmic scale.
 _STEP_SIZES = 3e-4, 1e-2
@@ -210,7 +210,7 @@ class Free(NamedTuple):
 
     values: Float[np.ndarray, " k"]
     simulation: Callable[[Float[Array, " k"]], Simulation]
-    rebuild: Callable[[Float[np.ndarray, " k"]], Experiment | None]
+    rebuild: Callable[[Float[np.ndarray, " k"]], ExperimentParts | None]
 
     def at(self, shifts: Any) -> Any:
         """Return the shifted values. Small shifts are relative changes.
@@ -224,7 +224,7 @@ class Free(NamedTuple):
 
 
 def compile_ascent(
-    experiment: Experiment, mesh: Mesh, steps: int, free: Free | None = None
+    experiment: ExperimentParts, mesh: Mesh, steps: int, free: Free | None = None
 ) -> Callable[..., Climbed]:
     """Return a function that runs the ascent of any number of individuals on a mesh.
 

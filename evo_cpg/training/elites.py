@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from evo_cpg.evolution.archive import Archive, Axis
 from evo_cpg.training.checkpoint import Champion, Checkpoint
-from evo_cpg.training.experiment import Experiment, begin
+from evo_cpg.training.experiment import ExperimentParts, begin
 from evo_cpg.training.strategy_state import StrategyError, state_from
 
 
@@ -26,7 +26,7 @@ class GaitMap(NamedTuple):
     archive: Archive
 
 
-def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMap | None:
+def gait_map(experiment: ExperimentParts, checkpoint: Checkpoint, run: int) -> GaitMap | None:
     """Return the map of a run, or None if its strategy has none.
 
     Raises:
@@ -45,7 +45,7 @@ def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMa
 
 
 def elite(
-    experiment: Experiment, checkpoint: Checkpoint, cell: tuple[int, ...], run: int
+    experiment: ExperimentParts, checkpoint: Checkpoint, cell: tuple[int, ...], run: int
 ) -> Champion:
     """Return the individual of a cell, ready to be replayed.
 

@@ -61,7 +61,7 @@ class Learning(NamedTuple):
     steps: int
 
 
-class Experiment(NamedTuple):
+class ExperimentParts(NamedTuple):
     """Experiment that a config file describes.
 
     Attributes:
@@ -115,7 +115,7 @@ class Generation(NamedTuple):
 
 
 def begin(
-    experiment: Experiment, start: Float[Array, "g all"] | None = None
+    experiment: ExperimentParts, start: Float[Array, "g all"] | None = None
 ) -> tuple[Float[Array, "g all"], PyTree[Array]]:
     """Return the population of generation 0, run by run, and the strategy's state.
 
@@ -138,13 +138,13 @@ def begin(
     return genes.reshape(len(genes), -1), state
 
 
-def first_population(experiment: Experiment) -> Float[Array, "g all"]:
+def first_population(experiment: ExperimentParts) -> Float[Array, "g all"]:
     """Return the population of generation 0 of every run, see `begin`."""
     return begin(experiment)[0]
 
 
 def trial_keys(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     generation: ArrayLike,
     run: Int[np.ndarray, " n"],
     individual: Int[np.ndarray, " n"],
@@ -171,27 +171,31 @@ def trial_keys(
     return jax.vmap(of_trial, out_axes=1)(_seeds(experiment)[run], individual, trial)
 
 
-def champion_keys(experiment: Experiment, champion: Champion) -> UInt32[Array, "w trials"] | None:
+def champion_keys(
+    experiment: ExperimentParts, champion: Champion
+) -> UInt32[Array, "w trials"] | None:
     """Return the random keys of an individual's trials, see `trial_keys`."""
     trials = np.arange(experiment.trials)
     run, individual = (np.full_like(trials, i) for i in (champion.run, champion.index))
     return trial_keys(experiment, champion.generation, run, individual, trials)
 
 
-def generation_keys(experiment: Experiment, generation: ArrayLike) -> UInt32[Array, "w n"] | None:
+def generation_keys(
+    experiment: ExperimentParts, generation: ArrayLike
+) -> UInt32[Array, "w n"] | None:
     """Return `trial_keys` of a generation's trials, in the order of the population axis."""
     places = np.indices((experiment.runs, experiment.strategy.population, experiment.trials))
     run, individual, trial = places.reshape(3, -1)
     return trial_keys(experiment, generation, run, individual, trial)
 
 
-def situation_numbers(experiment: Experiment) -> Int[np.ndarray, " trials"] | None:
+def situation_numbers(experiment: ExperimentParts) -> Int[np.ndarray, " trials"] | None:
     """Return the situation number of each trial, or None if there is one situation."""
     several = len(experiment.simulation.situations) > 1
     return np.arange(experiment.trials) if several else None
 
 
-def placeholder_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
+def placeholder_scales(experiment: ExperimentParts) -> dict[str, tuple[float, ...]]:
     """Return ones as scales of each run, until generation 0 measures them."""
     simulation = experiment.simulation
     shapes = jax.eval_shape(lambda: simulation.task.scales(no_terms(simulation)))
@@ -254,7 +258,7 @@ def compile_trials(
 
 
 def breed(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     genes: Float[Array, "g n"],
     outcome: Outcome,
     index: Array,
@@ -351,7 +355,7 @@ def judge_each(
     return jax.vmap(lambda trial: score(task, trial, scales), in_axes=-1)(outcome)
 
 
-def _seeds(experiment: Experiment) -> Int[Array, " runs"]:
+def _seeds(experiment: ExperimentParts) -> Int[Array, " runs"]:
     return experiment.seed + jnp.arange(experiment.runs)
 
 

@@ -16,7 +16,7 @@ from jax.sharding import Mesh
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import Experiment, compile_trials
+from evo_cpg.training.experiment import ExperimentParts, compile_trials
 from evo_cpg.training.processes import ALONE, Team
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.running import Running, Trials
@@ -26,7 +26,7 @@ TIMING_COLUMNS = ("seconds", "steps_per_second")
 
 
 def train(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     folder: RunFolder,
     on_generation: Callable[[list[dict[str, float]]], object] = lambda rows: None,
     mesh: Mesh | None = None,
@@ -40,7 +40,7 @@ def train(
 
 
 def train_together(
-    experiments: Sequence[Experiment],
+    experiments: Sequence[ExperimentParts],
     folders: Sequence[RunFolder],
     on_generation: Callable[[int, list[dict[str, float]]], object] = lambda number, rows: None,
     mesh: Mesh | None = None,

@@ -14,7 +14,7 @@ import jax
 
 from evo_cpg.errors import UserError
 from evo_cpg.system import described_by
-from evo_cpg.training.experiment import Experiment, begin
+from evo_cpg.training.experiment import ExperimentParts, begin
 
 # Bytes of everything else, and the largest number of copies of genomes and search state, with a
 # margin.
@@ -33,14 +33,14 @@ class TooLargeError(UserError):
     """Error for a run that needs more memory than the machine has, shown to the user."""
 
 
-def needed(experiment: Experiment) -> int:
+def needed(experiment: ExperimentParts) -> int:
     """Return an upper bound of the bytes that training needs."""
     genes = experiment.simulation.genome.count
     genomes = _GENE * genes * experiment.runs * experiment.strategy.population
     return _REST + _COPIES * (genomes + remembered(experiment))
 
 
-def remembered(experiment: Experiment) -> int:
+def remembered(experiment: ExperimentParts) -> int:
     """Return the bytes of the search state of all runs, without their populations.
 
     Checkpoints hold this state. Only shapes are evaluated here.
@@ -61,7 +61,7 @@ def available() -> int | None:
     return min(found, default=None)
 
 
-def require_memory(experiment: Experiment) -> None:
+def require_memory(experiment: ExperimentParts) -> None:
     """Check that a run fits into the memory.
 
     Raises:

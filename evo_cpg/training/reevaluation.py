@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from evo_cpg.training.checkpoint import Champion, Checkpoint
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 CANDIDATES = 16
 """Largest number of candidates of each run."""
@@ -29,7 +29,7 @@ FIRST_ROUND = 2**30
 No run reaches these generations."""
 
 
-def is_finished(experiment: Experiment, checkpoint: Checkpoint) -> bool:
+def is_finished(experiment: ExperimentParts, checkpoint: Checkpoint) -> bool:
     """Return whether the last generation is done and the champion is known."""
     evolved = checkpoint.generation >= experiment.generations
     return evolved and (experiment.simulation.noise.silent or bool(checkpoint.chosen))

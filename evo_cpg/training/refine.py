@@ -21,7 +21,7 @@ from evo_cpg.training.ascent import Free, compile_ascent, draw_settings, log_uni
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.experiment import (
-    Experiment,
+    ExperimentParts,
     champion_keys,
     compile_trials,
     judge,
@@ -88,7 +88,7 @@ class _Parent(NamedTuple):
 
 
 def compile_refinement(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     settings: Refinement,
     mesh: Mesh | None = None,
     devices: int | None = None,
@@ -161,7 +161,7 @@ def compile_refinement(
 
 
 def compile_evaluation(
-    experiment: Experiment, mesh: Mesh, devices: int
+    experiment: ExperimentParts, mesh: Mesh, devices: int
 ) -> Callable[[Float[np.ndarray, "g n"], Champion], list[Champion]]:
     """Return a function that evaluates genomes with a champion's place, noise and scales.
 
@@ -221,7 +221,7 @@ def _starts(
     return (genes + kick * rng.standard_normal(genes.shape)).astype(np.float32)
 
 
-def _keys_of(experiment: Experiment, champion: Champion, lanes: int) -> np.ndarray | None:
+def _keys_of(experiment: ExperimentParts, champion: Champion, lanes: int) -> np.ndarray | None:
     """Return the keys of the champion's trials for every lane, ``(w, trials, n)``."""
     keys = jax.device_get(champion_keys(experiment, champion))
     return None if keys is None else np.repeat(keys[..., None], lanes, -1)

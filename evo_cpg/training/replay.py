@@ -14,7 +14,7 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import chunk_width
 from evo_cpg.training.experiment import (
-    Experiment,
+    ExperimentParts,
     champion_keys,
     judge,
     placeholder_scales,
@@ -29,7 +29,7 @@ Frames = tuple[float, dict[str, float], dict[str, Array]]
 
 
 def replay_champion(
-    experiment: Experiment, champion: Champion, devices: int, recorded: int = 0
+    experiment: ExperimentParts, champion: Champion, devices: int, recorded: int = 0
 ) -> Replayed:
     """Repeat the champion's trials with their original noise.
 
@@ -46,7 +46,7 @@ def replay_champion(
 
 
 def compile_replay(
-    experiment: Experiment, devices: int, recorded: int = 0
+    experiment: ExperimentParts, devices: int, recorded: int = 0
 ) -> Callable[[Champion], Replayed]:
     """Compile `replay_champion` before there is a champion.
 
@@ -66,7 +66,7 @@ def compile_replay(
 
 
 def compile_frames(
-    experiment: Experiment, devices: int, recorded: int = 0, full: bool = False
+    experiment: ExperimentParts, devices: int, recorded: int = 0, full: bool = False
 ) -> Callable[[Champion], Frames]:
     """Compile `replay_champion` with recorded arrays of each control step instead of a motion.
 
@@ -98,7 +98,7 @@ def compile_frames(
 
 
 def replay(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     devices: int,
     genes: Float[Array, " g"],
     keys: UInt32[Array, "w trials"] | None = None,

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, PyTree, UInt32
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.checkpoint import Champion, Checkpoint, checkpoint_arrays, read_checkpoint
 from evo_cpg.training.experiment import (
-    Experiment,
+    ExperimentParts,
     Generation,
     begin,
     breed,
@@ -79,7 +79,7 @@ class Running:
     checkpoint: Checkpoint
 
     def __init__(
-        self, experiment: Experiment, folder: RunFolder, mesh: Mesh, team: Team = ALONE
+        self, experiment: ExperimentParts, folder: RunFolder, mesh: Mesh, team: Team = ALONE
     ) -> None:
         self._experiment, self._folder, self._team = experiment, folder, team
         self._programs = compile_evolution(experiment)
@@ -212,7 +212,7 @@ class Running:
         return self._choice.keys(keys, self._experiment.trials) if self._choice else keys
 
 
-def compile_evolution(experiment: Experiment) -> Evolution:
+def compile_evolution(experiment: ExperimentParts) -> Evolution:
     """Return the functions that a run needs besides its trials, for any number of generations."""
     functions = begin, generation_keys, breed
     return Evolution(*(jax.jit(functools.partial(one, experiment)) for one in functions))
@@ -241,7 +241,9 @@ def _float32(scales: dict[str, tuple[float, ...]]) -> dict[str, np.ndarray]:
     return {name: np.array(values, np.float32) for name, values in scales.items()}
 
 
-def _require_finite(experiment: Experiment, genes: Float[np.ndarray, "g all"], done: int) -> None:
+def _require_finite(
+    experiment: ExperimentParts, genes: Float[np.ndarray, "g all"], done: int
+) -> None:
     """Check the genomes of a strategy, unless the strategy disables the check.
 
     Raises:
@@ -291,7 +293,7 @@ def _individual(
 
 
 def _metrics(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     generation: int,
     result: Generation,
     run: int,

@@ -21,7 +21,7 @@ from evo_cpg.simulation.judge import Outcome
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.experiment import Experiment, champion_keys, judge, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, champion_keys, judge, situation_numbers
 
 # Seed of the draws of noise.
 _SEED = 20
@@ -64,7 +64,9 @@ class Varied(NamedTuple):
         return each.reshape(len(variation.simulations), variation.draws).mean(1)
 
 
-def compile_variation(experiment: Experiment, variation: Variation) -> Callable[[Champion], Varied]:
+def compile_variation(
+    experiment: ExperimentParts, variation: Variation
+) -> Callable[[Champion], Varied]:
     """Compile an individual's trials under other conditions, before there is a champion.
 
     Args:
@@ -164,7 +166,7 @@ def _program(sims: Sequence[Simulation], owners: np.ndarray) -> Callable[..., Ou
     return lambda genes, keys, numbers: rollout(every, genes, keys, numbers)
 
 
-def _keys(experiment: Experiment, champion: Champion, variation: Variation) -> Array | None:
+def _keys(experiment: ExperimentParts, champion: Champion, variation: Variation) -> Array | None:
     """Return raw keys of all trials: the champion's own, or new ones for several draws."""
     if variation.simulations[0].noise.silent:
         return None

@@ -421,8 +421,8 @@ def test_fast_and_airborne_gaits_are_flagged(honest):
     """The root moves at 50 m/s, in the air."""
     made, (trial,) = honest
     after = trial.steps.after
-    way = 50 * np.arange(1, after.q.shape[1] + 1) * made.simulation.step_length
-    place = after.position + way * np.eye(3)[0][:, None]
+    displacement = 50 * np.arange(1, after.q.shape[1] + 1) * made.simulation.step_length
+    place = after.position + displacement * np.eye(3)[0][:, None]
     velocity = after.velocity + 50 * np.eye(6)[3][:, None]
     fast = eqx.tree_at(lambda state: (state.position, state.velocity), after, (place, velocity))
     steps = trial.steps._replace(after=fast, contact_force=0 * trial.steps.contact_force)

@@ -260,8 +260,10 @@ def test_a_record_holds_motion_senses_and_controller_state(experiment, genomes, 
 def test_the_fitness_function_has_the_value_and_its_gradient(experiment, genomes, evaluation):
     value, slope = jax.jit(jax.value_and_grad(experiment.fitness_function()))(genomes[0])
     assert float(value) == pytest.approx(float(evaluation.fitness[0]), rel=1e-5)
-    way = slope / np.linalg.norm(slope)
-    ends = experiment.evaluate(0, np.stack([genomes[0] + h * way for h in (-0.01, 0.01)])).fitness
+    direction = slope / np.linalg.norm(slope)
+    ends = experiment.evaluate(
+        0, np.stack([genomes[0] + h * direction for h in (-0.01, 0.01)])
+    ).fitness
     assert (ends[1] - ends[0]) / 0.02 == pytest.approx(float(np.linalg.norm(slope)), rel=0.1)
 
 
@@ -279,12 +281,12 @@ def test_the_horizon_selects_decaying_cut_or_exact_gradients(
     monkeypatch, config, horizon, retention, rough
 ):
     """`simulation/test_fitness_gradients.py` compares exact gradients with finite differences."""
-    experiment, asked = evo.load(REPOSITORY / "configs" / f"{config}.yaml"), []
-    monkeypatch.setattr(fitness, "rollout", lambda *_, backward: asked.append(backward))
+    experiment, budgets = evo.load(REPOSITORY / "configs" / f"{config}.yaml"), []
+    monkeypatch.setattr(fitness, "rollout", lambda *_, backward: budgets.append(backward))
     monkeypatch.setattr(fitness, "judge", lambda *_: [jnp.zeros(())])
     of_genome = fitness.fitness_function(experiment.parts, {}, None, horizon, None, None)
     of_genome(np.zeros(experiment.gene_count))
-    (backward,) = asked
+    (backward,) = budgets
     assert backward.rough is rough
     assert backward.retention == (retention and pytest.approx(retention))
 

@@ -153,10 +153,10 @@ def test_a_law_acts_on_a_creature_at_rest(plate):
     stiffness = 40.0
     leash = dataclasses.replace(plate, forces=(*plate.forces, Leash("wing", stiffness)))
     base = resting_state(plate.tree, dtype=jnp.float64)
-    way = jnp.array([0.2, 0.0, -0.1, 0.3, 0.0, 0.0])
+    offset = jnp.array([0.2, 0.0, -0.1, 0.3, 0.0, 0.0])
     none = jnp.zeros((3, 0))
     friction = FrictionState(none, none, none, none[0], none)
-    force, _ = quick_jit(lambda x: static_forces(leash, 0.01, base, friction, x))(way)
+    force, _ = quick_jit(lambda x: static_forces(leash, 0.01, base, friction, x))(offset)
     apparent = (DENSITY - WATER) * AREA * THICKNESS * G
     expected = [-stiffness * 0.2, 0.0, stiffness * 0.1 - apparent, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(force, expected, atol=1e-9)
@@ -220,11 +220,11 @@ def test_a_number_of_a_law_has_a_derivative(glider):
     parameters = parametrise(config, source, ["world.forces.0.options.area"])
     genes = jnp.full((3, 1), 1.0)
 
-    def way(values):
+    def displacement(values):
         return rollout(parameters.simulation(values), genes, None).terms["distance"][0]
 
-    slope = quick_jit(jax.grad(way))(jnp.array([0.03]))
-    ends = [quick_jit(way)(jnp.array([area])) for area in (0.029, 0.031)]
+    slope = quick_jit(jax.grad(displacement))(jnp.array([0.03]))
+    ends = [quick_jit(displacement)(jnp.array([area])) for area in (0.029, 0.031)]
     expected = float(ends[1] - ends[0]) / 0.002
     assert abs(expected) > 1e-4 and float(slope[0]) == pytest.approx(expected, rel=0.02)
 

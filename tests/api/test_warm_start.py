@@ -97,11 +97,11 @@ def test_another_plan_is_refused(earlier, tmp_path):
 
 
 def test_a_run_without_a_champion_is_refused(earlier, tmp_path):
-    begun = shutil.copytree(earlier.folder, tmp_path / "begun")
-    shutil.rmtree(begun / "checkpoints")
-    (begun / "checkpoints").mkdir()
+    started = shutil.copytree(earlier.folder, tmp_path / "started")
+    shutil.rmtree(started / "checkpoints")
+    (started / "checkpoints").mkdir()
     with pytest.raises(RunFolderError, match="has no champion yet"):
-        warm_start(evo.load(CONFIG, SHORT).parts, begun, "champion")
+        warm_start(evo.load(CONFIG, SHORT).parts, started, "champion")
 
 
 def test_genomes_that_do_not_fit_are_refused(tmp_path):

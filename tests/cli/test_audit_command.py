@@ -196,8 +196,11 @@ def judged(*checks: Check) -> Audit:
 def test_the_verdict_names_unused_eyes_and_short_displacements(capsys):
     champion = Champion(np.zeros(1), 0.0, 0, {}, {})
     sees, blind, still = (
-        judged(Check("way", "", way), *(Check(key, "", kept) for key, kept in fractions.items()))
-        for way, fractions in (
+        judged(
+            Check("way", "", displacement),
+            *(Check(key, "", kept) for key, kept in fractions.items()),
+        )
+        for displacement, fractions in (
             (2.0, {"half_step": 1.0, "blind": 0.3}),
             (2.0, {"half_step": 1.0, "blind": 0.83}),
             (0.004, {}),

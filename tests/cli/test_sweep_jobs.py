@@ -103,9 +103,9 @@ def test_jobs_have_the_results_of_a_sweep_without_jobs(tmp_path, quick, capfd):
 def test_a_failed_job_is_reported_and_the_others_continue(tmp_path, quick, capfd):
     folder = tmp_path / "sweep"
     sweep_of(folder)
-    in_the_way = folder / NAMES[1] / "notes.txt"
-    in_the_way.parent.mkdir()
-    in_the_way.write_text("mine")
+    obstacle = folder / NAMES[1] / "notes.txt"
+    obstacle.parent.mkdir()
+    obstacle.write_text("mine")
     assert not resume(folder, "1")
     err = capfd.readouterr().err
     assert f"failed ({NAMES[1]}). {folder.resolve() / '.jobs'}" in err
@@ -113,7 +113,7 @@ def test_a_failed_job_is_reported_and_the_others_continue(tmp_path, quick, capfd
     assert f"1 of 2 settings did not finish: {NAMES[1]}. Continue with" in err
     assert RunFolder(folder / NAMES[0]).newest == 3
     # Only the failed setting is continued.
-    in_the_way.unlink()
+    obstacle.unlink()
     assert resume(folder, "1")
     assert NAMES[0] not in capfd.readouterr().err
     assert RunFolder(folder / NAMES[1]).newest == 3

@@ -28,9 +28,9 @@ def plain(function, *args, batch_ndim=1):
 
 def assert_agrees(function, *args, batch_ndim=1, rtol=1e-6, atol=1e-6):
     """Assert that native code and JAX agree in numbers, types, shapes, NaN and infinities."""
-    got, wanted = (run(function, *args, batch_ndim=batch_ndim) for run in (fused, plain))
-    assert [x.dtype for x in got] == [x.dtype for x in wanted]
-    for one, other in zip(got, wanted, strict=True):
+    got, expected = (run(function, *args, batch_ndim=batch_ndim) for run in (fused, plain))
+    assert [x.dtype for x in got] == [x.dtype for x in expected]
+    for one, other in zip(got, expected, strict=True):
         exact = one.dtype.kind != "f"
         tolerance = {"rtol": 0, "atol": 0} if exact else {"rtol": rtol, "atol": atol}
         np.testing.assert_allclose(one, other, strict=True, **tolerance)

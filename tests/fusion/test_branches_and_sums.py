@@ -34,9 +34,12 @@ def long_branch(x, k):
 def choose(x):
     def turn(carry, k):
         number = k.astype(x.dtype)
-        wanted = x[0] * (number - 2.0) > 0.3
+        condition = x[0] * (number - 2.0) > 0.3
         new = lax.cond(
-            wanted, lambda c: (long_branch(c, number), c[0]), lambda c: (c, jnp.float32(2)), carry
+            condition,
+            lambda c: (long_branch(c, number), c[0]),
+            lambda c: (c, jnp.float32(2)),
+            carry,
         )
         return new[0], (new[1], new[0][1] > 0)
 

@@ -114,17 +114,17 @@ def test_values_stay_and_instructions_do_not_grow(data, reorder):
         else nodes[0]
     )
     inside = builder.opaque(found, part=builder.end_part(seen, [found]))
-    wanted = [nodes[-1], *seen]
-    before, count = [value(node, {}) for node in wanted], instructions(wanted)
-    scales = [magnitude(node) for node in wanted]
+    expected = [nodes[-1], *seen]
+    before, count = [value(node, {}) for node in expected], instructions(expected)
+    scales = [magnitude(node) for node in expected]
     after = contracted(builder, nodes[-1], inside, reorder=reorder)
-    wanted = [after.result_nodes[0], *after.parts[0].arguments]
-    for node, old, scale in zip(wanted, before, scales, strict=True):
+    expected = [after.result_nodes[0], *after.parts[0].arguments]
+    for node, old, scale in zip(expected, before, scales, strict=True):
         assert abs(value(node, {}) - old) <= 1e-12 * scale or not np.isfinite(scale)
-    assert instructions(wanted) <= count
-    every = everything_behind(wanted)
+    assert instructions(expected) <= count
+    every = everything_behind(expected)
     users = collections.Counter(
-        [*wanted, *(operand for node in every for operand in node.operands)]
+        [*expected, *(operand for node in every for operand in node.operands)]
     )
     left = [
         operand

@@ -57,8 +57,8 @@ def test_forward_and_reverse_derivatives_equal_those_of_jax(name, x64):
     found = both(functools.partial(fuse, function, batch_ndim=1), x)
     expected = both(function, x)
     assert np.abs(expected[0]).max() > 0.1
-    for got, wanted in zip(found, expected, strict=True):
-        np.testing.assert_allclose(got, wanted, rtol=1e-11, atol=1e-13)
+    for got, each in zip(found, expected, strict=True):
+        np.testing.assert_allclose(got, each, rtol=1e-11, atol=1e-13)
 
 
 def spiral(x, turn):
@@ -83,11 +83,13 @@ def test_hessians_of_a_mapped_scan_equal_those_of_jax(x64):
         return fuse(spiral, x, turn, batch_ndim=1)
 
     for differentiate in (jax.hessian, lambda f: jax.jacrev(jax.jacrev(f))):
-        got, wanted = (
+        got, expected = (
             jax.jit(jax.vmap(differentiate(functools.partial(path, run)), (None, 0)))
             for run in (fused, spiral)
         )
-        np.testing.assert_allclose(got(turn, starts), wanted(turn, starts), rtol=1e-11, atol=1e-13)
+        np.testing.assert_allclose(
+            got(turn, starts), expected(turn, starts), rtol=1e-11, atol=1e-13
+        )
 
 
 def test_shared_values_get_the_sum_of_all_gradients(x64):
@@ -97,11 +99,11 @@ def test_shared_values_get_the_sum_of_all_gradients(x64):
         return (run(lambda x: jnp.sin(weights.reshape(3, *(1,) * (x.ndim - 1)) * x)) ** 2).sum()
 
     weights = jnp.arange(1.0, 4.0)
-    wanted = jax.grad(lambda w: energy(lambda f: f(x), w))(weights)
+    expected = jax.grad(lambda w: energy(lambda f: f(x), w))(weights)
     got = jax.jit(jax.grad(lambda w: energy(lambda f: fuse(f, x, batch_ndim=1), w)))(weights)
-    np.testing.assert_allclose(got, wanted, rtol=1e-12)
+    np.testing.assert_allclose(got, expected, rtol=1e-12)
     forward = jax.jit(jax.jacfwd(lambda w: energy(lambda f: fuse(f, x, batch_ndim=1), w)))(weights)
-    np.testing.assert_allclose(forward, wanted, rtol=1e-12)
+    np.testing.assert_allclose(forward, expected, rtol=1e-12)
 
 
 def test_a_gradient_is_one_piece_of_code():

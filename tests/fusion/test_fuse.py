@@ -70,16 +70,16 @@ def test_vmap_and_derivatives_agree_with_jax(function, arguments, x64):
 
     one = functools.partial(fuse, function, batch_ndim=0)
     mapped = jax.jit(jax.vmap(one, in_axes=-1, out_axes=-1))(*values)
-    for got, wanted in zip(mapped, jax.jit(function)(*values), strict=True):
-        np.testing.assert_allclose(got, wanted, rtol=1e-11, atol=1e-13)
+    for got, expected in zip(mapped, jax.jit(function)(*values), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-13)
     every = functools.partial(fuse, function, batch_ndim=1)
     along = tuple(jnp.cos(7 * x) for x in values)
     for one in (
         lambda run, x: jax.grad(functools.partial(loss, run))(*x),
         lambda run, x: jax.jvp(functools.partial(loss, run), x, along)[1],
     ):
-        got, wanted = (jax.jit(functools.partial(one, run))(values) for run in (every, function))
-        np.testing.assert_allclose(got, wanted, rtol=1e-9, atol=1e-12)
+        got, expected = (jax.jit(functools.partial(one, run))(values) for run in (every, function))
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_vmap_over_some_arguments_agrees_with_jax():
@@ -115,8 +115,8 @@ def test_closed_over_values_may_be_mapped():
     got = jax.jit(
         jax.vmap(lambda w: fuse(lambda x: jnp.sin(x) * w[0] + w[1:].sum(), x, batch_ndim=1))
     )(weights)
-    wanted = jax.vmap(lambda w: jnp.sin(x) * w[0] + w[1:].sum())(weights)
-    np.testing.assert_allclose(got, wanted, rtol=1e-6, atol=1e-6)
+    expected = jax.vmap(lambda w: jnp.sin(x) * w[0] + w[1:].sum())(weights)
+    np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_empty_arrays_are_allowed():
@@ -189,13 +189,13 @@ def test_a_part_may_have_a_batch_within_an_individual(legs):
         return run(x)
 
     for run in (mapped, functools.partial(fuse, of_each, batch_ndim=len(legs))):
-        for got, wanted in zip(fused(run, x), of_each(x), strict=True):
-            np.testing.assert_allclose(got, wanted, rtol=1e-6, atol=1e-6)
+        for got, expected in zip(fused(run, x), of_each(x), strict=True):
+            np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_a_symmetric_matrix_reads_its_upper_half():
     m = sample((3, 3, 4))
     (got,) = fused(symmetric, m)
-    wanted = [[m[min(i, j), max(i, j)] for j in range(3)] for i in range(3)]
-    np.testing.assert_array_equal(got, np.array(wanted))
+    expected = [[m[min(i, j), max(i, j)] for j in range(3)] for i in range(3)]
+    np.testing.assert_array_equal(got, np.array(expected))
     assert symmetric(m) is m

@@ -213,18 +213,18 @@ def test_searches_agree_with_jax(x64):
 def test_derivatives_of_searches_equal_the_closed_form(x64):
     """Check both modes, in JAX and fused, differentiated outside and inside the program."""
     given = PLANETS.astype("float64")
-    wanted = derivatives(given)
+    expected = derivatives(given)
     for run in (kepler, functools.partial(fuse, kepler, batch_ndim=1)):
         backward = jax.jit(jax.grad(lambda given, run=run: run(given).sum()))(given)
-        np.testing.assert_allclose(backward, wanted, rtol=1e-11)
+        np.testing.assert_allclose(backward, expected, rtol=1e-11)
         forward = [
             jax.jit(lambda x, d, run=run: jax.jvp(run, (x,), (d,))[1])(given, direction)
             for direction in jnp.broadcast_to(jnp.eye(2)[..., None], (2, *given.shape))
         ]
-        np.testing.assert_allclose(forward, wanted, rtol=1e-11)
+        np.testing.assert_allclose(forward, expected, rtol=1e-11)
     for differentiate in (jax.grad, jax.jacfwd):
         (within,) = fused(differentiate(kepler), given)
-        np.testing.assert_allclose(within, wanted, rtol=1e-11)
+        np.testing.assert_allclose(within, expected, rtol=1e-11)
 
 
 def test_derivatives_of_a_search_by_shared_values(x64):

@@ -117,5 +117,7 @@ def test_shared_and_individual_tables_agree_with_jax():
         )
 
     got = look(lambda table, own, i: fuse(lambda own, i: table[i] * own[i], own, i, batch_ndim=1))
-    wanted = look(lambda table, own, i: jax.vmap(lambda own, i: table[i] * own[i], -1, -1)(own, i))
-    np.testing.assert_array_equal(got, wanted)
+    expected = look(
+        lambda table, own, i: jax.vmap(lambda own, i: table[i] * own[i], -1, -1)(own, i)
+    )
+    np.testing.assert_array_equal(got, expected)

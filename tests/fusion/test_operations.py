@@ -171,9 +171,9 @@ def test_long_conversions_agree_with_jax(to, x64):
 def test_constants_are_converted_like_numbers():
     constants = jnp.array([np.nan, 1e20, -1e20, 2.0**31, 5.7, -5.7])
     for to in ("int32", "uint32"):
-        wanted = constants.astype(to)
+        expected = constants.astype(to)
         (got,) = fused(lambda x, to=to: constants.astype(to) + x, jnp.zeros((1, 3), to))
-        np.testing.assert_array_equal(got, np.repeat(wanted[:, None], 3, 1))
+        np.testing.assert_array_equal(got, np.repeat(expected[:, None], 3, 1))
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])

@@ -157,12 +157,12 @@ def less(b, x, y):
 @pytest.mark.parametrize("rule", [rule.name for rules in RULES.values() for rule in rules])
 def test_rewrite_rule(rule):
     builder = Builder()
-    got, wanted = CASES[rule](builder, *builder.argument((2,), F32))
-    assert got is wanted
+    got, expected = CASES[rule](builder, *builder.argument((2,), F32))
+    assert got is expected
     without = {op: [each for each in rules if each.name != rule] for op, rules in RULES.items()}
     builder = Builder(without)
-    got, wanted = CASES[rule](builder, *builder.argument((2,), F32))
-    assert got is not wanted
+    got, expected = CASES[rule](builder, *builder.argument((2,), F32))
+    assert got is not expected
 
 
 def test_constants_fold_and_equal_operations_merge():

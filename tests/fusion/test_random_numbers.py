@@ -31,8 +31,8 @@ def test_random_numbers_equal_those_of_jax_bit_for_bit(name):
     def draw(seed):
         return EXACT[name](jax.random.key(seed[0]))
 
-    for got, wanted in zip(fused(draw, SEEDS), plain(draw, SEEDS), strict=True):
-        np.testing.assert_array_equal(got, wanted, strict=True)
+    for got, expected in zip(fused(draw, SEEDS), plain(draw, SEEDS), strict=True):
+        np.testing.assert_array_equal(got, expected, strict=True)
 
 
 def test_normal_numbers_agree_with_jax():
@@ -58,8 +58,8 @@ def test_random_numbers_of_a_shared_key_agree_with_jax():
 
     key = jax.random.key_data(jax.random.key(3))
     got = jax.jit(functools.partial(path, lambda f, x: fuse(f, x, batch_ndim=1)))(key)
-    wanted = jax.jit(functools.partial(path, lambda f, x: f(x)))(key)
-    np.testing.assert_allclose(got, wanted, rtol=1e-6)
+    expected = jax.jit(functools.partial(path, lambda f, x: f(x)))(key)
+    np.testing.assert_allclose(got, expected, rtol=1e-6)
 
     def inside(seed):
         return path(lambda f, x: f(x), jax.random.PRNGKey(seed[0]))
@@ -74,7 +74,7 @@ def test_published_threefry_vectors_are_reproduced():
         ((0xFFFFFFFF,) * 2, (0xFFFFFFFF,) * 2, (0x1CB996FC, 0xBB002BE7)),
         ((0x13198A2E, 0x03707344), (0x243F6A88, 0x85A308D3), (0xC4923A9C, 0x483DF7A0)),
     ]
-    for key, counter, wanted in words:
+    for key, counter, expected in words:
         given = (np.uint32(word) for word in (*key, *counter))
         with np.errstate(over="ignore"):
-            assert tuple(int(word) for word in threefry2x32(*given)) == wanted
+            assert tuple(int(word) for word in threefry2x32(*given)) == expected

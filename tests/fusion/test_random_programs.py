@@ -76,9 +76,9 @@ def programs(draw, operations):
         kinds.append(kind)
     for _ in range(draw(st.integers(3, 25))):
         name = draw(st.sampled_from(sorted(operations)))
-        wanted, kind, _ = operations[name]
+        expected, kind, _ = operations[name]
         places = []
-        for each in wanted:
+        for each in expected:
             fitting = [i for i, one in enumerate(kinds) if one == each]
             # Recent values are preferred, so that the program is deep.
             places.append(fitting[-1 - min(draw(st.integers(0, 6)), len(fitting) - 1)])

@@ -73,10 +73,10 @@ def test_operations_that_free_registers_come_early():
 @given(programs())
 @settings(deadline=None)
 def test_no_choice_reads_memory_less_often(program):
-    order, wanted = program
-    steps = [*({*node.operands} for node in order), *({node} for node in wanted)]
+    order, expected = program
+    steps = [*({*node.operands} for node in order), *({node} for node in expected)]
     registers, reads = Registers(REGISTERS), 0
-    registers.expect(order, wanted)
+    registers.expect(order, expected)
     for i, needed in enumerate(steps):
         for node in needed:
             if registers.name(node, True) is None:
@@ -149,8 +149,8 @@ def test_many_waiting_values_are_kept(count, instructions):
 
     x = np.random.default_rng(0).normal(size=(101, count)).astype(np.float32)
     found = natively(function, x, instructions)
-    for got, wanted in zip(found, function(x, np), strict=True):
-        np.testing.assert_array_equal(got, wanted)
+    for got, expected in zip(found, function(x, np), strict=True):
+        np.testing.assert_array_equal(got, expected)
 
 
 @pytest.mark.parametrize("counted", [True, False])
@@ -170,5 +170,5 @@ def test_values_may_swap_places_in_a_loop(counted):
     x = jnp.arange(40 * 6, dtype=jnp.float32).reshape(40, 6)
     with using(Engine("native")):
         found = jax.jit(functools.partial(fuse, function, batch_ndim=1))(x, rounds)
-    for got, wanted in zip(found, jax.vmap(function, -1, -1)(x, rounds), strict=True):
-        np.testing.assert_array_equal(got, wanted)
+    for got, expected in zip(found, jax.vmap(function, -1, -1)(x, rounds), strict=True):
+        np.testing.assert_array_equal(got, expected)

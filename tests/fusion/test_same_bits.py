@@ -62,8 +62,8 @@ def of_all():
     return natively(trial, ALL)
 
 
-def assert_same(got, wanted):
-    for one, other in zip(got, wanted, strict=True):
+def assert_same(got, expected):
+    for one, other in zip(got, expected, strict=True):
         np.testing.assert_array_equal(one.view("u4"), other.view("u4"))
 
 
@@ -73,11 +73,11 @@ def test_the_program_agrees_with_jax():
     assert len(np.unique(of_all()[1])) > 2
 
 
-def assert_close(got, wanted):
+def assert_close(got, expected):
     """Assert closeness of all individuals but a few whose loops end in another round."""
-    same = got[1] == wanted[1]
+    same = got[1] == expected[1]
     assert same.mean() > 0.95
-    np.testing.assert_allclose(got[0][:, same], wanted[0][:, same], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(got[0][:, same], expected[0][:, same], rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 15, 16, 17, 40, 111])
@@ -100,12 +100,12 @@ def test_bits_do_not_depend_on_the_kind_of_run():
     _, stacked = jax.jit(lambda x: jax.lax.scan(lambda _, x: (None, run(x)), None, x))(
         jnp.moveaxis(parts, 1, 0)
     )
-    for got, wanted in zip(stacked, of_all(), strict=True):
-        got = np.moveaxis(np.asarray(got), 0, -2).reshape(wanted.shape)
-        assert_same([got], [wanted])
+    for got, expected in zip(stacked, of_all(), strict=True):
+        got = np.moveaxis(np.asarray(got), 0, -2).reshape(expected.shape)
+        assert_same([got], [expected])
     double = jax.jit(functools.partial(fuse, trial, batch_ndim=2))(parts)
-    for got, wanted in zip(double, of_all(), strict=True):
-        assert_same([np.asarray(got).reshape(wanted.shape)], [wanted])
+    for got, expected in zip(double, of_all(), strict=True):
+        assert_same([np.asarray(got).reshape(expected.shape)], [expected])
     mesh = jax.sharding.Mesh(np.array(jax.devices()[:2]), ("devices",))
     split = jax.shard_map(
         run,

@@ -84,12 +84,12 @@ def moved(trial, animal, number, engine="plain"):
     return (animal, effects._replace(airborne=())), np.asarray(effects.airborne)
 
 
-def distances(found, wanted):
+def distances(found, expected):
     """Return each individual's largest difference in every array, relative to the array's size."""
     return np.array(
         [
             np.abs(a - b).reshape(-1, INDIVIDUALS).max(0) / max(np.abs(b).max(), 1e-12)
-            for a, b in zip(numbers(found), numbers(wanted), strict=True)
+            for a, b in zip(numbers(found), numbers(expected), strict=True)
         ]
     )
 
@@ -110,11 +110,11 @@ def test_control_steps_agree_to_the_last_digits(config, trials):
     for index in range(TIMES * APART):
         number = jnp.int32(index)
         if index % APART == 0:
-            wanted, off = moved(trial, animal, number)
+            expected, off = moved(trial, animal, number)
             found, found_off = moved(trial, animal, number, "native")
             near = [moved(trial, nudged(animal, generator), number)[0] for _ in range(NUDGES)]
-            apart.append(distances(found, wanted))
-            loose.append([distances(one, wanted) for one in near])
+            apart.append(distances(found, expected))
+            loose.append([distances(one, expected) for one in near])
             touching += (off == found_off).sum()
         animal = trial.native(animal, number)[0]
     apart, loose = np.array(apart), np.array(loose)

@@ -58,10 +58,10 @@ def trial(name, overrides, engine):
     ],
 )
 def test_native_code_and_jax_give_the_same_trial(x64, name, overrides):
-    found, wanted = (trial(name, overrides, engine) for engine in ("native", "jax"))
-    assert found.keys() == wanted.keys()
-    assert np.abs(np.diff(wanted["joint_angle"], axis=0)).max() > 1e-6
-    for key, values in wanted.items():
+    found, expected = (trial(name, overrides, engine) for engine in ("native", "jax"))
+    assert found.keys() == expected.keys()
+    assert np.abs(np.diff(expected["joint_angle"], axis=0)).max() > 1e-6
+    for key, values in expected.items():
         size = 1.0 if key in RESIDUALS else np.abs(values).max(initial=0.0)
         np.testing.assert_allclose(
             found[key], values, rtol=0, atol=TOLERANCE * size, strict=True, err_msg=key

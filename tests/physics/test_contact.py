@@ -131,8 +131,10 @@ def test_a_bounce_converges_with_the_time_step():
         speed = kept * GRAVITY * fall
         height = speed * since - GRAVITY * since**2 / 2
         found = np.asarray(states.position)[-1, 2] - 0.1, np.asarray(states.velocity)[-1, 5]
-        wanted = height, speed - GRAVITY * since
-        errors.append([np.sqrt(np.mean((f - w) ** 2)) for f, w in zip(found, wanted, strict=True)])
+        expected = height, speed - GRAVITY * since
+        errors.append(
+            [np.sqrt(np.mean((f - w) ** 2)) for f, w in zip(found, expected, strict=True)]
+        )
     order = -np.polyfit(np.log(rates), np.log(errors), 1)[0]
     assert (order > 0.9).all()
 

@@ -76,9 +76,9 @@ def test_a_block_slides_as_far_as_in_mujoco(x64, friction):
     ground = Ground(0.0, friction, friction)
     state = {"position": (0.0, 0.0, 0.05), "velocity": (0, 0, 0, 2.0, 0, 0)}
     _, (states, *_), _, data = both(block((0.3, 0.2, 0.1), friction), ground, state, 1.2)
-    wanted = 2.0**2 / (2 * friction * GRAVITY)
-    assert states.position[-1, 0] == pytest.approx(wanted, rel=0.01)
-    assert data.qpos[0] == pytest.approx(wanted, rel=0.02)
+    expected = 2.0**2 / (2 * friction * GRAVITY)
+    assert states.position[-1, 0] == pytest.approx(expected, rel=0.01)
+    assert data.qpos[0] == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.parametrize(("degrees", "stands"), [(17.4, True), (19.5, False)])

@@ -59,8 +59,8 @@ def test_equations_agree_with_the_articulated_bodies(found):
     """``M y = f`` holds to 1e-10 of the largest force."""
     torque, _, it = found
     M = it["M"] + np.diag(np.r_[np.zeros(ROOT_DOFS), np.full(len(torque), 1e-3)])
-    wanted = it["force"] + np.r_[np.zeros(ROOT_DOFS), np.asarray(torque)[:, 0]]
-    assert np.abs(M @ it["y"] - wanted).max() < 1e-10 * np.abs(wanted).max()
+    expected = it["force"] + np.r_[np.zeros(ROOT_DOFS), np.asarray(torque)[:, 0]]
+    assert np.abs(M @ it["y"] - expected).max() < 1e-10 * np.abs(expected).max()
 
 
 def test_mass_matrix_is_symmetric_and_gives_the_energy(found):

@@ -221,14 +221,14 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
             jax.tree.map(lambda x, n=n: x[..., n], each) for each in (states, afterwards)
         )
         later = None if unlike[n] else later
-        wanted = motor_law(n, np.asarray(state.qd))
-        implicit = np.full_like(wanted, H * (motor.gain + H * motor.stiffness))
+        expected = motor_law(n, np.asarray(state.qd))
+        implicit = np.full_like(expected, H * (motor.gain + H * motor.stiffness))
         applied = np.asarray(effort.torque[:, n])
         ends = np.asarray(new.qd[:, n]) if np.isfinite(torque_limit) else None
         if (np.abs(applied) >= torque_limit).any():
             saturated += int((np.abs(applied) >= torque_limit).sum())
-            wanted, implicit = applied, np.zeros_like(implicit)
-        theirs = dense_accelerations(creature, world, state, later, wanted, implicit, ends)
+            expected, implicit = applied, np.zeros_like(implicit)
+        theirs = dense_accelerations(creature, world, state, later, expected, implicit, ends)
         worst = max(worst, np.abs(ours[:, n] - theirs).max() / np.abs(theirs).max())
         # Motors within their limits end the step with the torque of their final rate.
         end = motor_law(n, np.asarray(new.qd[:, n]))

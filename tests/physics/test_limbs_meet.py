@@ -250,12 +250,12 @@ def test_gradients_through_touching_limbs_equal_central_differences(x64, engine)
         run = quick_jit(ahead)
         _, force = run(none)
         grad = np.asarray(quick_jit(jax.grad(lambda x: ahead(x)[0].sum()))(none))
-        wanted = np.stack([
+        expected = np.stack([
             np.asarray(run(none.at[d].set(1e-6))[0] - run(none.at[d].set(-1e-6))[0]) / 2e-6
             for d in range(len(grad))
         ])  # fmt: skip
     assert (np.asarray(force) > 0).any(0).mean() >= 0.75
-    error = np.linalg.norm(grad - wanted, axis=0) / np.linalg.norm(wanted, axis=0)
+    error = np.linalg.norm(grad - expected, axis=0) / np.linalg.norm(expected, axis=0)
     assert np.median(error) < 1e-6 and np.quantile(error, 0.8) < 1e-4
 
 

@@ -18,8 +18,8 @@ def test_the_limit_of_statics_equals_a_blocks():
     corners = np.array([[x, y, 0] for x in (-0.1, 0.1) for y in (-0.1, 0.1)])
     for height, friction in ((0.05, 0.5), (0.3, 0.5), (0.3, 0.8)):
         standing = Standing(0.0, corners, np.full(4, friction), np.array([0, 0, height]))
-        wanted = np.rad2deg(min(np.arctan(friction), np.arctan(0.1 / height)))
-        assert limit_of_statics(standing) == pytest.approx(wanted, abs=0.15)
+        expected = np.rad2deg(min(np.arctan(friction), np.arctan(0.1 / height)))
+        assert limit_of_statics(standing) == pytest.approx(expected, abs=0.15)
 
 
 def table(friction: float) -> World:

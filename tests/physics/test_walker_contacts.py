@@ -350,10 +350,10 @@ def test_a_fused_step_equals_the_unfused_one(touching):
     fused, effort = quick_jit(lambda s: step(world, s, jnp.zeros_like(s.q), H))(state)
     touches = (np.asarray(effort.contact_frame_force)[2] > 0).any(0)
     assert 2 < touches.sum() < 12
-    for got, wanted in zip(
+    for got, expected in zip(
         jax.tree.leaves(fused), jax.tree.leaves(quick_jit(plain)(state)), strict=True
     ):
-        np.testing.assert_allclose(got, wanted, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -22,9 +22,9 @@ def definite(count, seed=0):
 
 def test_solutions_equal_numpys(x64):
     H, b = definite(7), np.random.default_rng(1).normal(size=(5, 7))
-    wanted = np.linalg.solve(np.moveaxis(H, -1, 0), b.T[..., None])[..., 0].T
+    expected = np.linalg.solve(np.moveaxis(H, -1, 0), b.T[..., None])[..., 0].T
     for find in (solve_symmetric, lambda H, b: solve_factorized(factorize(H), b)):
-        np.testing.assert_allclose(quick_jit(find)(H, b), wanted, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(quick_jit(find)(H, b), expected, rtol=1e-10, atol=1e-12)
 
 
 def test_factors_equal_featherstones(x64):
@@ -42,12 +42,12 @@ def test_derivatives_equal_those_of_the_inverse(x64):
     H, b = definite(1)[..., 0], np.arange(5.0)
     change, other = definite(1, 2)[..., 0], np.ones(5)
     x = np.linalg.solve(H, b)
-    wanted = np.linalg.solve(H, other - change @ x)
+    expected = np.linalg.solve(H, other - change @ x)
     moved = jax.jvp(solve_symmetric, (H, b), (change, other))[1]
-    np.testing.assert_allclose(moved, wanted, rtol=1e-9)
+    np.testing.assert_allclose(moved, expected, rtol=1e-9)
     weights = np.arange(1.0, 6.0)
     by_H, by_b = jax.grad(lambda H, b: weights @ solve_symmetric(H, b), (0, 1))(H, b)
-    assert (by_H * change).sum() + by_b @ other == pytest.approx(weights @ wanted, rel=1e-9)
+    assert (by_H * change).sum() + by_b @ other == pytest.approx(weights @ expected, rel=1e-9)
 
 
 def test_zeros_between_limbs_cost_no_operations():
@@ -77,7 +77,7 @@ def test_native_loop_solves_as_numpy_does(monkeypatch, dtype, count):
         for k in range(0, count, 3):
             H[1:3, 3:, k] = H[3:, 1:3, k] = 0
         H[0, 4] = H[4, 0] = 0
-        wanted = np.linalg.solve(np.moveaxis(H, -1, 0), b.T[..., None])[..., 0].T
+        expected = np.linalg.solve(np.moveaxis(H, -1, 0), b.T[..., None])[..., 0].T
 
         def run(H, b):
             return fuse(solve_symmetric, H, b, batch_ndim=1)
@@ -85,5 +85,5 @@ def test_native_loop_solves_as_numpy_does(monkeypatch, dtype, count):
         program = jax.jit(run).lower(jnp.asarray(H, dtype), jnp.asarray(b, dtype))
         assert "evo_cpg_" in program.as_text()
         got = program.compile()(jnp.asarray(H, dtype), jnp.asarray(b, dtype))
-        scale = np.abs(wanted).max()
-        assert np.abs(got - wanted).max() < (1e-12 if dtype is np.float64 else 1e-4) * scale
+        scale = np.abs(expected).max()
+        assert np.abs(got - expected).max() < (1e-12 if dtype is np.float64 else 1e-4) * scale

@@ -17,7 +17,7 @@ def test_a_swimmer_keeps_its_displacement_at_half_the_step():
     found = displacements(simulation, genes)
     moves = found.own > 1e-3
     assert moves.sum() > 3
-    found = Displacements(*(way[moves] for way in found))
+    found = Displacements(*(each[moves] for each in found))
     np.testing.assert_allclose(found.hair, found.own, rtol=1e-3)
     first, second = np.abs(found.half - found.own), np.abs(found.quarter - found.half)
     assert first.max() > 1e-6

@@ -70,8 +70,11 @@ def test_an_animal_without_drive_stays_where_it_is():
 
 
 def test_audit_tables_show_fractions_and_reasons():
-    ways = ("own", 2.0), ("b", 1.9), ("b, hard", 1.0)
-    opinions = [{"program": name, "way": way, "upright": 1.0} for name, way in ways]
+    displacements = ("own", 2.0), ("b", 1.9), ("b, hard", 1.0)
+    opinions = [
+        {"program": name, "way": displacement, "upright": 1.0}
+        for name, displacement in displacements
+    ]
     row = {
         "seed": 3,
         "passed": False,

@@ -47,8 +47,8 @@ def run_trials(small):
 def evaluated(genes, run_trials):
     """Return outcomes of 11 individuals: alone on one device, and with 9 others on two."""
     more = np.concatenate([genes, genes[:, :9] + 0.1], axis=1)
-    crowd = jax.tree.map(lambda x: x[:11], run_trials(more))
-    return run_trials(genes), crowd
+    first = jax.tree.map(lambda x: x[:11], run_trials(more))
+    return run_trials(genes), first
 
 
 def test_two_devices_give_the_same_bits_as_one(evaluated):

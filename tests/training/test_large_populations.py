@@ -29,7 +29,7 @@ SIZE = 25
 
 
 @pytest.fixture(scope="module")
-def crowd():
+def large():
     """Return an experiment with two noisy trials of each individual."""
     made = experiment(15, SIZE)._replace(trials=2)
     noisy = dataclasses.replace(made.simulation, noise=Noise(joint_angle=0.1))
@@ -90,10 +90,10 @@ def test_devices_without_a_vector_of_their_own_stay_idle():
 def test_results_return_in_order_and_once(count):
     """Each individual returns its number. Places after the last individual are cut off."""
     mesh = population_mesh(2)
-    asked = []
+    blocks = []
 
     def pick(numbers):
-        asked.append(numbers)
+        blocks.append(numbers)
         return (
             np.float32([[0], [100]]) + numbers.astype(np.float32),
             None,
@@ -111,7 +111,7 @@ def test_results_return_in_order_and_once(count):
     run = sharded(flat, mesh, (2, 1, 0), 1)
     found = run_in_blocks(run, Layout(mesh, 16), count, pick)
     np.testing.assert_array_equal(found, 2 * names + 100)
-    places = np.concatenate(asked)
+    places = np.concatenate(blocks)
     assert len(places) == -(-count // 32) * 32
     np.testing.assert_array_equal(places[:count], np.arange(count))
     np.testing.assert_array_equal(places[count:], count - 1)
@@ -120,12 +120,12 @@ def test_results_return_in_order_and_once(count):
     np.testing.assert_array_equal(found, [names + 0.5, names + 100.5])
 
 
-def test_chunks_change_no_result(crowd, narrow):
+def test_chunks_change_no_result(large, narrow):
     """50 trials in two blocks of 32 equal some of the trials, and one alone, to the last bit."""
-    genes = np.asarray(first_population(crowd))
-    keys = np.asarray(generation_keys(crowd, np.int32(1)))
+    genes = np.asarray(first_population(large))
+    keys = np.asarray(generation_keys(large, np.int32(1)))
     of_each = keys.reshape(-1, SIZE, 2)
-    live = compile_trials(crowd.simulation, population_mesh(2))
+    live = compile_trials(large.simulation, population_mesh(2))
     outcome = live(genes, keys, None, 2)
     assert len(np.unique(outcome.terms["distance"])) > 1.9 * SIZE
     for some in (range(9), range(10, 21), range(16, SIZE)):
@@ -133,7 +133,7 @@ def test_chunks_change_no_result(crowd, narrow):
         for name, values in own.terms.items():
             expected = outcome.terms[name].reshape(SIZE, 2)[some]
             np.testing.assert_array_equal(values, expected.reshape(-1))
-    repeat = jax.jit(lambda *x: replay(crowd, 2, *x)[0])
+    repeat = jax.jit(lambda *x: replay(large, 2, *x)[0])
     for name, values in repeat(genes[:, 17], of_each[:, 17]).terms.items():
         np.testing.assert_array_equal(values, outcome.terms[name][34:36])
     # The last individual diverges, also in the empty places. Others keep their results.

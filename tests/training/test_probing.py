@@ -70,9 +70,9 @@ def test_each_situation_gives_the_result_of_a_run_alone(simulation, found):
         path = np.asarray(frames["position"])[:, :, 0, 0]
         np.testing.assert_allclose(found.paths[i], path, atol=1e-5)
         # The remaining distance is the mean of the last second.
-        way = np.linalg.norm(path - SITUATIONS[i].light, axis=1)
-        assert found.start_distance[i] == pytest.approx(way[0], rel=1e-6)
-        assert found.distance[i] == pytest.approx(way[-60:].mean() / way[0], rel=1e-5)
+        distance = np.linalg.norm(path - SITUATIONS[i].light, axis=1)
+        assert found.start_distance[i] == pytest.approx(distance[0], rel=1e-6)
+        assert found.distance[i] == pytest.approx(distance[-60:].mean() / distance[0], rel=1e-5)
     assert len(np.unique(found.light)) == 6
 
 

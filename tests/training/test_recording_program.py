@@ -49,8 +49,8 @@ def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered, 
     settings = (*TINY, "seed=76", "audit.after_training=false")
     experiment, folder = folder_of(tmp_path / "run", settings)
     training.evolve_run(Opened(folder, load_config(CONFIG, settings), experiment))
-    who = {name: thread for name, thread in lowered if "replay" in name}
-    assert who and all(thread.startswith("recording") for thread in who.values()), lowered
+    threads = {name: thread for name, thread in lowered if "replay" in name}
+    assert threads and all(thread.startswith("recording") for thread in threads.values()), lowered
     mine = [name for name, thread in lowered if thread == threading.main_thread().name]
     assert any("rollout" in name for name in mine)
     assert not any("replay" in name or "judge" in name for name in mine), mine

@@ -42,7 +42,9 @@ def fight(contest: Contest, life) -> None:
     while not contest.done:
         places = contest.places()
         pairs = zip(places.candidates, places.draws, strict=True)
-        contest.take(np.array([life(int(who), number, int(draw)) for who, draw in pairs]))
+        contest.take(
+            np.array([life(int(individual), number, int(draw)) for individual, draw in pairs])
+        )
         number += 1
 
 
@@ -52,7 +54,7 @@ def test_the_best_mean_wins_over_lucky_fitness(population):
     true = rng.permutation(min(population, 16)).astype(float)
     lucky = [candidate(i, fitness=100.0 - true[i]) for i in range(len(true))]
     contest = Contest(lucky, population)
-    fight(contest, lambda who, *_: true[who] + 0.2 * rng.normal())
+    fight(contest, lambda individual, *_: true[individual] + 0.2 * rng.normal())
     chosen = contest.chosen()
     assert chosen is not None
     assert chosen.index == true.argmax()
@@ -70,7 +72,7 @@ def test_candidates_share_draws_and_are_halved():
     places = contest.places()
     assert sorted(set(places.candidates)) == list(range(8, 16))
     np.testing.assert_array_equal(places.draws, np.tile(np.arange(6), 8))
-    fight(contest, lambda who, *_: float(who))
+    fight(contest, lambda individual, *_: float(individual))
     rows = contest.rows()
     # The rounds have 3, 6 and 12 evaluations.
     assert [row["lives"] for row in rows] == [3] * 8 + [9] * 4 + [21] * 4
@@ -80,7 +82,12 @@ def test_candidates_share_draws_and_are_halved():
 
 def test_fewer_early_ends_rank_first():
     contest = Contest([candidate(0), candidate(1)], 8)
-    fight(contest, lambda who, number, draw: -np.inf if who == 0 and draw == 0 else 1.0 - who)
+    fight(
+        contest,
+        lambda individual, number, draw: (
+            -np.inf if individual == 0 and draw == 0 else 1.0 - individual
+        ),
+    )
     chosen = contest.chosen()
     assert chosen is not None and (chosen.index, chosen.expected) == (1, 0.0)
     first = contest.rows()[0]
@@ -118,9 +125,9 @@ def test_each_run_has_its_own_contest():
     contests = [Contest([candidate(0), candidate(1)], 4), Contest([], 4)]
     choice = Choice(contests)
     genes = np.arange(24, dtype=np.float32).reshape(3, 8)
-    crowd = choice.genes(genes)
-    np.testing.assert_array_equal(crowd[:, :4], np.tile([0, 0, 1, 1], (3, 1)))
-    np.testing.assert_array_equal(crowd[:, 4:], genes[:, 4:])
+    population = choice.genes(genes)
+    np.testing.assert_array_equal(population[:, :4], np.tile([0, 0, 1, 1], (3, 1)))
+    np.testing.assert_array_equal(population[:, 4:], genes[:, 4:])
     keys = np.arange(2 * 8 * 3, dtype=np.uint32).reshape(2, -1)
     given = choice.keys(keys, 3).reshape(2, 2, 4, 3)
     own = keys.reshape(2, 2, 4, 3)

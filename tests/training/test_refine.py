@@ -77,14 +77,14 @@ def test_refinement_depends_on_its_seed_and_ignores_recorded_fitness(refined):
 @pytest.mark.slow
 def test_values_that_cannot_be_built_are_skipped(evolved):
     """The drag is free. Worlds with its two most promising values cannot be built."""
-    champion, asked, rounds = evolved[1].champions[0], [], []
+    champion, tried, rounds = evolved[1].champions[0], [], []
 
     def with_drag(value):
         return eqx.tree_at(lambda s: s.world.law(Drag).form_drag, MADE.simulation, value)
 
     def rebuild(values):
-        asked.append(values[0])
-        if len(asked) < 3:
+        tried.append(values[0])
+        if len(tried) < 3:
             return None
         return MADE._replace(simulation=with_drag(float(values[0])))
 
@@ -93,9 +93,9 @@ def test_values_that_cannot_be_built_are_skipped(evolved):
     found = compile_refinement(MADE, SETTINGS._replace(rounds=1), free=free)(
         champion, rounds.append
     )
-    assert len(set(asked)) == 3
+    assert len(set(tried)) == 3
     assert found.fitness > champion.fitness
-    assert rounds[0].values == pytest.approx(asked[2])
+    assert rounds[0].values == pytest.approx(tried[2])
 
 
 def test_lanes_start_with_the_free_numbers_of_their_parents(evolved):

@@ -109,8 +109,8 @@ def test_breeding_several_runs_equals_breeding_each_alone(genetics, trials):
             {k: v[chosen].reshape(-1) for k, v in terms.items()}, alive[chosen].ravel()
         )
         own = genes.reshape(2, 2, SIZE)[:, chosen].reshape(2, -1)
-        yardsticks = {name: values[chosen] for name, values in scales.items()}
-        return breeding(np.int32(seed), own, outcome, np.int32(index), yardsticks, ())
+        own_scales = {name: values[chosen] for name, values in scales.items()}
+        return breeding(np.int32(seed), own, outcome, np.int32(index), own_scales, ())
 
     for index in (0, 4):
         together = bred(several, SEED, slice(0, 2), index)
