@@ -163,8 +163,8 @@ def _limit_torques(world: World, before: State, after: State, h: float) -> Float
     """Return the torques of the joint limits as in the solver, N m."""
     if needs_iteration(world):
         return limit_torque(world.tree, before.q, after.qd, h)[0]
-    torque, slope = expected_limit_torque(world.tree, before, h)
-    return torque - slope * (after.qd - before.qd)
+    torque, derivative = expected_limit_torque(world.tree, before, h)
+    return torque - derivative * (after.qd - before.qd)
 
 
 def _ground_work(

@@ -143,9 +143,9 @@ def gyroscopic_change(
     inertia = expand_dims_like(scale[None, None] * own, angular, angular.ndim + 1)
     momentum = matvec(inertia, angular)
     torque = cross(angular, momentum)
-    slope = matmul(skew(angular), inertia) - skew(momentum)
-    change = _solve(inertia + 0.5 * h * slope, -h * torque)
-    return expand_dims_like(0.5 / scale, angular[0])[None] * matvec(slope, change)
+    derivative = matmul(skew(angular), inertia) - skew(momentum)
+    change = _solve(inertia + 0.5 * h * derivative, -h * torque)
+    return expand_dims_like(0.5 / scale, angular[0])[None] * matvec(derivative, change)
 
 
 def central_inertia(tree: Tree) -> Float[Numbers, "3 3 b"]:

@@ -238,8 +238,8 @@ class ForceLaw(eqx.Module):
 
         def equations(kin: Kinematics) -> tuple[Array, Array]:
             now = bodies_in(bodies.tree, bodies.gravity, bodies.water, bodies.cells, bodies.h, kin)
-            slope = self.derivative(now)
-            return self.wrench(now), (-0.25 * bodies.h) * blocks(slope + transpose(slope))
+            derivative = self.derivative(now)
+            return self.wrench(now), (-0.25 * bodies.h) * blocks(derivative + transpose(derivative))
 
         # A separate program, so that a message names a law that native code does not support.
         name = f"{type(self).__name__}.wrench"
@@ -255,8 +255,8 @@ class ForceLaw(eqx.Module):
             start: the bodies at the start of the step.
             moving: the bodies in the same pose, with the velocities of the start or of the end.
         """
-        slope = self.derivative(start)
-        return matvec(0.5 * (slope - transpose(slope)), moving.velocity)
+        derivative = self.derivative(start)
+        return matvec(0.5 * (derivative - transpose(derivative)), moving.velocity)
 
     def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *n"] | None:
         """Return the sum of M over all parts, or None for 0."""

@@ -48,16 +48,16 @@ def limit_torque(
         expand_dims_like(x, q)
         for x in (tree.limit_stiffness, tree.limit_damping, tree.lower, tree.upper)
     )
-    slope = damping + h * stiffness
+    derivative = damping + h * stiffness
 
     def miss(beyond: Array, outwards: Array) -> Array:
         """Return the excess of a rate towards a limit over v*, times K."""
-        back = slope * outwards + stiffness * beyond
-        ahead = slope * (outwards + (1.0 / h) * beyond) if h else jnp.zeros_like(back)
+        back = derivative * outwards + stiffness * beyond
+        ahead = derivative * (outwards + (1.0 / h) * beyond) if h else jnp.zeros_like(back)
         return jnp.maximum(jnp.where(beyond > 0, back, ahead), 0.0)
 
     above, below = miss(q - upper, rate), miss(lower - q, -rate)
-    return below - above, jnp.where((above > 0) | (below > 0), slope, 0.0)
+    return below - above, jnp.where((above > 0) | (below > 0), derivative, 0.0)
 
 
 def expected_limit_torque(
@@ -100,10 +100,10 @@ def servo_torque(
     return torque + expand_dims_like(tree.servo_stiffness, rates) * error
 
 
-def servo_slope(tree: Tree, like: Array, h: float) -> Float[Array, "d *n"]:
+def servo_derivative(tree: Tree, like: Array, h: float) -> Float[Array, "d *n"]:
     """Return the torque decrease per final rate, ``g + h k_m`` (N m s/rad), always positive."""
-    slope = expand_dims_like(tree.servo_gain + h * tree.servo_stiffness, like)
-    return jnp.maximum(slope, jnp.finfo(like.dtype).tiny)
+    derivative = expand_dims_like(tree.servo_gain + h * tree.servo_stiffness, like)
+    return jnp.maximum(derivative, jnp.finfo(like.dtype).tiny)
 
 
 def has_springs(tree: Tree) -> bool:

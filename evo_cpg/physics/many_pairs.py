@@ -334,12 +334,12 @@ class ManyPairForces:
         def add(run: _Run, sums: tuple[Array, Array], q: Array, point: Any, push: Array) -> Any:
             torque, matrix = sums
             J, dofs = contacts.jacobian(run, point, q, axes)
-            slope = jnp.where(push > 0, self._stiffness(run, q, push), 0.0)
+            derivative = jnp.where(push > 0, self._stiffness(run, q, push), 0.0)
             own = jnp.take(rates, dofs, axis=0, mode="clip")
-            force = push + slope * h * (J * own).sum(0)
+            force = push + derivative * h * (J * own).sum(0)
             rows = jnp.asarray(run.paths.rows)[q % run.kind.count]
             i, j = np.tril_indices(len(dofs))
-            values = (h * slope)[None] * J[i] * J[j]
+            values = (h * derivative)[None] * J[i] * J[j]
             return (
                 _plus(torque, dofs, J * force[None]),
                 _plus(matrix, rows[i] + dofs[j], values),

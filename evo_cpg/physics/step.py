@@ -26,7 +26,7 @@ from evo_cpg.physics.equations import (
     solve_at_once,
     with_mean_products,
 )
-from evo_cpg.physics.joint_torque import servo_slope
+from evo_cpg.physics.joint_torque import servo_derivative
 from evo_cpg.physics.state import State, integrate
 from evo_cpg.physics.step_solver import coldstart, solve_step
 from evo_cpg.physics.world import World
@@ -114,7 +114,8 @@ def _step(
         # The matrix is the same, only the forces differ.
         found = solve_at_once(world, h, equations)
     motor = (
-        equations.start_torque - h * servo_slope(world.tree, equations.start_torque, h) * found.qdd
+        equations.start_torque
+        - h * servo_derivative(world.tree, equations.start_torque, h) * found.qdd
     )
     return _finish(h, state, StepSolution(found.root, found.qdd, motor))
 
