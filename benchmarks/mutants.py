@@ -535,7 +535,10 @@ def mutated(mutant: Mutant, text: str) -> str:
 
 
 def noticed(copy: Path, tests: list[str]) -> str:
-    """Return "caught by" and the first failed test, or "SURVIVED" and the files of tests.
+    """Run tests on a mutant: a copy of the program with a mistake.
+
+    Returns:
+        "caught by" and the first failed test, or "SURVIVED" and the files of tests.
 
     Raises:
         RuntimeError: the tests could not run.

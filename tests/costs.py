@@ -17,7 +17,7 @@ from pathlib import Path
 import jax
 import pytest
 
-# The name under which a test's report carries its costs from the worker to the session.
+# Property of a test's report: processor time and compilations, sent from a worker to the session.
 _KEY = "costs"
 # Events that JAX reports, and their names here.
 _EVENTS = {

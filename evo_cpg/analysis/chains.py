@@ -1,4 +1,4 @@
-"""Chains of oscillators, each the child of the one before."""
+"""Chains of oscillators, each the child of the oscillator before it."""
 
 import dataclasses
 import itertools
@@ -19,15 +19,15 @@ _SQUARE = 1e-6
 
 
 class Chain(NamedTuple):
-    """Oscillators of one axis, each inhibited by the one before it as by its parent.
+    """Oscillators of one axis. Each is the child of the oscillator before it, which inhibits it.
 
     Attributes:
         name: name of the first degree of freedom, and number of followers.
         oscillators: oscillators from head to tail.
-        part: all oscillators connected to the chain, directly or not, with coupled neighbours.
+        part: all oscillators connected to the chain, directly or not, if neighbours are coupled.
         places: places of the chain's oscillators in the part.
         sides: sign of each gap. 1: neighbours inhibit opposite sides, and swing together except for
-            the lag. -1: neighbours inhibit equal sides, and swing in opposition.
+            the lag. -1: neighbours inhibit the same side, and swing in opposition.
     """
 
     name: str

@@ -161,9 +161,9 @@ class Experiment:
             key: seed of the noise in the trials, if there is any: a number or a JAX key.
             genomes: genomes of the individuals, ``(n, genes)``.
             bodies: numbers of the configuration in which individuals differ, such as sizes and
-                densities: arrays ``(n,)`` by key. One program builds all bodies, for populations
-                with equal keys. Bodies that do not fit its plan are built one by one, which takes
-                some 10 to 50 ms each (see docs/models/bodies.md).
+                densities: arrays ``(n,)`` by key. One program builds all bodies, and serves all
+                populations with the same keys. Bodies that do not fit its plan are built one by
+                one, which takes some 10 to 50 ms each (see docs/models/bodies.md).
 
         Returns:
             Terms and survival, ``(n, trials)``.

@@ -38,7 +38,7 @@ def sensitivity(
     ] = None,
     seconds: Annotated[
         float | None,
-        typer.Option(min=0, help="Length of the trial, s, from its start (default: all)."),
+        typer.Option(min=0, help="Seconds to simulate from the start of the trial (default: all)."),
     ] = None,
     shapes: Annotated[
         bool, typer.Option("--shapes", help="Include numbers that change surfaces in water (slow).")

@@ -42,8 +42,8 @@ def lost_colour(text: str) -> str | None:
         found = _COLOUR.search(words)
         if found and "#" not in words[: found.start()]:
             return (
-                f"line {line + 1}: color: {found[1]} has no value, since # begins a comment. Write "
-                f"it in quotes: '{found[1]}'"
+                f"line {line + 1}: color: the value is missing, since # begins a comment. Write "
+                f"the color in quotes: '{found[1]}'"
             )
     return None
 

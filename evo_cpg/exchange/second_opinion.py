@@ -4,8 +4,8 @@ The exported model (`evo_cpg.exchange.mjcf_export`) starts in the champion's ini
 are two modes of driving it:
 
 - The recorded commands of the champion's controller, step by step.
-- The controller itself, with the senses of MuJoCo's animal (`Brain`). A controller that corrects
-  itself needs this mode if contacts differ.
+- The controller in the loop, with the sensor readings of MuJoCo's animal (`Brain`). A controller
+  that corrects itself needs this mode if contacts differ. Tables name it "own senses".
 
 Both programs solve the same equations of motion. They differ in these points:
 

@@ -80,9 +80,9 @@ def _bind(function: Callable, args: tuple, batch_ndim: int, name: str) -> Any:
 
 
 def symmetric(m: jax.Array) -> jax.Array:
-    """Return the matrix ``(k, k, ...)`` with its lower half replaced by the upper half.
+    """Return the symmetric matrix ``(k, k, ...)``, its lower triangle copied from the upper one.
 
-    In a fused function the lower half then costs nothing. Elsewhere the matrix is unchanged.
+    In a fused function the lower triangle then costs nothing. Elsewhere the matrix is unchanged.
     """
     if not _tracing.get():
         return m

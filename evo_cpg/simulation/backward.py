@@ -32,10 +32,11 @@ from evo_cpg.physics.state import State
 Carry = TypeVar("Carry")
 Values = TypeVar("Values")
 
-# Parts of a gradient that fade, in addition to the nerves. Over rough ground the height fades too.
-# There their norm (SI units) is at most the second number times the norm of the horizontal
-# position's gradient.
+# Fields of the body's state whose gradients fade. Gradients of the nerves fade, too, and over rough
+# ground also the gradient of the height.
 _FADING = "orientation", "velocity", "q", "qd"
+# Largest norm of the gradients of these fields and of the height over rough ground (SI units), as a
+# multiple of the norm of the horizontal position's gradient.
 _STEEPEST = 10.0
 
 

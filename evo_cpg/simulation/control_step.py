@@ -86,7 +86,7 @@ class Effects(NamedTuple):
         command: command of the controller.
         forces: forces of motors and ground.
         energy: energy spent by all motors, J.
-        airborne: fraction of the time off the ground.
+        airborne: fraction of the step in which no body touches the ground.
         residual: largest residual of the physics steps, or None if one solve is exact.
         physics: every physics step, stacked, or None unless an observer needs them.
     """

@@ -210,6 +210,6 @@ def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
 
 
 def _nerve_frames(nerves: PyTree[Array]) -> dict[str, Array]:
-    """Return the state of a controller, by the names of its fields."""
+    """Return the arrays in a controller's state, with names such as ``nerve.potential``."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(nerves)
     return {NERVE + jax.tree_util.keystr(path).strip("."): values for path, values in leaves}

@@ -1,7 +1,11 @@
 """Chapter 4 of Fukui 2003: distances of the three walkers, and the loss of lineages.
 
-Choices that the thesis leaves open are varied, one at a time: the strength of the springs, sizes,
-the combination of restitutions, and whether a mutated gene is flipped.
+Under noise, all kept individuals may fall over by chance. A good lineage is then lost, and the best
+distance of the run falls.
+
+Choices that the thesis leaves open are varied, one at a time: the strength of the dashpots, the
+time for each posture, the length of the legs, the rule that combines two restitutions, and whether
+a mutated gene is flipped or redrawn.
 """
 
 from collections.abc import Sequence
@@ -23,7 +27,7 @@ from evo_cpg.training.experiment import compile_trials
 TORSO = 0.6  # m
 # Bodies of Model 1 after its torso: upper and lower boxes alternate.
 _LEGS = range(1, 9)
-# A lineage is lost if the best distance falls by this fraction of its highest value so far.
+# A generation has fallen if its best distance is this fraction below the highest one before.
 COLLAPSE = 0.25
 HELD_ANGLE = 170.0  # degrees, one of the two allowed angles closest to straight down
 

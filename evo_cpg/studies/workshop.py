@@ -90,7 +90,7 @@ class Workshop:
         if other:
             kind = "full" if self.quick else "quick"
             raise RunFolderError(
-                f"{self.folder} holds {kind} results ({other[0]}). Choose another --out"
+                f"{self.folder} holds {kind} results of part {other[0]!r}. Choose another --out"
             )
         make_folder(self.folder / "runs")
 

@@ -205,7 +205,7 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     columns = _below(arrays, _HISTORY_PREFIX)
     rows = len(columns["generation"]) if columns else 0
     if any(column.shape != (rows,) or not rows for column in columns.values()):
-        raise ValueError("the columns of its history are empty or differ in length")
+        raise ValueError("the columns of its table of generations are empty or differ in length")
     # Absent from files of versions without several runs.
     runs = int(arrays.get("runs", 1))
     records, chosen = (

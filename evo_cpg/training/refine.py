@@ -1,10 +1,10 @@
 """Refinement of a champion by gradient ascent on its fitness.
 
-In every round the lanes of all cores take some gradient steps, each with its own settings (see
-`evo_cpg.training.ascent`). Each lane starts from one of the best individuals so far, half of them
-with a random kick. The shortest horizons double from round to round. After a round the best are
-evaluated in chunks as wide as in training. So a refined champion is evaluated, and replays, exactly
-like an evolved champion.
+In every round, all cores together move some individuals, called lanes, by gradient steps. Every
+lane has its own settings of the ascent (see `evo_cpg.training.ascent`). It starts from one of the
+best individuals so far. Half of the lanes start with a random kick. The shortest horizons double
+from round to round. After a round the best are evaluated in chunks as wide as in training. So a
+refined champion is evaluated, and replays, exactly like an evolved champion.
 """
 
 import time

@@ -56,7 +56,7 @@ from evo_cpg.training.checkpoint import (
 from evo_cpg.training.lineage import lineage_arrays, read_lineage
 
 CANDIDATES_FILE = "candidates.csv"
-"""Results of the candidates for the champion, see `evo_cpg.training.reevaluation`."""
+"""File with the results of the candidates for champion (see `evo_cpg.training.reevaluation`)."""
 
 _KEPT_CHECKPOINTS = 2
 # Folders in which files that belong together are written, and wait to be moved.

@@ -20,9 +20,9 @@ class StrategyError(UserError):
 
 
 def state_arrays(state: PyTree) -> dict[str, np.ndarray]:
-    """Return the leaves of a state on the host by path, such as ``archive.genes``.
+    """Return the arrays of a state as NumPy arrays. Names are paths, such as ``archive.genes``.
 
-    If two leaves have equal paths, the later path gets a prime.
+    If two arrays have the same path, the later name ends with an apostrophe.
     """
     leaves, _ = jax.tree.flatten_with_path(jax.device_get(state))
     return {name: _stored(leaf) for name, leaf in _named(leaves).items()}
@@ -32,7 +32,7 @@ def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
     """Return the state from `state_arrays`.
 
     Args:
-        arrays: arrays by path.
+        arrays: arrays by name.
         like: state of equal structure. Only its shapes and types are used.
 
     Raises:

@@ -170,7 +170,7 @@ def test_energies_are_relative_to_the_motors_work(honest):
 
 @pytest.mark.parametrize("cheat", ["energy", "momentum"])
 def test_a_solver_that_adds_energy_or_momentum_is_flagged(monkeypatch, cheat):
-    """Velocities grow by 5 % a step, or a push comes without a force."""
+    """Two wrong solvers: one lets velocities grow by 5 % a step, one pushes without a force."""
     right = evo_cpg.physics.step.integrate
 
     def wrong(state, root, qdd, h):
@@ -270,7 +270,7 @@ def test_an_animal_that_stays_in_fresh_draws_keeps_no_displacement(swimming):
 
 @pytest.mark.parametrize(("surface", "carried"), [(None, -0.5), (1.0, -0.5), (-1.0, 0.0)])
 def test_the_current_carries_an_animal_by_speed_times_duration(swimming, surface, carried):
-    """The current carries away from a light, or not at all if the start is above the water."""
+    """The current carries an animal away from its light. Above the water it carries nothing."""
     made, (trial,) = swimming
     flow = carried / made.simulation.duration or -1.0
     water = Water(1000.0, surface, (Current((flow, 0.0, 0.0)),))
@@ -396,7 +396,7 @@ def test_limbs_that_touch_at_rest_are_checked_only_with_self_collision():
 
 @pytest.mark.slow
 def test_a_swimmer_above_a_floor_is_not_airborne():
-    """The water covers the animal, or lies in a pool below it."""
+    """A swimmer under water is not airborne. A swimmer above a pool is airborne."""
     for surface, share in ((2.0, 0.0), (-2.0, 1.0)):
         made = walker(height=0.5)
         world = made.simulation.world

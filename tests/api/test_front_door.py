@@ -292,7 +292,7 @@ def test_the_horizon_selects_decaying_cut_or_exact_gradients(
 
 
 def test_rewards_of_an_episode_add_up_to_the_fitness(experiment, genomes):
-    """The environment repeats a trial if it receives the commands of the trial."""
+    """The commands of a trial, given as actions, reproduce its fitness, terms and joint angles."""
     environment = experiment.environment()
     record, outcome = experiment.record(0, genomes[1]), experiment.evaluate(0, genomes[1:2])
     actions = np.stack([record[f"{name}.target_rate"] for name in environment.action_names], 1)

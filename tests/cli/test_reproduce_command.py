@@ -155,7 +155,7 @@ def test_runs_of_another_configuration_are_refused(made, tmp_path):
 
 
 def test_quick_results_are_marked_and_kept_apart(made, tmp_path):
-    with pytest.raises(RunFolderError, match=r"holds full results \(ends\); choose another --out"):
+    with pytest.raises(RunFolderError, match=r"holds full results of part 'ends'\. Choose another"):
         make(TWIN, ["ends"], made, True, False, 2)
     folder = tmp_path / "quick"
     make(TWIN, ["ends"], folder, True, False, 2)

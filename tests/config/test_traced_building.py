@@ -13,7 +13,7 @@ from evo_cpg.config.parameters import all_parameters, parametrise
 from evo_cpg.spatial.mixed_array import MixedArray
 from tiny_run import CONFIG, REPOSITORY, TINY
 
-# Relative step. Errors of fourth order are below rounding.
+# Relative step of the finite differences. Their error, of fourth order, is below rounding.
 STEP = 1e-4
 CENTRAL = {-1.0: 1 / 6, -0.5: -8 / 6, 0.5: 8 / 6, 1.0: -1 / 6}
 # One-sided differences for values at the end of their range, such as a stiffness of 0.

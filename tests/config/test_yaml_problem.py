@@ -93,7 +93,10 @@ def test_invalid_yaml_gets_a_hint(tmp_path, old, new, place, hint):
 def test_a_colour_without_quotes_is_refused(tmp_path):
     """YAML reads it as a comment, which would silently select the default colour."""
     text = TEXT.replace("'#ffffff'", "#ffffff")
-    assert message(tmp_path, text).startswith("line 9: color: #ffffff has no value, since # begins")
+    words = (
+        "line 9: color: the value is missing, since # begins a comment. Write the color in quotes"
+    )
+    assert message(tmp_path, text).startswith(f"{words}: '#ffffff'")
     assert parse_yaml(text)["creature"]["bodies"][0]["color"] is None
     commented = TEXT.replace("      color: '#ffffff'", "      # color: #ffffff")
     assert "color" not in message(tmp_path, commented).split(": ")[1]

@@ -224,7 +224,10 @@ def model(
 
 
 def rod_inertia(radius: float, length: float) -> np.ndarray:
-    """Return moments of a capsule of 1 kg across and about its axis, kg m^2."""
+    """Return a capsule's two moments of inertia, kg m^2, for a mass of 1 kg.
+
+    The first is about an axis perpendicular to the capsule's axis, the second about its axis.
+    """
     along, _, across = Capsule(radius, length).inertia(1.0)
     return np.array([across, along])
 

@@ -72,7 +72,7 @@ def test_nested_branches_agree_with_jax():
 
 
 def test_a_skipped_branch_has_no_effect():
-    """An individual that skips a branch gets no values from neighbours that take it."""
+    """Individuals that skip a branch of `cond` do not depend on others that take the branch."""
 
     def function(x):
         def divide(y):

@@ -79,7 +79,7 @@ def numbers(tree):
 
 
 def moved(trial, animal, number, engine="plain"):
-    """Return the results of a control step, and the fraction of it spent off the ground."""
+    """Return the results of a control step, and the fraction of the step without ground contact."""
     animal, effects = getattr(trial, engine)(animal, number)
     return (animal, effects._replace(airborne=())), np.asarray(effects.airborne)
 
@@ -119,7 +119,7 @@ def test_control_steps_agree_to_the_last_digits(config, trials):
         animal = trial.native(animal, number)[0]
     apart, loose = np.array(apart), np.array(loose)
     assert apart.shape[0] * apart.shape[2] == 100
-    # The median is that of rounding, and no difference far exceeds the effect of the last digits.
+    # The median difference is about the effect of the last digits. No difference far exceeds it.
     assert np.median(apart.max(1)) <= 4 * np.median(loose.max(2)) + 1e-6
     assert apart.max() <= 10 * loose.max() + 1e-5
     # A last digit may decide whether a point just touches.

@@ -125,7 +125,7 @@ def test_no_body_enters_a_floor(name, floor):
     speed = [[50.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 0.0, -60.0]]
     place, _ = thrown(world, start, speed, 10)
     depth = np.asarray(ground.distance(jnp.asarray(place.swapaxes(0, 1)))[0])
-    # A ball at a kink touches only the plane under its centre.
+    # In a kink of the floor, a ball touches only the plane under its centre and enters the other.
     assert depth.min() > -0.025
 
 

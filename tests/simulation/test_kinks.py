@@ -106,7 +106,7 @@ def test_the_first_touch_is_a_kink():
 
 
 def test_a_bounce_begins_with_a_jump():
-    """A ball bounces in the step in which it would hit the ground at its present speed."""
+    """A ball bounces if its speed at the start of a step would carry it into the ground."""
     speed, restitution = 1.0, 0.5
     start = np.array([0.0, 0, 0, 0, 0, 0, 0, 0, -speed])
     values, slopes = both_sides(after_a_step, RADIUS + H * speed, H, start, Z, restitution)
@@ -117,7 +117,7 @@ def test_a_bounce_begins_with_a_jump():
 
 
 def test_slipping_begins_with_a_kink():
-    """A pushed ball on the ground sticks (its rim keeps 1/211 of its speed), or slides."""
+    """A ball sticks after a weak push (its rim keeps 1/211 of its speed), and slides after more."""
     start = np.array([0.0, 0, RADIUS, 0, 0, 0, 0, 0, 0])
     support = FALL * STIFF / (1 + STIFF)
     held = 1 + RIM * STIFF

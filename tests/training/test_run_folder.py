@@ -282,7 +282,7 @@ def test_an_empty_array_damages_a_checkpoint(folder):
     with np.load(path) as arrays:
         names = [name for name in arrays if name == "genes" or name.startswith("history.")]
     assert len(names) > 2
-    history = "the columns of its history are empty or differ in length"
+    history = "the columns of its table of generations are empty or differ in length"
     words = dict.fromkeys(names, history)
     words |= {"genes": "it is not a checkpoint", "champion.genes": "it holds no genome"}
     for name, problem in words.items():
@@ -304,7 +304,7 @@ def test_a_history_without_rows_damages_a_checkpoint(folder):
     (path,) = (folder.path / "checkpoints").iterdir()
     for name in ("generation", "best", "diverged"):
         emptied(path, f"history.{name}")
-    with pytest.raises(RunFolderError, match="columns of its history are empty"):
+    with pytest.raises(RunFolderError, match="columns of its table of generations are empty"):
         folder.load()
 
 

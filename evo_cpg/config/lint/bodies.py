@@ -153,7 +153,7 @@ def no_motor(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def no_rate(case: Case) -> Iterator[LintWarning]:
-    """Warn of a controller that commands a rate of 0 for every joint."""
+    """Warn of a `rate_gain` of 0, with which the controller moves no joint."""
     # Pyright cannot follow a class that is created at import.
     given: Any = case.config.controller
     if given.type == "brain_cpg" and given.rate_gain == 0:

@@ -55,7 +55,7 @@ class CustomConfig(Section):
     ]
     options: Options = Field(default_factory=dict)
 
-    # The needs of a user's own class are unknown here.
+    # Nothing is known about the needs of a user's own class. These values pass every check.
     goal: ClassVar[None] = None
     needs_ground: ClassVar[bool] = False
     body_keys: ClassVar[tuple[str, ...]] = ()
@@ -67,7 +67,7 @@ class CustomConfig(Section):
 
         Args:
             kind: required base class.
-            about: keyword arguments, of which the constructor gets those that it names.
+            about: further keyword arguments. The constructor gets those that are its parameters.
 
         Raises:
             KeyProblem: the class does not exist, or cannot be built.

@@ -78,7 +78,7 @@ class BodyConfig(Section):
         material: name of one of the creature's materials.
         joint: joint to the parent (the root has none).
         repeat: number of equal bodies in a row, counted from 1 by ``{i}``: the first hangs on
-            the joint's ``parent``, each other one on its predecessor.
+            the joint's ``parent``, every other body on its predecessor.
         radial: number of such rows, at equal angles about the parent's vertical axis, which
             ``{j}`` counts from 1, counterclockwise from above.
         mirror: normal of the parent's plane in which the bodies are mirrored: ``y`` for limbs
