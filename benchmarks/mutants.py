@@ -97,8 +97,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/force_law.py",
-        "matvec(0.5 * (slope - transpose(slope)), moving.velocity)",
-        "matvec(0.0 * (slope - transpose(slope)), moving.velocity)",
+        "matvec(0.5 * (derivative - transpose(derivative)), moving.velocity)",
+        "matvec(0.0 * (derivative - transpose(derivative)), moving.velocity)",
         "api/test_own_force_law.py",
     ),
     Mutant(

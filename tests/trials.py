@@ -93,6 +93,6 @@ def experiment(
         substeps=1,
         steps=steps,
     )
-    return Experiment(
+    return ExperimentParts(
         "pair", creature, simulation, RealGenetics(population, 2, 0.5, 0.2, 0.5, 0.5, 8.0), 2, seed
     )

@@ -474,7 +474,7 @@ def test_noisy_displacements_are_means_over_equal_fresh_draws(swimming):
 def test_changes_of_missing_water_or_ground_are_refused(honest, swimming):
     with pytest.raises(ValueError, match="no water, so drag cannot be scaled"):
         with_drag(honest[0].simulation, 1.1)
-    with pytest.raises(ValueError, match="no ground to be rough"):
+    with pytest.raises(ValueError, match="no ground, so friction cannot be scaled"):
         with_friction(swimming[0].simulation, 1.1)
 
 

@@ -399,6 +399,6 @@ def test_the_page_says_how_to_repeat_a_refinement(refined):
     nothing = Subject._make([None] * len(Subject._fields))
     subject = nothing._replace(folder="eel", meta=meta, config="name: eel")
     shown = origin.repetition(subject)
-    assert ("repeats the evolution only" in shown) == isinstance(refined, list)
+    assert ("repeat only the evolution" in shown) == isinstance(refined, list)
     assert ("evo-cpg refine eel --rounds 2" in shown) == isinstance(refined, list)
     assert ("2.5 to 3" in shown) == isinstance(refined, list)

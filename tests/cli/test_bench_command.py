@@ -71,7 +71,7 @@ def test_measured_rows_are_kept_if_the_next_case_fails(cli, monkeypatch, tmp_pat
     assert seen == [[1], [1, 2]]
     assert [row.size for row in rows.load(kept)[1]] == [1, 2]
     assert "cpg, oscillators, 1: 5 M steps/s\n" in err
-    assert "cpg, oscillators, 2: 8 M steps/s; 2x MuJoCo\n" in err
+    assert "cpg, oscillators, 2: 8 M steps/s, 2x MuJoCo\n" in err
     assert [path.name for path in tmp_path.iterdir()] == ["bench.json"]
 
 

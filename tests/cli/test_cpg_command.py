@@ -92,10 +92,13 @@ def test_a_frequency_alone_changes_only_the_time_scale(cli, nothing_kept):
         (("--lag", "nan"), "--lag nan: must lie between"),
         (("--lag", 20, "--gain", 0), "--gain 0: must be a positive number"),
         (("--lag", 20, "--tonic-input", 0), "--tonic-input 0: must be a positive number"),
-        (("controller.cpg.pair_weight=0", "--lag", 20), "there is no steady rhythm at any gain"),
+        (
+            ("controller.cpg.pair_weight=0", "--lag", 20),
+            "there is no steady rhythm at any of the gains",
+        ),
         (("--lag", 70), "segment1.x + 2: a lag of 70 degrees is out of reach. Allowed from head"),
         (("--chain", "segment1.x"), "--chain needs --frequency or --lag"),
-        (("--lag", 20, "--chain", "segment9.x"), "no such oscillator; did you mean 'segment"),
+        (("--lag", 20, "--chain", "segment9.x"), "no such oscillator: did you mean 'segment"),
         (("--frequency", 1, "--gain", 0.1), "comes to rest"),
     ],
 )

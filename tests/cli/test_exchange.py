@@ -123,7 +123,7 @@ def test_a_refused_import_writes_nothing(cli, tmp_path):
     code, out, err = cli("import", model, animal)
     assert (code, out) == (2, "")
     assert err == (
-        f"evo-cpg: {model}: body 'b': the root does not float freely; allowed: a freejoint\n"
+        f"evo-cpg: {model}: body 'b': the root does not float freely. Allowed: a freejoint\n"
     )
     code, out, err = cli("import", model, animal, "--motor-gain", 0)
     assert (code, err) == (2, "evo-cpg: --motor-gain: must be greater than 0, got 0\n")

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 import yaml
 
 from evo_cpg.training.loop import TIMING_COLUMNS

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import evo_cpg
 from tiny_run import CONFIG, LONG, REPOSITORY, environment
 
@@ -13,6 +15,8 @@ IMPORT_EVERYTHING = """
 import importlib, pkgutil, jax
 
 before = dict(jax.config.values)
+import pytest
+
 import evo_cpg
 
 for module in pkgutil.walk_packages(evo_cpg.__path__, "evo_cpg."):

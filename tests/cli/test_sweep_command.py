@@ -206,7 +206,7 @@ def test_a_wrong_setting_is_refused_before_any_run(tmp_path):
 
 
 def test_values_of_a_wrong_type_are_refused(tmp_path):
-    with pytest.raises(evo.ConfigError, match=r"seed: .*allowed: numbers, texts, lists"):
+    with pytest.raises(evo.ConfigError, match=r"seed: .*Allowed: numbers, texts, lists"):
         sweep(tmp_path / "sweep", grid=("seed=!!binary aGVsbG8=",))
     assert not (tmp_path / "sweep").exists()
 
