@@ -51,7 +51,7 @@ def test_a_file_without_a_benchmark_is_refused(cli, tmp_path):
     other.write_text("{}")
     code, _, complaint = cli(*QUICK, "--compare", other)
     assert code == 2
-    assert f"--compare: {other} is no benchmark of this program" in complaint
+    assert f"--compare: {other} has the format None, not 2" in complaint
 
 
 def test_measured_rows_are_kept_if_the_next_case_fails(cli, monkeypatch, tmp_path):
