@@ -6,7 +6,7 @@ and `tell` with their evaluation:
 
     init ---> ask ---> (trials) ---> tell ---> ask ---> (trials) ---> ...
 
-Both are pure JAX functions and part of one compiled generation step. Genes come first and
+Both are pure JAX functions. One compiled program per generation contains both. Genes come first and
 individuals last, ``(g, n)``. Fitness is maximised.
 """
 
@@ -28,7 +28,7 @@ class Evaluation(eqx.Module):
     Attributes:
         fitness: fitness of every individual, to be maximised. It is the mean over the trials, or
             -inf if the individual diverged in any.
-        terms: the task's terms by name, averaged over the trials.
+        terms: the task's terms and measures by name, averaged over the trials.
         descriptors: terms that describe the behaviour of an individual, see `Task.descriptors`.
         trial_fitness: fitness in each trial.
     """
@@ -100,7 +100,7 @@ class Strategy(eqx.Module):
 
     @abc.abstractmethod
     def ask(self, key: Array, state: PyTree[Array]) -> tuple[Float[Array, "g n"], PyTree[Array]]:
-        """Return genomes to evaluate, all finite, and the state.
+        """Return genomes to evaluate, all finite, and the state for `tell`.
 
         Args:
             key: random key.
@@ -166,7 +166,7 @@ class Strategy(eqx.Module):
 def worst_finite(fitness: Float[Array, " n"]) -> Float[Array, " n"]:
     """Replace fitness that is not finite by the worst finite fitness, or 0 if there is none.
 
-    For strategies that compute with it.
+    Strategies that compute with fitness values use this.
     """
     alive = jnp.isfinite(fitness)
     worst = jnp.where(alive, fitness, jnp.inf).min()
@@ -174,6 +174,6 @@ def worst_finite(fitness: Float[Array, " n"]) -> Float[Array, " n"]:
 
 
 def descriptor_rows(evaluation: Evaluation, names: tuple[str, ...]) -> Float[Array, "k n"]:
-    """Return descriptors, or otherwise terms, by name."""
+    """Return one row per name: the descriptor of that name, or else the task's term."""
     known: dict[str, ArrayLike] = {**evaluation.terms, **evaluation.descriptors}
     return jnp.stack([jnp.asarray(known[name]) for name in names])
