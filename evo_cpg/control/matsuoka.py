@@ -146,10 +146,10 @@ class MatsuokaNetwork(eqx.Module):
     """Connections and time constants, with one oscillator per degree of freedom of the tree.
 
     Attributes:
-        offsets: diagonals of the inhibition A from the other side that are not zero. Offset k means
-            that oscillator i + k inhibits oscillator i.
+        offsets: offsets of the nonzero diagonals of A, the inhibition by the opposite neuron.
+            Offset k means that oscillator i + k inhibits oscillator i.
         weights: these diagonals, ``weights[m, i] = A[i, i + offsets[m]]``, 0 outside.
-        own_offsets: diagonals of the inhibition B from the same side that are not zero.
+        own_offsets: offsets of the nonzero diagonals of B, the inhibition by the equal neuron.
         own_weights: these diagonals of B, 0 outside.
         rise_time: T_r, s.
         adaptation_time: T_a, s.
@@ -173,7 +173,7 @@ class MatsuokaNetwork(eqx.Module):
 
     @property
     def matrix(self) -> Float[np.ndarray, "o o"]:
-        """Inhibition of each oscillator by each other one (see `inhibition_matrix`)."""
+        """Inhibition of oscillators (rows) by oscillators (columns), see `inhibition_matrix`."""
         count = self.oscillator_count
         matrix = np.zeros((count, count))
         for sign, offsets, weights in (
@@ -408,8 +408,8 @@ def runge_kutta_step(
     """Take one classical fourth-order step, written with the stages' states.
 
     s1, s2 and s3 are the states at which the second to fourth derivatives are computed. The usual
-    ``s + h/6 (k1 + 2 k2 + 2 k3 + k4)`` is ``(s1 + 2 s2 + s3 - s) / 3 + h/6 k4``. A stage then
-    needs only the previous one.
+    ``s + h/6 (k1 + 2 k2 + 2 k3 + k4)`` is ``(s1 + 2 s2 + s3 - s) / 3 + h/6 k4``. So k1, k2 and k3
+    need not be stored.
 
     Potentials have rows of zeros around them, so that each diagonal of A takes a plain slice.
     """

@@ -474,7 +474,7 @@ class Flow:
         if not self._depth:
             # The series is exact within a whole step.
             left = min(left, float(self._lengths[0]))
-        # A series from here reaches the shortest step in both directions.
+        # From this time the Taylor series is exact for the shortest step, forwards and backwards.
         terms = _terms(piece.generator, columns)
         series = [float(term[neuron, 0]) for term in terms]
         reach, moment = float(self._lengths[-1]), left

@@ -1,12 +1,12 @@
 """The controller of Fukui 2003: a few postures that an animal takes in turn, repeatedly.
 
 A posture is one angle for every joint. The motors are springs that pull each joint to its angle
-(2.5 to 2.7 of the thesis). There is no sensing: posture k = 0, 1, ... is held while
+(sections 2.5 to 2.7 of the thesis). There is no sensing: posture k = 0, 1, ... is held while
 
     k T <= t < (k + 1) T,
 
-and the first follows the last. The angles evolve as bits (3.2). Each joint has B bits b_1 ... b_B
-in each posture:
+and the first follows the last. The angles evolve as bits (section 3.2). Each joint has B bits b_1
+... b_B in each posture:
 
     theta = theta_0 + step sum_i 2^(B - i) b_i,    q = theta - theta_n.
 

@@ -43,7 +43,7 @@ def implement(
     batch: Callable,
     transpose: Callable | None = None,
 ) -> None:
-    """Teach JAX the rules of a primitive.
+    """Register the rules of a primitive with JAX.
 
     Args:
         primitive: the primitive.

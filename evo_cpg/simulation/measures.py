@@ -231,9 +231,9 @@ class Amplitude(Measure):
 
 
 class DutyFactor(Measure):
-    """Fraction of control steps on the ground, mean of all bodies that ever touch it but the root.
+    """Fraction of control steps on the ground, mean of all bodies but the root that ever touch it.
 
-    A step counts as a whole, however short its contact is.
+    A control step with any contact of a body counts as a whole, however short the contact is.
     """
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:

@@ -76,10 +76,10 @@ def pressure_readings(
 ) -> Float[Array, "s *n"]:
     """Return the pressure readings: 1 where the ground presses harder than the water, else 0.
 
-    The paper (2.1) compares the outer pressure with the water's. Here the ground's pressure is its
-    normal force on the body divided by the body's mean cross-section, ``volume^(2/3)``. The water's
-    pressure is hydrostatic, at the depth of the body's centre. It is 0 on land, and in water
-    without a surface.
+    The paper (section 2.1) compares the outer pressure with the water's. Here the ground's pressure
+    is its normal force on the body divided by the body's mean cross-section, ``volume^(2/3)``. The
+    water's pressure is hydrostatic, at the depth of the body's centre. It is 0 on land, and in
+    water without a surface.
 
     Args:
         sensors: places of the sensors.

@@ -97,7 +97,7 @@ class Snapshot:
 
     @property
     def contact_position(self) -> Float[Array, "3 p *n"]:
-        """Contact points in the world, m. Each is the point of its place nearest to the ground."""
+        """Contact points in the world, m: lowest corners, and lowest points of round shapes."""
         offset, _ = self._lowest
         return take(self.kinematics.origin, self.contact_bodies) + offset
 

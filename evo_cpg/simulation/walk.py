@@ -1,7 +1,8 @@
 """Go far: as in Fukui 2003, or with a posture that makes the animal walk instead of run.
 
-The thesis scores only the distance moved after 20 s (3.4), so its agents run. To get a walk, it
-proposes in 4.3 to score the posture as well, without details. `Distance` scores the distance,
+The thesis scores only the distance moved after 20 s (section 3.4), so its agents run. To get a
+walk, section 4.3 proposes to score the posture as well, without details. `Distance` scores the
+distance,
 
     f = D,
 

@@ -37,7 +37,7 @@ def live_across(graph: Graph, lists: dict[Node, list[Node]]) -> list[Node]:
             node = resolve(operand)
             if node.op in _IN_MEMORY or (node.op == "input" and node.uniform):
                 continue
-            # Loops read inputs from copies that are close together in memory.
+            # Loops read inputs from copies at adjacent places in memory.
             far = block.depth > 0 if node.op == "input" else stretch[node] != now
             if far:
                 found[node] = None

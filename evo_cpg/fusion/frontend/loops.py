@@ -74,7 +74,7 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
     )  # fmt: skip
     ends, lists = builder.loop(all_nodes(begin), loop)
     found = dict(zip(others, _like(ends, begin), strict=True))
-    # Sums of a loop around this one are not complete yet.
+    # The sums of a loop around this loop are not complete yet, so they are not read.
     found |= {k: x if x is start[k] else builder.totals(x) for k, x in sums.items()}
     return [*(found[k] for k in range(carry_count)), *_stacks(builder, lists, stacked, length)]
 

@@ -75,19 +75,19 @@ class Node:
 
 
 class Loop(NamedTuple):
-    """A loop over a block, the detail of a node whose operands are the initial carried values.
+    """A loop over a block: ``detail`` of a node whose operands are the initial carried values.
 
     Attributes:
         count: number of rounds, or None for a loop that runs while the condition holds for any
             individual. The other individuals keep their values.
-        test: block of the condition, in which the carried values are known.
+        test: block in which the condition is computed from the carried values.
         body: block that is repeated, within ``test``.
         counter: number of the round, from 0, of a counted loop.
-        carried: placeholders of the values that are carried into a round.
-        following: values that are carried out of a round.
+        carried: placeholders for the carried values at the start of a round.
+        following: the carried values at the end of a round.
         condition: truth value of an uncounted loop, or None for a counted loop.
         index: place of a round's values in the lists of a counted loop.
-        written: values that each round adds to the lists.
+        written: values of each round that the lists store.
         once: whether the loop is a branch: one test, and the body runs once at most.
     """
 

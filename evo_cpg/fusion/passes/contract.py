@@ -54,7 +54,7 @@ class _Contraction:
 
     Attributes:
         changes: replacement of each rewritten node.
-        nodes: nodes of the part, with the nodes that each one uses.
+        nodes: nodes of the part, each with its operands.
     """
 
     def __init__(self, graph: Graph, part: Part):
