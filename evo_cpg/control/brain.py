@@ -41,9 +41,9 @@ class BrainSettings:
     """Shape of the brain and range of its initial weights.
 
     Attributes:
-        hidden: units in each hidden layer, at least 1. Without hidden layers (an empty list) the
-            inputs connect directly to the outputs.
-        temperature: T of eq. 3, more than 0. With a small T the output of a unit jumps from 0 to 1.
+        hidden: units in each hidden layer, at least 1. An empty list connects the inputs directly
+            to the outputs.
+        temperature: T of eq. 3, more than 0. If T is small, the output of a unit jumps from 0 to 1.
         init_range: largest magnitude of the uniform random genes of the first generation, more
             than 0.
 

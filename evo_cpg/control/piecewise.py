@@ -307,7 +307,7 @@ class Flow:
 
     @property
     def driven(self) -> bool:
-        """True if any neuron has a positive drive. Without one, all neurons soon cease to fire."""
+        """True if any neuron has a positive drive. Otherwise all neurons soon cease to fire."""
         return bool((self._drive > 0).any())
 
     def stands_still(self, state: Float[np.ndarray, " k"]) -> bool:
@@ -474,7 +474,7 @@ class Flow:
         if not self._depth:
             # The series is exact within a whole step.
             left = min(left, float(self._lengths[0]))
-        # From this time the Taylor series is exact for the shortest step, forwards and backwards.
+        # The Taylor series at this time is exact for the shortest step, forwards and backwards.
         terms = _terms(piece.generator, columns)
         series = [float(term[neuron, 0]) for term in terms]
         reach, moment = float(self._lengths[-1]), left

@@ -19,8 +19,8 @@ _LONGEST, _STRETCH, _LONGER = 70.0, 10.0, 1.5
 # Largest number of starts of firing per neuron and unit of time. A stretch with more ends early.
 _ONSETS = 4
 
-# Largest difference between two states at which a part counts as repeating, as a fraction of the
-# range of its states: while the network runs, and at the end of the longest run.
+# Largest difference between two states of a part that repeats itself, as a fraction of the range of
+# its states. The first number holds while the network runs, the second after the longest run.
 _NEAR, _NEAR_ENOUGH = 1e-4, 0.02
 
 # Largest swing of the output of an oscillator at rest, as a fraction of its neurons' firing.

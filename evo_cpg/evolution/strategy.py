@@ -29,7 +29,8 @@ class Evaluation(eqx.Module):
         fitness: fitness of every individual, to be maximised. It is the mean over the trials, or
             -inf if the individual diverged in any.
         terms: the task's terms and measures by name, averaged over the trials.
-        descriptors: terms that describe the behaviour of an individual, see `Task.descriptors`.
+        descriptors: numbers that describe the behaviour of an individual: `Task.descriptors` and
+            the measures of gait.
         trial_fitness: fitness in each trial.
     """
 
@@ -129,7 +130,7 @@ class Strategy(eqx.Module):
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """Return a first population around one individual: its copies with small changes.
 
-        Unless overridden, all but the first stay as given.
+        Unless overridden, all copies stay unchanged.
 
         Args:
             key: random key.

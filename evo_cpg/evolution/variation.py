@@ -68,8 +68,8 @@ def gaussian_mutation(
     which_key, noise_key = jax.random.split(key)
     places = random_places(which_key, genes.size, rate)
     noise = sigma * jax.random.normal(noise_key, places.shape, genes.dtype)
-    # Index by row and column. With an index into the flattened genes, XLA:CPU would compute the
-    # crossover gene by gene, with two divisions each. That doubles the time of a generation.
+    # Index by row and column. If this were an index into the flattened genes, XLA:CPU would compute
+    # the crossover gene by gene, with two divisions each. That doubles the time of a generation.
     place = places // genes.shape[1], places % genes.shape[1]
     return jnp.clip(genes.at[place].add(noise, mode="drop"), jnp.negative(bound), bound)
 

@@ -161,8 +161,8 @@ def _wrong(found: machine.Target) -> str:
     if machine.passed_self_test(found, jax.__version__):
         return ""
     command = [sys.executable, "-m", "evo_cpg.fusion.self_test", found.name]
-    # The last line of the output must be the error. With filtering it would be JAX's remark on the
-    # shortened traceback.
+    # The last line of the output must be the error. If JAX filtered the traceback, the last line
+    # would be its remark on that.
     own = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_TRACEBACK_FILTERING": "off"}
     try:
         test = subprocess.run(

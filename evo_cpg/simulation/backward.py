@@ -36,13 +36,13 @@ Values = TypeVar("Values")
 # Fields of the body's state whose gradients fade. Gradients of the controller's state fade, too,
 # and in motion over ground (`Backward.rough`) also the gradient of the height.
 _FADING = "orientation", "velocity", "q", "qd"
-# Largest norm of the gradients of these fields and of the height (SI units) in motion over ground,
-# as a multiple of the norm of the horizontal position's gradient.
+# Largest norm of the gradients of these fields and of the height (SI units), for motion over
+# ground. The unit is the norm of the horizontal position's gradient.
 _STEEPEST = 10.0
 
 
 class Backward(NamedTuple):
-    """How to differentiate a trial.
+    """Settings for the reverse-mode differentiation of a trial.
 
     Attributes:
         retention: fraction of a gradient that is left one control step further back. None or 1
@@ -152,9 +152,9 @@ def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> t
 
 @jax.custom_vjp
 def _cut(state: State) -> State:
-    """Return the state, with gradients with respect to it limited by `_STEEPEST`.
+    """Return the state unchanged, with the norm of its gradient limited by `_STEEPEST`.
 
-    A gradient without a part for the horizontal position is not limited.
+    If the gradient of the horizontal position is zero, there is no limit.
     """
     return state
 

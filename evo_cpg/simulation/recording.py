@@ -42,8 +42,8 @@ class Recording(NamedTuple):
         cpg_output: output of each oscillator, or `Command.signal` of a controller without
             oscillators.
         torque: torque of each motor, N m.
-        distance: distance from the root to the light, m. Without a light, horizontal distance from
-            the root's initial place.
+        distance: distance from the root to the light, m. If there is no light, horizontal distance
+            from the root's initial place.
         goal: place of the light in the world, m, or NaN without a light.
         dof_names: name of each degree of freedom, ``body.axis``.
     """

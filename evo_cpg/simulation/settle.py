@@ -155,8 +155,8 @@ class Settling:
             np.concatenate([np.ones(root.ROOT_DOFS, bool), _is_compliant(tree)])
         )
         self.size = radius_of_gyration(tree)
-        # Without gravity there is no weight, so forces keep their unit, N. Only springs act then,
-        # and they are at rest already.
+        # If there is no gravity, forces keep their unit, N. Only springs act then, and they are at
+        # rest already.
         self.weight = float(tree.mass.sum() * abs(world.gravity)) or 1.0
         self.scale = np.where(self.free < root.LENGTHS, self.size, 1.0)
         self.stay = np.where(np.isin(self.free, root.SYMMETRIES), _STAY, 0.0)

@@ -2,12 +2,11 @@
 
 A single vector would repeat the loop until its last individual is done. All its lanes would then be
 computed for one individual. So the vectors of a *group* enter such a loop together. Each vector
-runs separately while many of its individuals are active. The remaining active individuals then
-move into the lanes of a packed vector in scratch memory. When an individual is done,
-the next active individual takes its lane. All values that the loop reads are copied to the packed
-vector, and carried values are copied back. With AVX-512, one instruction moves chosen numbers of a
-vector into its first lanes. So the packed vector is at first filled with many individuals at a
-time.
+runs separately while many of its individuals are active. The remaining active individuals then move
+into the lanes of a packed vector in scratch memory. When an individual is done, the next active
+individual takes its lane. All values that the loop reads are copied to the packed vector, and
+carried values are copied back. An instruction of AVX-512 moves chosen numbers of a vector into its
+first lanes. On such a processor the packed vector is first filled with many individuals at a time.
 
 A result does not depend on the lane that computes it. So the bits of an individual's results do not
 depend on the other individuals.
@@ -22,8 +21,8 @@ from evo_cpg.fusion.backend.code import Slot
 # quadrupeds and hexapods take at most 1.07 times as long with fractions from 1/4 to 1/2.
 _BUSY = 3 / 8
 
-# AVX-512's instruction that moves chosen numbers of a vector into its first lanes, the size of the
-# smallest numbers that it handles, and the size of its vector, bytes.
+# AVX-512's instruction that moves chosen numbers of a vector into its first lanes. Bytes of the
+# smallest numbers that it handles, and bytes of its vector.
 _COMPRESS, _NARROWEST, _VECTOR = "llvm.x86.avx512.mask.compress", 4, 64
 
 # Minimum number of slots at equal distances that are moved by a loop. Fewer slots are moved by code
@@ -307,7 +306,8 @@ def _through(series: list[_Series], lines: Callable[[int, int, str], list[str]])
 
     Args:
         series: places.
-        lines: function from a unique number, bytes of a number, and the place to lines of code.
+        lines: function that returns lines of code, given a unique number, the bytes of a number,
+            and the place.
     """
     written, label = [], "entry"
     for i, (start, size, step, count) in enumerate(series):
