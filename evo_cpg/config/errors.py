@@ -52,7 +52,7 @@ class ConfigError(KeyProblem):
 
 @contextlib.contextmanager
 def under(*key: str | int) -> Iterator[None]:
-    """Prefix the keys of problems that are raised within by the key of a section."""
+    """Add the key of a section before the keys of problems that the ``with`` block raises."""
     try:
         yield
     except ConfigError:

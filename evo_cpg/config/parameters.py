@@ -51,7 +51,7 @@ _ROUNDING = 16 * np.finfo(float).eps
 # Attribute of force laws that contains the wetted surfaces.
 _PATCHES = jax.tree_util.GetAttrKey("patches")
 
-# Elements that depend on a number, for each index of a leaf that has such elements.
+# Mask of the elements that depend on a number, by the index of the leaf that holds the elements.
 Change = dict[int, np.ndarray]
 
 
@@ -313,7 +313,7 @@ def _neighbours(
 def _followed(
     building: Building, config: ExperimentConfig, changes: dict[str, Change]
 ) -> list[str]:
-    """Return the keys of the numbers on which traced and known leaves depend equally."""
+    """Return the keys of the numbers whose changes of leaves JAX can trace."""
     if not changes or not _hindrance(building, config, changes):
         return list(changes)
     if len(changes) == 1:
@@ -349,7 +349,7 @@ def _is_searched(building: Building, place: int) -> bool:
 
 
 def _undifferentiated(value: Array, refusal: ConfigError) -> Array:
-    """Return the value, and raise the refusal if the value is differentiated."""
+    """Return the value unchanged. Raise the refusal when JAX differentiates it."""
 
     @jax.custom_jvp
     def same(value: Array) -> Array:

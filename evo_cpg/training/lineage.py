@@ -152,7 +152,8 @@ def _thinned(own: list[Champion]) -> list[Champion]:
 def _least(found: Sequence[int]) -> int:
     """Return the index of the champion to drop, given the generations of all."""
     marks = landmarks(found[-1])
-    # Each champion lasts until the generation before the next champion's.
+    # Each champion lasts until the generation before the next champion's. The first, the newest and
+    # all that last over a landmark are kept.
     free = [
         i
         for i in range(1, len(found) - 1)

@@ -29,7 +29,7 @@ class Probe(NamedTuple):
         situations: initial situations, all with a light.
         start_distance: initial distance from the light, m.
         distance: final distance as a fraction of the initial one, or NaN if the animal diverged.
-        light: light seen by the best eye, 0 to 1, mean over the trial. NaN if diverged.
+        light: reading of the eye that sees most, 0 to 1, mean over the trial. NaN if diverged.
         alive: False if the animal diverged.
         paths: positions of the root's centre, m, once per control step.
     """
@@ -105,7 +105,7 @@ def blinded(simulation: Simulation) -> Simulation:
 def around(
     situation: Situation, bearings: Iterable[float], distances: Iterable[float] = ()
 ) -> tuple[Situation, ...]:
-    """Return copies of a situation with the light elsewhere, at an equal elevation.
+    """Return copies of a situation with the light at other bearings, and at the same elevation.
 
     Args:
         situation: situation with a light.

@@ -120,7 +120,8 @@ def compile_refinement(
         if free is None:
             nothing = np.zeros(0, np.float32)
             return [_Parent(one, nothing) for one in evaluate(found, champion)]
-        # Each has its own world, which takes time to compile: evaluate only the first that builds.
+        # Each individual has its own free numbers, so its experiment must be built and compiled.
+        # Evaluate only the fittest whose experiment can be built.
         for genes, shifts in zip(found[:-count].T, found[-count:].T, strict=True):
             world = free.rebuild(np.asarray(free.at(shifts), float))
             if world is not None:

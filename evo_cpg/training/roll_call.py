@@ -25,7 +25,7 @@ _PAUSE = 0.2
 # Time for a connected process to send its line, s. Others wait meanwhile.
 _SILENCE = 2.0
 
-# Additional time to wait for the lead's answer, s, as the lead may start later.
+# Additional time to wait for the lead's answer, s, because the lead may have started later.
 _LATER = 30.0
 
 
@@ -217,7 +217,7 @@ def _send(connection: socket.socket, message: Mapping[str, Any]) -> None:
 
 
 def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
-    """Return the received line, or empty if none arrives in time or the line is not ours.
+    """Return the received object, or an empty one without a line in time, or if it is not ours.
 
     No byte after the line is read, as frames may follow.
     """

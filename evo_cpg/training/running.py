@@ -158,7 +158,8 @@ class Running:
             done, population, records, history, scales, state_arrays(self._state)
         )
         if self._team.leads:
-            # Save the lineage first: after a kill in between it is ahead of the checkpoint.
+            # Save the lineage first: after a kill between the two writes it is ahead of the
+            # checkpoint, and `until` drops the newer champions.
             found = [
                 new
                 for new, old in zip(records, before.records, strict=True)
@@ -168,7 +169,8 @@ class Running:
                 self._lineage = extended(self._lineage, found)
                 self._folder.save_lineage(self._lineage)
             if before.chosen and self.checkpoint.champion is not None:
-                # The champion was chosen before the run was extended.
+                # The run was extended after a choice of champions. Replace the chosen champion in
+                # champion.npz by the record.
                 self._folder.save_champion(self.checkpoint.champion)
             self._folder.save(self.checkpoint)
         return rows

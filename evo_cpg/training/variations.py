@@ -47,9 +47,9 @@ class Varied(NamedTuple):
     """Results of an individual, one for each simulation and draw.
 
     Attributes:
-        displacement: mean over its trials, m, or NaN if it diverged.
-        fitness: mean over its trials, or -inf if it diverged.
-        alive: False if it diverged in any trial.
+        displacement: mean displacement over the individual's trials, m, or NaN if it diverged.
+        fitness: mean fitness over the trials, or -inf if it diverged or broke a rule.
+        alive: False if the individual diverged in any trial.
         terms: means of the task's terms and of the measures.
     """
 
@@ -167,7 +167,7 @@ def _program(sims: Sequence[Simulation], owners: np.ndarray) -> Callable[..., Ou
 
 
 def _keys(experiment: ExperimentParts, champion: Champion, variation: Variation) -> Array | None:
-    """Return raw keys of all trials: the champion's own, or new ones for several draws."""
+    """Return raw random keys of all trials: the champion's own, or others for several draws."""
     if variation.simulations[0].noise.silent:
         return None
     if variation.draws == 1:

@@ -92,7 +92,7 @@ def masses(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def joint_limits(case: Case) -> Iterator[LintWarning]:
-    """Warn of limits below three degrees, beyond a full turn, or without the neutral pose."""
+    """Warn of limits below 3.2 degrees, beyond a full turn, or that exclude the neutral pose."""
     for joint in case.joints():
         for lower, upper in joint.given.limits:
             widest = max(abs(lower), abs(upper))
@@ -116,7 +116,7 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def postures(case: Case) -> Iterator[LintWarning]:
-    """Warn of postures that differ by a few degrees. These keys lack ``_deg`` but are degrees."""
+    """Warn of posture angles that may be in radians. These keys lack ``_deg`` but are degrees."""
     # Pyright cannot follow a class that is created at import.
     given: Any = case.config.controller
     if given.type != "postures":

@@ -8,7 +8,7 @@ from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.creature.creature import neutral_pose
 
-# Largest tilt of an eye by an animal on the ground, degrees.
+# Largest angle by which an animal on the ground is expected to tilt an eye, degrees.
 _TILT = 45.0
 
 # Smallest useful fraction of the range of a depth gauge.

@@ -57,7 +57,7 @@ class MaterialConfig(Section):
 
     Attributes:
         density: mass per volume (water: 1000), kg/m^3.
-        restitution: fraction of the speed that remains after an impact.
+        restitution: fraction of the normal speed that remains after an impact.
         static_friction: coefficient of friction at rest.
         dynamic_friction: coefficient of friction while sliding.
     """

@@ -233,7 +233,7 @@ class BitEvolutionConfig(MapSection):
         population: number of individuals.
         elites: number of best individuals that pass on unchanged (children fill the other places).
         best_copies: number of the elite places that hold the best individual.
-        rank_probabilities: probability that a parent has each rank, best first.
+        rank_probabilities: probability of each rank to be chosen as a parent, best first.
         mutation_probability: probability that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes.
         mutation: whether a changed gene is redrawn or flipped.
@@ -318,8 +318,9 @@ class PyribsConfig(MapSection):
         population: number of individuals.
         axes: axes of the map.
         emitters: number of distributions, among which the population is divided equally.
-        es: algorithm that adapts each distribution, by its name in pyribs (``cma_es`` takes memory
-            and time with the square and the cube of the genes: 100 genes, not 3000).
+        es: algorithm that adapts each distribution, by its name in pyribs (memory and time of
+            ``cma_es`` grow with the square and the cube of the number of genes: use it for 100
+            genes, not for 3000).
         sigma: standard deviation of the first sample.
         learning_rate: rate at which the threshold of a cell rises to a new entry's fitness: 0
             never, 1 at once.

@@ -61,7 +61,8 @@ class ExperimentConfig(Section):
 
     @property
     def trial_count(self) -> int:
-        """Number of trials of every individual: one in each situation without noise."""
+        """Number of trials of every individual: one in each listed situation, or one without noise.
+        """
         trials = self.simulation.trials
         if isinstance(trials, list):
             return len(trials)
