@@ -40,8 +40,8 @@ _CHANGE = 0.1
 # Standard deviation of initial joint angles, roll and pitch, rad, and number of draws.
 _SHAKE, _DRAWS = 0.01, 8
 
-# Number of trials that a displacement is averaged over, with noise. Key of the check that compares
-# these with the trials that made the champion.
+# With noise: number of fresh trials that a displacement is averaged over, and key of the check that
+# compares these trials with the champion's own trials in training.
 _TRIALS, _CHANCE = 16, "pose"
 
 # Unaccounted energy is summed over stretches of this length, s. In single steps much of the energy
@@ -74,7 +74,7 @@ class Audit:
     """Result of an audit.
 
     Attributes:
-        verdict: all checks.
+        verdict: all checks, with their results.
         trials: trials of the champion in the unchanged simulation.
         step_length: duration of a physics step, s.
         opinions: results of the first trial: ours, then MuJoCo's. Empty without MuJoCo's.
@@ -377,7 +377,7 @@ def _pairs_that_pass(experiment: ExperimentParts) -> str:
 def _variations(
     experiment: ExperimentParts, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
 ) -> dict[str, Variation]:
-    """Return the variation of the simulation for each key of a limit.
+    """Return variations of the simulation, by the key of the limit that each is checked against.
 
     Under noise, the champion was selected partly for its luck. So all variations except
     `precision` and `other_engine` use the same fresh noise, and are compared with the variation
@@ -442,7 +442,10 @@ def _replay(champion: Champion, replayed: Varied) -> Check:
 
 
 def _carried(experiment: ExperimentParts, trials: Sequence[Trial]) -> float:
-    """Return the displacement by the water's flow alone, mean over trials, m."""
+    """Return the displacement of a point that keeps the flow's velocity at the start, m.
+
+    The result is the mean over trials.
+    """
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     water, displacements = simulation.world.water, []
     if water is None:

@@ -22,7 +22,7 @@ class Replay(NamedTuple):
     """Results of a replayed trial.
 
     Attributes:
-        fitness: fitness that counts in the run.
+        fitness: mean fitness over all trials of the individual.
         frames: frames of one individual, see `evo_cpg.simulation.recording.Recorder`.
         recording: motion in the trial.
     """

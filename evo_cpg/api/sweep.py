@@ -260,7 +260,7 @@ def evolve(
     Args:
         members: the settings.
         devices: number of devices that share the population.
-        title: text before the names of each group.
+        title: text before the names of the settings of each group.
         on_generation: called with a setting after each of its generations.
         warn: called with a sentence for each difference from the earlier machine.
     """

@@ -38,7 +38,7 @@ def commit() -> str | None:
 
 
 def program_commit() -> str | None:
-    """Return `commit`, dirty only if the program, configurations or benchmarks have changed."""
+    """Return `commit`. "-dirty" means changes of the program, configurations or benchmarks only."""
     folder = checkout()
     return folder and commit_of(folder, ("evo_cpg", "configs", "benchmarks", "pyproject.toml"))
 

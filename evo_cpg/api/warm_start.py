@@ -42,7 +42,7 @@ def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
     Args:
         experiment: experiment that begins.
         path: folder of the earlier run.
-        what: the champion, or the population of the next generation.
+        what: what to start from: the champion, or the newest population of the earlier run.
 
     Raises:
         RunFolderError: there is no such run or champion, or its animals have another plan.

@@ -183,7 +183,7 @@ def show_checks(checks: tuple[Check, ...]) -> None:
 
 
 def show_opinions(opinions: Sequence[Opinion]) -> None:
-    """Print the results of several programs for the trial with the same commands."""
+    """Print the results of our simulation and of MuJoCo for the champion's first trial."""
     # The time in the air is not measured without ground, or with water everywhere.
     flight = [] if opinions[0].airborne is None else ["airborne"]
     rows = []

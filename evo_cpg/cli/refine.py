@@ -31,9 +31,11 @@ def refine(
         ),
     ] = None,
     rounds: Annotated[int, typer.Option(min=1, help="Rounds of ascent and selection.")] = 5,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of each lane in a round.")] = 20,
+    steps: Annotated[
+        int, typer.Option(min=1, help="Gradient steps of each individual in a round.")
+    ] = 20,
     number: Number = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the lanes.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts and step sizes.")] = 0,
     cores: CoresOfRun = None,
 ) -> None:
     """Improve the champion along the gradient of its fitness."""
@@ -174,7 +176,7 @@ def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
         "finite_slopes": done.finite,
         "seconds": done.seconds,
     }
-    # A user's own task may have a term of such a name.
+    # These columns replace a term of equal name, which a user's own task may have.
     return own | done.champion.terms | dict(zip(keys, done.values.tolist(), strict=True)) | own
 
 

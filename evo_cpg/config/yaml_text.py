@@ -40,7 +40,7 @@ class _Loader(_SafeLoader):
     """
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Merge mappings: own keys override merged keys, and earlier mappings later ones.
+        """Merge mappings of ``<<``: own keys override merged keys, earlier mappings later ones.
 
         See https://yaml.org/type/merge.html.
         """

@@ -19,7 +19,7 @@ from evo_cpg.installation import command_for
 
 _Section = TypeVar("_Section", bound=Section)
 
-# Largest relative difference of equal values, and number of digits that are written.
+# Largest relative difference of values that count as equal, and number of digits that are written.
 TOLERANCE = 1e-6
 _DIGITS = 12
 
@@ -34,7 +34,7 @@ class Compiled(NamedTuple):
         mujoco: the module.
         model: the compiled model.
         source: the file, for messages.
-        refusals: faults that no creature can have.
+        refusals: faults found so far, for which the file is refused.
         lines: known lines of the elements in the file, by kind and number.
     """
 
@@ -49,17 +49,17 @@ class Compiled(NamedTuple):
         return Item(self, kind, number)
 
     def enabled(self, flag: str) -> bool:
-        """Return whether an option flag, off by default, is enabled. Unknown flags are not."""
+        """Return whether an option flag, off by default, is enabled. False for an unknown flag."""
         bit = getattr(self.mujoco.mjtEnableBit, f"mjENBL_{flag.upper()}", 0)
         return bool(self.model.opt.enableflags & int(bit))
 
     def disabled(self, flag: str) -> bool:
-        """Return whether a flag of the option element is disabled. Unknown flags are not."""
+        """Return whether an option flag, on by default, is disabled. False for an unknown flag."""
         bit = getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}", 0)
         return bool(self.model.opt.disableflags & int(bit))
 
     def owners(self, kind: str, wrong: Any) -> Iterator[tuple["Item", tuple[int, ...]]]:
-        """Yield the elements with wrong values, and the place of each value.
+        """Yield the elements with wrong values, and the index of each. Skip geoms of the world.
 
         Args:
             kind: kind of the elements, ``dof`` for degrees of freedom of joints.
@@ -176,8 +176,8 @@ def compile_model(path: Path) -> Compiled:
 def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
     """Return the lines of elements, none for a file of a single line.
 
-    An included element has the line of the included file and is left out. Its name is not in that
-    line of this file.
+    MuJoCo gives an included element its line in the included file. Such an element is left out. It
+    is recognised because that line of this file does not hold its name.
     """
     text = path.read_text(encoding="utf-8", errors="replace").splitlines()
     kinds = {

@@ -8,9 +8,9 @@
 | `REFUSED_COUNTS` | a number of elements, all of which are refused |
 | `OPTIONS_LEFT_OUT`, `LEFT_OUT_COUNTS` | left out, by name |
 
-All other fields do not affect the animal's motion, or give the places of others. A test covers
-every field of the installed MuJoCo, so a new field is noticed. Fields that older versions lack are
-skipped.
+All other fields do not affect the animal's motion, or hold the addresses of other fields. A test
+covers every field of the installed MuJoCo, so a new field is noticed. Fields that older versions
+lack are skipped.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ READ = {
     "actuator_gainprm": ("actuator", "gain"),
     "actuator_biasprm": ("actuator", "bias"),
 }
-# Infinite values limit nothing.
+# These values may be infinite. An infinite value limits nothing.
 READ_LIMITS = {
     "jnt_actfrcrange": ("joint", "actuatorfrcrange"),
     "actuator_forcerange": ("actuator", "forcerange"),
@@ -98,7 +98,7 @@ NEUTRAL = {
     "actuator_armature": Neutral("actuator", "armature"),
 }
 
-# A contact pair that only keeps two bodies apart.
+# Values of a contact pair that only keeps two bodies apart, by field.
 PLAIN_PAIR: dict[str, float | tuple[float, ...]] = {
     "pair_solref": _SOLREF,
     "pair_solimp": _SOLIMP,

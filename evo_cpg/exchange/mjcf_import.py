@@ -50,7 +50,8 @@ class Imported(NamedTuple):
 
     Attributes:
         creature: configuration of the creature.
-        left_out: parts that belong to the world, or do not affect the motion.
+        left_out: names of parts of the file that are not in the creature, because they belong to
+            the world or do not affect the motion.
     """
 
     creature: CreatureConfig

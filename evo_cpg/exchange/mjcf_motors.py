@@ -3,7 +3,7 @@
 | here | in MJCF |
 |---|---|
 | motor with a spring | ``position``: ``kp`` is its stiffness, ``kv`` its gain |
-| motor without | ``velocity``: ``kv`` is its gain |
+| motor without a spring | ``velocity``: ``kv`` is its gain |
 | torque limit | ``forcerange`` |
 | velocity servo with the caller's gain | ``motor`` with limits, in the import |
 """
@@ -19,7 +19,7 @@ from evo_cpg.creature.creature import Actuator
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 from evo_cpg.exchange.mjcf_ground import number_text
 
-# Number of groups that can be disabled.
+# Number of actuator groups that MuJoCo can disable.
 _GROUPS = 31
 
 
@@ -116,7 +116,7 @@ def _read_motor(
 
 
 def command_ranges(compiled: Compiled) -> list[int]:
-    """Return the numbers of servos whose commands have limits, which ours lack."""
+    """Return the numbers of servos whose commands have limits. Our servos lack such limits."""
     model = compiled.model
     affine = model.actuator_biastype == compiled.mujoco.mjtBias.mjBIAS_AFFINE
     return [i for i in range(len(affine)) if affine[i] and _limits_commands(compiled, i)]

@@ -1,4 +1,4 @@
-"""A second opinion on a champion: the same motor commands in MuJoCo.
+"""A second opinion on a champion: its trial, repeated in MuJoCo.
 
 The exported model (`evo_cpg.exchange.mjcf_export`) starts in the champion's initial state. There
 are two modes of driving it:
@@ -46,7 +46,7 @@ from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 
-# Least upward component of the root's z axis in an upright animal.
+# Least upward component of the root's z axis in an upright animal: the cosine of 60 degrees.
 _UPRIGHT = 0.5
 
 # Hard contacts: longest MuJoCo step (s), and stiffness of friction relative to the normal
@@ -63,7 +63,8 @@ class Opinion(NamedTuple):
     Attributes:
         program: name of the program.
         path: path of the root, m, the start first.
-        upright: fraction of the time in which the root's up axis points up.
+        upright: fraction of the time in which the root's z axis is less than 60 degrees from the
+            vertical.
         airborne: fraction of the time in which nothing touches the ground and no body's centre is
             under water. None without ground or with water everywhere, because it has no meaning
             then.
@@ -359,6 +360,6 @@ def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:
 
 
 def _upright_fraction(orientation: Float[np.ndarray, "4 t"]) -> float:
-    """Return the fraction of the time in which the root's z axis points up."""
+    """Return the fraction of the time in which the root's z axis is within 60 degrees of up."""
     _, x, y, _ = orientation
     return float((1.0 - 2.0 * (x * x + y * y) > _UPRIGHT).mean())

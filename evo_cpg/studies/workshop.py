@@ -299,7 +299,7 @@ def _require_same(member: Member) -> None:
 
 
 def _what_evolves(config: ExperimentConfig) -> dict[str, Any]:
-    """Return the settings that affect evolution. The audit has only limits that disqualify."""
+    """Return the settings that affect evolution, with only those audit limits that disqualify."""
     limits = config.audit.limits().of_length(length_of(config.creature.build()))
     rules = {name: float(getattr(limits, name)) for name in config.audit.disqualify}
     return config.model_dump(mode="json", exclude={"audit"}) | {"audit": rules}

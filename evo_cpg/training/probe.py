@@ -16,9 +16,9 @@ from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.devices import layout, population_mesh, run_in_blocks, sharded
 from evo_cpg.training.experiment import compile_trials
 
-# An animal that keeps this fraction of its displacement without eyes does not steer by them. One
-# that swims straight ahead keeps 87 % towards a light 30 degrees aside, the default. It keeps less
-# only if the light is farther aside.
+# An animal that keeps at least this fraction of its displacement to the lights when blinded counts
+# as not using its eyes. A blinded animal that swims straight ahead keeps 87 % of it to a light 30
+# degrees aside, the default. It keeps less than this fraction only if the light is farther aside.
 UNSEEING = 0.8
 
 

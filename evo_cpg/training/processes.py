@@ -288,7 +288,9 @@ def join(
 
 
 def difference(rows: Sequence[bytes]) -> str:
-    """Return a text that groups processes by equal rows, the lead's first. Empty if all are equal.
+    """Return a text with the groups of processes that have equal rows, or "" if all are equal.
+
+    The group of the lead comes first.
     """
     groups: dict[bytes, list[int]] = {}
     for index, row in enumerate(rows):

@@ -61,7 +61,10 @@ class ExperimentConfig(Section):
 
     @property
     def trial_count(self) -> int:
-        """Number of trials of every individual: one in each listed situation, or one without noise.
+        """Number of trials of every individual.
+
+        It is the number of listed situations. Without a list it is the configured number with
+        noise, and 1 without noise.
         """
         trials = self.simulation.trials
         if isinstance(trials, list):

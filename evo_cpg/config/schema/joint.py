@@ -13,8 +13,8 @@ from evo_cpg.creature.creature import Actuator, Joint
 from evo_cpg.spatial.numerics import as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
-# Distance of the middle one of three axes from the angle at which the axes lie in one plane.
-# Axes at right angles do so at 90 degrees, where the first and the last axis coincide.
+# Smallest distance of the middle one of three joint angles from the angle at which the axes lie in
+# one plane. Axes at right angles do so at 90 degrees, where the first and the last axis coincide.
 _SINGULARITY_MARGIN_DEG = 5.0
 
 AxisName = Literal["x", "y", "z", "-x", "-y", "-z"]

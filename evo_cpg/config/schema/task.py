@@ -95,7 +95,7 @@ class _TaskSection(Section):
 
 
 class ReachLightConfig(_TaskSection):
-    """Iwadate 2010, eqs. 9 and 10, on normalised terms: a > c > b.
+    """Fitness of Iwadate 2010, eqs. 9 and 10, of normalised terms, with weights a > c > b.
 
     Attributes:
         type: ``reach_light``.
