@@ -31,13 +31,14 @@ from evo_cpg.training.experiment import ExperimentParts, champion_keys, situatio
 from evo_cpg.training.probe import blinded
 from evo_cpg.training.variations import Variation, Varied
 
-# Number of unchecked body pairs that are listed by name, at most.
+# Largest number of unchecked body pairs that are listed by name.
 _NAMED = 5
 
 # Relative change of friction and drag in the variations.
 _CHANGE = 0.1
 
-# Standard deviation of initial joint angles, roll and pitch, rad, and number of draws.
+# Variation of the initial pose: standard deviation of joint angles, roll and pitch, rad, and number
+# of draws.
 _SHAKE, _DRAWS = 0.01, 8
 
 # With noise: number of fresh trials that a displacement is averaged over, and key of the check that
@@ -51,7 +52,7 @@ _STRETCH = 0.25
 # Shortest displacement, in lengths of the animal, for which variations are evaluated.
 _LEAST_DISPLACEMENT = 0.1
 
-# The replayed fitness must agree with the recorded one to this fraction.
+# Largest allowed relative error of the replayed fitness.
 _REPLAY = 1e-3
 
 
@@ -483,7 +484,8 @@ def _kept(
     if not own > _LEAST_DISPLACEMENT * length_of(creature):
         return checks
     chance, drawn = kept[_CHANCE]
-    # Only the variation of poses has several draws without noise.
+    # Mean displacement with fresh noise: the reference of the other variations with several draws.
+    # Without noise, only the variation of poses has several draws.
     usual = float(drawn.mean_displacements(chance)[0])
     for key, (variation, one) in kept.items():
         of_own = variation.draws == 1 or key == _CHANCE
@@ -491,7 +493,8 @@ def _kept(
         displacements = one.mean_displacements(variation)
         detail = ", ".join(f"{x:.3g}" for x in displacements) + f" of {reference:.3g} m"
         if key == "limp_way":
-            # Subtract the displacement by the flow. No animal drifts against a current.
+            # Subtract the displacement by the flow. From the limp animal's displacement, subtract
+            # it only if it is positive.
             swum, limp = reference - carried, float(displacements.max()) - max(0.0, carried)
             if carried > 0 and swum <= _LEAST_DISPLACEMENT * length_of(creature):
                 # The displacement is due to the water alone.

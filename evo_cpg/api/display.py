@@ -197,7 +197,7 @@ def working(
         TextColumn("{task.description}", markup=False),
     ]
     columns += [BarColumn(bar_width=24), TimeRemainingColumn()] if counted else []
-    # Printed text goes above the line, unless standard output is a pipe.
+    # Text that the work prints goes above the progress line, unless standard output is a pipe.
     redirect = sys.stdout.isatty()
     with Progress(
         *columns,

@@ -101,7 +101,8 @@ class Experiment:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without compiled programs, which no other process can use."""
-        # Measuring scales again costs a generation, and another machine may round differently.
+        # Keep the scales: measuring them again costs a generation, and another machine may round
+        # differently.
         kept = ("parts", "config", "source", "replaced", "scales")
         return {name: value for name, value in vars(self).items() if name in kept}
 

@@ -405,7 +405,7 @@ def evolve(
         RunFolderError: no individual of any generation has a finite fitness.
         TeamError: another process was lost.
     """
-    # Importing the loop takes JAX a second.
+    # Importing the loop takes a second, because it imports JAX.
     from evo_cpg.training.loop import train as train_generations
     from evo_cpg.training.processes import ALONE
 

@@ -16,7 +16,7 @@ from evo_cpg.training.run_folder import RunFolderError
 
 What = Literal["champion", "population"]
 
-# Tag that keeps these draws apart from others of the same seed.
+# Tag that keeps the draws of the variations apart from other draws of the same seed.
 _AROUND = 6
 
 

@@ -75,7 +75,7 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
     if oscillators is None:
         return
     cpg, network, rate_gain = oscillators
-    # The other oscillators drive no joint.
+    # Warn only of oscillators that drive a joint.
     driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
     driven = driven & (rate_gain != 0)
     gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain

@@ -21,7 +21,7 @@ from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.probe import UNSEEING
 from evo_cpg.training.run_folder import RunFolder
 
-# Column of the summary for each key of a check.
+# Head of the summary's column for each key of a check.
 _KEPT = {
     "half_step": "half",
     "quarter_step": "quarter",

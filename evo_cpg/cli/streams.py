@@ -50,7 +50,7 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
         descriptor: descriptor to write to.
         like: stream to replace, for its encoding, or None if the stream was closed.
     """
-    # Python makes standard error unbuffered rather than line-buffered if PYTHONUNBUFFERED is set.
+    # If PYTHONUNBUFFERED is set, Python's streams are not buffered. Buffer them by line here.
     by_line = getattr(like, "line_buffering", True) or getattr(like, "write_through", False)
     return io.TextIOWrapper(
         io.BufferedWriter(_Raw(descriptor, "wb", closefd=False)),

@@ -11,7 +11,7 @@ from evo_cpg.config.keys import follow, put, value_at
 Schema = dict[str, Any]
 Place = tuple[str | int, ...]
 
-# Pydantic ends the location of a key of the wrong type with this part.
+# If a key has the wrong type, pydantic ends the location of the error with this part.
 _OF_KEY = "[key]"
 
 _SIMPLE = {

@@ -48,7 +48,7 @@ from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.system import resolved, with_working_folder
 from evo_cpg.training.experiment import ExperimentParts
 
-# Resolution of the quadrature that random surface points are drawn from.
+# Resolution of the dense surface points among which random points are drawn.
 _DENSE_RESOLUTION = 24
 
 
@@ -212,7 +212,7 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
     try:
         own = term_names(task)
     except Exception:
-        # The user's own task fails. `check_own_returns` reports the error.
+        # The user's own task fails here. `check_own_returns` reports the error later.
         own = ()
     axes = [axis.name for axis in config.evolution.axes]
     requested: list[tuple[Key, str]] = [

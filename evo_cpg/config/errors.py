@@ -44,7 +44,7 @@ class ConfigError(KeyProblem):
     def __init__(self, source: str | Path, key: Key, problem: str, line: int | None = None):
         super().__init__(key, problem)
         self.source, self.line = source, line
-        # Text from a stranger may have any length.
+        # Text from a stranger may have any length, so clip it.
         where = [_clipped(str(source)), *([] if line is None else [f"line {line}"])]
         where += [_clipped(".".join(map(str, key)))] if key else []
         self.args = (": ".join([*where, _clipped(problem, 700)]),)

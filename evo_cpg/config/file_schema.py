@@ -79,7 +79,7 @@ def _describe(kind: Schema) -> None:
         inherited |= documented_attributes(other.__doc__ or "")[1]
     kind["description"] = about
     for name, value in kind.get("properties", {}).items():
-        # The title repeats the key in words.
+        # Pydantic's title only repeats the key in words.
         value.pop("title", None)
         if name in own or name in inherited:
             value["description"] = own.get(name) or inherited[name]

@@ -60,7 +60,7 @@ def complete_config(
                     beside(source, entry["shape"]["file"])
         for override in overrides:
             _apply(data, override)
-            # Files named on the command line may be anywhere.
+            # The user wrote the overrides, so the files that they name may be anywhere.
             with trusting():
                 _read_files(data, source)
         with trusting():

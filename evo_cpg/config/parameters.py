@@ -128,7 +128,8 @@ class Parameters:
         """
 
         def check(given: Array) -> np.ndarray:
-            # The trial's precision rounds the configuration's own values.
+            # Values that equal the configuration's own values in the trial's precision count as
+            # these values.
             known = np.asarray(given)
             own = self.values.astype(known.dtype)
             self.require(np.where(known == own, self.values, known))

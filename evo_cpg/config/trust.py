@@ -18,7 +18,7 @@ from evo_cpg.system import named, resolved, working_folder
 VARIABLE = "EVO_CPG_TRUST"
 
 _trusted = contextvars.ContextVar("trusted", default=False)
-# List that records the files that configurations name.
+# List that gets the files that configurations name in `recording_files`.
 _noted: contextvars.ContextVar[list[Path] | None] = contextvars.ContextVar("noted", default=None)
 
 

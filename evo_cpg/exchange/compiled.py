@@ -23,7 +23,7 @@ _Section = TypeVar("_Section", bound=Section)
 TOLERANCE = 1e-6
 _DIGITS = 12
 
-# Number of the body that the world's elements belong to.
+# MuJoCo's number of the body that holds the elements of the world.
 WORLD = 0
 
 

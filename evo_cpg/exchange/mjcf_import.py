@@ -206,7 +206,7 @@ def _collisions(compiled: Compiled) -> list[str]:
     model = compiled.model
     own = model.geom_bodyid != WORLD
     bits = np.stack([model.geom_contype, model.geom_conaffinity], 1)
-    # MuJoCo's default, and the value of our own export.
+    # Contact bits of MuJoCo's default, and of our own export.
     usual = (bits == [1, 1]).all(1) | (bits == [0, 1]).all(1)
     unusual = int((own & ~usual).sum())
     # A pair with the ground belongs to the ground. `self_collision` gives pairs without friction.

@@ -111,7 +111,8 @@ class Brain:
             constants, animal = begin_episode(simulation, alone, keys, number)
         contact_model = simulation.world.contact_model
         owners = np.array([] if contact_model is None else contact_model.bodies, int)
-        # A body's first contact point stands for all of them, because the skin sums their forces.
+        # The force of a body is put on its first contact point. Pressure sensors sum the forces of
+        # all points of a body.
         self._first = {body: int(np.flatnonzero(owners == body)[0]) for body in set(owners)}
         self._points, self._nerves = len(owners), animal.nerves
 

@@ -46,7 +46,8 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Size of a run with --quick. Terms of the last second need a trial of at least one second.
+# Number of runs, generations and control steps with --quick. Terms of the last second need a trial
+# of at least one second.
 _QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
 # The population allows five islands of four individuals.
 _QUICK_POPULATION, _QUICK_ELITES = 20, 2

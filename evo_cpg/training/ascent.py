@@ -82,7 +82,7 @@ def clip_long_gradients() -> optax.GradientTransformation:
     return optax.GradientTransformation(init, update)
 
 
-# The mean of squares decays faster than usual, because an ascent has few steps.
+# Adam's mean of squares decays faster than usual (b2 = 0.999), because an ascent has few steps.
 _ADAM = optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-12)
 _GUARDED_ADAM = optax.chain(clip_long_gradients(), _ADAM, optax.scale(-1.0))
 

@@ -32,7 +32,7 @@ POPULATION_AXIS = "population"
 
 def available_cores() -> int:
     """Return the number of cores that this process may run on."""
-    # Windows and macOS have no such list, and a sandbox may hide it.
+    # Windows and macOS lack `sched_getaffinity`, and a sandbox may refuse the call.
     with contextlib.suppress(AttributeError, OSError):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -338,7 +338,7 @@ def judge(
     """
 
     def mean(values: Shaped[Array, "*n trials"]) -> Float[Array, " *n"]:
-        # The mean of Boolean values is the fraction of trials.
+        # Convert Boolean values to numbers. Their mean is the fraction of trials with True.
         values = values.astype(jnp.result_type(values, float))
         # Add trials in turn. The order in which `mean` adds, and so its rounding, would depend on
         # the number of individuals, and a replay has only one.

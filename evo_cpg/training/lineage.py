@@ -90,7 +90,8 @@ def lineage_arrays(lineage: Sequence[Champion]) -> dict[str, Any]:
         (TERM_PREFIX, [each.terms for each in lineage]),
         (SCALE_PREFIX, [each.scales for each in lineage]),
     ):
-        # The measures of a configuration may have changed during the run.
+        # Champions of one run may have different terms: the configuration's measures may have
+        # changed.
         names = dict.fromkeys(name for one in rows for name in one)
         arrays |= {
             prefix + name: np.array([one.get(name, math.nan) for one in rows]) for name in names

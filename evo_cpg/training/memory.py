@@ -17,8 +17,8 @@ from evo_cpg.errors import UserError
 from evo_cpg.system import described_by
 from evo_cpg.training.experiment import ExperimentParts, begin
 
-# Bytes of everything else, and the largest number of copies of genomes and search state, with a
-# margin.
+# Bytes of everything except genomes and search state, and the largest number of copies of genomes
+# and search state. Both have a margin.
 _REST, _COPIES = 2**29, 6
 _GENE = 4  # bytes
 # Smallest size of a search's state, bytes, that the error mentions.
@@ -54,7 +54,7 @@ def available() -> int | None:
     """Return the memory of the machine or its container, bytes, or None if unknown."""
     found = []
     for file in _CONTROL_GROUPS:
-        # The group may be missing or without a limit.
+        # The control group may be missing, or have no limit.
         with contextlib.suppress(ValueError):
             found.append(int(described_by(Path(file))))
     with contextlib.suppress(AttributeError, OSError, ValueError):

@@ -71,7 +71,7 @@ def probe(
     outcome = compile_trials(simulation, mesh)(alone, None, trial, count)
 
     def follow(genes: Float[Array, "g n"], trial: Int[Array, " n"]) -> Float[Array, "t 3 n"]:
-        # Index 0 is the root, which is the first body.
+        # Record all individuals. In the recorded positions, body 0 is the root.
         recorder = Recorder(len(trial))
         frames = rollout(simulation, genes, None, trial, recorder)
         return frames["position"][:, :, 0]

@@ -295,7 +295,7 @@ def difference(rows: Sequence[bytes]) -> str:
     groups: dict[bytes, list[int]] = {}
     for index, row in enumerate(rows):
         groups.setdefault(row, []).append(index)
-    # Most of many processes have equal rows, so long lists are cut.
+    # Show at most four groups, and eight processes of each. Most of many processes have equal rows.
     shown = [
         ", ".join(map(str, group[:8])) + (f" and {len(group) - 8} more" if len(group) > 8 else "")
         for group in list(groups.values())[:4]

@@ -147,7 +147,7 @@ def compile_refinement(
             chosen = np.argsort(-climbed.fitness)[: 2 * _PARENTS]
             chosen = chosen[np.isfinite(climbed.fitness[chosen])]
             found = try_out(climbed.genes[:, chosen], champion) if len(chosen) else []
-            # Among equally fit individuals the earlier one stays.
+            # Of equally fit individuals, the earlier one comes first.
             ranked = sorted([*parents, *found], key=lambda one: -one.champion.fitness)
             gain = ranked[0].champion.fitness - parents[0].champion.fitness
             parents = ranked[:_PARENTS]

@@ -22,7 +22,7 @@ _LONGEST_LINE = 1 << 14
 # Time between two attempts to reach the lead, s.
 _PAUSE = 0.2
 
-# Time for a connected process to send its line, s. Others wait meanwhile.
+# Time for a connected process to send its line, s. The lead answers no other process meanwhile.
 _SILENCE = 2.0
 
 # Additional time to wait for the lead's answer, s, because the lead may have started later.

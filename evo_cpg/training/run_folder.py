@@ -269,13 +269,13 @@ class RunFolder:
             try:
                 return read_checkpoint(read_arrays(path))
             except FileNotFoundError:
-                # The training process deleted it meanwhile.
+                # The training process deleted this checkpoint meanwhile.
                 continue
             except DAMAGED as error:
                 reason = getattr(error, "strerror", None) or error
                 wrong.append(f"{path.name}: {reason}")
         if wrong:
-            # A start at generation 0 would lose generations that may be recoverable.
+            # Do not restart at generation 0: the finished generations may be recoverable.
             raise RunFolderError(
                 f"{self.path / 'checkpoints'}: no checkpoint can be read ({', '.join(wrong)}). "
                 "Make them readable, put copies back, or delete them to restart the run"

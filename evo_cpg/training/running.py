@@ -98,7 +98,7 @@ class Running:
             like = jax.eval_shape(lambda: begin(experiment))[1]
             self._state = state_from(checkpoint.state, like)
             if checkpoint.history and team.leads:
-                # A kill may have prevented the writing of the table.
+                # A kill may have prevented the writing of metrics.csv, so write it again.
                 folder.write_metrics(checkpoint.history)
         self.checkpoint = checkpoint
         self._lineage = _lineage_until(folder, checkpoint) if team.leads else []
@@ -135,7 +135,8 @@ class Running:
         index, scales = np.int32(number), _float32(before.scales)
         result = jax.device_get(self._programs.breed(genes, outcome, index, scales, self._state))
         if before.generation >= experiment.generations:
-            # Only the fitness is used: no generation follows.
+            # This was a round that chooses the champion. Only its fitness is used, because no
+            # generation follows.
             self._choose(genes, number, result)
             return []
         done, self._state = before.generation + 1, result.state

@@ -23,7 +23,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import ExperimentParts, champion_keys, judge, situation_numbers
 
-# Seed of the draws of noise.
+# Seed of the fresh draws of noise.
 _SEED = 20
 
 
@@ -176,5 +176,5 @@ def _keys(experiment: ExperimentParts, champion: Champion, variation: Variation)
     else:
         each = jax.random.split(jax.random.key(_SEED), variation.draws * experiment.trials)
         keys = jax.random.key_data(each).T
-    # Equal keys in all simulations, so that only their numbers differ.
+    # All simulations get equal random keys, so that only the numbers of the simulations differ.
     return jnp.tile(keys, (1, len(variation.simulations)))

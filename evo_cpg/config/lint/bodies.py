@@ -27,11 +27,12 @@ _CARRIES, _LIGHTER = 5000.0, 1e12
 # Smallest rotation of its own body that a motor must achieve in a trial, degrees.
 _LEAST_TURN = 1.0
 
-# A position may lie outside its body by this fraction of the body's largest half extent. Joints
-# have gaps between bodies, and eyes stand on stalks.
+# Largest distance of a position outside its body, as a fraction of the body's largest half extent.
+# Joints have gaps between bodies, and eyes stand on stalks.
 _OUT = 0.3
 
-# Bodies of a row form a ring if each is turned by this angle relative to its predecessor, degrees.
+# Smallest angle between successive bodies of a row, degrees, for a warning. The row curls up into a
+# ring.
 _CURLS = 45.0
 
 

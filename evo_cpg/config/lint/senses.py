@@ -90,7 +90,7 @@ def _elevations(case: Case) -> list[float] | None:
 def touch_without_ground(case: Case) -> Iterator[LintWarning]:
     """Warn of pressure sensors, requested by name, if there is no ground to touch."""
     named = case.config.creature.pressure_sensors
-    # The default ``all`` costs nothing.
+    # Do not warn of the default ``all``, because such sensors cost nothing.
     if named == "all" or case.config.world.ground is not None:
         return
     for i in range(len(named)):

@@ -79,7 +79,7 @@ class ExperimentConfig(Section):
                 f"{self.seed + self.runs - 1}"
             )
         genome, given = self.controller.genome, self.evolution.type
-        # Other strategies evolve both kinds of genome.
+        # Strategies other than ``real`` and ``bits`` evolve both kinds of genome.
         if genome is not None and given in ("real", "bits") and given != genome:
             raise ValueError(
                 f"a controller of type {self.controller.type!r} has a genome of "

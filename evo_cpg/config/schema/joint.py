@@ -64,7 +64,8 @@ def _require_regular(directions: np.ndarray, lower: float, upper: float) -> None
         raise ValueError(
             f"axes: the middle one of three must be at least {margin:g} degrees from the others"
         )
-    # The first angle above the lower limit at which they lie in one plane.
+    # First angle of the middle axis, from the margin below its lower limit on, at which the three
+    # axes lie in one plane, degrees.
     plane = np.degrees(np.arctan2(sine, cosine)) + 90.0
     plane += 180.0 * np.ceil((lower - margin - plane) / 180.0 + 1e-9)
     if plane < upper + margin - 1e-6:
