@@ -53,7 +53,7 @@ class Lock:
 
 @contextlib.contextmanager
 def locked(folder: Path, make: bool = False) -> Iterator[Lock]:
-    """Lock a folder against other processes during the block.
+    """Lock a folder against other processes during the ``with`` block.
 
     Args:
         folder: folder to lock.

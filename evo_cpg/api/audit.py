@@ -187,7 +187,7 @@ def _complete(champion: Champion, replayed: Varied) -> Champion:
 def _opinions(
     experiment: ExperimentParts, champion: Champion, steps: PhysicsSteps
 ) -> tuple[tuple[Opinion, ...], str]:
-    """Return our trial and MuJoCo's, and the reason why one is missing."""
+    """Return opinions on the first trial, ours and MuJoCo's, and the reason if one is missing."""
     simulation, creature = experiment.simulation, experiment.creature
     theirs, missing = [], ""
     try:
@@ -277,7 +277,7 @@ def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[Tri
 def books(
     experiment: ExperimentParts, champion: Champion, trials: tuple[Trial, ...], limits: Limits
 ) -> list[Check]:
-    """Return the checks of the trials themselves, each for the worst trial."""
+    """Return the checks that need no variation, such as energy, each for the worst trial."""
     simulation, mass = experiment.simulation, float(experiment.creature.mass)
     length, h = float(length_of(experiment.creature)), simulation.step_length
     limits = limits.of_length(length)

@@ -71,7 +71,8 @@ class Experiment:
     Attributes:
         config: complete configuration.
         source: file of the configuration.
-        replaced: names of parts that were replaced in Python, unlike the configuration.
+        replaced: names of parts that were replaced in Python. The configuration does not describe
+            them.
         parts: internal parts of the experiment, not part of the stable interface.
     """
 

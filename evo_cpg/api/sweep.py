@@ -48,7 +48,7 @@ _SEARCH = ("name", "seed", "runs", "evolution", "audit")
 
 @dataclasses.dataclass(frozen=True)
 class Member(Opened):
-    """Setting of a sweep, with its run.
+    """Setting of a sweep, with its run folder and experiment.
 
     Attributes:
         setting: name and values of the setting.

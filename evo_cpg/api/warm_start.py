@@ -33,7 +33,7 @@ class Start(NamedTuple):
 
 
 def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
-    """Return the first populations of an experiment, from an earlier run of the same plan.
+    """Return the first populations of an experiment, from a run with an equal body plan.
 
     If both have the same number of runs, each run starts from its own champion. Otherwise all
     start from the best. All genomes but the first are variations of the champion, made by the
@@ -93,7 +93,7 @@ def _first_population(
 
 
 def _require_same_plan(experiment: ExperimentParts, earlier: ExperimentParts, path: Path) -> None:
-    """Check that both experiments have genomes of the same meaning.
+    """Check that controller, names of bodies and joints, and number of genes are equal.
 
     Raises:
         RunFolderError: the plans differ.

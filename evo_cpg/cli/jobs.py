@@ -146,7 +146,7 @@ def claimed(folder: Path, jobs: Jobs | None) -> Iterator[None]:
     """Lock a sweep: two commands would overwrite each other's checkpoints.
 
     Local jobs share the lock, so it is held until the last job has ended, even if this command ends
-    first. Jobs of SLURM are on a list.
+    first. Jobs of SLURM do not share the lock. A list, ``slurm.json``, names them.
 
     Args:
         folder: folder of the sweep.

@@ -96,7 +96,7 @@ def read_motion(path: Path) -> MeasuredMotion:
 
 
 def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
-    """Return the size of a column's unit, in SI units, or 1 if the column has no unit or use.
+    """Return the size of a column's unit, in SI units, or 1 if the column has no unit or is unused.
 
     An exported motion has a root, and only some of its columns are used.
 

@@ -95,7 +95,7 @@ def _occupy(descriptor: int) -> None:
 
 
 def _escape(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Return a byte of a file name unchanged, and escape other characters."""
+    """Encode a character that the encoding lacks. Bytes of file names stay, others are escaped."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     code = ord(error.object[error.start])

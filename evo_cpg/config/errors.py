@@ -15,7 +15,7 @@ Key = Sequence[str | int]
 class KeyProblem(UserError):
     """A problem with the value of a key, raised in code that does not know the file.
 
-    Outside this package it becomes a `ConfigError`, which has the file (`evo_cpg.config.lines`).
+    Before it leaves `evo_cpg.config`, `located` makes it a `ConfigError`, which names the file.
 
     Attributes:
         key: key of the value, relative to the section that is being read (`under`).

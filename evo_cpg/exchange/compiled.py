@@ -118,7 +118,7 @@ class Item(NamedTuple):
         Args:
             section: class of the section.
             values: values of its keys, or None for an unset key.
-            what: name of the element in messages, if it has another one.
+            what: name of the element in messages, or empty for its own name.
 
         Raises:
             RefusedError: the values break the section's rules.
@@ -232,5 +232,5 @@ def tidy(value: float) -> float:
 
 
 def tidy_vector(values: np.ndarray) -> tuple[float, ...]:
-    """Return coordinates after `tidy`, and 0 for remainders of numbers that cancel."""
+    """Return coordinates after `tidy`. A tiny remainder of numbers that cancel becomes 0."""
     return tuple(0.0 if abs(value) <= 10.0**-_DIGITS else tidy(value) for value in values)

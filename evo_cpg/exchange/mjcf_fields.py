@@ -162,7 +162,7 @@ def require_numbers(compiled: Compiled) -> None:
 
 
 def refuse_fields(compiled: Compiled) -> None:
-    """Refuse the elements of the creature with a property that no creature has."""
+    """Refuse elements of the animal with a field that has another value than in `NEUTRAL`."""
     model = compiled.model
     for field, (kind, word, values) in NEUTRAL.items():
         found = getattr(model, field, None)
@@ -190,7 +190,7 @@ def refuse_elements(compiled: Compiled) -> None:
 
 
 def left_out_options(compiled: Compiled) -> list[str]:
-    """Return names of options of the world whose values are to be reported."""
+    """Return names of the world's options that have unusual values, to be reported as left out."""
     found = []
     for name, allowed in OPTIONS_LEFT_OUT.items():
         value = np.ravel(getattr(compiled.model.opt, name, allowed))

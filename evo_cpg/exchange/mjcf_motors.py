@@ -134,5 +134,5 @@ def _place(compiled: Compiled, what: str, number: int) -> int:
 
 
 def _boundless(torque: np.ndarray) -> bool:
-    """Return whether limits exceed, both ways, the largest that a creature can have."""
+    """Return whether both limits exceed the largest torque limit that a creature can have."""
     return bool(torque.min() < -LARGEST and torque.max() > LARGEST)

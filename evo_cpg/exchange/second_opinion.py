@@ -164,7 +164,7 @@ def second_opinion(
     hard: bool = False,
     brain: Brain | None = None,
 ) -> Opinion:
-    """Return MuJoCo's outcome.
+    """Simulate the trial in MuJoCo, and return its outcome.
 
     Args:
         simulation: simulation of the trial.
@@ -261,7 +261,7 @@ class _Player:
     def commands(
         self, target_rate: Float[np.ndarray, "d t"], target_angle: Float[np.ndarray, "d t"]
     ) -> Float[np.ndarray, "t motors"]:
-        """Return the motor commands of each step, which give the torques of our motor laws."""
+        """Return the commands of MuJoCo's motors for each step, which give our motors' torques."""
         tree = self.tree
         gain, stiffness = (
             np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)

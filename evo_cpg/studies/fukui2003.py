@@ -120,7 +120,7 @@ def models(workshop: Workshop) -> list[Table]:
 
 
 def long(workshop: Workshop) -> list[Table]:
-    """Evaluate Model 1 over 2000 generations, as in Fig. 4-2, with and without noise."""
+    """Compare Model 1 with and without noise over 2000 generations, as in Fig. 4-2."""
     from evo_cpg.view.search_plots import generations_figure
 
     names = {"long": "without noise", "long_noise": "noise, 7 kept"}
@@ -130,7 +130,7 @@ def long(workshop: Workshop) -> list[Table]:
 
 
 def single(workshop: Workshop) -> list[Table]:
-    """Evaluate two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
+    """Show two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
     from evo_cpg.view.search_plots import generations_figure
 
     best, first = _best(workshop, "single"), workshop.experiment("single").seed
@@ -190,7 +190,7 @@ def random(workshop: Workshop) -> list[Table]:
 
 
 def walk(workshop: Workshop) -> list[Table]:
-    """Compare models evolved for distance with models evolved also for posture (section 4.3)."""
+    """Compare champions evolved for distance with champions evolved to walk (section 4.3)."""
     from evo_cpg.view.search_plots import champions_figure
 
     rows, dots = [], {}

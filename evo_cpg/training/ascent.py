@@ -148,7 +148,8 @@ class ClimbSettings(NamedTuple):
 
     Attributes:
         sizes: step sizes, in units of genes.
-        retentions: decay of gradients per step, see `evo_cpg.simulation.backward.Backward`.
+        retentions: fraction of a gradient that is left one control step further back, see
+            `evo_cpg.simulation.backward.Backward`.
     """
 
     sizes: Float[np.ndarray, " n"]

@@ -71,7 +71,7 @@ def population_mesh(count: int | None = None) -> Mesh:
 
 
 class Layout(NamedTuple):
-    """Layout of a population over devices and time.
+    """Layout of a population: the devices, and the width of the chunks that they compute in turn.
 
     Attributes:
         mesh: devices that are used.

@@ -52,7 +52,7 @@ class Learning(NamedTuple):
 
     Attributes:
         every: number of generations between two ascents.
-        elites: number of elites in each run, the best first.
+        elites: number of elites that climb in each run: the best ones.
         steps: number of moves of each elite.
     """
 

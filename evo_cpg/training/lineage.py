@@ -45,7 +45,7 @@ def until(
     """Return the lineage after a number of generations.
 
     Args:
-        lineage: written lineage, perhaps empty or a generation ahead of the checkpoint.
+        lineage: lineage from the run folder, perhaps empty or a generation ahead of the checkpoint.
         champions: champion of every run in the checkpoint.
         generation: number of finished generations.
     """
@@ -83,7 +83,7 @@ def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
 
 
 def lineage_arrays(lineage: Sequence[Champion]) -> dict[str, Any]:
-    """Return a lineage of at least one champion as named arrays with a row for each."""
+    """Return a lineage of at least one champion as named arrays, with a row for each champion."""
     arrays: dict[str, Any] = {"genes": np.stack([each.genes for each in lineage])}
     arrays |= {name: np.array([getattr(each, name) for each in lineage]) for name in _OF_ALL}
     for prefix, rows in (

@@ -53,7 +53,7 @@ def train_together(
 
     Args:
         experiments: experiments with equal simulations and equally many trials of an individual.
-        folders: a run folder for each, created before.
+        folders: existing run folder of each experiment.
         on_generation: called after each generation of an experiment, with the experiment's index
             and its new rows of metrics.csv, one for each run.
         mesh: devices to use, or None for all of this process.

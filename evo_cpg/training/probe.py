@@ -42,7 +42,7 @@ class Probe(NamedTuple):
     paths: Float[np.ndarray, "n t 3"]
 
     def reached(self, fraction: float) -> Bool[np.ndarray, " n"]:
-        """Return whether at most this fraction of the distance was left, per situation."""
+        """Return whether at most this fraction of the initial distance was left, by situation."""
         return self.alive & (self.distance <= fraction)
 
     @property

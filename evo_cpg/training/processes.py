@@ -166,7 +166,7 @@ class Team:
             return dict(sent)
 
     def leave(self) -> None:
-        """Leave the team in good order. After this each process may end."""
+        """Send a goodbye to the others. After this, the end of a process counts as no loss."""
         for link in self._links.values():
             link.leave()
 
@@ -233,7 +233,7 @@ class Team:
             )
 
     def _lose(self, why: str) -> None:
-        """Report to all why the team cannot continue. Only the first reason counts."""
+        """Report to linked processes why the team cannot continue. Only the first reason counts."""
         if self._lost is not None:
             return
         self._lost = why

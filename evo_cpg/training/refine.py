@@ -164,7 +164,7 @@ def compile_refinement(
 def compile_evaluation(
     experiment: ExperimentParts, mesh: Mesh, devices: int
 ) -> Callable[[Float[np.ndarray, "g n"], Champion], list[Champion]]:
-    """Return a function that evaluates genomes with a champion's place, noise and scales.
+    """Return a function that evaluates genomes in place of a champion: with its noise and scales.
 
     Args:
         experiment: experiment of the genomes.

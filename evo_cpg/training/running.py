@@ -288,7 +288,7 @@ def _candidates(
 def _individual(
     genes: Float[np.ndarray, " g"], result: Generation, generation: int, run: int, index: int
 ) -> Champion:
-    """Return an evaluated individual of a generation."""
+    """Return an evaluated individual of a generation as a `Champion`."""
     fitness = float(result.fitness[run, index])
     terms = {name: float(values[run, index]) for name, values in result.terms.items()}
     scales = {name: float(values[run]) for name, values in result.scales.items()}

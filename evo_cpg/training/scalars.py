@@ -29,7 +29,7 @@ class MissingWriterError(Exception):
 
 
 class Scalars:
-    """Event files, extended by rows.
+    """TensorBoard event files of a run folder, to which rows of metrics.csv are added.
 
     Args:
         path: path of the run folder.

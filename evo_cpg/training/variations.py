@@ -119,7 +119,7 @@ def with_friction(simulation: Simulation, factor: float) -> Simulation:
 
 
 def with_drag(simulation: Simulation, factor: float) -> Simulation:
-    """Return the simulation with both kinds of the water's drag scaled.
+    """Return the simulation with the water's form drag and skin drag scaled.
 
     Raises:
         ValueError: there is no water.

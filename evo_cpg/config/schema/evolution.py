@@ -36,9 +36,9 @@ class IslandsConfig(Section):
 
     Attributes:
         count: number of islands, among which the population is divided equally.
-        every: generations between migrations, in which the best of each island replace the worst
-            of the next.
-        migrants: number of individuals that leave each island.
+        every: generations between migrations, in which copies of the best of each island replace
+            the worst of the next.
+        migrants: number of individuals that each island copies to the next.
     """
 
     count: Annotated[int, Field(ge=2, le=1000)]
@@ -325,7 +325,7 @@ class PyribsConfig(MapSection):
         learning_rate: rate at which the threshold of a cell rises to a new entry's fitness: 0
             never, 1 at once.
         threshold_min: fitness to exceed to enter an empty cell; if left out, the median of the
-            survivors of the first sample of the distributions.
+            first sample of the distributions, without individuals that have no finite fitness.
         gene_bound: largest magnitude of a gene.
         options: arguments of the constructor of ``es``, such as ``{lr: 0.02}`` of ``openai_es``.
     """

@@ -137,7 +137,7 @@ class JointConfig(Section):
         return [_AXES[axis] if isinstance(axis, str) else axis for axis in self.axes]
 
     def turned(self, angle_deg: float) -> "JointConfig":
-        """Return the joint with its limb, turned about the parent's vertical axis."""
+        """Return the joint, turned with its limb about the parent's vertical axis."""
         if not angle_deg:
             return self
         roll, pitch, yaw = self.rotation_deg

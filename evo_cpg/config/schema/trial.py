@@ -24,7 +24,7 @@ class SituationConfig(OpenSection):
     Attributes:
         start: x and y of the root's centre at the start, m.
         start_heading_deg: rotation to the left at the start, degrees.
-        light: keys that differ from the task's light.
+        light: light of the trial; its open keys are those of the task's light.
     """
 
     start: tuple[Finite, Finite] | None = None

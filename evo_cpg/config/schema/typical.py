@@ -47,7 +47,7 @@ class TypicalRange(NamedTuple):
 
 
 class Direction(NamedTuple):
-    """Mark for angles in degrees that are directions."""
+    """Mark of a field that holds directions in degrees. Its check finds values in radians."""
 
     def problem(self, value: float | tuple[float, ...]) -> str | None:
         """Return a description if all angles look like radians, or one exceeds a full turn."""
