@@ -73,7 +73,8 @@ def _refine(
         config = config.model_copy(update={"controller": controller})
         experiment = build(config, folder.config, beside)
         print(
-            "bits have no derivative: the genes count as graded, and stay so in RUN after a gain",
+            "bits have no derivative, so the genes count as graded. After a gain in fitness, the "
+            "configuration in RUN has controller.graded: true",
             file=sys.stderr,
         )
     if keys and experiment.runs > 1:

@@ -44,7 +44,7 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     elif isinstance(place, int) and not isinstance(place, bool):
         problem = f"is a whole number ({place}) and has no derivative"
     elif isinstance(place, (dict, list)):
-        problem = f"is a part of the configuration, not a number: {_hint(config, key)}"
+        problem = f"is a section or a list, not a number: {_hint(config, key)}"
     else:
         problem = f"is {place!r}, not a number"
     raise ConfigError(source, parts, problem)

@@ -261,8 +261,8 @@ def _change(
     if not all(other.has_layout_of(building.own) for other in others):
         raise KeyProblem(
             where,
-            "changes more than numbers (such as the parts, the joints or the time step), so it has "
-            "no derivative",
+            "changes more than numbers (such as joints, couplings of oscillators or the time "
+            "step), so it has no derivative",
         )
     change: Change = {}
     for place, leaf in enumerate(building.own.leaves):

@@ -106,7 +106,9 @@ def _read_motor(
         raise item.refusal("it has no limits", "ctrlrange or forcerange")
     for lower, upper in torques:
         if not np.isclose(-lower, upper, rtol=TOLERANCE):
-            raise item.refusal(f"its limits {lower:g} and {upper:g} differ", "equal limits")
+            raise item.refusal(
+                f"its limits {lower:g} and {upper:g} differ in size", "limits of equal size"
+            )
     values = {
         "gain": tidy(gain),
         "stiffness": tidy(stiffness),

@@ -195,7 +195,7 @@ def _require_fit(
             )
     if not 0 < index < place.count:
         raise JoinError(
-            f"there is no process {index} among {place.count}, counted from 0. It runs {sender}"
+            f"the number of a process must be from 0 to {place.count - 1}, got {index} {sender}"
         )
     if index in present:
         other = present[index]
