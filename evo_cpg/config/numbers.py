@@ -17,14 +17,14 @@ from evo_cpg.config.load import check_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.spatial.numerics import Number
 
-# Sections without influence on a trial without noise, and keys of lists that are too long to list
+# Sections whose numbers are no parameters of a trial, and keys of lists that are too long to list
 # each number.
 _OUTSIDE = ("audit", "evolution", "noise")
 _LONG = ("vertices", "faces", "heights")
 
 
 def number_keys(config: ExperimentConfig) -> tuple[str, ...]:
-    """Return the keys of all real numbers that a trial without noise may depend on."""
+    """Return the keys of all real numbers, except in sections of `_OUTSIDE` and lists of `_LONG`."""
     data = config.model_dump(mode="json", exclude=set(_OUTSIDE))
     return tuple(".".join(key) for key, _ in _numbers(data, ()))
 

@@ -324,8 +324,9 @@ class PyribsConfig(MapSection):
         sigma: standard deviation of the first sample.
         learning_rate: rate at which the threshold of a cell rises to a new entry's fitness: 0
             never, 1 at once.
-        threshold_min: fitness to exceed to enter an empty cell; if left out, the median of the
-            first sample of the distributions, without individuals that have no finite fitness.
+        threshold_min: fitness to exceed to enter an empty cell; if left out, the median fitness of
+            the first sample of the distributions (of individuals with finite fitness and
+            descriptors).
         gene_bound: largest magnitude of a gene.
         options: arguments of the constructor of ``es``, such as ``{lr: 0.02}`` of ``openai_es``.
     """
