@@ -24,7 +24,7 @@ _LONG = ("vertices", "faces", "heights")
 
 
 def number_keys(config: ExperimentConfig) -> tuple[str, ...]:
-    """Return the keys of all real numbers, except in sections of `_OUTSIDE` and lists of `_LONG`."""
+    """Return the keys of all real numbers, except in `_OUTSIDE` sections and `_LONG` lists."""
     data = config.model_dump(mode="json", exclude=set(_OUTSIDE))
     return tuple(".".join(key) for key, _ in _numbers(data, ()))
 
