@@ -7,8 +7,8 @@ physics step gives:
 - The error in Coulomb's law with the step's own normal forces, as a fraction of the load.
 - The depth of every contact point after the step, and the overlap of bodies of one animal.
 
-In float64, every window of 0.1 s also gives the growth of a disturbance of 1e-9. The figures are in
-docs/models/contact.md.
+In float64, every window of 0.1 s also gives the growth of a disturbance of the state by 1e-9. The
+figures are in docs/models/contact.md.
 """
 
 import argparse

@@ -386,7 +386,7 @@ def open_damaged(folder: Path, number: int) -> str:
 
 
 def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: Any) -> None:
-    """Call with numbers from a queue, and put each outcome with time and memory into another."""
+    """Call a function with numbers from a queue, and queue each outcome, its time and memory."""
     from evo_cpg.training.devices import use_cores
 
     use_cores(1)
@@ -419,7 +419,7 @@ def _memory(kind: str = "VmRSS") -> int:
 def fuzz(
     call: Callable[[Path, int], str], folder: Path, count: int, out: Path, slow: float
 ) -> dict[str, Any]:
-    """Call with the numbers below a count, in two processes, and stop if one of them hangs.
+    """Call a function with all numbers below a count, in two processes. Stop if a process hangs.
 
     Args:
         call: function of a folder and a number, which returns an outcome.

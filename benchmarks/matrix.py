@@ -1,9 +1,9 @@
 """The test suite with the oldest and newest dependencies on every interpreter: `make test-matrix`.
 
-The fast tests run in an environment for each of them. Then the swimmer's physics step is timed in
-turn with the oldest JAX on the oldest interpreter, and with the newest on the newest. Finally
-numba, which needs its own range of llvmlite, is installed and used with the newest dependencies.
-This program needs only the standard library, and a package index.
+The fast tests run in an environment for each interpreter and age of the dependencies. Then the
+swimmer's physics step is timed in turn with the oldest JAX on the oldest interpreter, and with the
+newest on the newest. Finally numba, which needs its own range of llvmlite, is installed and used
+with the newest dependencies. This program needs only the standard library, and a package index.
 """
 
 import argparse

@@ -115,8 +115,8 @@ class Motion:
         """Return the commands in the order of MuJoCo's motors, rad/s, or rad with springs.
 
         Args:
-            steps: number of divided steps.
-            first: number of the first of them.
+            steps: number of steps. ``finer`` of them make up one step of the config.
+            first: number of the first step.
         """
         index = (first + np.arange(steps)) // self.finer
         return self.exercise.signals(self.lanes, index)[..., self.order]
@@ -124,7 +124,7 @@ class Motion:
     def states(
         self, start: Float[np.ndarray, "n state"], signals: Float[np.ndarray, "n steps motors"]
     ) -> Float[np.ndarray, "n steps state"]:
-        """Return every individual's state after every divided step."""
+        """Return every individual's state after every step, ``finer`` to a step of the config."""
         return np.asarray(rollout.rollout(self.model, self.data, start, signals)[0])
 
 

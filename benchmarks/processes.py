@@ -9,8 +9,8 @@ rounds. Other work on the machine disturbs the tenth percentile least, so the mo
 
     t(P, B) = a + b (P - 1) + c (P - 1) B
 
-with P processes and B bytes in all, which the lead sends to every other process. N individuals per
-host, with trials of T seconds, then have an efficiency of
+with P processes and B bytes in all, which the lead (process 0) sends to every other process. N
+individuals per host, with trials of T seconds, then have an efficiency of
 
     T / (T + t(P, B) + d N P)
 

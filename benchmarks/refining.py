@@ -25,7 +25,8 @@ from evo_cpg.training.run_folder import Checkpoint, RunFolder
 
 SWIMMER = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
 RUNS = 5
-# Six elites of each run are 30 individuals, which almost fill the 32 lanes of two cores.
+# Six elites of each of five runs are 30 individuals, which almost fill the two vectors of 16 on two
+# cores.
 LEARNING = Learning(every=5, elites=6, steps=5)
 
 

@@ -153,7 +153,7 @@ def comparison(verdict: Verdict, tolerance: float) -> Table:
 
 
 def amount(value: float) -> str:
-    """Return a number with three digits, a space, and k, M, G or nothing."""
+    """Return a number with at most three significant digits, a space, and k, M, G or nothing."""
     for scale, letter in _SCALES:
         if value >= scale:
             return f"{value / scale:.3g} {letter}"
@@ -198,7 +198,7 @@ def _theirs(row: Row) -> tuple[str, ...]:
 
 
 def times(ratio: float) -> str:
-    """Return a ratio with at least three digits and an x."""
+    """Return a ratio and an x: three significant digits at most, or a whole number from 1000 on."""
     return f"{ratio:,.0f}x" if ratio >= 1000 else f"{ratio:.3g}x"
 
 

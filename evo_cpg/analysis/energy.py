@@ -60,8 +60,8 @@ class Ledger(NamedTuple):
         push_out: part of `lift` that lifts sunken points out of the ground, up to the speed of the
             contact law.
         impulse: impulse that no force explains, world axes, N s.
-        given: sizes of the impulses of ground, water and own force laws on points and bodies,
-            without weight and buoyancy, N s.
+        given: sum of the magnitudes of the impulses of ground, water and own force laws on points
+            and bodies, without weight and buoyancy, N s.
     """
 
     stored: Float[np.ndarray, " t"]
@@ -215,5 +215,5 @@ def _law_work(
 
 
 def _delayed(after: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the final state of the step before. The first step has its initial state."""
+    """Return the final state of the step before. The first step gets its own initial state."""
     return np.concatenate([before[..., :1], after[..., :-1]], -1)

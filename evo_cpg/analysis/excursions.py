@@ -151,12 +151,12 @@ def _gaps(pairs: Pairs | None, kin: Kinematics) -> Float[Array, "k t"]:
 
 
 def in_water(world: World, steps: PhysicsSteps) -> Bool[np.ndarray, " t"]:
-    """Return whether a body's centre is under water, after every step."""
+    """Return whether the centre of any body is under water, after every step."""
     return along_time(functools.partial(_swims, world), steps)
 
 
 def _swims(world: World, steps: PhysicsSteps) -> Bool[Array, " t"]:
-    """Return whether a body's centre is under water."""
+    """Return whether the centre of any body is under water."""
     centre, _ = _poses(world, steps)
     return (centre[2] < world.water_level).any(0)
 
@@ -260,7 +260,7 @@ def _airborne_displacement(
 def _seen_through_ground(
     simulation: Simulation, steps: PhysicsSteps, light: tuple[float, float, float] | None
 ) -> float:
-    """Return the fraction of the light seen with ground in the way, by control steps."""
+    """Return the fraction of the light seen by all eyes, in all control steps, through ground."""
     world, sensors = simulation.world, simulation.sensors
     bodies = np.array(sensors.eye_bodies, int)
     if world.contact_model is None or light is None or not len(bodies) or sensors.blind:

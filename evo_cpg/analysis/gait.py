@@ -2,8 +2,8 @@
 
 Iwadate 2010, section 6, reports "a smooth phase lag from the front to the back of the animal".
 The functions take the joint angles about one axis, from front to back, in the last part of the
-trial. Joints with an opposite axis need a sign. Each joint's frequency is the peak of its spectrum.
-Amplitudes and phases belong to the component at the common frequency.
+trial. Angles of joints whose axes point the opposite way need a sign of -1. Each joint's frequency
+is the peak of its spectrum. Amplitudes and phases belong to the component at the common frequency.
 """
 
 from collections.abc import Sequence

@@ -19,7 +19,7 @@ from evo_cpg.control.matsuoka import MatsuokaState, initial_state, output, runge
 _NODES = (np.geomspace(*GAINS, 5), np.geomspace(*STRONGER, 3), np.geomspace(*RATIOS, 4))
 
 # Runge-Kutta steps in the shorter time constant, settling and recording time in units of the longer
-# time constant, and steps between samples. Lags of the survey are within 0.05 degrees.
+# time constant, and steps between samples. Lags of the survey are accurate to 0.05 degrees.
 _STEPS_PER_TIME_CONSTANT, _SETTLING, _WATCHED, _EVERY = 8, 200, 100, 2
 
 # Largest product of step and rate of a potential. Runge-Kutta steps are stable up to 2.8.
@@ -66,7 +66,9 @@ def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, 
 def starting_place(
     problem: Problem, nodes: tuple[np.ndarray, ...], lags: Float[np.ndarray, "b s r"], lag: float
 ) -> Float[np.ndarray, "3"]:
-    """Return the point nearest to the present one, on a line between nodes, with about the lag.
+    """Return the point nearest to the present settings that has about the given lag.
+
+    Candidates are interpolated on the lines between neighbouring nodes of the survey.
 
     Raises:
         UnreachableRhythmError: the lag is outside the range of all lags, or no network oscillates.

@@ -184,7 +184,9 @@ def limit_cycle(
     adaptation_gain: Float[np.ndarray, " o"],
     oscillators: tuple[int, ...] | None = None,
 ) -> LimitCycle:
-    """Return the orbit of one part of a network, from its start and under a constant drive.
+    """Return the orbit of one part of a network: one set of connected oscillators.
+
+    The part starts at its initial potentials and has a constant drive.
 
     Args:
         network: connections and time constants.

@@ -36,7 +36,7 @@ _NOWHERE = 1e-6
 def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
     """Return the stride frequency from the autocorrelation of all joints together.
 
-    The stride is the shortest time after which all joints repeat. It is the first peak of
+    The stride is the shortest time after which all joints repeat: the lag m at the first peak of
 
         r(m) = sum_j cov_m(x_j, x_j) / sqrt(sum_j var_m(x_j) sum_j var'_m(x_j))
 

@@ -35,7 +35,7 @@ class Limits:
             of a quarter of a second in which it is a gain.
         push_out_energy: largest fraction of energy from lifting sunken points out of the ground.
         limb_energy: largest fraction of energy from limbs that push each other apart.
-        limit_energy: largest fraction of energy from joints pushed back to their limits.
+        limit_energy: largest fraction of energy from soft limits that push joints back.
         simulator_momentum: largest fraction of the environment's impulses that no force explains.
         penetration: largest penetration of the ground, m, or None for 1 cm or a fiftieth of the
             animal's length, whichever is less.

@@ -24,7 +24,7 @@ _CLEARLY, _CLEAR_FRACTION = 1e-5, 1e-3
 # Alternating projections onto both faces that bring an overhanging corner into their overlap.
 _PROJECTIONS = 2
 
-# Squared length (m^2) added to divisors.
+# Small number added to the square of a length without unit, so that no divisor is zero.
 _FLOOR = 1e-12
 
 

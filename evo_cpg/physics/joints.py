@@ -64,7 +64,7 @@ def displaced(q: Float[Array, " d"], x: Float[Array, " d"]) -> Float[Array, " d"
 
 
 def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3 c *n"]]:
-    """Return the rotation of every body to its parent, then the joint axes in the parent's frame.
+    """Return columns: every body's rotation to its parent, then joint axes in the parent's frame.
 
     Joints with equal axes are computed together.
     """

@@ -85,7 +85,7 @@ class _Paths(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """Pairs of one kind.
+    """A run: consecutive pairs of one kind, with their points in this step.
 
     Attributes:
         kind: the kind, and the number of pairs.
@@ -269,7 +269,7 @@ class ManyPairContacts:
     # Loops.
 
     def over_points(self, look: Callable, start: Any) -> Any:
-        """Fold a function over the points that any individual watches."""
+        """Fold a function over the points that are watched for at least one individual."""
         for run in self.runs:
 
             def round_(carry: Any, q: Array, run: _Run = run) -> tuple[Any, None]:

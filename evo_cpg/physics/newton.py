@@ -27,7 +27,8 @@ from evo_cpg.spatial.linear import dot, matvec
 # cones still change. In float64, in which derivatives are checked, the third serves for both.
 _TOLERANCE, _ROUGH, _EXACT = 1e-3, 0.05, 1e-10
 
-# Derivative at which a line search ends, as a fraction of the initial one. Most evaluations.
+# Derivative at which a line search ends, as a fraction of the initial derivative, and the largest
+# number of evaluations in a search.
 _FLAT, _EVALUATIONS = 0.3, 30
 
 

@@ -34,7 +34,8 @@ ROOT_DOFS = 6
 ROOT, JOINTS = slice(0, ROOT_DOFS), slice(ROOT_DOFS, None)
 
 # Static coordinates of the root (`evo_cpg.physics.statics`): displacement, then rotation vector.
-# The first `LENGTHS` are in m. Level ground is the same everywhere along `SYMMETRIES`.
+# The first `LENGTHS` are in m. Motion along `SYMMETRIES` (x, y, turn about z) does not change the
+# height above level ground.
 LENGTHS, SYMMETRIES = 3, (0, 1, 5)
 
 
@@ -57,7 +58,7 @@ def at_rest(joint_rates: Float[Array, "d *n"]) -> Float[Array, "6 *n"]:
 
 
 def rotation(orientation: Float[Array, "4 *n"]) -> Float[Array, "3 3 *n"]:
-    """Return the rotation from root to world."""
+    """Return the matrix that rotates vectors from root axes to world axes."""
     return quaternion_to_matrix(orientation)
 
 
@@ -83,7 +84,7 @@ def moved(
 def displaced(
     position: Float[Array, "3"], orientation: Float[Array, "4"], x: Float[Array, " k"]
 ) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
-    """Return the pose at the root's static coordinates from another one."""
+    """Return the pose that the root's static coordinates x reach from a given pose."""
     return position + x[:LENGTHS], integrate_quaternion(orientation, x[LENGTHS:ROOT_DOFS], 1.0)
 
 

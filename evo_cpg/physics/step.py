@@ -36,7 +36,7 @@ class Effort(NamedTuple):
     """Motor and contact forces of one step.
 
     Attributes:
-        torque: torque on each axis at the end of the step, N m.
+        torque: torque of the motor on each axis at the end of the step, N m.
         energy: energy of all motors, the sum of |torque x rate| over the step, J.
         contact_frame_force: force of the ground on every contact point, in its contact frame (two
             tangents, then the normal), N; None without ground.

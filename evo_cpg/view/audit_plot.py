@@ -1,4 +1,4 @@
-"""Draw an audit: sources and sinks of energy, remaining displacement, and paths from MuJoCo."""
+"""Draw an audit: energy by source, displacement kept in other trials, and paths from MuJoCo."""
 
 from collections.abc import Mapping, Sequence
 
@@ -60,7 +60,7 @@ def audit_figure(
     Args:
         ledger: energy ledger of a trial.
         step: length of the trial's physics steps, s.
-        kept: checks of the fraction of the displacement that the animal keeps.
+        kept: checks of trials under changed conditions, as fractions of the original displacement.
         paths: path of the root by program, m. Empty if MuJoCo was not run.
         title: text above the picture.
     """

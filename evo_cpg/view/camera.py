@@ -29,7 +29,8 @@ _FILL = 1.5
 # focus lies further along the path.
 _LEAD, _LEAD_UNLIT = 0.6, 0.4
 # Angles to try between the line of sight and the direction of the goal, best first, on either side.
-# They are small enough to show the goal, but not from right behind.
+# The first ones show the goal, but not from right behind the animal. The last ones keep the eye
+# away from a goal that the animal reaches.
 _BEARINGS = np.radians([32.0, 62.0, 90.0, 130.0, 180.0])
 # The same angle without a goal. The animal crosses the picture to the right, and shows its side and
 # a little of its front.
@@ -160,7 +161,9 @@ def hidden(
 def course(
     centre: Float[np.ndarray, "frames 3"], goal: Float[np.ndarray, "3"], least: float
 ) -> float:
-    """Return the bearing from the x axis of the goal, or of the animal's final position, rad.
+    """Return the bearing of the goal, or of the final position, from the initial position, rad.
+
+    The bearing is the angle from the x axis, positive to the left.
 
     Args:
         centre: centre of the animal ``(frames, 3)``, m.

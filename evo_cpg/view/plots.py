@@ -34,7 +34,7 @@ _WINDOW = 5.0
 # Title of a row of joint signals.
 _NAME: dict[str, Any] = {"fontsize": 9, "fontweight": "bold", "pad": 2}
 _SNAPSHOTS = 7
-# Smallest number of periods of a rhythm in the window. The spectrum of a drift peaks at 2.
+# Smallest number of periods of a rhythm in the window. The spectrum of a drift peaks at 2 periods.
 _PERIODS = 2.1
 
 

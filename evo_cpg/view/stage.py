@@ -59,7 +59,7 @@ class Stage:
         plotter: plotter of the picture.
         scene: the animal and its world.
         camera: camera in every frame.
-        oversampling: pixels rendered per pixel of the film, a side.
+        oversampling: pixels rendered per pixel of the film, along a side.
     """
 
     plotter: pv.Plotter

@@ -116,7 +116,7 @@ def add_tint(stage: Stage, terrain: Terrain, surface: float) -> Update:
 
 
 def add_mirror(stage: Stage, surface: float) -> Update:
-    """Draw the upper sheet at a height (m), a disc below the focus that mirrors the sky."""
+    """Draw the upper sheet at a height (m): a disc that follows the focus and mirrors the sky."""
     sight, look = stage.sight, stage.look
     disc, place, fade = fading_disc(stage.visible, 0.02)
     rgba = np.full((len(place), 4), 255, np.uint8)
@@ -150,7 +150,7 @@ def add_mirror(stage: Stage, surface: float) -> Update:
         pixels.Modified()
         actor.position = (focus[0], focus[1], surface)
         disc.active_texture_coordinates = (place + focus[:2]) / side
-        # Water mirrors more if the view is lower.
+        # Water mirrors more where the view is more slanted.
         away = np.hypot(*(place + focus[:2] - eye[:2]).T)
         slant = (eye[2] - surface) / np.hypot(away, eye[2] - surface)
         more = ((1 - slant) / (1 + sight[2])) ** 4

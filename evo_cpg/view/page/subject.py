@@ -11,7 +11,7 @@ from evo_cpg.view.clip import Clip
 
 
 class Difference(NamedTuple):
-    """A value that differs from the shipped configuration, or None for a missing value."""
+    """Value of a key in the shipped configuration and in this run's. A missing value is None."""
 
     key: str
     shipped: Any
