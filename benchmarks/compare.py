@@ -10,7 +10,7 @@ from benchmarks.rows import SECONDS, Row
 
 
 class Change(NamedTuple):
-    """One row, then and now.
+    """A row of the present run, compared with the same row of the earlier run.
 
     Attributes:
         row: row of the present run.
@@ -42,7 +42,7 @@ class Verdict(NamedTuple):
 
     @property
     def slower(self) -> list[Change]:
-        """Return the changes that lost too much."""
+        """Return the changes whose loss of speed exceeds the tolerance."""
         return [change for change in self.changes if change.slower]
 
 

@@ -58,7 +58,7 @@ class Thrashing(NamedTuple):
 
 
 def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thrashing:
-    """Let a population thrash about.
+    """Simulate a population that thrashes about on the ground.
 
     Args:
         exercise: commands of the population.
@@ -142,7 +142,7 @@ def _distance(state: State, count: int) -> Float[np.ndarray, " n"]:
 
 
 def row(animal: str, dtype: type, found: Thrashing) -> str:
-    """Return a row of the table.
+    """Return an animal's row of the table.
 
     Residuals and Coulomb errors are counted in contact steps, depths at all points in all steps,
     and overlaps in all steps.
@@ -182,7 +182,7 @@ def _fraction(touches: np.ndarray, residual: np.ndarray, bound: float) -> float:
 
 
 def main() -> None:
-    """Print the table."""
+    """Simulate the animals, and print the table of their contacts."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("animals", nargs="*", metavar="ANIMAL", default=_ON_LAND)
     parser.add_argument("--count", type=int, default=64, help="number of individuals")

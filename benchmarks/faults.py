@@ -74,7 +74,7 @@ _VERIFIED = 8
 # Limits of time and memory for a configuration, s and bytes. A damaged folder has 12 times as long.
 _SLOW, _LARGE = 5.0, 2**30
 
-# Columns of metrics.csv that differ between equal runs.
+# Columns of metrics.csv that may differ between runs with the same results.
 _TIMES = ("seconds", "steps_per_second")
 
 _ODD_VALUES: tuple[Any, ...] = (
@@ -324,7 +324,7 @@ def damage(run: Path, chance: random.Random) -> list[str]:
 
 
 def open_damaged(folder: Path, number: int) -> str:
-    """Use a damaged run as its user would.
+    """Damage a copy of a run folder, and use the copy as its user would.
 
     Args:
         folder: folder of the undamaged runs.
@@ -396,7 +396,7 @@ def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: A
         if parent is not None and not parent.is_alive():
             return
         before = _memory()
-        # This resets the peak memory.
+        # Writing 5 resets the peak memory that Linux reports for this process.
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")
         start = time.perf_counter()

@@ -91,7 +91,7 @@ CONSTANTS = {
 
 
 class Found(NamedTuple):
-    """Result of a candidate.
+    """Result of one value of a constant.
 
     Attributes:
         value: value of the constant.

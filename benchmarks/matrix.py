@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 # Minor versions of Python 3 that JAX and llvmlite have wheels for.
 _MINORS = range(11, 15)
 
-# Name of each choice among the allowed versions in uv.
+# uv's name for the choice of the oldest or the newest of the allowed versions.
 _RESOLUTIONS = {"oldest": "lowest-direct", "newest": "highest"}
 
 # Largest time of a step with the newest JAX, relative to the oldest, and number of rounds.
@@ -47,7 +47,7 @@ assert total(10.0) == 45
 
 
 class Environment(NamedTuple):
-    """An interpreter with dependencies.
+    """A virtual environment: an interpreter with installed dependencies.
 
     Attributes:
         name: name in the summary.

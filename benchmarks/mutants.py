@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 
-# Patterns of files that are not copied.
+# Patterns of files and folders that the copy of the repository leaves out.
 _LEFT_OUT = (".*", "runs", "build", "dist", "_build", "__pycache__", "*.egg-info")
 
 # pytest's exit codes.
@@ -25,7 +25,7 @@ _PASSED, _FAILED = 0, 1
 
 
 class Mutant(NamedTuple):
-    """One mistake.
+    """One deliberate mistake in a file of the package.
 
     Attributes:
         file: file in the package.

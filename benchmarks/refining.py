@@ -84,7 +84,7 @@ def _refine(
         print(f"round {done.number}: {done.champion.fitness:.4f}, {done.seconds:.1f} s", flush=True)
 
     after = [refine(champion, keep).fitness for champion in started.champions if champion]
-    # The first round compiles.
+    # The first round also compiles, so its time does not count.
     return after, count * statistics.median(done.seconds for done in rounds[1:])
 
 

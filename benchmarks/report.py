@@ -84,7 +84,7 @@ def page_tables(rows: list[Row], machine: dict[str, Any]) -> list[PageTable]:
     if grown := growth.tables(rows):
         return grown
     units = sorted({row.unit for row in rows})
-    # A single unit stands in the heading.
+    # If all rows have the same unit, the unit stands in the heading.
     head, cell = (f", {units[0]}", _rate) if len(units) == 1 else ("", _with_unit)
     ours: dict[Any, list[str]] = {}
     beside = []

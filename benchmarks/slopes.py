@@ -201,7 +201,7 @@ def stands(standing: Standing, level: Standing) -> bool:
 
 
 def main() -> None:
-    """Print the table."""
+    """Find the steepest slope of each animal, and print the table."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("configs", nargs="*", metavar="CONFIG", default=CONFIGS)
     console = Console()

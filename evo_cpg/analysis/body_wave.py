@@ -55,7 +55,7 @@ def body_wave(
     step: float,
     frequency: float,
 ) -> BodyWave:
-    """Measure the bending wave.
+    """Return the wave in samples of the bending along a body.
 
     Args:
         bending: bending at each place, such as joint angles about one axis, rad.

@@ -42,7 +42,7 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
     down = CpgSettings(pair_weight=1.0, child_weight=0.0, opposite=settings.opposite)
     links = inhibition_matrix(tree, down) - np.eye(tree.dof_count)
     for place in explicit_weights(tree, settings.couplings, settings.rings):
-        # An explicit weight replaces the parent's coupling.
+        # An explicit weight in the settings replaces the coupling from the parent.
         links[place] = 0
     # Treat neighbours as coupled, whatever the present settings.
     coupled = dataclasses.replace(settings, pair_weight=1.0, parent_weight=1.0, child_weight=1.0)

@@ -113,7 +113,7 @@ def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
 def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tuple[Array, ...]:
     """Return the fields of `Ledger`."""
     tree, before, after = world.tree, steps.before, steps.after
-    # Velocities are half a step behind the poses.
+    # Velocities are half a step behind the poses, so move the poses back by half a step.
     earlier, first, last = (
         Snapshot(world, h, state.moved(-0.5 * h)) for state in (previous, before, after)
     )

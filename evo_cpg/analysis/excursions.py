@@ -26,7 +26,7 @@ from evo_cpg.spatial.linear import expand_dims_like, matvec
 # (`evo_cpg.physics.equations.Residual`).
 SOLVED, SLIPPING = 1e-3, 1e-1
 
-# Instants of two bodies that are checked at a time.
+# Number of instants at which the overlap of two bodies is computed in one call.
 _INSTANTS = 64
 
 # Points on the line from an eye to the light, and depth (m) in the ground from which a point blocks

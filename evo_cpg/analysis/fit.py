@@ -186,7 +186,7 @@ def fit(
     offset = jnp.where(singular > _FLAT * singular[0], along.T @ residuals, 0.0)
     step = rows.T @ offset
     near = (offset * offset).sum() <= _OFFSET**2 * scale
-    # Criterion for data without noise.
+    # Data without noise have converged once the next step of theta is small enough.
     exact = (jnp.abs(step) <= _TOLERANCE * (1.0 + jnp.abs(theta))).all()
     errors = jnp.sqrt(jnp.diagonal(covariance))
     of_kinds = ((along @ rows) ** 2).reshape(*data.shape, -1).sum(0).T @ members

@@ -62,7 +62,7 @@ def gait(
     last: float = 0.5,
     signs: Float[np.ndarray, " d"] | None = None,
 ) -> Gait:
-    """Measure the rhythm.
+    """Return frequency, amplitude and lag of the joints about one axis.
 
     Args:
         recording: the motion.

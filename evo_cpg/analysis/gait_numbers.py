@@ -122,7 +122,7 @@ def gait_numbers(
     frames: Mapping[str, Array | np.ndarray],
     recording: Recording,
 ) -> GaitNumbers:
-    """Measure a motion.
+    """Return the numbers that describe a recorded motion.
 
     Args:
         simulation: the trial.

@@ -38,7 +38,7 @@ class UnreachableRhythmError(ValueError):
 
 
 def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, "b s r"]]:
-    """Simulate networks at all nodes.
+    """Simulate the chain's network at all nodes, and measure its lags.
 
     Returns:
         Values of b, s and r, and the mean lag along the chain for each of their combinations,
@@ -78,7 +78,7 @@ def starting_place(
             "there is no steady rhythm at any of the gains and couplings tried. pair_weight or "
             "the constants prevent oscillation"
         )
-    # Round inwards, because the survey is not exact.
+    # Round the range of lags inwards, because the survey is not exact.
     low, high = np.ceil(np.nanmin(lags) * 10) / 10, np.floor(np.nanmax(lags) * 10) / 10
     if not low <= lag <= high:
         raise UnreachableRhythmError(_refusal(problem, lag, low, high))

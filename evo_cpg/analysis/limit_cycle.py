@@ -82,7 +82,7 @@ _STAYS = 3
 
 
 class NoRhythmError(ValueError):
-    """The network rests. The simulation has confirmed it."""
+    """The simulation has shown that the network comes to rest."""
 
 
 class RhythmSearchError(ValueError):
@@ -314,7 +314,7 @@ def describe(flow: Flow, chosen: tuple[int, ...], orbit: Orbit) -> LimitCycle:
     """
     orbit, samples = _once(flow, orbit)
     assert orbit.run.tangent is not None
-    # NumPy arrays keep double precision in a class of JAX arrays.
+    # Fill the class of JAX arrays with NumPy arrays, which keep double precision.
     kind = jax.tree.structure(MatsuokaState(jnp.zeros((2, 1)), jnp.zeros((2, 1))))
     along = flow.scale * samples.reshape(2, 2, flow.count, STEPS)
     states = jax.tree.unflatten(kind, list(along))

@@ -21,7 +21,7 @@ _ALIKE = 0.3
 # Relative height of peaks that count as equally high. The first of them is one stride, the others
 # are several.
 _AS_HIGH = 0.9
-# Factor between lags below which peaks belong to one stride.
+# Peaks of the autocorrelation whose lags differ by less than this factor belong to one stride.
 _SAME = 1.2
 # Lags of the autocorrelation per sample. Peaks of fast strides lie between samples.
 _BETWEEN = 8

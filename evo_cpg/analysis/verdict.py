@@ -166,7 +166,7 @@ class Verdict(NamedTuple):
     """Result of an audit.
 
     Attributes:
-        checks: all of them.
+        checks: results of all checks.
     """
 
     checks: tuple[Check, ...]

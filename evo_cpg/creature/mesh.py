@@ -88,7 +88,7 @@ class ConvexMesh(Shape):
 
     @functools.cached_property
     def triangles(self) -> np.ndarray:
-        """The faces' corners ``(f, 3, 3)``, m."""
+        """Positions of the three corners of each face ``(f, 3, 3)``, m."""
         return self.points[np.array(self.faces)]
 
     @property
@@ -334,7 +334,11 @@ def _require_triangles(vertices: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _sensible_length(vertices: np.ndarray) -> float:
-    """Return the longest side of the bounding box, m."""
+    """Return the longest side of the bounding box, m, if it is from `SHORTEST` to `LONGEST`.
+
+    Raises:
+        MeshError: the side is shorter or longer.
+    """
     with np.errstate(over="ignore"):
         longest = float(np.ptp(vertices, axis=0).max())
     if longest > LONGEST:

@@ -172,7 +172,7 @@ def _boxes(creature: Creature, tree: Tree) -> tuple[Numbers, Numbers]:
 
 
 def _indices(names: tuple[str, ...], given: tuple[tuple[str, str], ...]) -> set[tuple[int, int]]:
-    """Return pairs of indices, the lower index first."""
+    """Return pairs of names as pairs of indices in ``names``, the lower index first."""
     found = [sorted(map(names.index, pair)) for pair in given]
     return {(first, second) for first, second in found}
 

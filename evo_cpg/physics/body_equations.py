@@ -138,7 +138,7 @@ def gyroscopic_change(
         h: step, s.
     """
     own = central_inertia(tree)
-    # Cramer's rule multiplies three moments of inertia.
+    # Cramer's rule multiplies three moments of inertia. The scale keeps the product within float32.
     scale = toward_one(xp.trace(own)) ** 2
     inertia = expand_dims_like(scale[None, None] * own, angular, angular.ndim + 1)
     momentum = matvec(inertia, angular)

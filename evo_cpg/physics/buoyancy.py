@@ -131,7 +131,7 @@ def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
 
 
 def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Displacement:
-    """Return the water that each body displaces.
+    """Return volume and first moment of the part of each body that is under water.
 
     Args:
         cells: cells of the creature.

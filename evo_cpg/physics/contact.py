@@ -107,7 +107,7 @@ class ContactLinearization(NamedTuple):
 
 
 def rest_velocity(gap: Array, h: float) -> Array:
-    """Return v* of points with a gap (m), m/s."""
+    """Return v* without restitution, m/s, for points with a gap (m)."""
     push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
     # Multiply by a reciprocal: a division costs a processor many times as much.
     return jnp.where(gap > 0, (-1.0 / h) * gap, push)

@@ -129,7 +129,7 @@ def carried(
 
 
 def accelerated(motion: Motion, axes: Float[Array, "3 k b *n"], x: Array) -> Motion:
-    """Return ``a + S x`` of bodies.
+    """Return the accelerations ``a + S x`` of bodies whose joints accelerate by x.
 
     Args:
         motion: a.

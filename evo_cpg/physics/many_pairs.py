@@ -161,7 +161,7 @@ class ManyPairContacts:
         return ManyPairForces(self, qdd)
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
-        """Return where any pair pushes at joint accelerations."""
+        """Return for which individuals any pair pushes at joint accelerations."""
         twists, accelerations = self.twists(qdd), self.accelerations(self.bias)
 
         def look(run: _Run, found: Array, q: Array) -> Array:
@@ -172,7 +172,7 @@ class ManyPairContacts:
         return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
 
     def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
-        """Return where another bias would move a touching pair by more than `LARGEST_DRIFT`."""
+        """Return for which individuals another bias moves a touching pair by > `LARGEST_DRIFT`."""
         twists, before, after = (
             self.twists(qdd),
             self.accelerations(self.bias),
@@ -440,7 +440,7 @@ def _plus(sums: Array, places: Array, values: Array) -> Array:
 
 
 def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
-    """Find the points of all pairs."""
+    """Find the nearest points of all pairs at the start of the step."""
     tree, pairs, h = contacts.tree, contacts.pairs, contacts.h
     # Positions are relative to the root's origin.
     kin = contacts.kin._replace(origin=contacts.places)

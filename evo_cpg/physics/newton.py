@@ -86,7 +86,7 @@ def damped_step(
     """
     velocity = problem.velocity(y)
     linear = problem.linearized(radius, joint_part(y), velocity)
-    # Rounding would determine the length of the step below this derivative.
+    # If the potential falls more slowly than this, rounding would determine the step's length.
     tolerance, _ = tolerances(y)
     least = problem.h * tolerance**2 * problem.square_of_forces(y, linear)
     return line_search(problem, radius, y, velocity, problem.motion(linear), least)

@@ -160,7 +160,7 @@ def _nearest(
     distances = [_apart(parts.at, box) for box in boxes]
     times = [jnp.zeros_like(distance) for distance in distances]
     if h > 0:
-        # One box for all parts and individuals: constants cost no operation.
+        # Each obstacle is one box for all parts and individuals: constants cost no operation.
         point = jnp.zeros((3, *(1 for _ in parts.origin.shape[1:])), parts.origin.dtype)
         single = [_as_box(obstacle, point) for obstacle in obstacles]
         stacked = jax.tree.map(lambda *each: jnp.stack(each), *single)

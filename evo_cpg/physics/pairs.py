@@ -154,7 +154,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
         return first, second, tuple(Alike(*case, len(list(same))) for case, same in groups)
 
     def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
-        """Return whether each pair still has the right kind."""
+        """Return whether each pair still has its recorded kind with the present numbers."""
         if settings.only is None and is_traced(tree, boxes):
             raise Undecidable("traced numbers cannot decide which limbs can touch")
         kinds = [run for run in made[2] for _ in range(run.count)]

@@ -30,7 +30,7 @@ from evo_cpg.spatial.rotation import integrate_quaternion, quaternion_to_matrix
 # Degrees of freedom of the root.
 ROOT_DOFS = 6
 
-# Components of a generalized vector.
+# Slices of a generalized vector: components of the root, then of the joints.
 ROOT, JOINTS = slice(0, ROOT_DOFS), slice(ROOT_DOFS, None)
 
 # Static coordinates of the root (`evo_cpg.physics.statics`): displacement, then rotation vector.
@@ -63,7 +63,7 @@ def rotation(orientation: Float[Array, "4 *n"]) -> Float[Array, "3 3 *n"]:
 
 
 def motion(velocity: Float[Array, "6 *n"]) -> BodyMotion:
-    """Return the motion of the root's body."""
+    """Return velocity and velocity-product acceleration of the root's body."""
     w, v = angular(velocity), linear(velocity)
     return BodyMotion(w, v, jnp.zeros_like(w), cross(v, w))
 
@@ -112,7 +112,7 @@ def joint_rows(dofs: np.ndarray) -> np.ndarray:
 
 
 def acceleration(y: Float[Array, "v *n"]) -> Motion:
-    """Return the root's acceleration in generalized accelerations."""
+    """Return the root's part of a vector of generalized accelerations."""
     return Motion(y[:3], y[3:ROOT_DOFS])
 
 

@@ -111,7 +111,7 @@ def _step(
     with jax.named_scope("solve"):
         first = solve_at_once(world, h, equations)
         equations = with_mean_products(world, h, equations, *first)
-        # The matrix is the same, only the forces differ.
+        # Both solves have the same matrix, only their forces differ.
         found = solve_at_once(world, h, equations)
     motor = (
         equations.start_torque

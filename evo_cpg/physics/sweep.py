@@ -60,7 +60,7 @@ class Moving(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """Shapes of parts that are not rounded boxes.
+    """Whether parts are ellipsoids, and the meshes around these. Other parts are rounded boxes.
 
     Attributes:
         ellipsoids: whether the parts are ellipsoids.

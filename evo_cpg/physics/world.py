@@ -51,7 +51,7 @@ class World(eqx.Module):
         return f"World(gravity {self.gravity} m/s^2, {water}, {ground})"
 
     def bodies(self, kin: Kinematics, h: float) -> Bodies:
-        """Return the input of force laws.
+        """Return the pose and motion of all bodies, as input of the force laws.
 
         Args:
             kin: kinematics of the bodies.

@@ -52,7 +52,7 @@ class StaticDecisions:
 
 
 class _Present(NamedTuple):
-    """Present record of decisions, and earlier decisions to replay."""
+    """State of a context: its record of new decisions, and the decisions that it replays."""
 
     record: StaticDecisions | None = None
     made: Iterator[Any] = iter(())

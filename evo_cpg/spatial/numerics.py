@@ -21,7 +21,8 @@ Number = Any
 # Three coordinates.
 Triple = tuple[Number, Number, Number]
 
-# Names of arrays that are read at computed indices. They have no derivative.
+# Names of model fields with tables, whose elements are read at computed indices. A simulation has
+# no derivative by these elements.
 TABLES = ("heights", "meshes", "triangles")
 
 

@@ -88,11 +88,11 @@ def follow(
     lit = bool(np.isfinite(goal).all())
     bearing = course(centre, goal, radius / 10)
     if not lit:
-        # So far ahead that the animal never reaches the goal.
+        # Place a goal so far ahead that the animal never reaches it.
         goal = centre.mean(0) + 1e3 * (radius + np.ptp(centre)) * _direction(bearing, 0.0)
     ahead = goal - centre
     away = np.linalg.norm(ahead, axis=-1, keepdims=True)
-    # A circled animal stays in the middle.
+    # A camera that circles the animal keeps it in the middle.
     reached = 0.0 if isinstance(turn, np.ndarray) else _LEAD if lit else _LEAD_UNLIT
     lead = ahead * (reached * radius / np.maximum(away, 2 * radius))
     focus = smooth(centre + lead, SMOOTHING * rate)
@@ -151,7 +151,7 @@ def hidden(
     """
     every = max(len(points) // _VIEWPOINTS, 1)
     points, eye = points[::every], path.position[::every, None]
-    # A point may itself be within a stone or the ground.
+    # Leave out the start of the line: a point may itself be within a stone or the ground.
     along = np.linspace(0.1, 1.0, _SAMPLES)[:, None, None]
     line = points + along[..., None] * (eye - points)
     free = line[..., 2] - height(line[..., :2]) >= margin * along

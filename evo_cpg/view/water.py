@@ -72,7 +72,7 @@ def add_waterlines(stage: Stage, surface: float) -> Update:
     rings = Spots(stage.plotter, texture, level, 0.004 * stage.radius, len(half_extents))
 
     def update(shot: Shot) -> None:
-        # Cut ellipsoids with these half axes by the surface.
+        # Each body counts as an ellipsoid with its half extents, which the surface cuts.
         shape = (shot.rotation * half_extents[:, None] ** 2) @ shot.rotation.mT
         off = surface - shot.position[:, 2]
         inside = 1 - off**2 / shape[:, 2, 2]
@@ -127,7 +127,7 @@ def add_mirror(stage: Stage, surface: float) -> Update:
     actor = add_faded(stage.plotter, disc, rgba, texture=texture)
     pixels = pv.wrap(texture.GetInput())
     haze, zenith = (np.array(pv.Color(c).int_rgb) for c in (look.distance, look.zenith))
-    # Sun that initially stands ahead of the viewer.
+    # Sun for the glints. It stands ahead of the viewer in the first frame.
     _, ahead = level_axes(sight)
     sun = ahead * np.sqrt(1 - _GLINT_HEIGHT**2) + [0.0, 0.0, _GLINT_HEIGHT]
 
