@@ -279,7 +279,8 @@ def build_odd(folder: Path, number: int) -> str:
         if not isinstance(error, UserError):
             raise
         if len(str(error)) > 1000:
-            raise ValueError(f"a message of {len(str(error))} characters, above 1000") from error
+            words = f"the message for the user has {len(str(error))} characters, more than 1000"
+            raise ValueError(words) from error
         path.unlink()
         return "refused"
     path.unlink()
@@ -371,13 +372,13 @@ def open_damaged(folder: Path, number: int) -> str:
             outcomes.append(f"{name} ends with {error.code}")
         except Exception as error:
             if not isinstance(error, UserError):
-                raise RuntimeError(f"{name} after damage to {', '.join(broken)}") from error
+                raise RuntimeError(f"{name} failed after damage to {', '.join(broken)}") from error
             outcomes.append(f"{name} refused")
     if outcomes[-1] == "resume done":
         sound, found = RunFolder(original).load(), RunFolder(run).load()
         assert sound is not None and found is not None
         if "config.yaml" not in broken and not np.array_equal(sound.genes, found.genes):
-            raise RuntimeError(f"damage to {', '.join(broken)} changed the genes")
+            raise RuntimeError(f"damage to {', '.join(broken)} changed the resumed run's genes")
     shutil.rmtree(run)
     return ", ".join(outcomes)
 

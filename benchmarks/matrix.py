@@ -219,7 +219,9 @@ def _run(*command: object) -> int:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("folder", type=Path, help="folder for the environments")
-    parser.add_argument("interpreters", nargs="*", help="commands of Python, default: all found")
+    parser.add_argument(
+        "interpreters", nargs="*", help="commands that start Python, default: all found"
+    )
     parser.add_argument("--pytest", default="", help="arguments for pytest")
     given = parser.parse_args()
     failed = main(given.folder.resolve(), given.interpreters, given.pytest.split())

@@ -530,7 +530,9 @@ def mutated(mutant: Mutant, text: str) -> str:
     """
     count = text.count(mutant.right)
     if count != 1:
-        raise ValueError(f"{mutant.file} has {count} times {mutant.right!r}. Correct the mutant")
+        raise ValueError(
+            f"{mutant.file} contains {mutant.right!r} {count} times, not once. Correct the mutant"
+        )
     return text.replace(mutant.right, mutant.wrong)
 
 
@@ -561,5 +563,7 @@ def noticed(copy: Path, tests: list[str]) -> str:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("numbers", nargs="*", type=int, help="numbers, from 0, default: all")
+    parser.add_argument(
+        "numbers", nargs="*", type=int, help="numbers of mutants, from 0, default: all"
+    )
     sys.exit(bool(main(parser.parse_args().numbers)))

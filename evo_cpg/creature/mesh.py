@@ -384,8 +384,8 @@ def _require_broad(triangles: np.ndarray, longest: float) -> None:
     areas, thin = _planes(triangles)[1], ~_is_broad(triangles, longest)
     if areas[thin].sum() > _LOST * areas.sum():
         raise MeshError(
-            f"{thin.sum()} of its {len(triangles)} triangles are lower than {_THIN:.2%} of its "
-            "longest side. Make it thicker, or use fewer triangles"
+            f"{thin.sum()} of its {len(triangles)} triangles are lower than {_THIN:.2%} of the "
+            "mesh's longest side. Make the mesh thicker, or use fewer triangles"
         )
 
 
