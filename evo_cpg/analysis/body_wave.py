@@ -31,7 +31,7 @@ class BodyWave(NamedTuple):
         count: number of waves on the body, positive for a wave from head to tail.
         length: wave length, m, never negative.
         speed: wave speed along the body, m/s, positive from head to tail.
-        lag: mean phase lag of neighbours, degrees; positive from head to tail.
+        lag: mean phase lag of neighbours, degrees, positive from head to tail.
         travelling: travelling index, from 0 (standing) to 1 (travelling).
         straightness: fraction of the phases' variance explained by a constant lag per length.
         phase: phase lag of each place behind the first, degrees, without jumps.

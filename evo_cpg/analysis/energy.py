@@ -48,7 +48,7 @@ class Ledger(NamedTuple):
 
     Attributes:
         stored: increase of E.
-        motors: work of the motors; negative when they brake.
+        motors: work of the motors, negative when they brake.
         dampers: work of the joints' dampers.
         limits: work of the joints' soft limits.
         lift: work of the ground's normal forces.
@@ -85,7 +85,7 @@ class Ledger(NamedTuple):
 
     @property
     def left_over(self) -> Float[np.ndarray, " t"]:
-        """Unexplained energy in every step, J; negative if the simulator lost energy."""
+        """Unexplained energy in every step, J, negative if the simulator lost energy."""
         return self.stored - sum(self.work.values())
 
     @property

@@ -40,15 +40,15 @@ class Excursions(NamedTuple):
     Attributes:
         displacement: displacement of the root, towards the light or over the ground, m.
         airborne_way: fraction of the displacement while nothing touched the ground and no body's
-            centre was under water; 0 without ground.
+            centre was under water, or 0 without ground.
         penetration: largest penetration of the ground, m.
         overlap: deepest overlap of two bodies in `World.watched`, m.
         overlapping: names of these two bodies, empty without overlap.
         unsolved: fraction of steps whose equations are not solved to `SOLVED`.
         slipping: fraction of steps whose friction misses its cone by more than `SLIPPING`.
         peak_torque: largest torque of any motor, N m.
-        overload: largest torque of a motor beyond its limit, as a fraction of the limit; 0 without
-            limits.
+        overload: largest torque of a motor beyond its limit, as a fraction of the limit, or 0
+            without limits.
         peak_power: largest absolute power of all motors, W.
         mean_power: mean absolute power of all motors, W.
         peak_rate: largest rate of any joint, rad/s.

@@ -240,7 +240,7 @@ def student_quantile(
 
     Args:
         probability: probability of a smaller value.
-        unsure: one over the degrees of freedom; 0 for the normal distribution.
+        unsure: one over the degrees of freedom, or 0 for the normal distribution.
         most: largest finite number of degrees of freedom.
     """
     from scipy.special import ndtri, stdtrit

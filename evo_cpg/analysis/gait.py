@@ -48,7 +48,10 @@ class Gait(NamedTuple):
 
 
 def bending_axis(recording: Recording) -> str:
-    """Return the axis about which the joints bend most; x is twist, as animals lie along x."""
+    """Return the axis about which the joints bend most, except x.
+
+    A turn about x is twist, because animals lie along x. It counts only if there is no other axis.
+    """
     axes = [name.rsplit(".", 1)[1] for name in recording.dof_names]
     across = set(axes) - {"x"} or set(axes)
     swing = recording.joint_angle.std(0)

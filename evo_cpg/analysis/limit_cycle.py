@@ -121,7 +121,7 @@ class LimitCycle(NamedTuple):
 
     @property
     def recovery_time(self) -> float:
-        """Time in which the slowest perturbation decays to 1/e, s; inf if unstable.
+        """Time in which the slowest perturbation decays to 1/e, s, or infinity if unstable.
 
         NaN if the multipliers are NaN.
         """

@@ -129,7 +129,7 @@ class Check(NamedTuple):
         key: key of the limit in `Limits`, or a name of its own.
         question: description of the measured quantity.
         measured: measured value.
-        limit: allowed value; None if the value is only reported.
+        limit: allowed value, or None if the value is only reported.
         least: whether the limit is a minimum, not a maximum.
         unit: unit of value and limit.
         detail: additional text.
@@ -145,7 +145,7 @@ class Check(NamedTuple):
 
     @property
     def passed(self) -> bool | None:
-        """Return whether the check passed; None without a limit."""
+        """Return whether the check passed, or None without a limit."""
         if self.limit is None:
             return None
         if math.isnan(self.measured):
@@ -183,7 +183,7 @@ class Verdict(NamedTuple):
 
 
 def shown(value: float | None, unit: str = "") -> str:
-    """Return a number with its unit as text; fractions in per cent."""
+    """Return a number with its unit as text. Fractions are in per cent, and NaN is "diverged"."""
     if value is None:
         return ""
     if math.isnan(value):

@@ -51,11 +51,11 @@ _MARGIN = 0.1
 
 
 class _Points(NamedTuple):
-    """The points of pairs of one kind, ``(points, *n)`` each; 0 where left out.
+    """The points of pairs of one kind, ``(points, *n)`` each. Points that are left out have zeros.
 
     Attributes:
         watched: 1 where a point counts in this step.
-        gap: distance between the bodies, m; negative where they overlap.
+        gap: distance between the bodies, m, negative where they overlap.
         normal: x, y and z, from the first body to the second.
         first: the first body's point, x, y and z from the root's origin, m.
         second: the second body's point, x, y and z from the root's origin, m.
@@ -118,9 +118,9 @@ class ManyPairContacts:
         kin: kinematics at the start of the step.
         qd: joint rates at the start of the step, rad/s.
         h: step, s.
-        found: runs with points that were found before in this step; None to find them.
-        rates_change: joint accelerations that lead to the rates of the velocity-product bias; None
-            for the rates at the start.
+        found: runs with points that were found before in this step, or None to find them.
+        rates_change: joint accelerations that lead to the rates of the velocity-product bias, or
+            None for the rates at the start.
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class ManyPairContacts:
         return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
 
     def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
-        """Return ``J rates`` of all points, m/s; 0 for points that are left out."""
+        """Return ``J rates`` of all points, m/s, or 0 for points that are left out."""
         twists = self.twists_of(rates)
 
         def look(run: _Run, q: Array) -> Array:

@@ -37,9 +37,9 @@ class _Bracket(NamedTuple):
 
     Attributes:
         low: a length at which the potential falls.
-        low_slope: derivative at the lower end; halved if that end has stayed.
+        low_slope: derivative at the lower end, halved if that end has stayed.
         high: a length at which the potential rises.
-        high_slope: derivative at the upper end; halved if that end has stayed.
+        high_slope: derivative at the upper end, halved if that end has stayed.
         length: the latest length.
         slope: derivative at the latest length.
         moved: end that moved last: 1 the upper, -1 the lower, 0 none.

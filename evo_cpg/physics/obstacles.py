@@ -270,7 +270,7 @@ def _point(parts: Moving, found: Separation, carried: float | None = None) -> Co
     Args:
         parts: parts of the creature.
         found: separations.
-        carried: fraction of the normal that turns with the part; None for the separation's.
+        carried: fraction of the normal that turns with the part, or None for the separation's.
     """
     offset = found.second - parts.origin
     fraction = found.carried[1] if carried is None else carried * jnp.ones_like(found.gap)

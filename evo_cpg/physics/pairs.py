@@ -132,7 +132,7 @@ class Pairs(eqx.Module):
 
 
 def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs | None:
-    """Return the pairs of a creature that may touch; None if there are none.
+    """Return the pairs of bodies that may touch and must not pass, or None if there are none.
 
     If the pairs are those of a whole plan (``settings.only``), pairs that may pass through each
     other in this creature have zero stiffness and no force.

@@ -67,7 +67,7 @@ class Separation(NamedTuple):
     """Gap and normal of pairs of bodies, at one point of each body.
 
     Attributes:
-        gap: distance between the bodies, m; negative where they overlap.
+        gap: distance between the bodies, m, negative where they overlap.
         normal: unit vector from the first body to the second.
         first: point of the first body that is nearest to the second, or deepest in it, m.
         second: point of the second body that is nearest to the first, or deepest in it, m.

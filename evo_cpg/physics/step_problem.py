@@ -82,8 +82,8 @@ class Linearization(NamedTuple):
     Attributes:
         torque: torque of motors and limits of joints at zero joint acceleration, N m.
         derivative: decrease of that torque per end-of-step rate, N m s/rad.
-        contact: laws of the contact points; None without ground.
-        pairs: forces of the pairs; None if no pair can touch.
+        contact: laws of the contact points, or None without ground.
+        pairs: forces of the pairs, or None if no pair can touch.
     """
 
     torque: Float[Array, "d *n"]
@@ -135,7 +135,7 @@ class StepProblem(NamedTuple):
         return self._replace(equations=equations._replace(pairs=pairs))
 
     def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
-        """Return the contact points' final velocities (contact frame), m/s; None without ground."""
+        """Return the contact points' final velocities, contact frame, m/s. None without ground."""
         contacts = self.equations.contacts
         if contacts is None:
             return None
@@ -159,7 +159,7 @@ class StepProblem(NamedTuple):
         Args:
             radius: radii of the friction cones, N.
             qdd: joint accelerations, rad/s^2.
-            velocity: velocities of the contact points, m/s; None without ground.
+            velocity: velocities of the contact points, m/s, or None without ground.
         """
         tree, equations = self.world.tree, self.equations
         state, start_torque = equations.state, equations.start_torque

@@ -131,8 +131,8 @@ def solve_step(
         h: step, s.
         state: state at the start of the step.
         target_rate: target rates of the motors, rad/s.
-        target_angle: target angles of the motors' springs, rad; None for the neutral pose.
-        warmstart: result of the previous step; None for a first step.
+        target_angle: target angles of the motors' springs, rad, or None for the neutral pose.
+        warmstart: result of the previous step, or None for a first step.
     """
     problem = _with_velocity_products(world, h, state, target_rate, target_angle)
     batch = state.q.shape[1:]

@@ -64,7 +64,8 @@ class Outline(NamedTuple):
 
     Attributes:
         ellipsoids: whether the parts are ellipsoids.
-        corners: corners of meshes around the ellipsoids, along their axes, m; zeros without a mesh.
+        corners: corners of meshes around the ellipsoids, along their axes, m. Ellipsoids without a
+            mesh have zeros. None if there is no mesh.
     """
 
     ellipsoids: bool

@@ -60,7 +60,7 @@ class Shore(Part):
     Attributes:
         axis: axis along which the height changes.
         start: start of the slope on that axis, m.
-        stop: end of the slope on that axis, m; larger than ``start``.
+        stop: end of the slope on that axis, m, larger than ``start``.
         start_height: height of the ground before the slope, m.
         stop_height: height of the ground behind the slope, m.
     """
