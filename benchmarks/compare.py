@@ -15,8 +15,8 @@ class Change(NamedTuple):
     Attributes:
         row: row of the present run.
         kind: "ratio to NAME" or the unit of the rate.
-        then: the earlier value.
-        now: the present value.
+        then: rate or ratio of the earlier run.
+        now: rate or ratio of the present run.
         gain: present speed, or ratio to the peer, over the earlier one. Below 1 is slower.
         slower: whether the loss exceeds the tolerance.
     """

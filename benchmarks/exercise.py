@@ -54,7 +54,7 @@ class Exercise(abc.ABC):
         The angles are None for motors without springs.
 
         Args:
-            commands: result of `prepare`.
+            commands: data from `prepare`.
             index: number of the physics step.
         """
 
@@ -65,7 +65,7 @@ class Exercise(abc.ABC):
         """Return commands for MuJoCo: rates, rad/s, or angles, rad, for motors with springs.
 
         Args:
-            lanes: result of `lanes`.
+            lanes: inputs of the individuals, from `lanes`.
             index: numbers of the physics steps.
         """
 

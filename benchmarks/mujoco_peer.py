@@ -56,7 +56,7 @@ def peer_model(
     Args:
         exercise: exercise of the animal.
         kind: kind of fluid.
-        finer: number of parts of each step.
+        finer: number of equal parts into which each step of the config is divided.
         integrator: MuJoCo's name of the integrator.
     """
     experiment = exercise.experiment
@@ -89,7 +89,7 @@ class Motion:
         kind: kind of fluid.
         lanes: differing inputs of individuals (see `Exercise.lanes`).
         threads: number of threads.
-        finer: number of parts of each step.
+        finer: number of equal parts into which each step of the config is divided.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Motion:
 
         Args:
             steps: number of steps. ``finer`` of them make up one step of the config.
-            first: number of the first step.
+            first: number of the first of these steps, from 0.
         """
         index = (first + np.arange(steps)) // self.finer
         return self.exercise.signals(self.lanes, index)[..., self.order]

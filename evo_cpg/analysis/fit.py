@@ -73,8 +73,8 @@ class Fit(NamedTuple):
     Attributes:
         values: values of the parameters.
         errors: standard errors of theta, so of logarithms for positive parameters.
-        lower: lower end of the 95 % interval.
-        upper: upper end of the 95 % interval.
+        lower: lower end of each parameter's 95 % interval.
+        upper: upper end of each parameter's 95 % interval.
         correlation: correlation of the parameters' errors.
         noise: standard deviation of the noise of each kind of column.
         freedom: degrees of freedom: measured numbers less parameters, n - k.

@@ -68,7 +68,7 @@ class Tree(eqx.Module):
         inertia: spatial inertia in the working frame, kg m^2, kg m and kg.
         stiffness: stiffness of the passive springs, N m/rad.
         damping: passive damping, N m s/rad.
-        armature: rotor inertia, kg m^2.
+        armature: rotor inertia of each axis, kg m^2.
         lower: lower joint limit, rad.
         upper: upper joint limit, rad.
         servo_gain: torque of the motors per rate error, N m s/rad, 0 for a passive axis.

@@ -285,7 +285,7 @@ def contact_wrench(
     Args:
         contact_model: contact points of the creature.
         contacts: contacts of the step.
-        force: force on every point.
+        force: force on every point, contact frame, N.
         like: wrenches of the bodies, for shapes and type.
     """
     force = matvec_t(contacts.frame, force)

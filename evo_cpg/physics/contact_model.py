@@ -146,7 +146,7 @@ class ContactModel(NamedTuple):
         restitution: restitution of the body on this ground, for every contact point.
         static_friction: static friction of the body on this ground, for every contact point.
         dynamic_friction: dynamic friction of the body on this ground, for every contact point.
-        stiffness: c h, kg.
+        stiffness: c h of every contact point, kg.
     """
 
     ground: Ground

@@ -43,7 +43,7 @@ class _Bracket(NamedTuple):
         length: the latest length.
         slope: derivative at the latest length.
         moved: end that moved last: 1 the upper, -1 the lower, 0 none.
-        evaluations: number of evaluations.
+        evaluations: number of evaluations of the derivative.
     """
 
     low: Float[Array, "*n"]

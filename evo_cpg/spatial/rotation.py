@@ -70,7 +70,7 @@ def axis_rotation(
     """Return rotations about one common unit axis ``(3,)`` by Rodrigues' formula.
 
     Args:
-        axis: unit vector.
+        axis: unit vector, the same for all angles.
         sine: sine of the angles.
         cosine: cosine of the angles.
     """

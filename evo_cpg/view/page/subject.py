@@ -73,7 +73,7 @@ class Subject(NamedTuple):
         differences: differences from the shipped configuration and the paper, or None if no shipped
             configuration has this name.
         program: program that made the page, with its version.
-        made: time at which the page was made.
+        made: date and time at which the page was made, as text.
     """
 
     name: str
