@@ -38,7 +38,8 @@ def load(
         cores: number of cores that share a population, or None for all cores. If JAX has already
             computed something, its devices are kept.
         trust: whether you trust the configuration. A trusted configuration may name files outside
-            its folder, and run code of modules next to it, outside the working folder.
+            its folder, and run code of modules in its folder. Without trust, it may run only
+            installed modules and modules in the working folder.
 
     Raises:
         ConfigError: the configuration is wrong.
