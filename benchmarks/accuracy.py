@@ -23,8 +23,8 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 
 SECONDS = 1.0
-# Contacts make neighbouring paths diverge in any program. The quadruped is a third of its length
-# from its reference after 1 s (MuJoCo's a half), and 0.03 of it after 0.25 s (0.11).
+# Contacts make neighbouring paths diverge in any program. The quadruped's error after 1 s is a
+# third of its body length (MuJoCo: a half). After 0.25 s it is 0.03 (MuJoCo: 0.11).
 GROUND_SECONDS = 0.25
 FINER = 16
 LANES = 16

@@ -1,4 +1,4 @@
-"""A population of different bodies in one program, beside a population with one shared body.
+"""Speed of a population of different bodies, relative to a population with one shared body.
 
 Short trials of the whole stack run on one core. The numbers in `_DRAWN` are random: sizes,
 densities, places of joints, constants of motors and drag. Each is within a tenth of the

@@ -1,4 +1,4 @@
-"""One step of our genetic algorithms alone, beside a step of evosax's SimpleGA.
+"""One step of our genetic algorithms alone, compared with a step of evosax's SimpleGA.
 
 Both get the same fitness and breed a population of the same size and precision, on one core. The
 operators differ. SimpleGA draws parents from the better half and adds normal noise to every gene.
@@ -33,7 +33,7 @@ Breeder = Callable[[int], object]
 
 
 def measure(plan: Plan) -> list[Row]:
-    """Return the rows of our two algorithms, each beside SimpleGA."""
+    """Return the rows of our two algorithms, each compared with SimpleGA."""
     genes = _QUICK_GENES if plan.quick else GENES
     real = experiment_of("iwadate2010_swimmer").strategy
     assert isinstance(real, Genetics)
@@ -122,7 +122,7 @@ def _row(
         statistics.median(rates[part]),
         "generations/s",
         f"{SIZE} individuals of {gene_count} genes in float32 on one core, median of "
-        f"{plan.repeats} rounds in turn; the peer asks and tells",
+        f"{plan.repeats} rounds in turn. A call of the peer is one `ask` and one `tell`",
         compile_seconds,
         peer=_PEER,
         note=None if installed else "not installed",

@@ -3,9 +3,9 @@
 Animals thrash about on their own ground, with the commands of the benchmark's exercises. Each
 physics step gives:
 
-- the residual of the solved problem, as a fraction of the forces that act
-- the error in Coulomb's law with the step's own normal forces, as a fraction of the load
-- the depth of every contact point after the step, and the overlap of bodies of one animal
+- The residual of the solved problem, as a fraction of the forces that act.
+- The error in Coulomb's law with the step's own normal forces, as a fraction of the load.
+- The depth of every contact point after the step, and the overlap of bodies of one animal.
 
 In float64, every window of 0.1 s also gives the growth of a disturbance of 1e-9. The figures are in
 docs/models/contact.md.
@@ -185,8 +185,8 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("animals", nargs="*", metavar="ANIMAL", default=_ON_LAND)
-    parser.add_argument("--count", type=int, default=64, help="individuals")
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--count", type=int, default=64, help="number of individuals")
+    parser.add_argument("--seconds", type=float, default=20.0, help="simulated time, s")
     given = parser.parse_args()
     console = Console()
     console.print(HEADER, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""Every shipped config on native code and on plain JAX, which works without LLVM.
+"""Speed of every shipped config on native code, relative to plain JAX, which works without LLVM.
 
 Trials run the whole stack, but few steps, because plain JAX compiles long and runs slowly.
 """
@@ -51,7 +51,7 @@ def _measure(name: str, overrides: tuple[str, ...], size: int, plan: Plan) -> Ro
         statistics.median(rates["native"]),
         UNIT,
         f"trials of {_STEPS} control steps on {plan.cores} cores, median of {plan.repeats} rounds "
-        f"in turn; plain JAX compiles in {compiling['jax']:.0f} s",
+        f"in turn. Plain JAX compiles in {compiling['jax']:.0f} s",
         compiling["native"],
         peer=f"plain JAX, compiled in {compiling['jax']:.0f} s",
         peer_rate=statistics.median(rates["jax"]),

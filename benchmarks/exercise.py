@@ -1,7 +1,7 @@
 """Commands to a population of an animal, the same for us and for our peers.
 
-An exercise has no brain: the commands of the motors are given. They are held over a physics step
-of the config, however finely that is divided.
+An exercise has no brain: the commands of the motors are given. They are constant over a physics
+step of the config, even if the step is divided.
 """
 
 import abc
@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from evo_cpg.control.postures import PostureController
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 # Travelling wave of the target rates about z: amplitude (rad/s), frequency (Hz), and lag from joint
 # to joint (degrees).
@@ -34,7 +34,7 @@ class Exercise(abc.ABC):
         experiment: experiment with the animal and its world.
     """
 
-    experiment: Experiment
+    experiment: ExperimentParts
 
     @abc.abstractmethod
     def lanes(self, count: int) -> Float[np.ndarray, "k n"]:

@@ -279,7 +279,7 @@ def build_odd(folder: Path, number: int) -> str:
         if not isinstance(error, UserError):
             raise
         if len(str(error)) > 1000:
-            raise ValueError(f"a message of {len(str(error))} characters") from error
+            raise ValueError(f"a message of {len(str(error))} characters, above 1000") from error
         path.unlink()
         return "refused"
     path.unlink()
@@ -357,7 +357,7 @@ def open_damaged(folder: Path, number: int) -> str:
     }
     if number % _VERIFIED:
         commands = {"plot": commands["plot"], "open": lambda: champions.open_champion(run)}
-    # JAX has its devices in this process already, whatever the damaged file requests.
+    # JAX already has its devices in this process. A damaged file must not change their number.
     devices.use_cores = champions.use_cores = lambda cores: 1
     for name, call in commands.items():
         try:
@@ -377,7 +377,7 @@ def open_damaged(folder: Path, number: int) -> str:
         sound, found = RunFolder(original).load(), RunFolder(run).load()
         assert sound is not None and found is not None
         if "config.yaml" not in broken and not np.array_equal(sound.genes, found.genes):
-            raise RuntimeError(f"after damage to {', '.join(broken)} other genes came out")
+            raise RuntimeError(f"damage to {', '.join(broken)} changed the genes")
     shutil.rmtree(run)
     return ", ".join(outcomes)
 
@@ -452,7 +452,7 @@ def fuzz(
             number, what, problem, seconds, grown = results.get(timeout=patience)
         except Exception:
             # A process that is still at work hangs, or died without a message.
-            wrong.append("a process hung or died; see the numbers that are missing")
+            wrong.append("a process hung or died. Its number is missing from the outcomes")
             break
         seen += 1
         outcomes[what] += 1
@@ -528,9 +528,10 @@ def hour(out: Path, minutes: int) -> dict[str, Any]:
 def main() -> None:
     """Run one of the tests, then print and store its summary."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
-    parser.add_argument("what", choices=("kills", "configs", "folders", "hour"))
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--count", type=int, help="200 kills, 5000 configs, 1000 folders, 60 min")
+    parser.add_argument("what", choices=("kills", "configs", "folders", "hour"), help="the test")
+    parser.add_argument("out", type=Path, help="folder for the results")
+    defaults = "200 kills, 5000 configs, 1000 folders, 60 minutes"
+    parser.add_argument("--count", type=int, help=f"default: {defaults}")
     given = parser.parse_args()
     calls = {"kills": (kills, 200), "configs": (configs, 5000), "folders": (folders, 1000),
              "hour": (hour, 60)}  # fmt: skip

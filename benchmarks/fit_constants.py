@@ -44,7 +44,7 @@ class Constant(NamedTuple):
     """A constant that can be fitted.
 
     Attributes:
-        candidates: values to try beside the present one.
+        candidates: values to try in addition to the present one.
         works: work to time, by name. Each function returns a call of a program. The program is
             compiled with the present values, in the first call at the latest.
     """
@@ -74,8 +74,8 @@ def _slopes() -> Call:
     def distance(genes: jax.Array) -> jax.Array:
         return rollout(simulation, genes, backward=Backward()).terms["distance"].sum()
 
-    slope = jax.jit(jax.grad(distance))
-    return lambda: jax.block_until_ready(slope(genes))
+    gradient = jax.jit(jax.grad(distance))
+    return lambda: jax.block_until_ready(gradient(genes))
 
 
 _PHYSICS = {
@@ -86,7 +86,7 @@ CONSTANTS = {
     "VALUE_REGISTERS": Constant((0.5, 0.625, 0.6875, 0.8125, 0.875), _PHYSICS),
     "LLVM_EFFORT": Constant((0, 1, 3), _PHYSICS),
     "WIDEST_CHUNK": Constant((1, 4, 16, 128), {"trials of swimmers": _large_population}),
-    "LARGEST_RESIDUALS": Constant((0,), {"slopes of swimmers": _slopes}),
+    "LARGEST_RESIDUALS": Constant((0,), {"gradients of swimmers": _slopes}),
 }
 
 
@@ -118,7 +118,7 @@ def compare(name: str, constant: Constant, work: str, rounds: int) -> list[Found
             call()
             whole = time.perf_counter() - start
             compiling[value] = max(whole - seconds(call), 0.0)
-            # Each call cuts the population into chunks anew, so it needs its own value.
+            # Each call cuts the population into chunks again, so it needs its own value.
             contenders.append(Contender(str(value), 1.0, _with(name, value, call)))
     finally:
         setattr(machine_constants, name, present)
@@ -167,9 +167,9 @@ def main(names: Sequence[str], rounds: int) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(CONSTANTS))
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"default: {', '.join(CONSTANTS)}")
     parser.add_argument("--rounds", type=int, default=7)
     arguments = parser.parse_args()
     if unknown := set(arguments.names) - set(CONSTANTS):
-        parser.error(f"no such constant: {', '.join(unknown)}; there are {', '.join(CONSTANTS)}")
+        parser.error(f"unknown constant: {', '.join(unknown)}. Allowed: {', '.join(CONSTANTS)}")
     main(arguments.names, arguments.rounds)

@@ -35,8 +35,8 @@ def measure(plan: Plan) -> list[Row]:
     steps = population * simulation.steps * simulation.substeps
     how = (
         f"{population} individuals of {simulation.world.tree.body_count} bodies, "
-        f"{simulation.steps} control steps, {plan.cores} cores, median of {plan.repeats}; "
-        "compiling is the first call less a later one"
+        f"{simulation.steps} control steps, {plan.cores} cores, median of {plan.repeats}. "
+        "The compile time is the first call less a later one"
     )
     return [
         Row("generation", "time", population, 1 / rate, SECONDS, how, compile_seconds),

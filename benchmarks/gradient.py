@@ -1,4 +1,4 @@
-"""The gradient of the fitness with respect to all genes, beside the run without it.
+"""Speed of a run with the gradient of the fitness, relative to a run without the gradient.
 
 The whole stack of the swimmer is differentiated over the trial, as in `evo-cpg refine`. Populations
 fill one vector or seven, on one core. Each has a process of its own, because the backward pass may
@@ -19,7 +19,7 @@ from benchmarks.timing import Contender, race, ratio_quartiles
 from benchmarks.worker import WorkerError, serve, started
 
 SIZES = (16, 112)
-# Length of a trial, s; 0 for all of it.
+# Length of a trial, s, or 0 for the whole trial.
 _SHORT, _WHOLE = 1.0, 0.0
 _GRADIENT, _FORWARD = "value and gradient", "forward run"
 # Calls in one timing, because a single call of a short trial takes only some milliseconds.
@@ -56,7 +56,7 @@ def _measure(plan: Plan, size: int, seconds: float) -> Row:
         size,
         seconds,
         statistics.median(rates[_GRADIENT]),
-        f", {ready['bodies']} bodies; median of {plan.repeats} rounds in turn; the forward run "
+        f", {ready['bodies']} bodies. Median of {plan.repeats} rounds in turn. The forward run "
         f"compiles in {forward:.0f} s",
         compile_seconds=ready["gradient_seconds"],
         temporary=ready["temporary"],
@@ -117,7 +117,7 @@ def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[s
     usage = gradient.memory_analysis()
     slope = np.asarray(gradient(genes)[1])
     if not np.isfinite(slope).all():
-        raise FloatingPointError(f"{(~np.isfinite(slope)).sum()} slopes are not finite")
+        raise FloatingPointError(f"{(~np.isfinite(slope)).sum()} derivatives are not finite")
     ready = {
         "bodies": simulation.world.tree.body_count,
         "steps": simulation.steps * simulation.substeps,

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-# Distances along the trunk, m: between two pairs of legs, and from the outer pairs to its ends,
-# less its radius.
+# Distances along the trunk, m: between two pairs of legs, and from an outer pair to the end of the
+# trunk, less the trunk's radius.
 _BETWEEN_LEGS, _ENDS = 0.1, 0.03
 _TRUNK_RADIUS = 0.05
 # Radius and length of the cylinder of a capsule, m.

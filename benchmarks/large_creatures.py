@@ -74,8 +74,8 @@ def _measure(kind: str, count: int, size: int, plan: Plan) -> Row:
     title, word, _, bodies, _ = _KINDS[kind]
     part = f"{kind}, {count} {word}"
     how = (
-        f"trials of {_STEPS} control steps on one core, median of {plan.repeats}; a process of its "
-        "own, in which nothing was compiled before"
+        f"trials of {_STEPS} control steps on one core, median of {plan.repeats}. Each creature "
+        "has a process of its own, without earlier compiled code"
     )
     plan.say(f"large-creatures: {part}")
     limit = _PATIENCE * plan.limit

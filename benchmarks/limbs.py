@@ -23,7 +23,7 @@ from evo_cpg.physics.step import first_warmstart, step
 from evo_cpg.simulation.simulation import Simulation
 
 HEADER = """\
-| run | generation | goes, m | limbs touch, % of steps | deepest, mm |
+| run | generation | displacement, m | limbs touch, % of steps | deepest overlap, mm |
 |---|---|---|---|---|"""
 
 
@@ -50,7 +50,7 @@ def walk(simulation: Simulation, genes: Float[np.ndarray, " g"]) -> Limbs:
     controller, world, h = simulation.controller, simulation.world, simulation.step_length
     pairs = world.pairs
     if not isinstance(controller, PostureController) or pairs is None:
-        raise TypeError("only walkers with postures and limbs that can meet")
+        raise TypeError("the run needs a posture controller, and limbs that can touch each other")
     postures = controller.decode(jnp.asarray(genes, jnp.float32)[:, None])
     count = simulation.steps * simulation.substeps
     numbers = [int(controller.posture(jnp.int32(i // simulation.substeps))) for i in range(count)]

@@ -63,7 +63,7 @@ def peak_memory() -> int:
     """Return the peak resident memory of this process, bytes.
 
     Linux's `ru_maxrss` starts with the parent's memory at the start of this process. The peak in
-    /proc starts anew.
+    /proc starts with this process.
     """
     peak = _peak_of("self")
     if peak is not None:
@@ -101,7 +101,7 @@ def children_watched() -> Iterator[Callable[[], int | None]]:
 
 
 def _children() -> list[str]:
-    """Return the process ids of this process's children, as far as the system reports them."""
+    """Return the process ids of the children that the system reports, or none."""
     found = []
     for file in Path("/proc/self/task").glob("*/children"):
         with contextlib.suppress(OSError):

@@ -2,7 +2,7 @@
 
 The fast tests run in an environment for each of them. Then the swimmer's physics step is timed in
 turn with the oldest JAX on the oldest interpreter, and with the newest on the newest. Finally
-numba, which needs its own range of llvmlite, is installed and used beside the newest dependencies.
+numba, which needs its own range of llvmlite, is installed and used with the newest dependencies.
 This program needs only the standard library, and a package index.
 """
 
@@ -81,11 +81,11 @@ def main(folder: Path, interpreters: list[str], arguments: list[str]) -> list[st
             place = folder / f"{version}-{age}"
             environment = _make(uv, name, python, place, resolution)
             if environment is None:
-                failures.append(f"{name}: installing")
+                failures.append(f"{name}: the installation failed")
                 continue
             made[version, age] = environment
             if _run(environment.python, "-m", "pytest", "-q", *arguments):
-                failures.append(f"{name}: tests")
+                failures.append(f"{name}: the tests failed")
     oldest = next((made[key] for key in made if key[1] == "oldest"), None)
     newest = next((made[key] for key in reversed(made) if key[1] == "newest"), None)
     if oldest and newest:
@@ -138,7 +138,7 @@ def _make(uv: str, name: str, python: str, place: Path, resolution: str) -> Envi
     environment = Environment(name, place / "bin" / "python")
     steps = (
         ["venv", "--clear", "--python", python, str(place)],
-        # Nobody installs versions that have no wheel for this interpreter.
+        # Versions without a wheel for this interpreter are left out: users do not build them.
         ["pip", "install", "--python", str(environment.python), "--resolution", resolution,
          "--no-build", "--compile-bytecode", "--editable", f"{ROOT}[test]"],
     )  # fmt: skip
@@ -186,7 +186,7 @@ def _started(environment: Environment) -> subprocess.Popen[str]:
 
 
 def _answer(worker: subprocess.Popen[str]) -> dict[str, Any]:
-    answer = json.loads(_pipe(worker.stdout).readline() or '{"error": "it ended"}')
+    answer = json.loads(_pipe(worker.stdout).readline() or '{"error": "the process ended"}')
     if "error" in answer:
         raise RuntimeError(answer["error"])
     return answer
@@ -199,16 +199,17 @@ def _pipe(stream: IO[str] | None) -> IO[str]:
 
 def _beside_numba(uv: str, environment: Environment) -> list[str]:
     """Install numba, use it and our compiler in one process, and return the failures."""
-    print("== beside numba", flush=True)
+    print("== together with numba", flush=True)
     at = ["--quiet", "--python", str(environment.python)]
     if _run(uv, "pip", "install", *at, "--no-build", "numba"):
-        return ["numba: installing"]
+        return ["numba: the installation failed"]
     if _run(uv, "pip", "check", *at):
-        return ["numba: its dependencies and ours"]
+        return ["numba: its dependencies conflict with ours"]
     find = "from evo_cpg.fusion.backend.machine import host; print(host().name)"
     found = subprocess.run([environment.python, "-c", find], capture_output=True, text=True)
     program = _NUMBA.format(instructions=found.stdout.strip())
-    return ["numba: both in one process"] if _run(environment.python, "-c", program) else []
+    failed = _run(environment.python, "-c", program)
+    return ["numba: it failed in one process with our compiler"] if failed else []
 
 
 def _run(*command: object) -> int:
@@ -217,8 +218,8 @@ def _run(*command: object) -> int:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
-    parser.add_argument("folder", type=Path, help="for the environments")
-    parser.add_argument("interpreters", nargs="*", help="those that are found if there are none")
+    parser.add_argument("folder", type=Path, help="folder for the environments")
+    parser.add_argument("interpreters", nargs="*", help="commands of Python, default: all found")
     parser.add_argument("--pytest", default="", help="arguments for pytest")
     given = parser.parse_args()
     failed = main(given.folder.resolve(), given.interpreters, given.pytest.split())

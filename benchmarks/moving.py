@@ -1,8 +1,8 @@
 """The cases with a moving animal: swimmer, salamander in water and on land, quadruped.
 
 Each case measures physics alone, with the commands of an `Exercise`. It also measures the whole
-stack (brain, oscillators, sensors, physics, fitness) of a trial, as in training. Both stand beside
-the physics of the peers.
+stack (brain, oscillators, sensors, physics, fitness) of a trial, as in training. Both are compared
+with the physics of the peers.
 """
 
 import dataclasses
@@ -89,7 +89,7 @@ class _Theirs(NamedTuple):
 
 
 def measure(animal: Animal, plan: Plan, peak: float) -> Iterator[Row]:
-    """Yield all rows of an animal, the rows of each size as soon as it is measured.
+    """Yield all rows of an animal, size by size, as soon as a size is measured.
 
     Args:
         animal: the animal.
@@ -232,7 +232,7 @@ def _row(
         rate,
         UNIT,
         f"h = 1/{round(1 / h)} s, {plan.cores} cores each, median of {plan.repeats} rounds in "
-        f"turn; ours float32, {steps} steps, {our.lost} diverged; {their.name}: {their.how}",
+        f"turn. Ours: float32, {steps} steps, {our.lost} diverged. {their.name}: {their.how}",
         our.compile_seconds,
         our.temporary,
         our.memory,
@@ -255,7 +255,7 @@ def _row(
 
 
 def _growth(case: str, rows: list[Row]) -> list[Row]:
-    """Return a row per part, with the largest population beside the usual one.
+    """Return a row per part, which compares the largest population with the usual one.
 
     A ratio of 1 is an equal cost per individual.
     """
@@ -264,7 +264,7 @@ def _growth(case: str, rows: list[Row]) -> list[Row]:
         rates = {row.size: row.rate for row in rows if row.part == part}
         most = max(rates)
         if _USUAL in rates and most > _USUAL:
-            how = "rates of two races of the same run; no spread"
+            how = "rates of two races of the same run, so the ratio has no spread"
             found.append(
                 Row(
                     case,

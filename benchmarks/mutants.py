@@ -97,8 +97,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/force_law.py",
-        "matvec(0.5 * (slope - transpose(slope)), moving.velocity)",
-        "matvec(0.0 * (slope - transpose(slope)), moving.velocity)",
+        "matvec(0.5 * (derivative - transpose(derivative)), moving.velocity)",
+        "matvec(0.0 * (derivative - transpose(derivative)), moving.velocity)",
         "api/test_own_force_law.py",
     ),
     Mutant(
@@ -530,12 +530,15 @@ def mutated(mutant: Mutant, text: str) -> str:
     """
     count = text.count(mutant.right)
     if count != 1:
-        raise ValueError(f"{mutant.file} has {count} times {mutant.right!r}; mend the mutant")
+        raise ValueError(f"{mutant.file} has {count} times {mutant.right!r}. Correct the mutant")
     return text.replace(mutant.right, mutant.wrong)
 
 
 def noticed(copy: Path, tests: list[str]) -> str:
-    """Return "caught by" and the first failed test, or "SURVIVED" and the files of tests.
+    """Run tests on a mutant: a copy of the program with a mistake.
+
+    Returns:
+        "caught by" and the first failed test, or "SURVIVED" and the files of tests.
 
     Raises:
         RuntimeError: the tests could not run.
@@ -558,5 +561,5 @@ def noticed(copy: Path, tests: list[str]) -> str:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("numbers", nargs="*", type=int, help="of the mutants; all by default")
+    parser.add_argument("numbers", nargs="*", type=int, help="numbers, from 0, default: all")
     sys.exit(bool(main(parser.parse_args().numbers)))

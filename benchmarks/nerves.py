@@ -1,9 +1,9 @@
 """The controller's two halves alone: the oscillators of the spinal cord, and the brain.
 
 Errors are relative to the size of the outputs. The root mean square of the difference from a
-float64 reference is divided by that of the reference, over all outputs of 16 individuals. The
-reference of the oscillators has a sixteenth of the step, over 1 s. The reference of the brain
-differs only in precision.
+float64 reference is divided by the root mean square of the reference. Both are over all outputs of
+16 individuals. The reference of the oscillators has a sixteenth of the step, over 1 s. The
+reference of the brain differs only in precision.
 """
 
 import functools
@@ -28,8 +28,8 @@ from evo_cpg.training.devices import population_mesh
 
 _FEWEST, _MOST = 10, 1_000_000
 _SEED = 0
-# Factor that gives half of the largest tonic input and the middle of the adaptation gains, and
-# largest relative difference of individuals from these values.
+# The factor 0.5 gives half of the largest tonic input and the middle of the adaptation gains. The
+# other number is the largest relative difference of individuals from these values.
 _MIDDLE, _SPREAD = 0.5, 0.2
 
 

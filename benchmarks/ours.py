@@ -37,7 +37,7 @@ def compile_for_all(
 
     Args:
         function: function of the number of steps and of ``(k, n)``, one column per individual.
-        lanes: all columns, as many as fill all chunks (see `full_lanes`).
+        lanes: all columns. They fill whole chunks (see `full_lanes`).
         mesh: the devices.
     """
     count = lanes.shape[1]

@@ -10,7 +10,7 @@ import numpy as np
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
@@ -62,7 +62,7 @@ def swimmer_settings(plan: Plan) -> tuple[str, ...]:
     return SMALL_SWIMMER if plan.quick else ()
 
 
-def experiment_of(name: str, *overrides: str) -> Experiment:
+def experiment_of(name: str, *overrides: str) -> ExperimentParts:
     """Return the experiment of a config of this checkout.
 
     Args:

@@ -2,10 +2,10 @@
 
     python -m benchmarks.processes
 
-Processes of this machine exchange the results of a generation (`Team.gather`): three terms and
-whether an individual is valid, 13 bytes, as with the swimmer. Nothing is simulated. The first tenth
-of the rounds is left out. The median of the others is shown, and the tenth percentile, which other
-work on the machine disturbs least. The model is fitted to the tenth percentile:
+Processes of this machine exchange the results of a generation (`Team.gather`). An individual has 13
+bytes, as with the swimmer: three terms, and whether it is valid. Nothing is simulated. The first
+tenth of the rounds is left out. The program prints the median and the tenth percentile of the other
+rounds. Other work on the machine disturbs the tenth percentile least, so the model is fitted to it:
 
     t(P, B) = a + b (P - 1) + c (P - 1) B
 
@@ -14,12 +14,12 @@ host, with trials of T seconds, then have an efficiency of
 
     T / (T + t(P, B) + d N P)
 
-where d is the cost of the population's digest and of breeding for each individual, measured here in
-one process: every process does this work for all individuals.
+where d is the cost of the population's digest and of breeding, for each individual. It is measured
+here in one process, because every process does this work for all individuals.
 
 Assumptions: the lead sends as fast to other hosts as to processes of this machine. `--latency` and
-`--bandwidth` of a network add to this. All hosts are equally fast, and none is disturbed, although
-the slowest sets the pace. Every process has memory for all genomes.
+`--bandwidth` of a network add to this. The slowest host sets the pace, but here all hosts are
+equally fast and undisturbed. Every process has memory for all genomes.
 """
 
 import argparse
@@ -46,7 +46,7 @@ _POPULATIONS = (200, 4096)
 _HOSTS = (16, 64, 256)
 _BYTES = 13
 
-# The digest is measured by itself, so the gathered data have hardly any genes.
+# The digest is measured separately, so the gathered data have hardly any genes.
 _FEW_GENES = 1
 
 _SIZES, _REPEATS = (4096, 32768), 12
@@ -76,10 +76,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=1000, help="exchanges of each kind")
-    parser.add_argument("--seconds", type=float, default=1.0, help="T: trials of a host, s")
-    parser.add_argument("--individuals", type=int, default=200, help="N: on each host")
-    parser.add_argument("--latency", type=float, default=0.0, help="of the network, s")
-    parser.add_argument("--bandwidth", type=float, default=1e9, help="of the network, bit/s")
+    parser.add_argument("--seconds", type=float, default=1.0, help="T: time of a host's trials, s")
+    parser.add_argument("--individuals", type=int, default=200, help="N: individuals on each host")
+    parser.add_argument("--latency", type=float, default=0.0, help="latency of the network, s")
+    parser.add_argument("--bandwidth", type=float, default=1e9, help="its bandwidth, bit/s")
     parser.add_argument("--worker", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.worker:
@@ -98,7 +98,7 @@ def main() -> None:
     b, c = b + options.latency, c + 8 / options.bandwidth
     genes, digest, breeding = _of_each()
     print(f"t = {a * 1e3:.3f} ms + {b * 1e3:.3f} ms (P - 1) + {c * 1e9:.2f} ns (P - 1) B")
-    print(f"of each individual ({genes} genes): ", end="")
+    print(f"per individual ({genes} genes): ", end="")
     print(f"digest {digest * 1e6:.2f} us, breeding {breeding * 1e6:.2f} us")
     heads = ("hosts", "population", "gather ms", "digest ms", "breed ms", "efficiency", "genomes")
     print(_columns(*heads))

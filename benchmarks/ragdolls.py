@@ -1,8 +1,8 @@
 """Measure the energy of ragdolls: `python -m benchmarks.ragdolls`.
 
-Quadrupeds of Model 1 without motors are thrown down in any pose. Nothing gives them energy, so the
-energy must not rise above its least value so far. Any rise, as a fraction of the initial energy, is
-an error of the simulator. The figures are in docs/models/contact.md.
+Quadrupeds of Model 1 without motors are thrown down in any pose. Nothing gives them energy, so
+their energy must never rise. The largest rise above an earlier energy, as a fraction of the initial
+energy, is an error of the simulator. The figures are in docs/models/contact.md.
 """
 
 import argparse
@@ -33,11 +33,11 @@ HEADER = """\
 
 
 class Fall(NamedTuple):
-    """Results of ragdolls.
+    """Results of falling ragdolls.
 
     Attributes:
-        rise: largest rise of each energy above its least so far, relative to the initial energy,
-            without diverged ragdolls.
+        rise: largest rise of each ragdoll's energy above an earlier energy, as a fraction of its
+            initial energy. Diverged ragdolls are left out.
         diverged: number of diverged ragdolls.
     """
 
@@ -94,9 +94,9 @@ def _thrown(world: World, count: int, speed: float) -> State:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
-    parser.add_argument("--count", type=int, default=24)
-    parser.add_argument("--seconds", type=float, default=5.0)
-    parser.add_argument("--step", type=float, default=1 / 240)
+    parser.add_argument("--count", type=int, default=24, help="number of ragdolls")
+    parser.add_argument("--seconds", type=float, default=5.0, help="simulated time, s")
+    parser.add_argument("--step", type=float, default=1 / 240, help="physics step, s")
     arguments = parser.parse_args()
     console = Console()
     console.print(HEADER, soft_wrap=True)

@@ -18,7 +18,7 @@ import numpy as np
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.training.devices import use_cores
-from evo_cpg.training.experiment import Experiment, Learning
+from evo_cpg.training.experiment import ExperimentParts, Learning
 from evo_cpg.training.loop import train
 from evo_cpg.training.refine import Refinement, Round, compile_refinement
 from evo_cpg.training.run_folder import Checkpoint, RunFolder
@@ -36,7 +36,8 @@ def main() -> None:
     parser.add_argument("config", type=Path, nargs="?", default=SWIMMER)
     parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
     parser.add_argument("--rounds", type=int, default=2)
-    parser.add_argument("--skip-learning", action="store_true", help="compiling it takes minutes")
+    slow = "skip the third method, which takes minutes to compile"
+    parser.add_argument("--skip-learning", action="store_true", help=slow)
     chosen = parser.parse_args()
     out, config_file, overrides = chosen.out, chosen.config, chosen.overrides
     devices = use_cores()
@@ -57,7 +58,7 @@ def main() -> None:
         methods["learned"] = _evolve(learner, start, out / "learned", seconds)
     study = {"before": before, "seconds": seconds, **methods}
     (out / "refining.json").write_text(json.dumps(study, indent=2))
-    print(f"\n{config.name}, {experiment.generations} generations, then {seconds:.0f} s each way\n")
+    print(f"\n{config.name}: {experiment.generations} generations, then {seconds:.0f} s a method\n")
     print("| run | before | " + " | ".join(methods) + " |\n|---|---|" + "---|" * len(methods))
     gains = {name: np.subtract(after, before) for name, after in methods.items()}
     for run, fitness in enumerate(before):
@@ -70,8 +71,10 @@ def main() -> None:
         )
 
 
-def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[list[float], float]:
-    """Return the refined fitness of every champion, and the time for each but compilation, s."""
+def _refine(
+    experiment: ExperimentParts, started: Checkpoint, count: int
+) -> tuple[list[float], float]:
+    """Return every champion's refined fitness, and the time for each without compilation, s."""
     refine = compile_refinement(experiment, Refinement(count))
     rounds: list[Round] = []
 
@@ -84,8 +87,10 @@ def _refine(experiment: Experiment, started: Checkpoint, count: int) -> tuple[li
     return after, count * statistics.median(done.seconds for done in rounds[1:])
 
 
-def _evolve(experiment: Experiment, start: RunFolder, path: Path, seconds: float) -> list[float]:
-    """Return the fitness of every champion after a given time more for each run, s."""
+def _evolve(
+    experiment: ExperimentParts, start: RunFolder, path: Path, seconds: float
+) -> list[float]:
+    """Return every champion's fitness after more training, for ``seconds`` (s) per run."""
     shutil.rmtree(path, ignore_errors=True)
     folder = RunFolder(shutil.copytree(start.path, path))
     spent: list[float] = []

@@ -13,7 +13,7 @@ from evo_cpg.studies.study import Table as PageTable
 
 _SCALES = ((1e9, "G"), (1e6, "M"), (1e3, "k"))
 
-# Packages whose versions stand beside a page's table.
+# Packages whose versions a page's table names.
 _PACKAGES = {
     "jax": "JAX",
     "mujoco": "MuJoCo",
@@ -32,15 +32,15 @@ def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, ...]:
     """
     ours = _table(
         f"cores of {machine['processor']}: {machine['cores']}",
-        "n: individuals; rate: in a second; memory: MiB; error: docs/benchmarks.md says of what; "
-        "peak: useful operations as a share of the float32 matrix product's "
+        "n: individuals. rate: per second. memory: MiB. error: defined in docs/benchmarks.md. "
+        "peak: useful operations, as a fraction of the float32 matrix product's "
         f"{amount(machine['float32_peak'])}FLOP/s",
         ("case", "n", "rate", "compile", "memory", "error", "peak"),
     )
     beside = _table(
-        "beside its peers",
-        "ratio: ours over theirs, median over the rounds; spread: half of what lies between its "
-        "quartiles",
+        "compared with its peers",
+        "ratio: ours over theirs, median over the rounds. spread: half the interquartile range of "
+        "the ratio",
         ("case", "n", "peer", "theirs", "error", "ratio", "spread"),
         ("peer",),
     )
@@ -68,7 +68,7 @@ def line(row: Row) -> str:
     words = f"{_name(row)}, {row.size}: {_with_unit(row.rate, row.unit)}"
     if row.peer is None:
         return words
-    return f"{words}; {times(row.ratio)} {row.peer}" if row.ratio else f"{words}; no {row.peer}"
+    return f"{words}, {times(row.ratio)} {row.peer}" if row.ratio else f"{words}, no {row.peer}"
 
 
 def page_tables(rows: list[Row], machine: dict[str, Any]) -> list[PageTable]:
@@ -134,7 +134,7 @@ def comparison(verdict: Verdict, tolerance: float) -> Table:
     shown = _table(
         f"against the earlier run: {len(verdict.slower)} of {len(verdict.changes)} lost more than "
         f"{tolerance:.0%}",
-        "rows beside a peer are compared by the ratio to it, others by their rate",
+        "Rows with a peer are compared by their ratio to the peer, other rows by their rate.",
         ("case", "n", "compared", "then", "now", "speed"),
         ("compared",),
     )

@@ -48,7 +48,7 @@ class Build:
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """One measurement, beside one peer or alone.
+    """One measurement, with one peer or alone.
 
     Attributes:
         case: name on the command line.
@@ -123,16 +123,16 @@ def load(path: Path) -> tuple[dict[str, Any], list[Row]]:
     except OSError as error:
         raise RowsError(f"{path} cannot be read ({error.strerror})") from None
     except ValueError:
-        raise RowsError(f"{path} is no JSON file; give one that `bench --json` wrote") from None
+        raise RowsError(f"{path} is no JSON file. Pass a file that `bench --json` wrote") from None
     found = record.get("format") if isinstance(record, dict) else None
     if found != FORMAT:
         raise RowsError(
-            f"{path} is no benchmark of this program: its format is {found}, not {FORMAT}"
+            f"{path} has the format {found}, not {FORMAT}. Write a new file with `bench --json`"
         )
     try:
         return dict(record["machine"]), [_row(**row) for row in record["rows"]]
     except (KeyError, TypeError, ValueError):
-        raise RowsError(f"{path}: its rows are not those that `bench --json` writes") from None
+        raise RowsError(f"{path} holds no rows of `bench --json`. Write a new file") from None
 
 
 def _row(

@@ -1,4 +1,4 @@
-"""Trials on all cores, on one core, and on all cores by as many processes.
+"""Trials on all cores, on one core, and on all cores with one process per core.
 
 The trials run the whole stack, as in training, with random genes. Independent processes share only
 the machine. So the speed of one process on all cores, relative to theirs, shows the cost of its
@@ -26,7 +26,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 
-# Configs, and control steps of a trial. A population's trials last about a second on one core.
+# Control steps of a trial, by config. One core computes a population's trials in about a second.
 _CASES = {
     "iwadate2010_swimmer": 4000,
     "fukui2003_model1": 2400,
@@ -41,7 +41,7 @@ _ALL, _ONE, _APART = "all", "1 core", "processes"
 
 
 def measure(plan: Plan) -> Iterator[Row]:
-    """Yield two rows per config and size: all cores beside one core, and beside processes."""
+    """Yield two rows per config and size: all cores against one core, and against processes."""
     cases = [("iwadate2010_swimmer", _QUICK)] if plan.quick else list(_CASES.items())
     for config, steps in cases:
         for size in plan.sizes_or(_SIZE):

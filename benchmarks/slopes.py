@@ -1,7 +1,7 @@
 """Measure the steepest slope on which animals stand: `python -m benchmarks.slopes [CONFIG ...]`.
 
-Motors hold the neutral pose, and weight increases slowly. The limit of statics for the animal's
-final pose stands beside the result. That is the steepest slope on which forces within the friction
+Motors hold the neutral pose, and weight increases slowly. The table also shows the limit of statics
+for the animal's final pose. That is the steepest slope on which forces within the friction
 cones of the touching points balance the weight, by a linear program. The figures are in
 docs/models/contact.md.
 """
@@ -46,7 +46,8 @@ LOADING, SETTLING = 3.0, 3.0
 # Speed in the last second from which an animal slides instead of creeping, m/s.
 SLIDES = 0.01
 
-# Edges of the linear program's cones, which are at most 0.2 % short of the round ones.
+# Number of edges of each friction cone in the linear program. The cone lies inside the round one,
+# and is narrower by at most 0.2 %.
 _EDGES = 48
 
 
@@ -140,7 +141,10 @@ def _sloping(contact_model: ContactModel, angle: Array) -> ContactModel:
 
 
 def limit_of_statics(standing: Standing) -> float:
-    """Return the steepest slope on which the points can balance the weight, degrees to 0.1."""
+    """Return the steepest slope on which forces at the contact points can hold the animal, degrees.
+
+    The forces stay within the friction cones. Bisection finds the slope to 0.1 degrees.
+    """
     turns = 2 * np.pi * np.arange(_EDGES) / _EDGES
     edges = np.stack([np.cos(turns), np.sin(turns), np.zeros(_EDGES)])
     columns = []
@@ -175,7 +179,8 @@ def steepest(stand: Callable[[float], Standing]) -> tuple[float, float, Standing
         stand: result of `stander`.
 
     Returns:
-        The limit and the slope, degrees (the slope to 0.2), and the animal's state there.
+        The limit of statics, the steepest slope (both in degrees, the slope to 0.2), and the state
+        of the animal on this slope.
     """
     level = stand(0.0)
     low, high = (0.0, level), 60.0

@@ -80,7 +80,15 @@ class Worker:
         return answer
 
     def ask(self, question: Any, limit: float) -> dict[str, Any]:
-        """Run the worker once, and wait for the answer. The errors are those of `answer`."""
+        """Run the worker once, and return its answer.
+
+        Args:
+            question: what the worker receives.
+            limit: longest wait, s.
+
+        Raises:
+            WorkerError: the worker took too long, ended, or reported a failure.
+        """
         self.send(question)
         return self.answer(limit)
 
@@ -111,7 +119,7 @@ class Worker:
         code = self._process.wait()
         self._complaints.seek(0)
         lines = [line.strip() for line in self._complaints if line.strip()]
-        return f"ended with code {code}: {lines[-1] if lines else 'no word'}"
+        return f"ended with code {code}: {lines[-1] if lines else 'no message'}"
 
 
 @contextlib.contextmanager
@@ -147,5 +155,5 @@ def serve(prepare: Callable[[], tuple[dict[str, Any], Callable[[Any], dict[str, 
         for line in sys.stdin:
             say(work(json.loads(line)))
     except Exception as error:
-        first = (str(error).strip() or "no word").splitlines()[0]
+        first = (str(error).strip() or "no message").splitlines()[0]
         say({"error": f"{type(error).__name__}: {first}"})

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and .json files that are checked as they are read."""
+"""Write files whole or not at all, and check .json files while reading them."""
 
 import contextlib
 import csv
@@ -31,9 +31,9 @@ def require_place(path: Path) -> Path:
     """
     # Unlike methods of Path, these functions raise no error for names that no file can have.
     if not os.path.isdir(path.parent):
-        raise OutputError(f"cannot write {path}: there is no folder {path.parent}; create it first")
+        raise OutputError(f"cannot write {path}: there is no folder {path.parent}. Create it first")
     if os.path.isdir(path):
-        raise OutputError(f"cannot write {path}: it is a folder; give the name of a file")
+        raise OutputError(f"cannot write {path}: it is a folder. Give the name of a file")
     taken = os.path.exists(path) and not os.access(path, os.W_OK)
     if taken or not os.access(path.parent, os.W_OK):
         raise OutputError(f"cannot write {path}: no permission to write there")
@@ -73,7 +73,7 @@ def in_one_piece(path: Path) -> Iterator[Path]:
 
 
 def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file beside its place, flush it to the disk, and move it to its place.
+    """Write a temporary file, flush it to the disk, and move it to its place.
 
     Args:
         path: path of the file. An existing file is replaced.

@@ -1,4 +1,4 @@
-"""Locks on folders: one process at a time changes what a folder holds.
+"""Locks on folders: one process at a time changes the contents of a folder.
 
 The lock belongs to an open file, so the system releases the lock when its process ends or is
 killed. The file, ``.lock``, names the holder of the lock. The holder deletes the file when it
@@ -97,7 +97,7 @@ def holds(folder: Path) -> bool:
 def _made(folder: Path) -> Iterator[None]:
     # Unlike methods of Path, these functions raise no error for names that no folder can have.
     if os.path.exists(folder) and not os.path.isdir(folder):
-        raise OutputError(f"{folder} is a file; choose another --out")
+        raise OutputError(f"{folder} is a file. Choose another --out")
     missing = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
     make_folder(folder)
     try:
@@ -120,7 +120,7 @@ def _taken(folder: Path, shared: bool = False) -> Iterator[int]:
             holder = _holder(descriptor)
             os.close(descriptor)
             raise LockedError(
-                f"{folder} is in use by {holder}; wait until that has ended, or end it"
+                f"{folder} is in use by {holder}. Wait until that process ends, or end it"
             )
         # The previous holder may have deleted the file meanwhile.
         if _is_file(descriptor, path):

@@ -46,7 +46,7 @@ def resolved(path: Path) -> Path:
 
 
 def named(text: str) -> Path:
-    """Return the path for a name that is stored in a file, in UTF-8 whatever the locale."""
+    """Return the path for a name stored in a file, which is UTF-8 in every locale."""
     try:
         return Path(os.fsdecode(text.encode("utf-8", "surrogateescape")))
     except UnicodeError:
@@ -60,7 +60,7 @@ def name_of(path: Path) -> str:
 
 
 def as_utf8(argument: str) -> str:
-    """Return an argument of the command line, decoded as UTF-8 whatever the locale."""
+    """Return an argument of the command line, decoded as UTF-8 in every locale."""
     return argument.encode("utf-8", "surrogateescape").decode("utf-8", "surrogateescape")
 
 

@@ -1,7 +1,7 @@
-"""A headless Chromium that is driven through a pipe, by its DevTools protocol.
+"""A headless Chromium that tests control through a pipe with its DevTools protocol.
 
-It needs no library and no port: `--remote-debugging-pipe` takes messages on file descriptor 3 and
-answers on 4, each ended by a zero byte (https://chromedevtools.github.io/devtools-protocol/).
+It needs no library and no port. `--remote-debugging-pipe` reads messages on file descriptor 3 and
+answers on 4. A zero byte ends each message (https://chromedevtools.github.io/devtools-protocol/).
 """
 
 import base64
@@ -36,7 +36,7 @@ _PATIENCE = 60.0
 
 
 def found() -> str | None:
-    """The program; None where there is none."""
+    """Return the path of the program, or None if there is none."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
@@ -63,15 +63,15 @@ class Page:
         os.write(self._send, json.dumps(message).encode() + b"\0")
         until = time.monotonic() + _PATIENCE
         while True:
-            told = self._next(until)
-            if told.get("id") == self._number:
-                if "error" in told:
-                    raise RuntimeError(f"{method}: {told['error']}")
-                return told["result"]
-            self.events.append(told)
+            answer = self._next(until)
+            if answer.get("id") == self._number:
+                if "error" in answer:
+                    raise RuntimeError(f"{method}: {answer['error']}")
+                return answer["result"]
+            self.events.append(answer)
 
     def open(self, path: Path, size: tuple[int, int] = (1280, 900), dark: bool = False) -> None:
-        """Open a file, with the network gone, and wait until it is loaded."""
+        """Open a file without a network, and wait until it is loaded."""
         self.call("Network.emulateNetworkConditions", offline=True, latency=0,
                   downloadThroughput=-1, uploadThroughput=-1)  # fmt: skip
         self.resize(size)
@@ -84,21 +84,21 @@ class Page:
         self.wait("document.readyState === 'complete'")
 
     def resize(self, size: tuple[int, int]) -> None:
-        """Give the window another size, pixels."""
+        """Set the size of the window, pixels."""
         self.call("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1],
                   deviceScaleFactor=1, mobile=False)  # fmt: skip
 
     def run(self, script: str) -> Any:
-        """The value of an expression of JavaScript; a promise is waited for."""
-        told = self.call(
+        """Return the value of a JavaScript expression. Wait for a promise."""
+        answer = self.call(
             "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
         )
-        if "exceptionDetails" in told:
-            raise RuntimeError(f"{script}: {told['exceptionDetails']}")
-        return told["result"].get("value")
+        if "exceptionDetails" in answer:
+            raise RuntimeError(f"{script}: {answer['exceptionDetails']}")
+        return answer["result"].get("value")
 
     def wait(self, condition: str) -> None:
-        """Until an expression of JavaScript holds."""
+        """Wait until a JavaScript expression is true."""
         until = time.monotonic() + _PATIENCE
         while not self.run(condition):
             if time.monotonic() > until:
@@ -106,20 +106,20 @@ class Page:
             time.sleep(0.05)
 
     def picture(self, selector: str | None = None) -> bytes:
-        """PNG of an element, or of all of the page."""
+        """Return a PNG of an element, or of the whole page."""
         element = f"document.querySelector({(selector or 'html')!r})"
         box = self.run(
             f"(() => {{ const b = {element}.getBoundingClientRect();"
             " return {x: b.x + scrollX, y: b.y + scrollY, width: b.width, height: b.height}; })()"
         )
-        # What was drawn last is on the screen with the next frame but one.
+        # The latest changes are on the screen after two frames.
         self.run("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")
-        told = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True,
+        answer = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True,
                          clip=box | {"scale": 1})  # fmt: skip
-        return base64.b64decode(told["data"])
+        return base64.b64decode(answer["data"])
 
     def click(self, selector: str) -> None:
-        """Click into the middle of an element, with the mouse."""
+        """Click into the middle of an element with the mouse."""
         self.run(f"document.querySelector({selector!r}).scrollIntoView({{block: 'center'}})")
         box = self.run(
             f"(() => {{ const b = document.querySelector({selector!r}).getBoundingClientRect();"
@@ -134,14 +134,14 @@ class Page:
                   buttons=0 if what == "mouseReleased" else 1, clickCount=1)  # fmt: skip
 
     def paper(self) -> bytes:
-        """PDF of the page."""
-        told = self.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True,
+        """Return a PDF of the page."""
+        answer = self.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True,
                          paperWidth=8.27, paperHeight=11.69)  # fmt: skip
-        return base64.b64decode(told["data"])
+        return base64.b64decode(answer["data"])
 
     @property
     def requests(self) -> list[str]:
-        """Addresses that were asked for."""
+        """Requested addresses."""
         return [
             event["params"]["request"]["url"]
             for event in self.events
@@ -150,20 +150,20 @@ class Page:
 
     @property
     def complaints(self) -> list[str]:
-        """Errors and warnings of the console, and what was thrown."""
+        """Errors and warnings of the console, and thrown exceptions."""
         found = []
         for event in self.events:
-            told = event.get("params", {})
+            answer = event.get("params", {})
             if event.get("method") == "Runtime.exceptionThrown":
-                found.append(str(told["exceptionDetails"]))
-            if event.get("method") == "Runtime.consoleAPICalled" and told["type"] in (
+                found.append(str(answer["exceptionDetails"]))
+            if event.get("method") == "Runtime.consoleAPICalled" and answer["type"] in (
                 "error",
                 "warning",
                 "assert",
             ):
-                found.append(str(told["args"]))
-            if event.get("method") == "Log.entryAdded" and told["entry"]["level"] == "error":
-                found.append(told["entry"]["text"])
+                found.append(str(answer["args"]))
+            if event.get("method") == "Log.entryAdded" and answer["entry"]["level"] == "error":
+                found.append(answer["entry"]["text"])
         return found
 
     def _next(self, until: float) -> dict[str, Any]:
@@ -179,17 +179,17 @@ class Page:
 
 @contextlib.contextmanager
 def browser(folder: Path) -> Iterator[Page]:
-    """A browser with a profile of its own; skips where there is none.
+    """Start a browser with a separate profile. There must be one (`found`).
 
     Args:
-        folder: for the profile.
+        folder: folder for the profile.
     """
     program = found()
     assert program is not None
     their_input, send = os.pipe()
     receive, their_output = os.pipe()
     flags = (*_FLAGS, "--remote-debugging-pipe", f"--user-data-dir={folder}")
-    # The shell puts the pipes where Chromium looks for them: after a fork JAX would complain.
+    # The shell connects the pipes to the file descriptors, because JAX warns after a fork.
     command = f'exec "$@" 3<&{their_input} 4>&{their_output}'
     process = subprocess.Popen(
         ["bash", "-c", command, "bash", program, *flags, "about:blank"],

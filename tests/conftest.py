@@ -1,4 +1,4 @@
-"""What every test runs under: two host devices, broadcasting strict, shapes checked on request."""
+"""Settings of all tests: two host devices, strict broadcasting, shape checks on request."""
 
 import contextlib
 import ctypes
@@ -10,12 +10,12 @@ from pathlib import Path
 
 import xla_flags
 
-# JAX reads these when it starts, so they are set before anything imports it. One thread a
-# device: pytest-xdist keeps the cores busy already. XLA optimises little, for most programs run
-# for a moment and compile for seconds; `make test-slow` has them compiled as users do.
+# JAX reads these at its start, so they are set before any import of JAX. Each device has one
+# thread, because pytest-xdist already keeps the cores busy. XLA optimises little, because most
+# programs compile for seconds and run for a moment. `make test-slow` compiles as for users.
 os.environ["JAX_PLATFORMS"] = "cpu"
 os.environ["NPROC"] = "1"
-# Most tests write configurations of their own that name the repository's creatures.
+# Most tests write their own configurations with the repository's creatures.
 os.environ["EVO_CPG_TRUST"] = "1"
 os.environ["XLA_FLAGS"] = " ".join(("--xla_force_host_platform_device_count=2", *xla_flags.quick()))
 
@@ -24,8 +24,8 @@ import jax
 import jaxtyping
 import pytest
 
-# `make test-shapes`: it takes a tenth longer. All layers but two: `fusion` handles scalars, half a
-# million calls of it in a single gradient, and no shapes; what commands get, Typer makes.
+# `make test-shapes` takes a tenth longer. It checks all layers but two. `fusion` handles scalars
+# without shapes, in half a million calls for one gradient. Typer makes the arguments of `cli`.
 if os.environ.get("EVO_CPG_TESTS_SHAPES"):
     _PACKAGE = Path(__file__).parents[1] / "evo_cpg"
     _CHECKED = [f"evo_cpg.{path.parent.name}" for path in _PACKAGE.glob("*/__init__.py")]
@@ -36,21 +36,21 @@ from costs import Costs
 from evo_cpg.fusion import engine
 from evo_cpg.fusion.backend.machine import keep_code_in
 
-# Two functions that come to the same program are compiled once: an experiment that several tests
-# build, a run that is started and resumed. Each process has a folder of its own, for the duration.
+# Equal programs are compiled once, such as an experiment in several tests, or a run that is started
+# and resumed. Each process has its own temporary folder.
 _COMPILED = tempfile.TemporaryDirectory(prefix="evo_cpg_compiled_")
 jax.config.update("jax_compilation_cache_dir", _COMPILED.name)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 keep_code_in(Path(_COMPILED.name))
 
-# JAX and the traced programs keep millions of objects, hardly ever in a cycle. Collecting the tests
-# makes another million, of which none is garbage: it takes a third longer with Python's thresholds.
+# JAX and the traced programs keep millions of objects, with hardly any cycles. Collecting the tests
+# makes another million without garbage, and takes a third longer with Python's thresholds.
 gc.set_threshold(50_000, 20, 20)
 
-# (3,) against (3, n) must not broadcast by accident: `expand_dims_like` says which axis is meant.
+# (3,) must not broadcast against (3, n) by accident. `expand_dims_like` names the axis.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# The same examples in every run. No deadline: the first example pays for the compiling.
+# Every run has the same examples. There is no deadline, because the first example compiles.
 hypothesis.settings.register_profile(
     "evo_cpg", deadline=None, derandomize=True, max_examples=25, print_blob=True
 )
@@ -58,29 +58,29 @@ hypothesis.settings.load_profile("evo_cpg")
 
 
 def pytest_addoption(parser):
-    """`make test-jax` computes everything on plain JAX; what each test costs goes to a file."""
+    """Add the options for `make test-jax` (plain JAX) and for a file of each test's costs."""
     parser.addoption("--engine", choices=("auto", "jax"), default="auto")
     parser.addoption(
-        "--compilations", metavar="FILE", help="write each test's costs there, a line of JSON each"
+        "--compilations", metavar="FILE", help="write the costs of each test as a line of JSON"
     )
 
 
 def pytest_configure(config):
-    """Without native code, whatever a test's config says; costs are always counted."""
+    """Count the costs, and switch off native code for `--engine jax`."""
     config.pluginmanager.register(Costs(config), "costs")
     if config.getoption("--engine") == "jax":
         engine.is_native = lambda: False
 
 
 def pytest_collection_finish(session):
-    """Keep the garbage collector from what was imported and collected, which stays."""
+    """Exclude imported and collected objects, which stay, from garbage collection."""
     gc.collect()
     gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item, nextitem):
-    """Drop compiled programs between files where memory is short; later files compile anew."""
+    """Drop compiled programs after a file if memory is short. Later files compile again."""
     result = yield
     if (nextitem is None or nextitem.path != item.path) and is_short_of_memory():
         jax.clear_caches()
@@ -93,7 +93,7 @@ def pytest_runtest_protocol(item, nextitem):
 def is_short_of_memory() -> bool:
     """Return whether this process has an eighth of the machine's memory, and more than 1.2 GiB.
 
-    The session has two processes like this one, and they start others.
+    The session has two such processes, and they start others.
     """
     if sys.platform != "linux":
         return False

@@ -1,11 +1,11 @@
-"""What the tests cost: processor time and compilations of each, and of all, at the end of a run.
+"""Costs of the tests: processor time and compilations of each test and of the whole run.
 
-Seconds are of processor time, of this process, its threads, and the processes it waited for, so
-that a busy machine reads the same as a quiet one. To compare machines, they are also given as a
-multiple of a fixed computation, timed in the same run: the same suite on another machine gives
-about the same multiple, and a test that grew shows in it.
+Seconds are processor time of this process, its threads and its finished child processes. They
+hardly depend on the load of the machine. To compare machines, the total is also printed as a
+multiple of a fixed computation that is timed in the same run. The suite has about the same multiple
+on another machine.
 
-The seconds of compiling are those of the clock: JAX reports no others.
+The seconds of compiling are clock time, because JAX reports no processor time.
 """
 
 import json
@@ -17,29 +17,29 @@ from pathlib import Path
 import jax
 import pytest
 
-# The name under which a test's report carries its costs from the worker to the session.
+# Property of a test's report: processor time and compilations, sent from a worker to the session.
 _KEY = "costs"
-# What JAX reports, and how we call it.
+# Events that JAX reports, and their names here.
 _EVENTS = {
     "jaxpr_trace_duration": "tracing",
     "jaxpr_to_mlir_module_duration": "lowering",
     "backend_compile_duration": "compiling",
 }
 _SHOWN = 10
-_MEGABYTE = 1024  # in what `ru_maxrss` counts, KiB
+_MEGABYTE = 1024  # in KiB, the unit of `ru_maxrss`
 
 
 class Costs:
-    """Measures every test of this process; the session's process adds them up and shows them."""
+    """Plugin that measures every test of a process. The session's process prints the sums."""
 
     def __init__(self, config: pytest.Config) -> None:
         self.file = config.getoption("--compilations")
         self.tests: dict[str, Counter] = {}
         self.workers: list[dict] = []
         self.current: Counter = Counter()
-        jax.monitoring.register_event_duration_secs_listener(self._heard)
+        jax.monitoring.register_event_duration_secs_listener(self._on_event)
 
-    def _heard(self, event: str, seconds: float, **_) -> None:
+    def _on_event(self, event: str, seconds: float, **_) -> None:
         name = _EVENTS.get(event.rsplit("/", 1)[-1])
         if name is not None:
             self.current[name] += seconds
@@ -47,7 +47,7 @@ class Costs:
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item):
-        """Processor time of a test with the fixtures that it is the first or last to use."""
+        """Measure a test, including fixtures that it uses first or last."""
         self.current.clear()
         self.before = processor_seconds()
         return (yield)
@@ -70,23 +70,23 @@ class Costs:
                 self.tests.setdefault(report.nodeid, Counter()).update(costs)
 
     def pytest_sessionfinish(self, session):
-        """Each worker tells what all of it took, importing and collecting included."""
-        told = {
+        """Report the total costs of each worker, with importing and collecting."""
+        totals = {
             "processor": processor_seconds(),
             "memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _MEGABYTE,
             "unit": unit(),
         }
         output = getattr(session.config, "workeroutput", None)
         if output is not None:
-            output[_KEY] = told
+            output[_KEY] = totals
         elif not self.workers:
-            self.workers = [told]
+            self.workers = [totals]
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node, error):
-        told = getattr(node, "workeroutput", {}).get(_KEY)
-        if told:
-            self.workers.append(told)
+        totals = getattr(node, "workeroutput", {}).get(_KEY)
+        if totals:
+            self.workers.append(totals)
 
     def pytest_terminal_summary(self, terminalreporter):
         if not self.tests or not self.workers:
@@ -99,13 +99,13 @@ class Costs:
             Path(self.file).write_text("\n".join(lines) + "\n")
 
     def summary(self) -> list[str]:
-        """The dearest tests, and what all cost."""
+        """Return lines with the most expensive tests and the total costs."""
         one = min(worker["unit"] for worker in self.workers)
         total = sum(self.tests.values(), Counter())
-        dearest = sorted(self.tests.items(), key=lambda test: -test[1]["processor"])[:_SHOWN]
+        most_expensive = sorted(self.tests.items(), key=lambda test: -test[1]["processor"])[:_SHOWN]
         lines = [
             f"{costs['processor']:7.1f} s {costs['compilations']:5.0f} compilations  {name}"
-            for name, costs in dearest
+            for name, costs in most_expensive
         ]
         whole = sum(worker["processor"] for worker in self.workers)
         memory = " and ".join(f"{worker['memory']:.0f}" for worker in self.workers)
@@ -122,7 +122,7 @@ class Costs:
 
 
 def processor_seconds() -> float:
-    """Of this process and of those that it has waited for."""
+    """Return the processor time of this process and its finished child processes, s."""
     return sum(
         usage.ru_utime + usage.ru_stime
         for usage in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
@@ -130,7 +130,7 @@ def processor_seconds() -> float:
 
 
 def unit() -> float:
-    """Processor seconds of a fixed computation, the shortest of three."""
+    """Return processor seconds of a fixed computation, the minimum of three."""
 
     def once() -> float:
         start = time.thread_time()

@@ -1,4 +1,4 @@
-"""Creatures, states and worlds that several tests of the physics share."""
+"""Creatures, states and worlds for several tests of the physics."""
 
 from importlib.metadata import version
 
@@ -22,7 +22,7 @@ from evo_cpg.spatial.rotation import euler_to_matrix
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
-# Parent and number of joint axes of every body but the root: chains, stars and mixtures.
+# Parent and number of joint axes of every body except the root: chains, stars and mixtures.
 STRUCTURES = (
     ((0, 3),),
     ((0, 2), (0, 1), (0, 3)),
@@ -34,7 +34,7 @@ STRUCTURES = (
 
 
 def jit_as_for_users(function, **options):
-    """`jax.jit` at the optimisation that users have, whatever the tests are compiled with."""
+    """Compile like `jax.jit`, but always with the optimisation that users have."""
     chosen = {"xla_backend_optimization_level": 3}
     if version("jaxlib").startswith("0.10."):
         chosen["xla_cpu_use_fusion_emitters"] = True
@@ -48,14 +48,14 @@ def random_creature(
     motor: Actuator | None = None,
     axes_seed: int = 0,
 ) -> Creature:
-    """A creature in which everything but the structure is drawn at random.
+    """Return a creature of a fixed structure with random bodies and joints.
 
     Args:
-        rng: the source of randomness.
-        structure: parent and number of axes of every body but the root.
-        limits: of every joint, both ways, rad.
-        motor: on every axis.
-        axes_seed: of a second source, for the joints' axes and orientations.
+        rng: source of random numbers.
+        structure: parent and number of axes of every body except the root.
+        limits: limit of every joint in both directions, rad.
+        motor: motor on every axis.
+        axes_seed: seed of a second source, for the joints' axes and orientations.
     """
     turns = np.random.default_rng(axes_seed)
     bodies = [Body("b0", random_shape(rng), Material(rng.uniform(500, 2000)))]
@@ -84,7 +84,7 @@ def random_creature(
 
 
 def random_shape(rng: np.random.Generator) -> Shape:
-    """A box, sphere, ellipsoid or capsule of some 0.1 to 0.4 m."""
+    """Return a random box, sphere, ellipsoid or capsule of some 0.1 to 0.4 m."""
     return [
         lambda: Box(tuple(rng.uniform(0.05, 0.4, 3))),
         lambda: Sphere(rng.uniform(0.05, 0.2)),
@@ -96,7 +96,7 @@ def random_shape(rng: np.random.Generator) -> Shape:
 def random_state(
     tree: Tree, rng: np.random.Generator, batch: tuple[int, ...] = (), speed: float = 1.0
 ) -> State:
-    """Any orientation, angles up to 1 rad, rates of some 3 rad/s times ``speed``."""
+    """Return states of any orientation, angles up to 1 rad, and rates of some 3 ``speed`` rad/s."""
     orientation = rng.normal(size=(4, *batch))
     return State(
         position=jnp.asarray(rng.normal(size=(3, *batch))),
@@ -116,7 +116,7 @@ def box_chain(
     density: float = 1000.0,
     limit: float = np.pi / 3,
 ) -> Creature:
-    """Equal boxes in a row along -x, the head first."""
+    """Return equal boxes in a row along -x, head first."""
     reach = (size[0] + gap) / 2
     chain = [Body("b0", Box(size), Material(density))]
     for i in range(1, bodies):
@@ -148,7 +148,7 @@ def in_water(
     gradient: Gradient | None = None,
     vortices: tuple[Vortex, ...] = (),
 ) -> World:
-    """A creature under water, with the same quadrature for form and skin drag."""
+    """Return the world of a creature in water, with equal quadratures for form and skin drag."""
     tree = build_tree(creature)
     surfaces = {
         body.name: surface
@@ -170,7 +170,7 @@ def in_water(
 
 
 def coast(world: World, state: State, seconds: float, h: float) -> State:
-    """The motion with motors that are told to stand still, steps first."""
+    """Return the motion with zero target rates of the motors, steps first."""
     rest = jnp.zeros_like(state.qd)
 
     @quick_jit

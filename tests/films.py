@@ -1,4 +1,4 @@
-"""A film of one animal."""
+"""A film of one creature."""
 
 import dataclasses
 from pathlib import Path
@@ -14,7 +14,7 @@ _SETTINGS = [field.name for field in dataclasses.fields(Film)]
 
 
 def film(creature: Creature, recording: Recording, path: Path, **given: Any) -> Path:
-    """`side_by_side` of one; what is given are fields of its `Panel` and of `Film`, and more."""
+    """Call `side_by_side` with one panel. Options are fields of `Panel` and `Film`, and others."""
     shown = {name: given.pop(name) for name in Panel._fields if name in given}
     settings = {name: given.pop(name) for name in _SETTINGS if name in given}
     return side_by_side([Panel(creature, recording, **shown)], path, Film(**settings), **given)

@@ -1,4 +1,4 @@
-"""Single bodies on the ground at the walkers' own step."""
+"""Single bodies on the ground at the walkers' step."""
 
 import dataclasses
 
@@ -24,7 +24,7 @@ DENSITY = 300.0
 def alone(
     shape: Shape, restitution: float = 0.0, static: float = 0.5, dynamic: float = 0.5, **ground
 ) -> World:
-    """One body over ground of the same friction that gives back all that the body does."""
+    """Return one body on ground of equal friction, whose restitution of 1 keeps the body's."""
     material = Material(DENSITY, restitution, static, dynamic)
     creature = Creature("alone", (Body("body", shape, material),))
     tree = build_tree(creature)
@@ -40,7 +40,7 @@ def alone(
 
 
 def released(world: World, position, velocity=0.0, orientation=(1.0, 0.0, 0.0, 0.0)) -> State:
-    """A body at ``position`` (3, n) with ``velocity`` (6, n), angular first."""
+    """Return a body at ``position`` (3, n) with ``velocity`` (6, n), angular first."""
     position = jnp.asarray(position, jnp.float64)
     count = position.shape[1]
     state = resting_state(world.tree, (count,), jnp.float64, orientation=orientation)
@@ -49,7 +49,7 @@ def released(world: World, position, velocity=0.0, orientation=(1.0, 0.0, 0.0, 0
 
 
 def recorder(world: World, steps: int, h: float = H):
-    """A function of the state, and of the restitution of every place: states and supports."""
+    """Return a function of state and restitution of every point: states and ground forces."""
 
     @quick_jit
     def run(state, restitution):
@@ -67,6 +67,6 @@ def recorder(world: World, steps: int, h: float = H):
 
 
 def record(world: World, state: State, steps: int, h: float = H):
-    """States and supports at every step, as NumPy arrays."""
+    """Return states and ground forces at every step, as NumPy arrays."""
     run = recorder(world, steps, h)
     return jax.tree.map(np.asarray, run(state, np.asarray(world.contact_model.restitution)))

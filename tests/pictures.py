@@ -1,4 +1,4 @@
-"""What can be told of a picture that a command has drawn."""
+"""Properties of a picture that a command has drawn."""
 
 from pathlib import Path
 

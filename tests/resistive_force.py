@@ -1,16 +1,16 @@
-"""Resistive-force swimming of a planar chain, from scratch in NumPy and SciPy: an oracle.
+"""Resistive-force model of a planar swimming chain in NumPy and SciPy, as an oracle.
 
-Joint angles are prescribed, the plane motion of the chain is unknown. Newton and Euler for the
-whole chain, with P and L its momentum and its angular momentum about the world's origin:
+Joint angles are prescribed, and the planar motion of the chain is unknown. P and L are momentum and
+angular momentum of the whole chain about the world's origin. Newton's and Euler's equations are
 
     dP/dt = sum F,   dL/dt = sum r x F.
 
 Momenta and angles give the head's velocity by a 3x3 solve. The force is the drag of points along
-the middle line of every face, form drag on the normal velocity and friction on the tangential,
-integrated by the midpoint rule with many points to a link.
+the middle line of every face: form drag by the normal velocity, friction by the tangential
+velocity. The midpoint rule integrates it with many points per link.
 
-Besides `solve_ivp` nothing is shared with the package: other coordinates, another integrator,
-lines instead of surface points, and joint angles that are exact instead of motors.
+The package shares no code with this model. It has other coordinates, another integrator, surface
+points instead of lines, and motors instead of exact joint angles.
 """
 
 import dataclasses
@@ -22,20 +22,20 @@ from scipy.integrate import solve_ivp
 
 @dataclasses.dataclass(frozen=True)
 class PlanarChain:
-    """A chain of equal boxes in the plane, head first, in SI units.
+    """Chain of equal boxes in the plane, head first, in SI units.
 
     Attributes:
-        links: how many.
-        length: of a box along the chain.
-        width: of a box across, in the plane.
-        height: of a box out of the plane.
-        gap: between neighbours; joints are in the middle of it.
-        density: of the boxes.
-        water_density: of the water.
+        links: number of boxes.
+        length: length of a box along the chain.
+        width: width of a box across the chain, in the plane.
+        height: height of a box out of the plane.
+        gap: distance between neighbours. Joints are in its middle.
+        density: density of the boxes.
+        water_density: density of the water.
         form_drag: C_d of a surface point.
         skin_drag: C_f of a surface point.
-        sheltered: whether faces that look at each other across a joint feel no water.
-        points: of the midpoint rule along a line.
+        sheltered: whether faces on both sides of a joint have no drag.
+        points: number of points of the midpoint rule along a line.
     """
 
     links: int
@@ -53,11 +53,11 @@ class PlanarChain:
     def path(
         self, angles: Callable[[float], np.ndarray], rates: Callable[[float], np.ndarray], times
     ) -> np.ndarray:
-        """Head position ``(times, 2)`` from rest, m.
+        """Return head positions ``(times, 2)`` of a motion from rest, m.
 
         Args:
-            angles: joint angles at a time, rad.
-            rates: their derivative, rad/s.
+            angles: function of the time that returns joint angles, rad.
+            rates: derivative of ``angles``, rad/s.
             times: increasing, from 0, s.
         """
 
@@ -73,7 +73,7 @@ class PlanarChain:
         return solution.y[:2].T
 
     def _links(self, pose, velocity, angles, rates):
-        """Centres, directions, velocities and turning rates of the links."""
+        """Return centres, directions, velocities and turning rates of the links."""
         heading = pose[2] + np.concatenate([[0.0], np.cumsum(angles)])
         turning = velocity[2] + np.concatenate([[0.0], np.cumsum(rates)])
         along = np.stack([np.cos(heading), np.sin(heading)], 1)
@@ -86,7 +86,7 @@ class PlanarChain:
         return centre, along, across, moving, turning
 
     def _momentum(self, pose, velocity, angles, rates):
-        """Momentum (x, y) and angular momentum about the origin."""
+        """Return momentum (x, y) and angular momentum about the origin."""
         mass = self.density * self.length * self.width * self.height
         inertia = mass / 12 * (self.length**2 + self.width**2)
         centre, _, _, moving, turning = self._links(pose, velocity, angles, rates)
@@ -95,27 +95,27 @@ class PlanarChain:
         return np.array([*(mass * moving).sum(0), spin])
 
     def _head_velocity(self, y, angles, rates):
-        """Velocity (x, y, turning) of the head with the momentum in the state."""
+        """Return the velocity (x, y, turning) of the head for the momentum in the state."""
         own = self._momentum(y[:3], np.zeros(3), angles, rates)
         still = np.zeros_like(rates)
         columns = [self._momentum(y[:3], unit, angles, still) for unit in np.eye(3)]
         return np.linalg.solve(np.array(columns).T, y[3:] - own)
 
     def _force(self, y, velocity, angles, rates):
-        """Drag of the whole chain: force (x, y) and moment about the origin."""
+        """Return the drag of the whole chain: force (x, y) and moment about the origin."""
         centre, along, across, moving, turning = self._links(y[:3], velocity, angles, rates)
         middle = (np.arange(self.points) + 0.5) / self.points - 0.5
         half = 0.5 * self.water_density
         total = np.zeros(3)
 
         def add(links, x, y, area, normal):
-            """Drag of points at (x, y) of some links whose faces look along the given axis."""
+            """Add the drag of points at (x, y) of links on faces normal to an axis."""
             x, y = np.broadcast_to(x, self.points), np.broadcast_to(y, self.points)
             v_x = (moving[links] * along[links]).sum(1)[:, None] - turning[links, None] * y
             v_y = (moving[links] * across[links]).sum(1)[:, None] + turning[links, None] * x
             c_x = self.form_drag if normal == "x" else self.skin_drag
             c_y = self.form_drag if normal == "y" else self.skin_drag
-            # Friction goes with the tangential speed, form drag with the normal one.
+            # Friction depends on the tangential speed, form drag on the normal speed.
             tangential = np.hypot(v_x if normal != "x" else 0.0, v_y if normal != "y" else 0.0)
             f_x = -half * c_x * area * (np.abs(v_x) if normal == "x" else tangential) * v_x
             f_y = -half * c_y * area * (np.abs(v_y) if normal == "y" else tangential) * v_y

@@ -1,6 +1,6 @@
-"""The type checker that `conftest` switches on for every function and class of the package."""
+"""Type checker that `conftest` applies to every function and class of the package."""
 
 import beartype
 
-# An int may stand where a float is asked for, as PEP 484 has it.
+# An int is allowed for a float, as in PEP 484.
 typechecker = beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))

@@ -1,11 +1,11 @@
-"""Programs of training that tests share: what is built anew from equal parts is compiled once.
+"""Programs of training that tests share: programs of equal parts are compiled once.
 
-Training, resuming, replaying and refining each compile an experiment's programs from the parts that
-they are given. Tests do that dozens of times with the same parts. Here the four functions that
-make these programs remember what they made, by the content of what they were given.
+Training, resuming, replaying and refining each compile an experiment's programs. Tests do that
+dozens of times with equal arguments. Here the four functions that make these programs cache their
+results by the content of their arguments.
 
-A test that replaces something by `monkeypatch` gets programs of its own, for what it replaced may
-be part of them; so does one that watches what is `lowered`.
+A test with `monkeypatch` gets its own programs, because its replacements may be part of them. So
+does a test with `lowered`.
 """
 
 import functools
@@ -21,15 +21,16 @@ import pytest
 from evo_cpg.fusion import engine
 from evo_cpg.training import ascent, experiment, replay, running
 
-# Fixtures of tests that get programs of their own.
+# Fixtures of tests that get their own programs.
 _OWN = {"monkeypatch", "lowered"}
 
-# The last so many are kept; each may hold hundreds of thousands of objects.
+# Number of latest programs that are kept. Each may hold hundreds of thousands of objects.
 _KEPT = 16
 
 
-def _trials(simulation, mesh, width=None):
-    return simulation, mesh, width
+def _trials(simulation, mesh, width=None, inputs=None):
+    # Inputs are arrays of several bodies, which a program of its own serves.
+    return None if inputs is not None else (simulation, mesh, width)
 
 
 def _evolution(made):
@@ -41,7 +42,7 @@ def _replay(made, devices, recorded=0):
 
 
 def _ascent(made, mesh, steps, free=None):
-    # Numbers that are free come with functions, which nothing tells apart.
+    # Free numbers come with functions, whose content cannot be compared.
     return None if free else (made._replace(generations=0, learning=None, seed=0), mesh, steps)
 
 
@@ -55,7 +56,7 @@ _MAKERS: dict[Callable, Callable[..., tuple | None]] = {
 
 @pytest.fixture(autouse=True, scope="module")
 def remember_programs() -> Iterator[None]:
-    """Replace the makers wherever the package has them."""
+    """Replace the makers in all modules of the package."""
     with pytest.MonkeyPatch.context() as patch:
         for maker in _MAKERS:
             for name, module in list(sys.modules.items()):
@@ -72,7 +73,7 @@ def programs_of_its_own(request) -> Iterator[None]:
 
 
 class _Kept:
-    """What was made, the latest last, and whether it may be used."""
+    """Cache of programs, latest last, and whether it may be used."""
 
     used = True
     programs: ClassVar[OrderedDict] = OrderedDict()
@@ -95,7 +96,7 @@ def _remembering(maker: Callable) -> Callable:
 
 
 def _key(maker: Callable, *args, **options) -> tuple | None:
-    """What a program depends on; None where that cannot be told."""
+    """Return the key of a program's arguments, or None if they cannot be compared."""
     parts = _MAKERS[maker](*args, **options)
     if parts is None:
         return None

@@ -1,4 +1,4 @@
-"""Swimmers that a test can afford to evolve, and a way to call the program."""
+"""Swimmers that are small enough to evolve in a test, and a function that starts the program."""
 
 import os
 import signal
@@ -11,7 +11,7 @@ import xla_flags
 REPOSITORY = Path(__file__).parents[1]
 CONFIG = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
 
-# What makes the published swimmer tiny: three bodies.
+# Changes that make the published swimmer tiny: three bodies.
 TINY = (
     "creature.bodies.1.repeat=2",
     "world.water.form_resolution=1",
@@ -23,11 +23,10 @@ TINY = (
     "audit.after_training=false",
 )
 
-# Where what matters is the command and not the animal: two bodies on a hinge. Programs are half as
-# large, and so is the time to compile them.
+# Two bodies on a hinge, for tests of commands. Programs and compilation times are half as large.
 PAIR = (*TINY, "creature.bodies.1.repeat=1", "creature.bodies.1.joint.axes=[z]")
 
-# Enough generations, each long enough, to stop a run in the middle of on a busy machine.
+# Enough generations of enough length to stop a run in the middle, on a busy machine too.
 GENERATIONS = 30
 LONG = (*PAIR, "simulation.steps=300", f"evolution.generations={GENERATIONS}")
 
@@ -35,15 +34,15 @@ LONG = (*PAIR, "simulation.steps=300", f"evolution.generations={GENERATIONS}")
 def program(
     *arguments: object, compiled: Path, folder: Path | None = None
 ) -> subprocess.Popen[str]:
-    """Start `evo-cpg` as a process of its own, on two cores.
+    """Start `evo-cpg` as a separate process.
 
     Args:
-        arguments: of the command line.
-        compiled: where it keeps what it compiles, for the next process to use.
+        arguments: arguments of the command line.
+        compiled: folder for compiled programs, which the next process can use.
         folder: working folder.
     """
-    # A shell that runs the tests in the background has them ignore it, and what they start. It is
-    # not changed in the child itself, for that takes a fork, against which JAX warns.
+    # A background shell makes the tests and their child processes ignore SIGINT. The parent changes
+    # that, because a change in the child needs a fork, and JAX warns about forks.
     interrupt = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         return subprocess.Popen(
@@ -59,7 +58,7 @@ def program(
 
 
 def environment(compiled: Path) -> dict[str, str]:
-    """Environment of a process that compiles quickly and only once."""
+    """Return the environment of a process that compiles quickly and only once."""
     return os.environ | {
         "PYTHONPATH": str(REPOSITORY),
         "XLA_FLAGS": " ".join(xla_flags.quick()),

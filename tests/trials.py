@@ -1,4 +1,4 @@
-"""A swimmer of two bodies with an eye and a sine wave for a nervous system."""
+"""A swimmer of two bodies with eyes and a sine wave as controller."""
 
 import equinox as eqx
 import jax
@@ -15,11 +15,11 @@ from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 
 class SineController(Controller):
-    """All joints follow one wave; amplitude (rad/s) and frequency (Hz) are the genes."""
+    """Controller of one wave for all joints. Its genes are amplitude (rad/s) and frequency (Hz)."""
 
     gene_count: int = eqx.field(static=True, default=2)
 
@@ -37,7 +37,7 @@ class SineController(Controller):
 
 
 def swimmer(eyes: tuple[LightSensor, ...]) -> Creature:
-    """A head behind its tail in the list, and not at the root's place in the middle of it."""
+    """Return a pair whose list of bodies begins with the tail, although the head is the root."""
     flesh = Material(1000.0)
     joint = Joint(
         parent="head",
@@ -55,7 +55,7 @@ def swimmer(eyes: tuple[LightSensor, ...]) -> Creature:
 
 
 class OneTerm(Task):
-    """A task with a single term, which is its fitness."""
+    """Task with a single term, which is its fitness."""
 
     name: str = eqx.field(static=True)
     light: None = eqx.field(default=None, init=False)
@@ -81,8 +81,8 @@ EYES = (
 
 def experiment(
     steps: int = 90, population: int = 11, eyes: tuple[LightSensor, ...] = EYES, seed: int = 0
-) -> Experiment:
-    """The pair swims for a light ahead and to the left; one substep per control step."""
+) -> ExperimentParts:
+    """Return an experiment of the pair: a light ahead to the left, one substep per control step."""
     creature = swimmer(eyes)
     simulation = Simulation(
         world=in_water(creature, resolution=1),
@@ -93,6 +93,6 @@ def experiment(
         substeps=1,
         steps=steps,
     )
-    return Experiment(
+    return ExperimentParts(
         "pair", creature, simulation, RealGenetics(population, 2, 0.5, 0.2, 0.5, 0.5, 8.0), 2, seed
     )

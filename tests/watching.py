@@ -1,11 +1,11 @@
-"""A nervous system that lets its animal's motion depend on what it sees."""
+"""A controller whose commands depend on the light sensors."""
 
 from evo_cpg.control.controller import Command
 from trials import SineController
 
 
 class Watcher(SineController):
-    """The sine wave with an offset of what the first eye sees more than the second."""
+    """Sine wave with an offset by the difference of both light sensors and by the tilt."""
 
     def act(self, decoded, state, observation):
         state, command = super().act(decoded, state, observation)

@@ -25,7 +25,9 @@ def reference(names: list[str]) -> str:
 
 @cache
 def _package() -> Any:
-    return griffe.load(PACKAGE, docstring_parser="google")
+    # A description of a result may have several lines and may contain a colon.
+    options = {"returns_multiple_items": False, "returns_named_value": False}
+    return griffe.load(PACKAGE, docstring_parser="google", docstring_options=options)
 
 
 def _entry(name: str, members: str) -> str:
@@ -92,7 +94,7 @@ def _text(thing: Any) -> str:
         elif section.kind.value == "admonition":
             pieces += [f"**{section.title}**\n", _paragraphs(section.value.description)]
         else:
-            raise ValueError(f"{thing.path}: no rule for a section {section.kind.value!r}")
+            raise ValueError(f"{thing.path}: unknown docstring section {section.kind.value!r}")
     return "\n".join(pieces)
 
 
@@ -108,7 +110,7 @@ def _item(name: str, text: str) -> str:
 
 
 def _paragraphs(text: str) -> str:
-    """Wrap running text, fence code that follows ``::``, and leave lists and tables as they are."""
+    """Wrap running text and fence code that follows ``::``. Lists and tables stay unchanged."""
     prose, mark, code = _markdown(text).partition("::\n\n")
     done = []
     for block in (prose + ":" * bool(mark)).split("\n\n"):

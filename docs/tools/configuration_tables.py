@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from evo_cpg.config.file_schema import Schema, file_schema
 
-# Longer ones first: "m" ends many of them.
+# Longer units come first, because "m" is the end of many of them.
 _UNITS = (
     "W for each kg of animal",
     "m/s per square root of a second",
@@ -28,7 +28,7 @@ _UNITS = (
 )
 _UNIT = re.compile(rf"(?:, |^)({'|'.join(map(re.escape, _UNITS))})(?=[,;.]|$)")
 
-# Bounds beyond which no quantity in SI units lies; they tell nobody anything.
+# No quantity in SI units reaches this value. Larger bounds would not help a reader.
 _BEYOND = 1e9
 
 
@@ -36,9 +36,9 @@ class Part(NamedTuple):
     """Part of the file with a table of its own.
 
     Attributes:
-        paths: where it may stand, such as ``creature.bodies.N.joint``.
-        name: of its definition in the schema; empty for the whole file.
-        kind: its ``type``, where there are several.
+        paths: allowed places in the file, such as ``creature.bodies.N.joint``.
+        name: name of its definition in the schema, empty for the whole file.
+        kind: value of ``type``, if there are several kinds.
     """
 
     paths: tuple[str, ...]
@@ -124,7 +124,7 @@ def heading(part: Part) -> str:
 
 def _table(definition: Schema) -> str:
     required = definition.get("required", ())
-    rows = ["| Key | Value | Unit | Default | What it is |", "|---|---|---|---|---|"]
+    rows = ["| Key | Value | Unit | Default | Meaning |", "|---|---|---|---|---|"]
     for key, value in definition["properties"].items():
         text, unit = _told(value["description"])
         default = "**required**" if key in required else _default(value)
@@ -200,7 +200,7 @@ def _values(value: Schema) -> str:
 
 
 def _one_of(options: list[Schema]) -> str:
-    """Return alternatives in words: kinds by their types, and other values as they are."""
+    """Return alternatives in words. Parts with a ``type`` are named by it."""
     refs = [option["$ref"].rsplit("/", 1)[-1] for option in options if "$ref" in option]
     refs = [name for name in refs if name != "CreatureFile"]
     if len(refs) > 1:
@@ -213,7 +213,7 @@ def _one_of(options: list[Schema]) -> str:
     told = [
         _values(option)
         for option in options
-        # What may be left out may be null, too.
+        # An optional key may always be null, so null is not listed.
         if option.get("type") != "null" and option.get("$ref", "")[-12:] != "CreatureFile"
     ]
     return _or(list(dict.fromkeys(told)))

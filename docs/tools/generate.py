@@ -1,13 +1,13 @@
 """Write the generated parts of the pages, so that they can be read as files.
 
     python docs/tools/generate.py            writes them
-    python docs/tools/generate.py --check    lists pages that are out of date, and returns 1
+    python docs/tools/generate.py --check    lists stale pages, and returns 1 if there are any
 
 A generated part stands between `<!-- begin KIND ARGUMENTS -->` and `<!-- end -->`:
 
-- `begin table FILE`: a table that `evo-cpg reproduce` made; FILE is relative to the page.
+- `begin table FILE`: a table that `evo-cpg reproduce` made. FILE is relative to the page.
 - `begin configuration`: all keys of a configuration file.
-- `begin api NAME ...`: public names with their docstrings, see `api_pages.reference`.
+- `begin api NAME ...`: public names with their docstrings (see `api_pages.reference`).
 """
 
 import re
@@ -22,10 +22,10 @@ _PART = re.compile(r"(<!-- begin (\w+) ?(.*?) -->\n)(.*?)(<!-- end -->)", re.S)
 
 
 def filled(page: Path) -> str:
-    """Return the text of a page with its generated parts made anew.
+    """Return the text of a page with fresh generated parts.
 
     Raises:
-        ValueError: a part of an unknown kind.
+        ValueError: a part has an unknown kind.
         OSError: a table does not exist.
     """
 
@@ -39,23 +39,23 @@ def filled(page: Path) -> str:
 def _made(page: Path, kind: str, arguments: list[str]) -> str:
     if kind == "table":
         table = (page.parent / arguments[0]).read_text(encoding="utf-8")
-        # The commit is in provenance.json beside it.
+        # The commit is in provenance.json in the table's folder.
         return re.sub(r" at commit \w+| of runs evolved at [0-9a-f, ]+\b(?= on)", "", table)
     if kind == "configuration":
         return configuration_tables.every_key()
     if kind == "api":
         return api_pages.reference(arguments)
-    raise ValueError(f"{page}: no generated part is called {kind!r}")
+    raise ValueError(f"{page}: unknown kind {kind!r}. Allowed: table, configuration, api")
 
 
 def main(check: bool) -> int:
-    """Fill all pages; return 1 if `check` and a page was out of date."""
+    """Write all stale pages, or with `check` only list them and return 1 if there are any."""
     stale = 0
     for page in sorted(DOCS.rglob("*.md")):
         text = filled(page)
         if text != page.read_text(encoding="utf-8"):
             stale += 1
-            advice = "out of date; run `make format`" if check else "written"
+            advice = "out of date. Run `make format`" if check else "written"
             print(f"{page.relative_to(DOCS)}: {advice}")
             if not check:
                 page.write_text(text, encoding="utf-8")

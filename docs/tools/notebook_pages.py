@@ -2,8 +2,8 @@
 
     python docs/tools/notebook_pages.py docs/notebooks/*.ipynb
 
-runs the cells of each notebook in order and writes what they print and draw into it. Cells are
-plain Python: no magic, and pictures are those of matplotlib.
+runs the cells of each notebook in order, and writes their output into it: text and figures of
+matplotlib. Cells are plain Python, without magic commands.
 """
 
 import base64
@@ -40,7 +40,7 @@ def run(notebook: Notebook) -> Notebook:
     """Return the notebook with new output of its cells."""
     import matplotlib.pyplot as plt
 
-    plt.close("all")  # what others left open is none of the notebook's
+    plt.close("all")  # figures that other code left open do not belong to the notebook
     names: dict[str, Any] = {"__name__": "__main__"}
     cells, count = [], 0
     for cell in notebook["cells"]:

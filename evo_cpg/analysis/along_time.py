@@ -15,7 +15,7 @@ def along_time(function: Callable, *steps: Any) -> Any:
     """Return ``function(*steps)``, block by block: one program serves trials of any length.
 
     Args:
-        function: function of each step alone; time is the last axis of arguments and results.
+        function: function of each step alone. Time is the last axis of arguments and results.
         steps: pytrees of arrays.
     """
     with jax.enable_x64(True):

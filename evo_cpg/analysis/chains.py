@@ -1,4 +1,4 @@
-"""Chains of oscillators, each the child of the one before."""
+"""Chains of oscillators, each the child of the oscillator before it."""
 
 import dataclasses
 import itertools
@@ -19,15 +19,15 @@ _SQUARE = 1e-6
 
 
 class Chain(NamedTuple):
-    """Oscillators of one axis, each inhibited by the one before it as by its parent.
+    """Oscillators of one axis. Each is the child of the oscillator before it, which inhibits it.
 
     Attributes:
         name: name of the first degree of freedom, and number of followers.
         oscillators: oscillators from head to tail.
-        part: all oscillators connected to the chain, directly or not, with coupled neighbours.
+        part: all oscillators connected to the chain, directly or not, if neighbours are coupled.
         places: places of the chain's oscillators in the part.
-        sides: sign of each gap: 1 if neighbours inhibit opposite sides, so that they swing together
-            except for the lag; -1 if they inhibit equal sides, so that they swing in opposition.
+        sides: sign of each gap. 1: neighbours inhibit opposite sides, and swing together except for
+            the lag. -1: neighbours inhibit the same side, and swing in opposition.
     """
 
     name: str
@@ -75,8 +75,8 @@ def joint_rows(simulation: Simulation) -> list[tuple[int, ...]]:
 def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, " d"]:
     """Return signs that make joint angles in a row refer to one direction.
 
-    -1 where, in the neutral pose, an axis points against that of the first of its row; 1 elsewhere,
-    also where it is square to it.
+    The sign is -1 if, in the neutral pose, an axis points against the first axis of its row. It is
+    1 for all other axes, also for perpendicular ones.
 
     Args:
         tree: the creature.

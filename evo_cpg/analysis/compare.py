@@ -43,7 +43,7 @@ class Comparison(NamedTuple):
     Attributes:
         first: name of the first setting.
         second: name of the second setting.
-        wins: chance that a run of the first beats a run of the second; ties count half.
+        wins: chance that a run of the first beats a run of the second. Ties count half.
         p_value: p value of the hypothesis that the two do not differ.
         adjusted: p value corrected for the number of tests (Holm 1979).
     """

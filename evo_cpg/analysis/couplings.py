@@ -2,9 +2,9 @@
 
     x = log(b, s, r)
 
-with the adaptation gain b, the stronger of the two couplings between neighbours s, and the weaker
-in units of it, r. The wave runs away from the stronger: that is ``parent_weight`` where it runs
-from head to tail and ``child_weight`` where it runs the other way.
+with the adaptation gain b, the stronger coupling s between neighbours, and the ratio r of the
+weaker coupling to the stronger one. The stronger coupling is ``parent_weight`` for a wave from head
+to tail, and ``child_weight`` for a wave from tail to head.
 """
 
 import dataclasses
@@ -25,23 +25,25 @@ from evo_cpg.control.matsuoka import (
 )
 from evo_cpg.creature.tree import Tree
 
-# Bounds of b, s and r. Beyond them waves are ragged (r near 1: equally strong neighbours make no
-# wave), recover slowly (r near 0) or are faint (large b).
+# Bounds of b, s and r. Beyond them waves are irregular (r near 1: equal couplings make no wave),
+# recover slowly (r near 0) or are faint (large b).
 GAINS, STRONGER, RATIOS = (1.0, 20.0), (0.5, 2.0), (0.05, 0.5)
 
 
 class Problem(eqx.Module):
-    """Fixed inputs of the lag, without the unknowns.
+    """Inputs for the search of unknowns x that give a chain a desired lag.
 
     Attributes:
-        template: network of the part, with any couplings.
-        parts: its ``weights`` and ``own_weights`` without couplings between bodies, what the
-            stronger coupling adds when it is 1, and what the weaker adds.
-        head_to_tail: whether the parent's coupling is the stronger one.
-        drive: tonic input and sensory feedback of each neuron.
-        chain: places of the chain's oscillators in the part.
-        sides: 1 if neighbours inhibit opposite sides, -1 if equal sides.
-        present: present unknowns, x0.
+        template: network of all oscillators connected to the chain. `network_at` replaces its
+            couplings between bodies.
+        parts: three pairs of ``weights`` and ``own_weights`` of this network. The first pair has no
+            couplings between bodies. The second is what a stronger coupling of 1 adds, and the
+            third what a weaker coupling of 1 adds.
+        head_to_tail: whether ``parent_weight`` is the stronger coupling.
+        drive: sum of tonic input and sensory feedback of each neuron.
+        chain: places of the chain's oscillators in the network.
+        sides: 1 if neighbours inhibit opposite sides, -1 if they inhibit the same side.
+        present: unknowns x0 of the present settings.
         free: 1 for unknowns that may change, else 0.
         bounds: lower and upper bounds of x.
     """
@@ -115,7 +117,7 @@ def problem_of(
 
 
 def network_at(problem: Problem, x: Array) -> tuple[MatsuokaNetwork, Array]:
-    """Return the part with the couplings of x, and b of each oscillator."""
+    """Return the chain's network with the couplings of x, and b of each oscillator."""
     gain, stronger, ratio = jnp.exp(x)
     weights = [
         none + stronger * (one + ratio * other)

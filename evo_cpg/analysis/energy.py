@@ -4,17 +4,17 @@ Over every physics step
 
     dE = motors + dampers + limits of joints + ground + limbs + water + own + pushes + left over,
 
-where E is the kinetic energy of bodies and rotors, their weight's potential energy and the energy
-of passive springs. Velocities are half a step behind the poses, so E is that of the pose half a
-step before. Work is force times the mean of the velocities before and after the step. Forces of
-motors, ground and limbs are those that the solver found; those of the water and of force laws of
-the user's own are the laws themselves at the mean velocity, so that what the solver makes of them
-is checked, too.
-What is left over is the simulator's, and vanishes with the step. A gait that lives on it is none.
+where E is the kinetic energy of bodies and rotors, their potential energy in gravity and the energy
+of passive springs. Velocities are half a step behind the poses, so E uses the pose half a step
+before. Work is force times the mean of the velocities before and after the step.
 
-Momentum that no force explains is also an error of the simulator.
+Forces of motors, ground and limbs are the solver's results. Forces of water and of the user's force
+laws are the laws at the mean velocity, which also checks the solver.
 
-All is computed in float64 from the states.
+The energy left over is an error of the simulator and vanishes with the step. A gait must not depend
+on it. Momentum that no force explains is also an error of the simulator.
+
+All computations are in float64, from the states.
 """
 
 import dataclasses
@@ -44,7 +44,7 @@ from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
 
 
 class Ledger(NamedTuple):
-    """Work and energy in every physics step, J; the module's docstring has the balance.
+    """Work and energy in every physics step, J. The module's docstring has the balance.
 
     Attributes:
         stored: increase of E.
@@ -163,8 +163,8 @@ def _limit_torques(world: World, before: State, after: State, h: float) -> Float
     """Return the torques of the joint limits as in the solver, N m."""
     if needs_iteration(world):
         return limit_torque(world.tree, before.q, after.qd, h)[0]
-    torque, slope = expected_limit_torque(world.tree, before, h)
-    return torque - slope * (after.qd - before.qd)
+    torque, derivative = expected_limit_torque(world.tree, before, h)
+    return torque - derivative * (after.qd - before.qd)
 
 
 def _ground_work(
@@ -215,5 +215,5 @@ def _law_work(
 
 
 def _delayed(after: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the final state of the step before; for the first step, its initial state."""
+    """Return the final state of the step before. The first step has its initial state."""
     return np.concatenate([before[..., :1], after[..., :-1]], -1)

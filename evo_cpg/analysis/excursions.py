@@ -26,11 +26,11 @@ from evo_cpg.spatial.linear import expand_dims_like, matvec
 # (`evo_cpg.physics.equations.Residual`).
 SOLVED, SLIPPING = 1e-3, 1e-1
 
-# Instants at which two bodies are looked at together.
+# Instants of two bodies that are checked at a time.
 _INSTANTS = 64
 
-# Points on the line from an eye to the light that are looked at; ground this far within (m) is in
-# the way.
+# Points on the line from an eye to the light, and depth (m) in the ground from which a point blocks
+# the light.
 _POINTS, _WITHIN = 128, 1e-3
 
 
@@ -38,22 +38,22 @@ class Excursions(NamedTuple):
     """Extremes of one trial.
 
     Attributes:
-        displacement: of the root, towards the light or over the ground from its start, m.
-        airborne_way: share of the way made while nothing touched the ground and no body's centre
-            was under water; 0 without ground.
-        penetration: of the ground, the deepest, m.
-        overlap: of two bodies (`World.watched`), the deepest, m.
-        overlapping: their names; none where nothing overlaps.
-        unsolved: share of steps whose equations are not solved to `SOLVED`.
-        slipping: share of steps whose friction misses its cone by more than `SLIPPING`.
-        peak_torque: of any motor, N m.
-        overload: the largest torque of a motor over its limit, as a share of it; 0 where none has
-            one.
-        peak_power: of all motors together, W.
-        mean_power: without regard to its sign, W.
-        peak_rate: of any joint, rad/s.
-        peak_speed: of the root, m/s.
-        seen_through_ground: share of the light that eyes see with ground in the way.
+        displacement: displacement of the root, towards the light or over the ground, m.
+        airborne_way: fraction of the displacement while nothing touched the ground and no body's
+            centre was under water; 0 without ground.
+        penetration: largest penetration of the ground, m.
+        overlap: deepest overlap of two bodies in `World.watched`, m.
+        overlapping: names of these two bodies, empty without overlap.
+        unsolved: fraction of steps whose equations are not solved to `SOLVED`.
+        slipping: fraction of steps whose friction misses its cone by more than `SLIPPING`.
+        peak_torque: largest torque of any motor, N m.
+        overload: largest torque of a motor beyond its limit, as a fraction of the limit; 0 without
+            limits.
+        peak_power: largest absolute power of all motors, W.
+        mean_power: mean absolute power of all motors, W.
+        peak_rate: largest rate of any joint, rad/s.
+        peak_speed: largest speed of the root, m/s.
+        seen_through_ground: fraction of the light that eyes see with ground in the way.
     """
 
     displacement: float
@@ -81,10 +81,10 @@ def excursions(
     """Measure the extremes of a trial.
 
     Args:
-        simulation: the trial was lived in.
+        simulation: simulation of the trial.
         creature: the animal.
-        steps: of the trial.
-        situation: number of the one that it began with.
+        steps: physics steps of the trial.
+        situation: index of the trial's situation.
     """
     world, light = simulation.world, simulation.lights[situation]
     every = make_pairs(creature, world.tree, world.watched)
@@ -130,8 +130,8 @@ def displacement(
     """Return the decrease in distance to the light, or the horizontal displacement, m.
 
     Args:
-        path: places, the start first.
-        light: its place; None where there is none.
+        path: positions, the initial one first, m.
+        light: position of the light, m, or None without a light.
     """
     first, last = np.asarray(path[:, 0], float), np.asarray(path[:, -1], float)
     if light is None:
@@ -168,14 +168,14 @@ def _deepest_overlap(
     steps: PhysicsSteps,
     apart: Float[np.ndarray, "k t"],
 ) -> tuple[float, tuple[str, ...]]:
-    """The deepest overlap of two bodies, m, and their names.
+    """Return the deepest overlap of two bodies, m, and their names.
 
     Args:
-        pairs: that are looked at.
-        world: of the trial.
+        pairs: pairs of bodies to check.
+        world: world of the trial.
         creature: the animal.
-        steps: of the trial.
-        apart: how far the rounded boxes of each point's two bodies are from each other, m.
+        steps: physics steps of the trial.
+        apart: gap between the rounded boxes of each point's two bodies, m.
     """
     deepest, names = 0.0, ()
     if pairs is None or not apart.size:
@@ -183,7 +183,7 @@ def _deepest_overlap(
     least: dict[tuple[int, int], np.ndarray] = {}
     for own, gap in zip(zip(*pairs.owners, strict=True), apart, strict=True):
         least[own] = np.minimum(least.get(own, np.inf), gap)
-    # In the order of the tree, as they are in `kinematics`.
+    # Use the order of the tree, as `kinematics` does.
     shapes = [body.shape for body in creature.bodies_of(world.tree.names)]
     poses = functools.cache(lambda: along_time(functools.partial(_poses, world), steps))
     for own, gap in least.items():
@@ -197,7 +197,7 @@ def _deepest_overlap(
 
 
 def _poses(world: World, steps: PhysicsSteps) -> tuple[Array, Array]:
-    """Centres and rotations of all bodies after every step, in the world."""
+    """Return centres and rotations of all bodies after every step, in the world."""
     kin = kinematics(world.tree, steps.after)
     return kin.origin + matvec(kin.rotation, expand_dims_like(world.tree.com, kin.origin)), (
         kin.rotation
@@ -211,16 +211,17 @@ def _true_overlap(
     gap: Float[np.ndarray, " t"],
     least: float,
 ) -> float:
-    """How deep two bodies are in each other, m, where it is more than what is found already.
+    """Return the overlap of two bodies, m, or the deepest known overlap if that is larger.
 
-    No deeper than their rounded boxes, so the instants at which these are deepest come first.
+    Bodies overlap no more than their rounded boxes, so the instants with the deepest boxes are
+    first.
 
     Args:
-        shapes: of both.
-        own: their numbers in the tree.
-        poses: centres and rotations of all bodies, asked for where they are needed.
-        gap: of the rounded boxes, m.
-        least: what is found already, m.
+        shapes: shapes of the two bodies.
+        own: indices of the two bodies in the tree.
+        poses: function that returns centres and rotations of all bodies.
+        gap: gap between the rounded boxes, m.
+        least: deepest known overlap, m.
     """
     order = np.argsort(gap)
     for start in range(0, len(order), _INSTANTS):
@@ -242,7 +243,7 @@ def _airborne_displacement(
     light: tuple[float, float, float] | None,
     h: float,
 ) -> float:
-    """Share of the way made while neither ground nor water holds the animal."""
+    """Return the fraction of the displacement without contact with ground or water."""
     touching = (np.abs(steps.contact_force).sum((0, 1)) > 0) | swims
     start = np.asarray(steps.before.position[:, 0], float)
     end = np.asarray(steps.after.position[:, -1], float)
@@ -259,13 +260,13 @@ def _airborne_displacement(
 def _seen_through_ground(
     simulation: Simulation, steps: PhysicsSteps, light: tuple[float, float, float] | None
 ) -> float:
-    """Share of the light seen with ground in the way, control step by control step."""
+    """Return the fraction of the light seen with ground in the way, by control steps."""
     world, sensors = simulation.world, simulation.sensors
     bodies = np.array(sensors.eye_bodies, int)
     if world.contact_model is None or light is None or not len(bodies) or sensors.blind:
         return 0.0
     floor = world.contact_model.ground.floor
-    # From just beside the eye to just beside the light.
+    # Leave out the eye and the light themselves.
     fractions = np.linspace(0.0, 1.0, _POINTS + 2)[1:-1]
 
     def lowest(steps: PhysicsSteps) -> Float[Array, "e t"]:

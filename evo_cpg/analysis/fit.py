@@ -1,36 +1,36 @@
 """Parameters of a simulation from a recorded motion, with the uncertainty of each.
 
-Least squares (Levenberg-Marquardt, `optimistix`) on theta: the logarithms of parameters that must
-be positive, and all others as they are:
+Least squares (Levenberg-Marquardt, `optimistix`) on theta: logarithms of parameters that must be
+positive, and values of all others:
 
     minimise  sum_i ((y_i - m_i(theta)) / sigma_i)^2.
 
-The noise sigma of each kind of column (places, attitudes, joint angles) is estimated from the
-residuals of its n_q numbers, less what the parameters take up of these, and the fit repeated with
-it until it stays (Foerstner, "Ein Verfahren zur Schaetzung von Varianz- und
-Kovarianzkomponenten", Allgemeine Vermessungs-Nachrichten 86, 1979). With J the Jacobian of the
-weighted residuals, n numbers and k parameters,
+Each kind of column (places, attitudes, joint angles) has a noise sigma, estimated from the
+residuals of its n_q numbers. The estimate subtracts the degrees of freedom that the parameters use.
+The fit is repeated with the new noise until sigma converges (Foerstner, "Ein Verfahren zur
+Schaetzung von Varianz- und Kovarianzkomponenten", Allgemeine Vermessungs-Nachrichten 86, 1979).
+With J the Jacobian of the weighted residuals, n numbers and k parameters,
 
     sigma_q^2 = sum_(i in q) r_i^2 / (n_q - sum_(i in q) h_i),      h = diag(J (J^T J)^-1 J^T),
     s^2 = |residuals|^2 / (n - k),      cov(theta) = s^2 (J^T J)^-1,
 
-and a 95 % interval is theta +- t(0.975, nu) standard errors (Student), for logarithms made into
-factors. With one kind nu = n - k, with known noise infinite; with more the variance of a parameter
-is a sum v_q over the kinds, whose own noises are known only so well (Satterthwaite, "An approximate
-distribution of estimates of variance components", Biometrics Bulletin 2, 1946):
+and a 95 % interval is theta +- t(0.975, nu) standard errors (Student). Intervals of logarithms
+become factors. One kind has nu = n - k, and known noise has nu = infinity. With several kinds, the
+variance of a parameter is a sum of v_q over the kinds (Satterthwaite, "An approximate distribution
+of estimates of variance components", Biometrics Bulletin 2, 1946):
 
     nu = (sum_q v_q)^2 / sum_q (v_q^2 / (n_q - sum_(i in q) h_i)).
 
-It holds where the noise is normal and independent from number to number, the model is
-right, and the error so small that the model is linear within it.
+The intervals hold if the noise is normal and independent from number to number, the model is right,
+and the model is linear within the errors.
 
-The search has found its end where the residuals have next to nothing along J (Bates and Watts,
+The search has converged when the residuals have almost no component along J (Bates and Watts,
 "A relative offset orthogonality convergence criterion for nonlinear least squares", Technometrics
-23, 1981). What the solver says of itself is not asked: at the end the sum of squares changes less
-than it is rounded, the solver turns such steps down, and so may not stop by itself.
+23, 1981). The solver's own criterion is not used. Near the minimum, the sum of squares changes by
+less than its rounding error. The solver rejects such steps and may not stop.
 
-The model is large to compile, so a program holds it once: each evaluation also gives the Jacobian,
-which the solver's derivatives and the covariance share.
+The model takes long to compile, so the program contains it once. Each evaluation also returns the
+Jacobian, for both the solver's derivatives and the covariance.
 """
 
 from collections.abc import Callable
@@ -42,27 +42,27 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Bool, Float, Int
 
-# Fits, each with the noise of the one before it, until that stays to this share; at most so many.
+# Relative change of the noise below which the fits end, and largest number of fits. Each fit uses
+# the noise of the fit before it.
 _STAYS, _ROUNDS = 0.01, 20
 
 _TOLERANCE, _MOST_STEPS = 1e-6, 60
 
-# Largest part of the residuals along J at the end, in units of their noise: standard errors to the
-# minimum that J promises. A result so far off would be held by 94.5 % instead of 95 % of the
-# intervals. Where the model has bends (rectifiers, contact) it need not come nearer to 0 at all.
+# Largest component of the residuals along J at the end, in units of their noise. It is the distance
+# to the linear model's minimum in standard errors. At this distance, 94.5 % instead of 95 % of the
+# intervals hold. The component may not reach 0 if the model has kinks (rectifiers, contact).
 _OFFSET = 0.2
 
-# Directions that move the residuals by less than this share of the others are left out: only
-# rounding decides about them.
+# Relative singular value below which directions are left out, because of rounding.
 _FLAT = 1e-8
 
-# Beyond this correlation, or with a standard error of more than this factor or share, the data
-# hardly tell parameters apart.
+# Correlation of two parameters, and standard error of a logarithm, above which the data hardly
+# determine them.
 CORRELATED, VAGUE = 0.98, 0.5
 
 CONFIDENCE = 0.95
 
-# Of a kind's numbers at least so much is left to its noise, so that it does not vanish with them.
+# Least degrees of freedom of a kind's noise, so that the estimate stays finite.
 _LEAST_FREEDOM = 1e-3
 
 
@@ -71,14 +71,14 @@ class Fit(NamedTuple):
 
     Attributes:
         values: values of the parameters.
-        errors: standard errors of theta: of the logarithms where these are fitted.
+        errors: standard errors of theta, so of logarithms for positive parameters.
         lower: lower end of the 95 % interval.
         upper: upper end of the 95 % interval.
-        correlation: of the parameters' errors.
-        noise: of each kind of column.
+        correlation: correlation of the parameters' errors.
+        noise: standard deviation of the noise of each kind of column.
         freedom: n - k.
         found: whether the search converged.
-        felt: which parameters anything depends on that was measured.
+        felt: whether any measured number depends on each parameter.
     """
 
     values: Float[Array, " k"]
@@ -101,16 +101,16 @@ def fit(
     wrapped: Bool[np.ndarray, " c"],
     noise: Float[np.ndarray, " kinds"] | None = None,
 ) -> Fit:
-    """Estimate parameters; pure JAX, so many recordings can be fitted at once with `jax.vmap`.
+    """Estimate parameters in pure JAX. `jax.vmap` fits many recordings at once.
 
     Args:
-        model: what would be recorded, by the parameters.
-        data: what was recorded; NaN where nothing was.
-        start: values from which the search starts.
+        model: function of the parameters that returns the expected recording.
+        data: recording, NaN for missing numbers.
+        start: initial values of the search.
         positive: which parameters are positive, and fitted by their logarithms.
-        kinds: of each column; those of a kind have the same noise.
-        wrapped: columns that are angles, of which whole turns do not count.
-        noise: of each kind, where it is known; estimated if None.
+        kinds: kind of each column. Columns of one kind have equal noise.
+        wrapped: which columns are angles, whose whole turns do not count.
+        noise: known noise of each kind, or None to estimate it.
     """
     known = jnp.isfinite(data)
     clean = jnp.where(known, data, 0.0)
@@ -133,14 +133,14 @@ def fit(
         return jnp.sqrt(squares / jnp.maximum(counts - taken, _LEAST_FREEDOM))
 
     def decomposed(derivatives: Array, sigma: Array) -> tuple[Array, Array, Array]:
-        """Singular values of J and their vectors; what the data do not tell has small ones."""
+        """Return singular vectors and values of J, small for undetermined directions."""
         jacobian = derivatives / (members @ sigma)[None, :, None]
         jacobian = jacobian.reshape(-1, len(start))
         left, singular, right = jnp.linalg.svd(jacobian, full_matrices=False)
         return left, singular, right
 
     def taken_up(along: Array, singular: Array) -> Array:
-        """Of each kind's numbers, how many the parameters take up."""
+        """Return the degrees of freedom of each kind's numbers that the parameters use."""
         along = jnp.where(singular > _FLAT * singular[0], along, 0.0)
         return (along * along).sum(1).reshape(data.shape).sum(0) @ members
 
@@ -161,7 +161,7 @@ def fit(
             along, singular, _ = decomposed(derivatives, sigma)
             again = spread(gap, taken_up(along, singular))
             again = jnp.maximum(again, jnp.finfo(data.dtype).tiny ** 0.25)
-        # Only their ratios move the estimate.
+        # Only the ratios of the noises affect the estimate.
         ratios = again / sigma
         stays = (jnp.abs(ratios / ratios.max() - 1.0) < _STAYS).all()
         return number + 1, stays, solution.value, again, gap, derivatives
@@ -177,7 +177,7 @@ def fit(
     )
     residuals = (gap / (members @ sigma)[None]).reshape(-1)
     scale = 1.0 if noise is not None else (residuals * residuals).sum() / freedom
-    # By singular values, so that what the data do not tell has a large error and not none.
+    # Singular values give an undetermined direction a large error instead of none.
     along, singular, turned = decomposed(derivatives, sigma)
     least = jnp.finfo(data.dtype).eps * singular[0] * len(start)
     rows = turned / jnp.maximum(singular, least)[:, None]
@@ -185,7 +185,7 @@ def fit(
     offset = jnp.where(singular > _FLAT * singular[0], along.T @ residuals, 0.0)
     step = rows.T @ offset
     near = (offset * offset).sum() <= _OFFSET**2 * scale
-    # Data without noise.
+    # Criterion for data without noise.
     exact = (jnp.abs(step) <= _TOLERANCE * (1.0 + jnp.abs(theta))).all()
     errors = jnp.sqrt(jnp.diagonal(covariance))
     of_kinds = ((along @ rows) ** 2).reshape(*data.shape, -1).sum(0).T @ members
@@ -208,9 +208,10 @@ def fit(
 def _with_derivatives(
     function: Callable[[Array], Array],
 ) -> Callable[[Array], tuple[Array, Array]]:
-    """A function's values, and its derivatives on one more axis, as constants.
+    """Return a function of theta for values, and derivatives on an additional last axis.
 
-    The values are differentiable, by those derivatives and at no further cost.
+    The values are differentiable with these derivatives, without further evaluations. The
+    derivatives are constants.
     """
 
     @jax.custom_jvp
@@ -232,14 +233,14 @@ def _with_derivatives(
 def student_quantile(
     probability: float, unsure: Float[Array, "*k"] | float, most: int
 ) -> Float[Array, "*k"]:
-    """Quantiles of Student's t; infinite below one degree of freedom.
+    """Return quantiles of Student's t, infinite below one degree of freedom.
 
-    Between whole degrees of freedom they are linear in one over these.
+    Quantiles between whole degrees of freedom are linear in their inverse.
 
     Args:
-        probability: that is not exceeded.
+        probability: probability of a smaller value.
         unsure: one over the degrees of freedom; 0 for the normal distribution.
-        most: degrees of freedom that there may be.
+        most: largest finite number of degrees of freedom.
     """
     from scipy.special import ndtri, stdtrit
 
@@ -255,15 +256,15 @@ def fit_warnings(keys: tuple[str, ...], positive: np.ndarray, result: Fit) -> li
     correlation = np.asarray(result.correlation)
     for i, key in enumerate(keys):
         if positive[i] and not float(result.errors[i]) < VAGUE:
-            words.append(f"the data hardly determine {key}: its interval is wider than itself")
+            words.append(f"the data hardly determine {key}: the interval is wider than the value")
         elif not positive[i] and not float(result.lower[i] * result.upper[i]) > 0:
-            words.append(f"the data cannot tell {key} from 0")
+            words.append(f"the data do not distinguish {key} from 0")
         words += [
-            f"the data hardly tell {keys[j]} and {key} apart: their errors have a correlation of "
+            f"the data hardly distinguish {keys[j]} from {key}: the correlation of their errors is "
             f"{correlation[i, j]:+.3f}"
             for j in range(i)
             if not abs(correlation[i, j]) < CORRELATED
         ]
     if not bool(result.found):
-        words.append("the search did not settle: try other starting values, KEY=VALUE")
+        words.append("the search did not converge. Try other initial values, KEY=VALUE")
     return words

@@ -1,14 +1,14 @@
-"""Footfalls: which foot is on the ground when, for how long, and whether it stays where it stands.
+"""Footfalls: instants and durations of contact of each foot, and its slip on the ground.
 
 | word | meaning | source |
 |---|---|---|
-| stance | a time in which a foot touches the ground | |
-| duty factor | share of the time that a foot spends in stance | Alexander and Jayes 1983 |
-| phase of a foot | where in a reference foot's stride it touches down, 0 to 1 | Hildebrand 1965 |
-| airborne share | share of the time in which nothing touches | |
-| slip | speed over the ground of what stays on it | |
+| stance | interval in which a foot touches the ground | |
+| duty factor | fraction of the time that a foot spends in stance | Alexander and Jayes 1983 |
+| phase of a foot | its touch-down in the stride of a reference foot, 0 to 1 | Hildebrand 1965 |
+| airborne fraction | fraction of the time in which nothing touches | |
+| slip | speed over the ground of a foot that stays in contact | |
 
-A *foot* is whatever touches: nothing here knows a leg from a belly.
+A *foot* is any body that touches the ground, even a belly.
 """
 
 from collections.abc import Sequence
@@ -17,21 +17,22 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-# Contacts and breaks that last less are chatter, s, but at most so much of a stride.
+# Duration (s) below which contacts and breaks are chatter, and its limit as a fraction of a stride.
 _CHATTER, _CHATTER_FRACTION = 0.05, 0.1
-# Coefficients of variation that differ by less are the same: the grid of the samples makes some.
+# Difference below which coefficients of variation count as equal. The sampling grid causes some.
 _AS_REGULAR = 0.05
 
 
 class Phases(NamedTuple):
-    """When feet touch down in the stride of one of them.
+    """Touch-downs of all feet in the stride of a reference foot.
 
     Attributes:
-        reference: number of the foot whose touch-downs begin the strides; None where no foot
-            touches down twice.
-        phase: mean of each foot, shares of a stride from 0 to 1; NaN where it does not touch down.
-        regularity: length of the mean vector, from 0 (at any time) to 1 (always at the same);
-            likewise.
+        reference: index of the foot whose touch-downs begin the strides, or None if no foot touches
+            down twice.
+        phase: mean phase of each foot, a fraction of a stride from 0 to 1. NaN without touch-down
+            in these strides.
+        regularity: length of each foot's mean vector, from 0 (random phases) to 1 (equal phases).
+            NaN without touch-down in these strides.
     """
 
     reference: int | None
@@ -42,12 +43,12 @@ class Phases(NamedTuple):
 def touching(
     force: Float[np.ndarray, "t 3 p"], owners: Int[np.ndarray, " p"], bodies: Sequence[int]
 ) -> Bool[np.ndarray, "t f"]:
-    """Whether bodies touch the ground in each sample, as the measure ``duty_factor`` has it.
+    """Return whether bodies touch the ground in each sample, as in the measure ``duty_factor``.
 
     Args:
-        force: of the ground on every contact point, N.
-        owners: number of the body that each point is on.
-        bodies: numbers of those that are asked for.
+        force: force of the ground on every contact point, N.
+        owners: index of the body with each point.
+        bodies: indices of the requested bodies.
     """
     touched = (force != 0).any(1)
     return np.stack([touched[:, owners == body].any(1) for body in bodies], -1)
@@ -56,14 +57,14 @@ def touching(
 def settled(
     touched: Bool[np.ndarray, "t f"], step: float, shortest: float
 ) -> Bool[np.ndarray, "t f"]:
-    """The same without chatter: breaks are closed and then touches dropped that are too short.
+    """Remove chatter: close short breaks, then drop short contacts.
 
-    What is cut by the edges of the record stays.
+    Contacts and breaks at the edges of the record stay.
 
     Args:
         touched: whether each foot touches in each sample.
-        step: between samples, s.
-        shortest: breaks and touches that last less are none, s.
+        step: time between samples, s.
+        shortest: duration below which breaks and contacts are removed, s.
     """
     found = touched.copy()
     for foot in found.T:
@@ -76,53 +77,55 @@ def settled(
 
 
 def chatter(frequency: float) -> float:
-    """What a contact or a break must last not to be chatter, s.
+    """Return the duration below which a contact or a break is chatter, s.
 
     Args:
-        frequency: strides a second; NaN where there is no stride.
+        frequency: stride frequency, Hz, or NaN without a stride.
     """
     return min(_CHATTER, _CHATTER_FRACTION / frequency) if frequency > 0 else _CHATTER
 
 
 def stances(touched: Bool[np.ndarray, " t"], step: float) -> Float[np.ndarray, "n 2"]:
-    """Beginning and end of every stance of a foot, s from the first sample.
+    """Return the beginning and end of every stance of a foot, s from the first sample.
 
-    Those that the record cuts begin with it at 0 or end with it.
+    A stance at an edge of the record begins or ends at this edge.
 
     Args:
         touched: whether the foot touches in each sample.
-        step: between samples, s.
+        step: time between samples, s.
     """
     return step * np.array(_runs(touched), float).reshape(-1, 2)
 
 
 def touch_downs(touched: Bool[np.ndarray, " t"], step: float) -> Float[np.ndarray, " n"]:
-    """Instants at which a foot comes to the ground, s; one that stands at the start does not."""
+    """Return the instants at which a foot touches down, s. An initial stance has none."""
     return step * (1 + np.flatnonzero(~touched[:-1] & touched[1:]))
 
 
 def duty_factors(touched: Bool[np.ndarray, "t f"]) -> Float[np.ndarray, " f"]:
-    """Share of the time on the ground of each foot; NaN of one that never touches it."""
+    """Return each foot's fraction of the time on the ground. NaN without contact."""
     fraction = touched.mean(0)
     return np.where(fraction > 0, fraction, np.nan)
 
 
 def airborne_fraction(touched: Bool[np.ndarray, "t f"]) -> float:
-    """Share of the time in which nothing touches."""
+    """Return the fraction of the time in which nothing touches."""
     return float((~touched.any(1)).mean())
 
 
 def phases(touched: Bool[np.ndarray, "t f"], step: float) -> Phases:
-    """When in its stride each foot touches down, by the touch-downs of a reference foot.
+    """Return the phase of each foot's touch-downs in the stride of a reference foot.
 
     A touch-down at t between two of the reference, a and b, has the phase (t - a) / (b - a)
-    (Hildebrand 1965). The means are those of directions (Fisher 1993). The reference is
-    the first of the feet that touch down most regularly: whose times between touch-downs have the
-    smallest coefficient of variation, but for 0.05, of those with half as many as any or more.
+    (Hildebrand 1965). Means are circular (Fisher 1993).
+
+    Candidates for the reference have at least half the largest number of strides. The reference is
+    the first of them that touches down most regularly. The measure is the coefficient of variation
+    of the stride times, in which differences up to 0.05 do not count.
 
     Args:
         touched: whether each foot touches in each sample, without chatter.
-        step: between samples, s.
+        step: time between samples, s.
     """
     downs = [touch_downs(foot, step) for foot in touched.T]
     count = len(downs)
@@ -147,7 +150,7 @@ def phases(touched: Bool[np.ndarray, "t f"], step: float) -> Phases:
         stride = np.searchsorted(begin, inside, "right") - 1
         fraction = (inside - begin[stride]) / (begin[stride + 1] - begin[stride])
         mean = np.exp(2j * np.pi * fraction).mean()
-        # A rounding error below 0 is 0 and not 1.
+        # Rounding keeps a tiny negative phase at 0 instead of 1.
         phase[i] = round(float(np.angle(mean) / (2 * np.pi)), 9) % 1.0
         regularity[i] = abs(mean)
     return Phases(reference, phase, regularity)
@@ -160,19 +163,20 @@ def slip_speeds(
     touched: Bool[np.ndarray, "t f"],
     step: float,
 ) -> Float[np.ndarray, " f"]:
-    """Mean horizontal speed of each foot's lowest point while it touches, m/s.
+    """Return the mean horizontal speed of each foot's lowest point in contact, m/s.
 
-    It is the speed of the point of the foot that is lowest at the moment, and not that of the
-    lowest place: a wheel that rolls does not slip. A sample in which it touches may begin before it
-    touches down, or end after it lifts off: those count whose neighbours touch, too. NaN of a foot
-    that never touches in three in a row.
+    The lowest point is a material point of the foot, so a rolling wheel does not slip.
+
+    A sample with contact may begin before touch-down or end after lift-off. A sample therefore
+    counts only if both its neighbours have contact. A foot without three such samples in a row has
+    NaN.
 
     Args:
-        position: of the origin of each foot's frame, m.
-        rotation: foot to world.
-        lowest: the lowest point of each foot in its own frame, m.
-        touched: whether it touches at any time between a sample and the next.
-        step: between samples, s.
+        position: origin of each foot's frame, m.
+        rotation: rotation from foot to world.
+        lowest: lowest point of each foot in its own frame, m.
+        touched: whether each foot touches at any time between a sample and the next.
+        step: time between samples, s.
     """
     here = position[:-1] + np.einsum("tfij,tfj->tfi", rotation[:-1], lowest[:-1])
     there = position[1:] + np.einsum("tfij,tfj->tfi", rotation[1:], lowest[:-1])
@@ -184,7 +188,7 @@ def slip_speeds(
 
 
 def _runs(state: Bool[np.ndarray, " t"]) -> list[tuple[int, int]]:
-    """First sample of each stretch in which it holds, and the one after its last."""
+    """Return the first sample of each interval with a true state, and the sample after it."""
     edges = np.diff(np.concatenate([[False], state, [False]]).astype(int))
     begin, end = (np.flatnonzero(sign * edges > 0).tolist() for sign in (1, -1))
     return list(zip(begin, end, strict=True))

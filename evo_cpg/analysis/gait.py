@@ -1,9 +1,9 @@
 """Frequency, amplitude and phase lag of the joints, to detect a wave along the body.
 
 Iwadate 2010, section 6, reports "a smooth phase lag from the front to the back of the animal".
-The joint angles about one axis, from the front backwards, are taken over the last part of the
-trial; those whose axes point the other way have to be turned round. Each joint's frequency is the
-peak of its spectrum; amplitudes and phases are those of the component at the common frequency.
+The functions take the joint angles about one axis, from front to back, in the last part of the
+trial. Joints with an opposite axis need a sign. Each joint's frequency is the peak of its spectrum.
+Amplitudes and phases belong to the component at the common frequency.
 """
 
 from collections.abc import Sequence
@@ -26,8 +26,8 @@ class Gait(NamedTuple):
         axis: name of the axis.
         frequency: frequency of each joint, Hz.
         amplitude: amplitude of each joint at the common frequency, rad.
-        lag: of each joint behind the one before it, degrees from -180 to 180; positive where the
-            wave runs backwards along the body.
+        lag: lag of each joint behind the one before it, degrees from -180 to 180. Positive lags
+            are a wave from head to tail.
     """
 
     axis: str
@@ -48,7 +48,7 @@ class Gait(NamedTuple):
 
 
 def bending_axis(recording: Recording) -> str:
-    """Name of the axis about which the joints bend most; x is twist, as animals lie along x."""
+    """Return the axis about which the joints bend most; x is twist, as animals lie along x."""
     axes = [name.rsplit(".", 1)[1] for name in recording.dof_names]
     across = set(axes) - {"x"} or set(axes)
     swing = recording.joint_angle.std(0)
@@ -66,10 +66,10 @@ def gait(
 
     Args:
         recording: the motion.
-        axis: which joint axis; the bending axis if None.
-        last: share of the recording, at its end, that is looked at.
-        signs: of each degree of freedom, -1 where its axis points against that of the first, see
-            `evo_cpg.analysis.chains.axis_signs`; none does if None.
+        axis: name of the joint axis, or None for the bending axis.
+        last: fraction of the recording, at its end, to use.
+        signs: sign of each degree of freedom, -1 if its axis points against the first axis
+            (`evo_cpg.analysis.chains.axis_signs`), or None for equal directions.
     """
     axis = axis or bending_axis(recording)
     chosen = [i for i, name in enumerate(recording.dof_names) if name.endswith("." + axis)]
@@ -89,13 +89,13 @@ def ring_lags(
 ) -> Float[np.ndarray, " n"]:
     """Return the lag of each joint behind the one before, the first behind the last, degrees.
 
-    Each joint's angle is about its own axis, which turns with the limb around the ring: what is
-    alike in all limbs, such as lifting, has the same sign in all.
+    Each joint's axis turns with the limb around the ring. A motion that is alike in all limbs, such
+    as lifting, therefore has equal signs in all limbs.
 
     Args:
         recording: the motion.
         joints: names of degrees of freedom, in the order of a ring.
-        last: share of the recording, at its end, that is looked at.
+        last: fraction of the recording, at its end, to use.
     """
     start = round(len(recording.time) * (1 - last))
     step = float(recording.time[1] - recording.time[0])
@@ -106,18 +106,18 @@ def ring_lags(
 
 
 def dominant_frequency(signals: Float[np.ndarray, "t j"], step: float) -> Float[np.ndarray, " j"]:
-    """Frequency of the highest peak of each signal's spectrum, Hz.
+    """Return the frequency of the highest peak of each signal's spectrum, Hz.
 
-    What has fewer than two periods in all of the samples is no rhythm, but drift.
+    A component with fewer than two periods in all samples is drift, not rhythm.
 
     Args:
-        signals: sampled every ``step`` seconds.
-        step: s.
+        signals: signals of any unit.
+        step: time between samples, s.
     """
     count = len(signals)
     window = np.hanning(count)[:, None]
     spectrum = np.abs(np.fft.rfft(level(signals) * window, _PADDING * count, axis=0))
-    # What a Hann window makes of a drift reaches from 0 to two periods in the window.
+    # The spectrum of a drift in a Hann window reaches up to two periods in the window.
     spectrum[: 2 * _PADDING] = 0
     peak = np.clip(spectrum.argmax(0), 1, len(spectrum) - 2)
     columns = np.arange(signals.shape[1])
@@ -130,7 +130,7 @@ def dominant_frequency(signals: Float[np.ndarray, "t j"], step: float) -> Float[
 def fourier_component(
     signals: Float[np.ndarray, "t j"], step: float, frequency: float
 ) -> np.ndarray:
-    """Complex amplitude of each signal at one frequency (Hz), seen through a Hann window."""
+    """Return the complex amplitude of each signal at one frequency (Hz), with a Hann window."""
     count = len(signals)
     window = np.hanning(count)
     turn = np.exp(-2j * np.pi * frequency * step * np.arange(count))

@@ -1,8 +1,8 @@
-"""All that can be told in numbers of how an animal moved in one trial.
+"""Numbers that describe the motion of an animal in one trial.
 
-Speed, power, cost of transport, duty factor and airborne share are those of the whole trial, as in
-`evo_cpg.simulation.measures`. What is about strides, lags and waves is taken from the second half
-of the trial, when the animal is under way. Where a number does not exist it is said why.
+Speed, power, cost of transport, duty factor and airborne fraction cover the whole trial, as in
+`evo_cpg.simulation.measures`. Strides, lags and waves cover its second half, after the initial
+motion. A number that does not exist comes with a reason.
 """
 
 import math
@@ -23,29 +23,29 @@ from evo_cpg.physics.water import Water
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
-# Share of the trial, at its end, in which strides are looked for.
+# Fraction of the trial, at its end, in which strides are measured.
 LAST = 0.5
 
-# Who gets on by less in the second half, in body lengths, gets nowhere.
+# Length of the path in the second half, in body lengths, below which an animal counts as standing.
 _NOWHERE = 0.01
-# A body whose joints swing by less makes no wave, rad.
+# Amplitude of the joints below which a body has no wave, rad.
 _FAINT = math.radians(1.0)
 
 _DRY = "it is out of the water for more than half of the time"
-_STAYS = "it gets nowhere"
-_NO_STRIDE = "the joints do not repeat themselves twice in the second half of the trial"
+_STAYS = "its path in the second half of the trial is shorter than 1 % of its length"
+_NO_STRIDE = "the joint angles do not repeat twice in the second half of the trial"
 
 
 class Quantity(NamedTuple):
-    """A number with its name, as a table has it.
+    """A number with its name, for a table.
 
     Attributes:
-        key: short name, of letters and underscores.
-        name: in words.
-        value: NaN where it does not exist.
-        unit: empty where it has none.
-        definition: what it is, and whose formula.
-        missing: why it does not exist.
+        key: short name of letters and underscores.
+        name: name in words.
+        value: value, or NaN if it does not exist.
+        unit: unit, empty for a pure number.
+        definition: definition, and the source of the formula.
+        missing: reason why the value does not exist, empty if it does.
     """
 
     key: str
@@ -57,16 +57,17 @@ class Quantity(NamedTuple):
 
 
 class Feet(NamedTuple):
-    """What touches the ground.
+    """Bodies that touch the ground, except the root.
 
     Attributes:
-        names: of the bodies that ever touch it, in the order of the creature.
-        touched: whether each touches in each control step.
-        steady: the same without chatter.
-        duty_factor: of each.
-        phases: of their touch-downs in the second half of the trial.
-        slip: speed of each over the ground while it touches, m/s; NaN of one that never stays.
-        airborne: share of the control steps in which nothing touches, the root included.
+        names: names of the bodies that ever touch, in the order of the creature.
+        touched: whether each body touches in each control step.
+        steady: ``touched`` without chatter.
+        duty_factor: duty factor of each body.
+        phases: phases of the touch-downs in the second half of the trial.
+        slip: speed of each body over the ground in contact, m/s. NaN without three control steps of
+            contact in a row.
+        airborne: fraction of the control steps in which nothing touches, the root included.
     """
 
     names: tuple[str, ...]
@@ -79,22 +80,22 @@ class Feet(NamedTuple):
 
 
 class GaitNumbers(NamedTuple):
-    """How an animal moved.
+    """Description of an animal's motion.
 
     Attributes:
         quantities: the numbers.
-        step: between samples, s.
-        first: sample with which the part begins that strides are taken from.
-        frequency: strides a second; NaN where nothing is repeated.
-        axis_signs: of each degree of freedom, -1 where its axis points against that of the first
-            of its row of oscillators: lags and wave are those of the angles with these signs.
-        lags: between the joints, in the order of the recording's degrees of freedom.
-        chain: degrees of freedom along the body; none where fewer than three are in a row.
-        wave: along them; None where there is no chain, or it swings by less than a degree.
-        feet: what touches the ground; None where there is none.
-        power: of all motors, without regard to its sign, in each control step, W.
-        peak_torque: of each motor, N m.
-        rms_torque: root of the mean square of each, N m.
+        step: time between samples, s.
+        first: first sample of the part in which strides are measured.
+        frequency: stride frequency, Hz, or NaN if nothing repeats.
+        axis_signs: sign of each degree of freedom, -1 if its axis points against the axis of the
+            first in its row. Lags and wave use the joint angles times these signs.
+        lags: phase lags between the joints, in the order of the recording's degrees of freedom.
+        chain: degrees of freedom along the body, empty if fewer than three are in a row.
+        wave: wave along the chain, or None without a chain or below an amplitude of one degree.
+        feet: contacts with the ground, or None without ground.
+        power: absolute power of all motors in each control step, W.
+        peak_torque: largest absolute torque of each motor, N m.
+        rms_torque: root mean square torque of each motor, N m.
     """
 
     quantities: tuple[Quantity, ...]
@@ -111,7 +112,7 @@ class GaitNumbers(NamedTuple):
     rms_torque: Float[np.ndarray, " d"]
 
     def value(self, key: str) -> float:
-        """Of a quantity; NaN where it does not exist."""
+        """Return the value of a quantity, or NaN if it does not exist."""
         return next((each.value for each in self.quantities if each.key == key), math.nan)
 
 
@@ -126,8 +127,8 @@ def gait_numbers(
     Args:
         simulation: the trial.
         creature: the animal.
-        frames: of one individual, see `evo_cpg.simulation.rollout.record`.
-        recording: the same in the order of the creature.
+        frames: frames of one individual, see `evo_cpg.simulation.rollout.record`.
+        recording: recording of the same trial, in the order of the creature.
     """
     step = 1.0 / simulation.control_rate
     first = round(len(recording.time) * (1 - LAST))
@@ -185,52 +186,53 @@ def _quantities(
     along = stride.path_speed(middle, step, frequency)
     gravity = float(simulation.world.gravity)
     energy = float(numbers.power.sum() * step)
-    # What is spent after the last sample takes it to where it is not seen any more.
+    # The energy of the last control step moves the animal beyond the last recorded position.
     spent = float(numbers.power[:-1].sum() * step)
     no_stride = "" if frequency > 0 else _NO_STRIDE
     moving = _if_anywhere(along, step * (len(middle) - 1), length)
     stride_length = stride.stride_length(moving, frequency)
     found = [
-        Quantity("duration", "duration", duration, "s", "of the trial"),
+        Quantity("duration", "duration", duration, "s", "duration of the trial"),
         Quantity("length", "body length", length, "m", "largest extent with all joints at zero"),
-        Quantity("mass", "mass", mass, "kg", "of all bodies"),
+        Quantity("mass", "mass", mass, "kg", "mass of all bodies"),
         Quantity(
             "speed", "speed", speed, "m/s",
-            "of the root's centre in a straight line from start to end"
-            + (", over the ground" if on_ground else ""),
+            "displacement of the root's centre from start to end / duration"
+            + (", without height" if on_ground else ""),
         ),
         Quantity("speed_in_lengths", "relative speed", speed / length, "lengths/s",
-                 "speed by body length"),
+                 "speed / body length"),
         Quantity("path_speed", "path speed", along, "m/s",
-                 "of the centre of mass along its way in the second half, smoothed over a stride"),
+                 "speed of the centre of mass along its path in the second half, smoothed over a "
+                 "stride"),
         Quantity("stride_frequency", "stride frequency", frequency, "Hz",
-                 "inverse of the shortest time after which all joints are as they were: "
+                 "inverse of the shortest time after which all joint angles repeat, from their "
                  "autocorrelation (Moe-Nilssen and Helbostad 2004)", no_stride),
         Quantity("stride_length", "stride length", stride_length, "m",
-                 "path speed by stride frequency (Alexander 2003)", no_stride or _STAYS),
+                 "path speed / stride frequency (Alexander 2003)", no_stride or _STAYS),
         Quantity("relative_stride", "relative stride length", stride_length / length, "lengths",
-                 "stride length by body length", no_stride or _STAYS),
+                 "stride length / body length", no_stride or _STAYS),
     ]  # fmt: skip
     found += _of_the_ground(simulation, numbers, moving)
     found += _of_the_wave(simulation, creature, recording, numbers, middle, no_stride)
     found += [
         Quantity("power", "mean power", energy / duration, "W",
-                 "of all motors, |torque x rate| summed over the joints"),
+                 "power of all motors, |torque x rate| summed over the joints"),
         Quantity("peak_power", "peak power", float(numbers.power.max(initial=0.0)), "W",
-                 "the largest mean of a control step"),
+                 "largest power, as a mean of a control step"),
         Quantity("energy", "energy", energy, "J", "mean power x duration"),
         Quantity("cost_of_transport", "cost of transport",
                  stride.cost_of_transport(spent, mass, gravity, distance), "",
-                 "energy by weight and distance in a straight line (Tucker 1975)",
-                 "it gets nowhere, or weighs nothing"),
+                 "energy / (weight x displacement) (Tucker 1975)",
+                 "it has no displacement or no weight"),
         Quantity("peak_torque", "peak torque", float(numbers.peak_torque.max(initial=0.0)), "N m",
-                 "of any motor, mean of a control step"),
+                 "largest torque of any motor, as a mean of a control step"),
     ]  # fmt: skip
     return found
 
 
 def _if_anywhere(speed: float, time: float, length: float) -> float:
-    """A speed (m/s) that has got an animal of a length (m) anywhere in a time (s), or NaN."""
+    """Return a speed (m/s), or NaN if the path in a time (s) is too short for a length (m)."""
     return speed if speed * time >= _NOWHERE * length else math.nan
 
 
@@ -240,26 +242,26 @@ def _of_the_ground(simulation: Simulation, numbers: GaitNumbers, moving: float) 
         return []
     airborne, swims = feet.airborne, ""
     if simulation.world.water_level == math.inf:
-        airborne, swims = math.nan, "there is water everywhere, which holds it"
+        airborne, swims = math.nan, "there is water everywhere, which supports it"
     limbs = feet.duty_factor if len(feet.names) else np.array([math.nan])
     never = "" if len(feet.names) else "nothing but the root ever touches the ground"
     slip, stays = math.nan, np.isfinite(feet.slip)
     brief = never or "nothing but the root stays on the ground for three control steps"
     if stays.any():
-        # Every foot counts by the time that it is on the ground.
+        # Weigh every foot by its time on the ground.
         slip = float(np.average(feet.slip[stays], weights=feet.duty_factor[stays]))
         brief = ""
     return [
         Quantity("duty_factor", "duty factor", float(limbs.mean()), "",
-                 "share of the time on the ground (Alexander and Jayes 1983), mean of the bodies "
-                 "that ever touch it but for the root", never),
-        Quantity("airborne", "airborne share", airborne, "",
-                 "share of the control steps in which nothing touches the ground", swims),
+                 "fraction of the time on the ground, mean of the bodies that ever touch it, "
+                 "except the root (Alexander and Jayes 1983)", never),
+        Quantity("airborne", "airborne fraction", airborne, "",
+                 "fraction of the control steps in which nothing touches the ground", swims),
         Quantity("slip", "slip", slip, "m/s",
-                 "horizontal speed of each foot's lowest point in control steps in which it "
-                 "touches, and in those beside them, mean of all",
+                 "horizontal speed of each foot's lowest point, in all control steps of a contact "
+                 "except its first and last, mean of all feet",
                  brief),
-        Quantity("relative_slip", "relative slip", slip / moving, "", "slip by path speed",
+        Quantity("relative_slip", "relative slip", slip / moving, "", "slip / path speed",
                  brief or _STAYS),
     ]  # fmt: skip
 
@@ -275,16 +277,16 @@ def _of_the_wave(
     wave = numbers.wave
     if wave is None:
         return []
-    stands = no_stride or "no wave runs along the body"
+    stands = no_stride or "no wave travels along the body"
     found = [
         Quantity("wave_count", "waves on the body", wave.count, "",
-                 "body length by wave length; positive from head to tail", stands),
+                 "body length / wave length, positive from head to tail", stands),
         Quantity("wave_speed", "wave speed", wave.speed, "m/s",
-                 "along the body: wave length x stride frequency (Gray 1933)", stands),
+                 "wave length x stride frequency (Gray 1933)", stands),
         Quantity("lag", "lag per joint", wave.lag, "deg",
                  "mean phase lag of neighbours along the body", stands),
         Quantity("travelling_index", "travelling index", wave.travelling, "",
-                 "0 for a wave that stands, 1 for whole waves that run (Feeny 2008)", stands),
+                 "0 for a standing wave, 1 for whole travelling waves (Feeny 2008)", stands),
     ]  # fmt: skip
     if simulation.world.water is not None:
         point = _tail_tip(simulation, creature, recording, numbers.chain)[numbers.first :]
@@ -296,14 +298,14 @@ def _of_the_wave(
         if dry:
             through = moving = math.nan
         found += [
-            Quantity("wave_slip", "speed by wave speed", through / abs(wave.speed), "",
-                     "path speed through the water by wave speed, the slip U/V of Lighthill 1960",
+            Quantity("wave_slip", "speed / wave speed", through / abs(wave.speed), "",
+                     "path speed through the water / wave speed, the slip U/V of Lighthill 1960",
                      dry or stands),
             Quantity("tail_excursion", "excursion of the tail", swing, "m",
-                     "of its tip, from side to side in a stride", no_stride),
+                     "displacement of its tip from side to side in a stride", no_stride),
             Quantity("strouhal", "Strouhal number",
                      stride.strouhal_number(numbers.frequency, swing, moving), "",
-                     "stride frequency x excursion of the tail by path speed through the water "
+                     "stride frequency x excursion of the tail / path speed through the water "
                      "(Triantafyllou et al. 1993)", dry or no_stride or _STAYS),
         ]  # fmt: skip
     return found
@@ -333,7 +335,7 @@ def _feet(
     lowest = np.zeros((*touched.shape, 3))
     for k, place in enumerate(places):
         shape = creature.bodies[place].shape
-        # Only where it counts: it is asked for one by one.
+        # Compute the lowest point only in contact: support takes one direction at a time.
         for t in np.flatnonzero(touched[:, k]):
             lowest[t, k] = shape.support(-rotation[t, k, 2])
     steady = footfalls.settled(touched, step, footfalls.chatter(frequency))
@@ -350,9 +352,10 @@ def _feet(
 
 
 def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, ...]:
-    """Three or more degrees of freedom in a row along the body, as many as there are.
+    """Return the longest row of three or more degrees of freedom along the body.
 
-    Of rows that are as long that which bends most; not twist, which is about x, unless all is.
+    Among equally long rows, return the row that bends most. Rows of twist (about x) count only if
+    all rows are twist.
     """
     swing = np.asarray(recording.joint_angle).std(0)
     found = [row for row in rows if len(row) > 2]
@@ -363,7 +366,7 @@ def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, 
 def chain_places(
     simulation: Simulation, creature: Creature, chain: tuple[int, ...]
 ) -> Float[np.ndarray, " j"]:
-    """Where joints are along the body, m behind the first.
+    """Return the places of joints along the body, m behind the first joint.
 
     Args:
         simulation: the trial.
@@ -385,12 +388,12 @@ def chain_places(
 
 
 def _drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float[np.ndarray, "t 3"]:
-    """How far the water has carried the animal since the first sample, m.
+    """Return the displacement by the water's flow since the first sample, m.
 
     Args:
-        water: where it swims.
-        middle: of the animal, m.
-        step: between samples, s.
+        water: water with its flow.
+        middle: centre of mass of the animal, m.
+        step: time between samples, s.
     """
     flow = water.velocity(jnp.asarray(middle.T))
     carried = np.broadcast_to(np.asarray(flow, float), middle.T.shape).T * step
@@ -400,7 +403,7 @@ def _drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float
 def _in_water(
     simulation: Simulation, creature: Creature, recording: Recording, numbers: GaitNumbers
 ) -> bool:
-    """Whether the chain's bodies reach into the water for half of the second half or more."""
+    """Return whether the chain's bodies reach into the water in at least half of the samples."""
     level, tree = simulation.world.water_level, simulation.world.tree
     if math.isinf(level):
         return level > 0
@@ -417,7 +420,7 @@ def _in_water(
 def _tail_tip(
     simulation: Simulation, creature: Creature, recording: Recording, chain: tuple[int, ...]
 ) -> Float[np.ndarray, "t 3"]:
-    """Where the chain's last body ends, straight away from its joint, m."""
+    """Return the end of the chain's last body, opposite its joint, m."""
     tree = simulation.world.tree
     place = creature.body_index(tree.names[tree.dof_bodies[chain[-1]]])
     joint = creature.bodies[place].joint

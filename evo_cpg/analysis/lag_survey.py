@@ -1,7 +1,7 @@
-"""Which lags a chain of oscillators can have: a simulation of networks all over the bounds.
+"""Range of lags that a chain of oscillators can have, by simulation of networks within bounds.
 
-All are simulated side by side. The lag is a continuous function of adaptation gain and couplings,
-so all between the smallest and the largest that is found can be had.
+All networks are simulated side by side. The lag is a continuous function of adaptation gain and
+couplings, so every lag between the smallest and the largest found is reachable.
 """
 
 import functools
@@ -15,34 +15,34 @@ from evo_cpg.analysis.couplings import GAINS, RATIOS, STRONGER, Problem, network
 from evo_cpg.analysis.gait import fourier_component
 from evo_cpg.control.matsuoka import MatsuokaState, initial_state, output, runge_kutta_step
 
-# Where the survey looks between the bounds, besides the present values.
+# Nodes of the survey between the bounds, in addition to the present values.
 _NODES = (np.geomspace(*GAINS, 5), np.geomspace(*STRONGER, 3), np.geomspace(*RATIOS, 4))
 
-# Of the survey: Runge-Kutta steps in the shorter time constant, and how long it lets the networks
-# settle and then looks at them, in units of the longer. Its lags are within 0.05 degrees.
+# Runge-Kutta steps in the shorter time constant, settling and recording time in units of the longer
+# time constant, and steps between samples. Lags of the survey are within 0.05 degrees.
 _STEPS_PER_TIME_CONSTANT, _SETTLING, _WATCHED, _EVERY = 8, 200, 100, 2
 
-# Largest step times the rate at which a potential changes: Runge-Kutta steps are stable to 2.8.
+# Largest product of step and rate of a potential. Runge-Kutta steps are stable up to 2.8.
 _STABLE = 1.0
 
-# An oscillator rests if it swings by less than this share of what its neurons fire.
+# Swing, as a fraction of the neurons' even firing rate, below which an oscillator rests.
 _LEAST_SWING = 5e-3
 
-# A rhythm is steady if the two halves of what is watched differ by less: degrees, and share of the
-# frequency. It needs so many periods in each.
+# Largest difference of the two halves of the recording in a steady rhythm: lag in degrees, and
+# relative frequency. Each half needs this number of periods.
 _STEADY_LAG, _STEADY_FREQUENCY, _FEWEST = 0.1, 1e-3, 3
 
 
 class UnreachableRhythmError(ValueError):
-    """No settings within the bounds give the wanted rhythm."""
+    """No settings within the bounds give the reference rhythm."""
 
 
 def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, "b s r"]]:
-    """Simulate them.
+    """Simulate networks at all nodes.
 
     Returns:
-        Values of b, s and r, and the mean lag along the chain in degrees for each of their
-        combinations; nan where there is no steady rhythm.
+        Values of b, s and r, and the mean lag along the chain for each of their combinations,
+        degrees. NaN without a steady rhythm.
     """
     nodes = tuple(
         np.exp(np.unique(np.append(np.clip(np.log(values), low, high), now)))
@@ -50,7 +50,7 @@ def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, 
     )
     points = np.log(np.stack(np.meshgrid(*nodes, indexing="ij"), -1))
     times = problem.template.rise_time, problem.template.adaptation_time
-    # A potential changes at the rate of all that inhibits it. Strong weights need smaller steps.
+    # The rate of a potential grows with its inhibition, so strong weights need smaller steps.
     strongest = 1 + max(_inhibition(problem, x) for x in points.reshape(-1, 3))
     h = min(min(times) / _STEPS_PER_TIME_CONSTANT, _STABLE * problem.template.rise_time / strongest)
     signals = np.asarray(_watch(problem, jnp.asarray(points.reshape(-1, 3)), h, max(times)))
@@ -66,17 +66,17 @@ def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, 
 def starting_place(
     problem: Problem, nodes: tuple[np.ndarray, ...], lags: Float[np.ndarray, "b s r"], lag: float
 ) -> Float[np.ndarray, "3"]:
-    """The place nearest to the present one, on a line between neighbours, that has about the lag.
+    """Return the point nearest to the present one, on a line between nodes, with about the lag.
 
     Raises:
-        UnreachableRhythmError: all lags are smaller, or larger.
+        UnreachableRhythmError: the lag is outside the range of all lags, or no network oscillates.
     """
     if np.isnan(lags).all():
         raise UnreachableRhythmError(
-            "there is no steady rhythm at any gain and couplings that were tried; pair_weight or "
-            "the constants keep it from oscillating"
+            "there is no steady rhythm at any of the gains and couplings tried. pair_weight or "
+            "the constants prevent oscillation"
         )
-    # Rounded inwards, for the survey is not exact.
+    # Round inwards, because the survey is not exact.
     low, high = np.ceil(np.nanmin(lags) * 10) / 10, np.floor(np.nanmax(lags) * 10) / 10
     if not low <= lag <= high:
         raise UnreachableRhythmError(_refusal(problem, lag, low, high))
@@ -89,20 +89,20 @@ def starting_place(
         brackets = (ends[0] - lag) * (ends[1] - lag) <= 0
         ratio = ((lag - ends[0]) / np.where(ends[1] == ends[0], 1, ends[1] - ends[0]))[..., None]
         places.append((a + ratio * (b - a))[brackets])
-    # No line leads across where places without a rhythm lie between.
+    # Nodes without a rhythm may leave no line that crosses the lag.
     found = np.concatenate(places) if any(map(len, places)) else points[nearest][None]
     return found[np.square(found - problem.present).sum(-1).argmin()]
 
 
 @functools.partial(jax.jit, static_argnames=("h", "unit"))
 def _watch(problem: Problem, points: Array, h: float, unit: float) -> Array:
-    """Outputs of the chain at every second step, after settling: ``(points, time, chain)``.
+    """Return outputs of the chain at every second step, after settling: ``(points, time, chain)``.
 
     Args:
-        problem: whose networks are tried.
-        points: places of the unknowns.
+        problem: problem of the chain.
+        points: values of the unknowns.
         h: length of a step, s.
-        unit: the longer of the time constants, s.
+        unit: longer of the two time constants, s.
     """
 
     def signals(x: Array) -> Array:
@@ -125,14 +125,14 @@ def _watch(problem: Problem, points: Array, h: float, unit: float) -> Array:
 
 
 def _inhibition(problem: Problem, x: np.ndarray) -> float:
-    """The largest sum of weights on one neuron."""
+    """Return the largest sum of absolute weights on one neuron."""
     network, _ = network_at(problem, jnp.asarray(x))
     return float(np.abs(network.matrix).sum(1).max())
 
 
 def _steady_lag(problem: Problem, signals: np.ndarray, step: float, gain: float) -> float:
-    """Mean lag, degrees; nan if there is no steady rhythm."""
-    # Neurons that fire evenly fire about as much as the drive over 1 + b.
+    """Return the mean lag, degrees, or NaN without a steady rhythm."""
+    # The rate of evenly firing neurons is about the drive divided by 1 + b.
     least = _LEAST_SWING * float(np.abs(problem.drive).max()) / (1 + gain)
     seen = []
     for half in np.array_split(signals[: len(signals) // 2 * 2], 2):
@@ -155,7 +155,7 @@ def _refusal(problem: Problem, lag: float, low: float, high: float) -> str:
     strong, weak = ("parent_weight", "child_weight")[:: 1 if problem.head_to_tail else -1]
     direction = "from head to tail" if problem.head_to_tail else "from tail to head (negative lags)"
     return (
-        f"a lag of {lag:g} degrees is out of reach; {direction} it can be {low:.1f} to {high:.1f}: "
-        f"with b = {gains}, {strong} = {STRONGER[0]:g}--{STRONGER[1]:g} and {weak} = "
-        f"{RATIOS[0]:g}--{RATIOS[1]:g} times that"
+        f"a lag of {lag:g} degrees is out of reach. Allowed {direction}: {low:.1f} to {high:.1f} "
+        f"(with b = {gains}, {strong} = {STRONGER[0]:g}--{STRONGER[1]:g} and {weak} = "
+        f"{RATIOS[0]:g}--{RATIOS[1]:g} times that)"
     )

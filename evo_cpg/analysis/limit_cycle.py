@@ -1,26 +1,26 @@
 """Rhythm of a Matsuoka network as a periodic orbit: period, shape and stability.
 
-A network may be simulated exactly, one linear piece at a time (`evo_cpg.control.piecewise`). The
-search for a rhythm has three outcomes, which are never taken for one another:
+The simulation of a network is exact, one linear piece at a time (`evo_cpg.control.piecewise`). The
+search for a rhythm has three distinct outcomes:
 
-| outcome | what was checked |
+| outcome | condition |
 |---|---|
-| a `LimitCycle` | a state comes back to itself, to rounding; the simulation leads to it |
-| `NoRhythmError` | the simulation comes near a stable equilibrium, from where nothing leads away |
-| `RhythmSearchError` | neither, within the budget: nothing is known of the network |
+| a `LimitCycle` | a simulated state repeats after a period, to rounding |
+| `NoRhythmError` | the simulation reaches a stable equilibrium and cannot leave it |
+| `RhythmSearchError` | neither within the budget, so nothing is known about the network |
 
-A state s that comes back to itself after T solves ``flow(s, T) = s``. The flow does not care where
-on the orbit s lies, so one number is fixed: s lies in the plane across the flow through the first
-guess. Newton's method solves for the 4 o + 1 unknowns (shooting, e.g. Guckenheimer & Meloon 2000).
-The guess is a state of the simulation that came back nearly to itself.
+A state s with period T solves ``flow(s, T) = s``. Any state on the orbit is a solution, so one
+number is fixed: s lies in the plane through the first guess, perpendicular to the flow there.
+Newton's method solves for the 4 o + 1 unknowns (shooting, e.g. Guckenheimer & Meloon 2000). The
+guess is a simulated state that nearly repeats.
 
-The derivative of the flow over one period, the monodromy matrix, says what becomes of a small push:
-its eigenvalues are the Floquet multipliers. One of them is 1, a push along the orbit, which only
-shifts the phase. The others say by which factor what is left of a push shrinks in each period; if
-one is larger than 1 the rhythm is not stable.
+The monodromy matrix is the derivative of the flow over one period. Its eigenvalues are the Floquet
+multipliers. One multiplier is 1: a perturbation along the orbit only shifts the phase. The others
+are the factors by which perturbations change in each period. A rhythm with a magnitude above 1 is
+unstable.
 
-All is done in float64, in units of the network (`Flow`). All tolerances are relative to the swing
-of the orbit, so they hold for every drive and every time scale.
+All computations are in float64, in units of the network (`Flow`). All tolerances are relative to
+the swing of the orbit, so they hold for every drive and every time scale.
 """
 
 from collections.abc import Sequence
@@ -37,69 +37,70 @@ from evo_cpg.control.piecewise import BudgetError, Flow, Rest, Run, returned
 # Samples along an orbit.
 STEPS = 1000
 
-# The first stretch that is simulated before the search looks back, in units of T_r + T_a. Every
-# further one is half as long again.
+# Duration of the first simulated interval, in units of T_r + T_a, and growth of each further
+# interval. The search for a rhythm follows each interval.
 _STRETCH, _LONGER = 10.0, 1.5
 
-# A stretch ends earlier where each neuron begins to fire more often in a unit of time. Quick
-# rhythms need no more rounds than slow ones.
+# Onsets of firing per neuron and unit of time that end an interval early. Fast rhythms then need no
+# more periods than slow ones.
 _ONSETS = 4
 
-# Steps of the simulation in all, about 100 us each for a chain of nine. The slowest rhythm that is
-# found takes this many.
+# Largest number of simulation steps, about 100 us each for a chain of nine. The slowest rhythms
+# need this number.
 _BUDGET = 200_000
 
-# A state has come back where it is as near to an earlier one as this share of the swing; half of
-# it after each stretch, down to the least. A rhythm that repeats every second time only is then
-# told from one that repeats every time.
+# Distance of a repeated state from an earlier one, as a fraction of the swing. It halves after each
+# interval, down to the second value. This separates a rhythm of two alternating rounds from a
+# rhythm of equal rounds.
 _NEAR, _NEAREST = 0.02, 1e-7
 
-# Newton's method takes 3 to 6 steps from a settled state. It has found what the simulation does
-# where it moved by less than this share of the swing, and of the period.
+# Largest number of Newton steps (3 to 6 from a settled state), and largest change of state and
+# period, as a fraction of swing and period. A larger change may lead to another orbit.
 _NEWTON, _MOVED = 12, 0.1
 
-# The gap at which an orbit is closed, as a share of its swing. Rounding leaves 1e-15 times what the
-# flow amplifies it by within a period, for which the search allows 1e4.
+# Gap of a closed orbit, as a fraction of its swing. Rounding leaves 1e-15 times the flow's
+# amplification within a period, for which the search allows 1e4.
 CLOSED = 1e-11
 
-# What rounding of the drive, the unit of states, may come to. It matters where neurons fire faintly
-# beside the drive: from b = 10,000 on.
+# Rounding error of states, as a fraction of the largest drive. It matters if neurons fire at far
+# lower rates than the drive. They do so if the adaptation gain b is 10,000 or more.
 _ROUNDING = 1e-13
 
-# How far the monodromy matrix may turn the flow's own direction, which it should leave alone, as a
-# share. Multipliers are as exact.
+# Largest relative error of the monodromy matrix along the flow, whose direction it should preserve.
+# Multipliers have this accuracy.
 _NEUTRAL = 1e-4
 
-# An oscillator that swings by less than this share of the widest one has no phase: rounding.
+# Swing, as a fraction of the widest swing, below which an oscillator has no phase but rounding.
 _FAINT = 1e-9
 
-# A harmonic that is smaller than this share of the largest may be missing; the orbit may then
-# consist of equal rounds.
+# Relative size below which a harmonic counts as missing. The orbit may consist of several equal
+# rounds if the first harmonics are missing.
 _FUNDAMENTAL = 1e-2
 
-# An orbit that is not stable counts only where the simulation stays on it for this many stretches.
+# Number of intervals that the simulation must stay on an unstable orbit.
 _STAYS = 3
 
 
 class NoRhythmError(ValueError):
-    """The network comes to rest: a fact, checked by simulation."""
+    """The network rests. The simulation has confirmed it."""
 
 
 class RhythmSearchError(ValueError):
-    """The search found neither a rhythm nor rest: a failure of the search, no fact."""
+    """The search failed: it found neither a rhythm nor rest."""
 
 
 class LimitCycle(NamedTuple):
     """A periodic orbit.
 
     Attributes:
-        oscillators: which of the network's it is of.
-        period: s.
-        states: along the orbit, every ``period / STEPS``; extensors first, ``(2, o, STEPS)``.
-        multipliers: Floquet multipliers without the neutral one, largest magnitude first; nan where
-            they could not be computed, as for a rhythm that nearly stands still in between.
-        monodromy: derivative of the flow over one period at the first state, whose numbers stand in
-            the order of `MatsuokaState`.
+        oscillators: oscillators of the network with this rhythm.
+        period: period, s.
+        states: states along the orbit, every ``period / STEPS``, extensors first,
+            ``(2, o, STEPS)``.
+        multipliers: Floquet multipliers without the neutral one, largest magnitude first. NaN if
+            they could not be computed, as for a rhythm with long pauses.
+        monodromy: derivative of the flow over one period at the first state, in the order of
+            `MatsuokaState`.
     """
 
     oscillators: tuple[int, ...]
@@ -120,9 +121,9 @@ class LimitCycle(NamedTuple):
 
     @property
     def recovery_time(self) -> float:
-        """After which what is left of the slowest push has shrunk to 1/e, s; inf if unstable.
+        """Time in which the slowest perturbation decays to 1/e, s; inf if unstable.
 
-        nan where the multipliers are.
+        NaN if the multipliers are NaN.
         """
         size = np.abs(self.multipliers[0])
         if np.isnan(size):
@@ -133,7 +134,7 @@ class LimitCycle(NamedTuple):
 
     @property
     def outputs(self) -> Float[np.ndarray, "o t"]:
-        """Motor signals along the orbit, in units of the tonic input."""
+        """Motor signals along the orbit, in the unit of the tonic input."""
         extensor, flexor = np.maximum(np.asarray(self.states.potential), 0.0)
         return extensor - flexor
 
@@ -144,17 +145,17 @@ class LimitCycle(NamedTuple):
 
     @property
     def lag(self) -> Float[np.ndarray, " gaps"]:
-        """Of each oscillator's fundamental behind the one before it, degrees from -180 to 180."""
+        """Lag of each oscillator's fundamental behind the one before, degrees, -180 to 180."""
         return self.lags(self.oscillators)[1:]
 
     def lags(self, order: Sequence[int]) -> Float[np.ndarray, " n"]:
-        """Likewise in another order, the first behind the last, as around a ring.
+        """Return the lags in another order, the first behind the last, as around a ring.
 
         Args:
             order: some of `oscillators`.
 
         Returns:
-            Degrees; nan beside an oscillator that rests.
+            Lags, degrees. NaN if one of the two oscillators rests.
         """
         component = np.fft.rfft(self.outputs, axis=1)[:, 1]
         component[self.amplitude < _FAINT * self.amplitude.max()] = np.nan
@@ -167,9 +168,9 @@ class Orbit(NamedTuple):
     """A closed orbit in units of a flow.
 
     Attributes:
-        state: on the orbit.
-        period: after which the state comes back.
-        run: one period from there, with its tangent.
+        state: state on the orbit.
+        period: period of the orbit.
+        run: simulation of one period from the state, with its tangent.
     """
 
     state: Float[np.ndarray, " k"]
@@ -183,17 +184,17 @@ def limit_cycle(
     adaptation_gain: Float[np.ndarray, " o"],
     oscillators: tuple[int, ...] | None = None,
 ) -> LimitCycle:
-    """The orbit to which one part of a network settles from its start, under a constant drive.
+    """Return the orbit of one part of a network, from its start and under a constant drive.
 
     Args:
         network: connections and time constants.
         tonic_input: u of each neuron, extensors first.
         adaptation_gain: b of each oscillator.
-        oscillators: the part; the first of `parts` if None.
+        oscillators: oscillators of the part, or None for the first of `parts`.
 
     Raises:
-        NoRhythmError: it comes to rest.
-        RhythmSearchError: it neither came to rest nor repeated itself.
+        NoRhythmError: the part rests.
+        RhythmSearchError: the search found neither a rhythm nor rest.
     """
     chosen = parts(network)[0] if oscillators is None else oscillators
     part = sub_network(network, chosen)
@@ -207,38 +208,38 @@ def flow_of(
     adaptation_gain: Float[np.ndarray, " o"],
     chosen: Sequence[int],
 ) -> Flow:
-    """The flow of a part of a network, with the search's budget.
+    """Return the flow of a part of a network.
 
     Args:
-        part: some of a network's oscillators.
-        tonic_input: u of each neuron of the network, extensors first.
-        adaptation_gain: b of each of its oscillators.
-        chosen: which of them are in the part.
+        part: network of some oscillators.
+        tonic_input: u of each neuron of the whole network, extensors first.
+        adaptation_gain: b of each oscillator of the whole network.
+        chosen: indices of the part's oscillators.
     """
     drive = np.asarray(tonic_input, float)[:, list(chosen)] + float(part.sensory_feedback)
     return Flow(part, drive, np.asarray(adaptation_gain, float)[list(chosen)])
 
 
 def start_of(flow: Flow, part: MatsuokaNetwork) -> Float[np.ndarray, " k"]:
-    """The state in which an animal's oscillators start, in units of the flow."""
+    """Return the initial state of an animal's oscillators, in units of the flow."""
     return flow.vector(part.initial_potential, np.zeros((2, flow.count)))
 
 
 def settle(flow: Flow, state: Float[np.ndarray, " k"]) -> Orbit:
-    """The orbit to which a simulation leads.
+    """Simulate until the state is on an orbit, and return the orbit.
 
     Args:
-        flow: whose steps are limited.
-        state: at the start.
+        flow: flow of the part. The function sets its budget of steps.
+        state: initial state.
 
     Raises:
-        NoRhythmError: it leads to rest.
-        RhythmSearchError: it leads nowhere within the flow's budget.
+        NoRhythmError: the simulation leads to rest.
+        RhythmSearchError: the simulation found neither rest nor an orbit within the budget.
     """
     if not flow.driven:
         raise NoRhythmError(
-            "nothing drives the network, so it comes to rest: tonic input and sensory feedback "
-            "together are at most 0 for every neuron"
+            "nothing drives the network, so it comes to rest: the sum of tonic input and sensory "
+            "feedback is at most 0 for every neuron"
         )
     flow.steps_left = _BUDGET
     time, stretch, near = 0.0, _STRETCH, _NEAR
@@ -266,12 +267,12 @@ def settle(flow: Flow, state: Float[np.ndarray, " k"]) -> Orbit:
 
 
 def close(flow: Flow, state: Float[np.ndarray, " k"], period: float) -> Orbit | None:
-    """Newton's method for a state that comes back to itself; None where it finds none nearby.
+    """Find an orbit near a guess by Newton's method, or return None.
 
     Args:
-        flow: of the network.
-        state: a guess.
-        period: a guess, in units of the flow.
+        flow: flow of the network.
+        state: guess of a state.
+        period: guess of the period, in units of the flow.
     """
     first, about = state, period
     across = flow.derivative(first)
@@ -302,16 +303,16 @@ def close(flow: Flow, state: Float[np.ndarray, " k"], period: float) -> Orbit | 
 
 
 def describe(flow: Flow, chosen: tuple[int, ...], orbit: Orbit) -> LimitCycle:
-    """An orbit in the user's units.
+    """Return an orbit in the user's units.
 
     Args:
-        flow: of the part.
-        chosen: the part's oscillators.
-        orbit: that was found.
+        flow: flow of the part.
+        chosen: oscillators of the part.
+        orbit: orbit in units of the flow.
     """
     orbit, samples = _once(flow, orbit)
     assert orbit.run.tangent is not None
-    # Arrays of NumPy, with all their digits, in a class that is made of JAX's.
+    # NumPy arrays keep double precision in a class of JAX arrays.
     kind = jax.tree.structure(MatsuokaState(jnp.zeros((2, 1)), jnp.zeros((2, 1))))
     along = flow.scale * samples.reshape(2, 2, flow.count, STEPS)
     states = jax.tree.unflatten(kind, list(along))
@@ -323,7 +324,7 @@ def describe(flow: Flow, chosen: tuple[int, ...], orbit: Orbit) -> LimitCycle:
 
 
 def sampled(flow: Flow, orbit: Orbit) -> Float[np.ndarray, "k t"]:
-    """States along an orbit, every ``period / STEPS``, in units of the flow."""
+    """Return states along an orbit, every ``period / STEPS``, in units of the flow."""
     states, state = [], orbit.state
     for _ in range(STEPS):
         states.append(state)
@@ -332,7 +333,7 @@ def sampled(flow: Flow, orbit: Orbit) -> Float[np.ndarray, "k t"]:
 
 
 def outputs(flow: Flow, orbit: Orbit) -> Float[np.ndarray, "o t"]:
-    """Motor signals along an orbit, in units of the flow."""
+    """Return motor signals along an orbit, in units of the flow."""
     extensor, flexor = np.maximum(sampled(flow, orbit)[: flow.neurons], 0).reshape(
         2, flow.count, STEPS
     )
@@ -340,7 +341,7 @@ def outputs(flow: Flow, orbit: Orbit) -> Float[np.ndarray, "o t"]:
 
 
 def _once(flow: Flow, orbit: Orbit) -> tuple[Orbit, Float[np.ndarray, "k t"]]:
-    """An orbit that may have been gone around several times, once, and the states along it."""
+    """Return an orbit reduced to a single round, and the states along it."""
     samples = sampled(flow, orbit)
     swings = samples - samples.mean(1, keepdims=True)
     harmonics = np.abs(np.fft.rfft(swings, axis=1)[:, 1:]).max(0)
@@ -359,7 +360,7 @@ def _is_stable(flow: Flow, orbit: Orbit) -> bool:
 
 
 def _multipliers(flow: Flow, orbit: Orbit) -> Complex[np.ndarray, " m"]:
-    """Floquet multipliers but the neutral one, whose direction, the flow's own, is divided out."""
+    """Return Floquet multipliers, without the neutral one along the flow."""
     assert orbit.run.tangent is not None
     along = flow.derivative(orbit.state)
     across = np.linalg.qr(along[:, None], mode="complete")[0][:, 1:]
@@ -368,7 +369,7 @@ def _multipliers(flow: Flow, orbit: Orbit) -> Complex[np.ndarray, " m"]:
 
 
 def _neutral_error(flow: Flow, orbit: Orbit) -> float:
-    """By how much the monodromy matrix changes the flow's own direction, as a share."""
+    """Return the relative change of the flow's direction by the monodromy matrix."""
     along = flow.derivative(orbit.state)
     assert orbit.run.tangent is not None
     return float(np.linalg.norm(orbit.run.tangent @ along - along) / np.linalg.norm(along))
@@ -377,23 +378,23 @@ def _neutral_error(flow: Flow, orbit: Orbit) -> float:
 def _rest_words(flow: Flow, rest: Rest, time: float) -> str:
     """Return the message for a network at rest, with advice."""
     rate = rest.rates[0].real * flow.second
-    push = f"a push decays within {-1 / rate:.3g} s" if rate < 0 else "a push does not grow"
+    decay = f"decays within {-1 / rate:.3g} s" if rate < 0 else "does not grow"
     if rest.firing.all():
-        how = "All neurons fire evenly: stronger inhibition (pair_weight) may let it swing"
+        how = "All neurons fire evenly. Try stronger inhibition (pair_weight)"
     else:
-        how = "Some neurons silence others: a smaller pair_weight or a larger b may let it swing"
+        how = "Some neurons silence others. Try a smaller pair_weight or a larger b"
     return (
         f"the network comes to rest: after {time / flow.second:.3g} s it is near a stable "
-        f"equilibrium, where {push}. {how}. It oscillates where 1 + T_r / T_a < a < 1 + b for its "
-        "effective inhibition a (docs/models/controller.md)"
+        f"equilibrium (a perturbation {decay}). {how}. It oscillates if its effective inhibition "
+        "a satisfies 1 + T_r / T_a < a < 1 + b (docs/models/controller.md)"
     )
 
 
 def _border_words(flow: Flow, time: float) -> str:
     """Return the message for a state at the border between rest and rhythm."""
     return (
-        "the search failed, so nothing is known of the network: after "
-        f"{time / flow.second:.3g} s it stands still at the very border between rest and a "
+        "the search failed, so nothing is known about the network: after "
+        f"{time / flow.second:.3g} s it stands still at the border between rest and a "
         "rhythm. Try a slightly smaller or larger pair_weight or --gain"
     )
 
@@ -401,14 +402,14 @@ def _border_words(flow: Flow, time: float) -> str:
 def _failure_words(flow: Flow, state: np.ndarray, time: float, swing: float) -> str:
     """Return the message for a search that used up its budget."""
     words = (
-        "the search failed, so nothing is known of the network: in "
+        "the search failed, so nothing is known about the network: in "
         f"{time / flow.second:.3g} s of simulation it neither came to rest nor repeated itself"
     )
     near = flow.equilibrium(state)
     if near is None:
         return (
             f"{words}. Its output swings by up to {swing * flow.scale:.3g}. The rhythm may be "
-            "irregular or settle slowly; try another --gain or other weights"
+            "irregular or settle slowly. Try another --gain or other weights"
         )
     rate = near.rates[0].real * flow.second
     change = "grow" if rate > 0 else "decay"

@@ -5,10 +5,9 @@ from jaxtyping import Float
 
 from evo_cpg.creature.shapes import Shape
 
-# Directions that are tried first, and how often the best of them is looked around for a better one,
-# each time closer to it.
+# Number of initial directions, and number of rounds that try directions near the best one.
 _DIRECTIONS, _ROUNDS = 400, 48
-# Of those around it: how far off the first ones are, rad, and how many.
+# Initial angle between the best direction and the directions near it, rad, and their number.
 _FIRST, _AROUND = 0.2, 8
 
 
@@ -17,15 +16,16 @@ def gaps(
     places: tuple[Float[np.ndarray, "t 3"], Float[np.ndarray, "t 3"]],
     turns: tuple[Float[np.ndarray, "t 3 3"], Float[np.ndarray, "t 3 3"]],
 ) -> Float[np.ndarray, " t"]:
-    """Distance of two shapes, m; negative where they overlap, by the least way that parts them.
+    """Return the distance of two shapes, m. An overlap is the negative depth.
 
-    It is the largest distance of two parallel planes that touch the shapes from between them. What
-    is found is at most that: an overlap is not understated.
+    The depth is the shortest displacement that separates the shapes. The distance is the largest
+    distance of two parallel planes between the shapes that touch them. The search finds at most
+    this distance, so it never underestimates an overlap.
 
     Args:
-        shapes: both.
-        places: of their centres, m.
-        turns: from their frames to the world.
+        shapes: the two shapes.
+        places: positions of their centres, m.
+        turns: rotations from their frames to the world.
     """
     offset = places[1] - places[0]
 
@@ -65,7 +65,7 @@ def _best(
 
 
 def _across(normals: Float[np.ndarray, "t 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors at right angles to each and to each other."""
+    """Return two unit vectors perpendicular to each normal and to each other."""
     least = np.eye(3)[np.abs(normals).argmin(1)]
     first = np.cross(normals, least)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
@@ -73,7 +73,7 @@ def _across(normals: Float[np.ndarray, "t 3"]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _on_sphere(count: int) -> Float[np.ndarray, "n 3"]:
-    """Unit vectors that are spread evenly, along a spiral."""
+    """Return unit vectors spread evenly along a spiral."""
     height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
     radius = np.sqrt(1.0 - height**2)

@@ -1,11 +1,11 @@
-"""Phase lags between signals at one frequency, and how much they can be trusted.
+"""Phase lags between signals at one frequency, and their coherence.
 
     S_ij = mean over segments of X_i conj(X_j)          cross-spectrum (Welch 1967)
-    lag_ij = arg S_ij                                   by how much j is behind i
+    lag_ij = arg S_ij                                   lag of j behind i
     C_ij = |S_ij|^2 / (S_ii S_jj)                       coherence (Bendat and Piersol 2010)
 
-with the component X of each signal at the frequency, seen through a Hann window in segments of
-some periods that overlap by half.
+with the component X of each signal at the frequency, in a Hann window. Segments span a few periods
+and overlap by half.
 """
 
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from evo_cpg.analysis.gait import fourier_component
 
-# Periods of a segment: few are many segments, of which the coherence is known better.
+# Periods in a segment. Short segments are numerous, and give a more accurate coherence.
 _PERIODS = 4.0
 
 
@@ -23,10 +23,10 @@ class PhaseLags(NamedTuple):
     """Phase lags and coherence of signals.
 
     Attributes:
-        lag: of signal j behind signal i, degrees from -180 to 180; NaN where one of them does not
+        lag: lag of signal j behind signal i, degrees from -180 to 180. NaN if one of them does not
             oscillate at this frequency.
-        coherence: from 0 (nothing to do with each other) to 1; NaN where there is only one segment,
-            which is coherent with anything.
+        coherence: coherence, from 0 (unrelated) to 1. NaN with a single segment, whose coherence is
+            always 1.
     """
 
     lag: Float[np.ndarray, "j j"]
@@ -37,12 +37,12 @@ def phase_lags(signals: Float[np.ndarray, "t j"], step: float, frequency: float)
     """Measure phase lags and coherence.
 
     Args:
-        signals: any unit.
-        step: between samples, s.
-        frequency: that of the stride, Hz.
+        signals: signals of any unit.
+        step: time between samples, s.
+        frequency: stride frequency, Hz.
 
     Returns:
-        NaN where the record is shorter than a period.
+        Lags and coherence, NaN if the record is shorter than a period.
     """
     count, number = signals.shape
     unknown = np.full((number, number), np.nan)
@@ -50,14 +50,14 @@ def phase_lags(signals: Float[np.ndarray, "t j"], step: float, frequency: float)
         return PhaseLags(unknown, unknown.copy())
     length = min(count, max(8, round(_PERIODS / (frequency * step))))
     starts = range(0, count - length + 1, max(1, length // 2))
-    # Every segment's phases begin with it, which is enough: what counts are differences.
+    # Phases refer to the start of each segment. Only their differences count.
     parts = np.stack(
         [fourier_component(signals[first : first + length], step, frequency) for first in starts]
     )
     cross = np.einsum("si,sj->ij", parts, parts.conj()) / len(parts)
     power = np.real(np.diag(cross))
     scale = np.outer(power, power)
-    # A signal that is silent beside the loudest has no phase.
+    # A signal that is silent relative to the loudest has no phase.
     silent = scale <= 1e-18 * power.max(initial=0.0) ** 2
     lag = np.where(silent, np.nan, np.degrees(np.angle(cross)))
     coherence = np.square(np.abs(cross)) / np.where(silent, 1.0, scale)

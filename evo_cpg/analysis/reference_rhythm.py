@@ -1,28 +1,27 @@
-"""Settings of the oscillators that give a wanted frequency and lag.
+"""Settings of the oscillators that give a reference frequency and lag.
 
 Frequency: ``time_scale`` multiplies both time constants of the network, so it divides all
-frequencies and changes nothing else. It follows from the frequency that is there without it.
+frequencies and changes nothing else. Its value follows from the present frequency.
 
-Lag: the mean lag L of each oscillator of a chain behind the one before it depends on three
+Lag: L is the mean lag of each oscillator of a chain behind the one before it. It depends on three
 unknowns,
 
     x = log(b, s, r),
 
-the adaptation gain, the stronger of the two couplings between neighbours, and the weaker in units
-of it. The wave runs away from the stronger: that is ``parent_weight`` for a positive lag (head to
-tail) and ``child_weight`` for a negative one. One equation for three unknowns has many solutions,
-of which the one nearest to the present settings x0 is taken, as the least squares
+the adaptation gain b, the stronger coupling s between neighbours, and the ratio r of the weaker
+coupling to the stronger one. The stronger coupling is ``parent_weight`` for a positive lag (head to
+tail) and ``child_weight`` for a negative lag. One equation for three unknowns has many solutions.
+Least squares select the solution nearest to the present settings x0,
 
-    min  (L(x) - wanted)^2 / l^2 + |x - x0|^2 + w^2 |what x lies outside its bounds by|^2
+    min  (L(x) - L*)^2 / l^2 + |x - x0|^2 + w^2 |distance of x outside its bounds|^2
 
-by Levenberg and Marquardt's method (`scipy.optimize.least_squares`). With l = 0.1 degrees the
-second term keeps L from the wanted lag by some 1e-3 degrees. L comes from the periodic orbit
-(`evo_cpg.analysis.limit_cycle`), which is exact, so differences give its derivatives. A step to
-where there is no orbit is refused.
+with the reference lag L*, by Levenberg and Marquardt's method (`scipy.optimize.least_squares`).
+With l = 0.1 degrees, the second term shifts L by about 1e-3 degrees. L is computed from the
+periodic orbit (`evo_cpg.analysis.limit_cycle`), which is exact, so finite differences give its
+derivatives. A step to a point without an orbit is rejected.
 
-Where to start, and what can be reached at all, tells a simulation of networks all over the bounds,
-side by side (`survey`). L is continuous, so all between the smallest and the largest of their lags
-can be had.
+A simulation of networks within the bounds (`survey`) gives the starting point and the range of
+reachable lags.
 """
 
 import dataclasses
@@ -53,25 +52,25 @@ from evo_cpg.control.matsuoka import CpgSettings, build_network
 from evo_cpg.control.piecewise import Flow
 from evo_cpg.creature.tree import Tree
 
-# l in degrees, w, and how often the search may begin anew where it ended.
+# l in degrees, w, and the largest number of searches, each from the result of the one before.
 _LAG_UNIT, _WALL, _ROUNDS = 0.1, 1e3, 4
 
-# Of the derivative of the lag, by differences of an orbit that is exact to 1e-11; and what a place
-# without an orbit counts as, in units of l: more than any lag does.
+# Step of the finite differences (the orbit is exact to 1e-11), and residual of a point without an
+# orbit, in units of l: larger than the residual of any lag.
 _CHANGE, _NO_ORBIT = 1e-5, 1e4
 
-# Digits that the answer is rounded to, and how near it then must be, degrees.
+# Digits of the rounded result, and largest error of its lag, degrees.
 _DIGITS, _TOLERANCE = 5, 0.02
 
 
 class Rhythm(NamedTuple):
-    """Settings and what comes of them.
+    """Settings of the oscillators and the resulting rhythm.
 
     Attributes:
-        settings: of the oscillators.
-        adaptation_gain: b, the same for all.
-        cycle: the orbit of the part that the chain is in.
-        lags: along the chain, degrees; the lag is their mean.
+        settings: settings of the oscillators.
+        adaptation_gain: b, equal for all oscillators.
+        cycle: orbit of the chain's part of the network.
+        lags: lags along the chain, degrees.
     """
 
     settings: CpgSettings
@@ -81,24 +80,24 @@ class Rhythm(NamedTuple):
 
     @property
     def lag(self) -> float:
-        """Mean lag along the chain, degrees; nan for a single oscillator."""
+        """Mean lag along the chain, degrees, or NaN for a single oscillator."""
         return float(self.lags.mean()) if len(self.lags) else np.nan
 
 
 def rhythm(
     tree: Tree, settings: CpgSettings, chain: Chain, gain: float, tonic_input: float | None = None
 ) -> Rhythm:
-    """What a chain does with given settings.
+    """Return the rhythm of a chain with given settings.
 
     Args:
         tree: the creature.
-        settings: of the oscillators.
+        settings: settings of the oscillators.
         chain: one of `evo_cpg.analysis.chains.chains`.
         gain: b.
-        tonic_input: u; the largest if None.
+        tonic_input: u, or None for the largest one.
 
     Raises:
-        NoRhythmError: it comes to rest.
+        NoRhythmError: the network comes to rest.
         RhythmSearchError: the search found neither a rhythm nor rest.
     """
     network = build_network(tree, settings)
@@ -119,24 +118,23 @@ def reference_rhythm(
     hold_gain: bool = False,
     tonic_input: float | None = None,
 ) -> Rhythm:
-    """The nearest settings that give a frequency, a lag or both.
+    """Return the nearest settings that give a frequency, a lag or both.
 
     Args:
         tree: the creature.
-        settings: at present.
-        chain: whose lag and frequency are meant.
-        gain: b at present.
-        frequency: wanted, Hz; what it comes to if None.
-        lag: wanted mean over the chain, degrees; that of the present settings if None.
-        hold_gain: solve for the couplings only.
-        tonic_input: u; the largest if None. Only the amplitude depends on it.
+        settings: present settings.
+        chain: chain with the lag and the frequency.
+        gain: present b.
+        frequency: reference frequency, Hz, or None to leave ``time_scale`` unchanged.
+        lag: reference mean lag of the chain, degrees, or None to leave b and couplings unchanged.
+        hold_gain: whether to solve for the couplings only.
+        tonic_input: u, or None for the largest one. Only the amplitude depends on it.
 
     Raises:
-        NoRhythmError: the settings give no rhythm: the present ones, or those that were found for
-            the lag at this tonic input.
-        RhythmSearchError: the search found neither a rhythm nor rest there.
-        UnreachableRhythmError: the lag is out of reach; the message says what is within.
-        ValueError: a frequency, lag or b that is none.
+        NoRhythmError: the network rests with the present settings, or with the settings found.
+        RhythmSearchError: the search found neither a rhythm nor rest.
+        UnreachableRhythmError: the lag is out of reach. The message states the reachable range.
+        ValueError: a frequency, lag or b is outside its range.
     """
     if not 0 < gain < np.inf:
         raise ValueError(f"an adaptation gain must be a positive number, got {gain:g}")
@@ -147,7 +145,7 @@ def reference_rhythm(
             raise ValueError(f"a lag must lie between -180 and 180 degrees, got {lag:g}")
         if len(chain.places) < 2:
             raise UnreachableRhythmError(
-                f"the longest chain through {chain.name} is that one oscillator, so it has no lag"
+                f"the longest chain through {chain.name} has a single oscillator, so it has no lag"
             )
         found = _with_lag(tree, settings, chain, gain, lag, hold_gain, tonic_input)
     else:
@@ -156,7 +154,7 @@ def reference_rhythm(
         return found
     scale = found.settings.time_scale
     time_scale = float(f"{scale * found.cycle.frequency / frequency:.{_DIGITS + 1}g}")
-    # Nothing else changes, so there is no other orbit to look for.
+    # The shape of the orbit does not change, so no new search is needed.
     return found._replace(
         settings=dataclasses.replace(found.settings, time_scale=time_scale),
         cycle=found.cycle._replace(period=found.cycle.period * time_scale / scale),
@@ -183,13 +181,13 @@ def _with_lag(
         weights = _rounded(stronger), _rounded(stronger * ratio)
         parent, child = weights if head_to_tail else weights[::-1]
         there = dataclasses.replace(settings, parent_weight=parent, child_weight=child)
-        # From rest, as the animal starts, whatever orbit the search has followed.
+        # Start as the animal does, because the search may have followed another orbit.
         found = rhythm(tree, there, chain, gain if hold_gain else _rounded(now), tonic_input)
         if abs(found.lag - lag) < _TOLERANCE and found.cycle.stable:
             return found
     raise UnreachableRhythmError(
         f"the search for a lag of {lag:g} degrees ended at {found.lag:.2f} degrees"
-        + ("" if found.cycle.stable else ", in a rhythm that is not stable")
+        + ("" if found.cycle.stable else ", in an unstable rhythm")
     )
 
 
@@ -198,7 +196,7 @@ def _rounded(number: float) -> float:
 
 
 def _improve(problem: Problem, x: np.ndarray, lag: float) -> np.ndarray:
-    """Least squares from the orbit at x; a place without an orbit is worse than any other."""
+    """Solve the least squares, starting from the orbit at x."""
     nearby: list[Orbit] = []
 
     def mean_lag(x: np.ndarray) -> float:
@@ -237,12 +235,12 @@ def _flow_at(problem: Problem, x: np.ndarray) -> Flow:
     with jax.enable_x64(True):
         network, gain = network_at(problem, jnp.asarray(x))
     every = range(network.oscillator_count)
-    # Its drive has the feedback in it.
+    # The drive already includes the feedback.
     bare = dataclasses.replace(network, sensory_feedback=0.0)
     return flow_of(bare, problem.drive, np.asarray(gain), every)
 
 
 def _lags(signals: np.ndarray, places: Sequence[int], sides: np.ndarray) -> np.ndarray:
-    """Of each oscillator of a chain behind the one before it, degrees."""
+    """Return the lag of each oscillator of a chain behind the one before it, degrees."""
     component = np.fft.rfft(signals[list(places)], axis=1)[:, 1]
     return np.rad2deg(np.angle(sides * component[:-1] * component[1:].conj()))

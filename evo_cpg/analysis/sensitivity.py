@@ -4,10 +4,10 @@ With a measure m (a speed, a fitness) and a parameter p the elasticity is
 
     e = (p / m) dm/dp,
 
-per cent of m per per cent of p. The derivative is that of the whole trial, by automatic
-differentiation. It says what a *small* change does: where feet hit the ground, or for a long trial,
-a change of a per cent may be large. So each parameter is also changed by that much to both sides,
-or to the one that is allowed, the simulation built anew and run, and the two answers compared.
+per cent of m per per cent of p. The derivative of the whole trial is computed by automatic
+differentiation. It predicts the effect of *small* changes. One per cent may not be small if feet
+hit the ground, or in a long trial. Finite differences therefore check each derivative: the
+parameter changes by one per cent to both sides, or to the allowed side, and each trial runs again.
 """
 
 import dataclasses
@@ -29,21 +29,21 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Transition
 from evo_cpg.spatial.numerics import Number
 
-# Relative change by which a derivative is checked; of a parameter that is 0, the change itself.
+# Relative change that checks a derivative, or absolute change of a parameter that is 0.
 CHANGE = 0.01
 
-# A derivative is confirmed if what it says of such a change is within this share of what happens.
+# Largest relative error of a confirmed derivative's prediction for such a change.
 _AGREEMENT = 0.2
 
-# Changes of a measure up to this share of it are no disagreement.
+# Difference of prediction and result, as a fraction of the measure, that is negligible.
 _NEGLIGIBLE = 1e-5
 
-# A measure (m/s, or fitness) that is no larger has no per cent: it may be nothing but rounding.
+# Largest measure (m/s, or fitness) without an elasticity, because it may be a rounding error.
 _NOTHING = 1e-9
 
 MEASURES = ("speed", "fitness")
 
-# Name of the term that tells the speed; no term of a task or measure is called so.
+# Name of the term with the speed. No term of a task or measure has this name.
 _SPEED = "(speed of the root)"
 
 
@@ -54,8 +54,8 @@ class Sensitivity(NamedTuple):
         key: key of the parameter.
         value: value of the parameter.
         slope: dm/dp.
-        change: m at the larger value that was tried, less m at the smaller one.
-        step: from the smaller value to the larger one.
+        change: m at the larger value less m at the smaller one.
+        step: difference of the two values.
         measure: m itself.
     """
 
@@ -68,9 +68,10 @@ class Sensitivity(NamedTuple):
 
     @property
     def elasticity(self) -> float:
-        """Per cent of the measure per per cent of the parameter; per unit where that is 0.
+        """Change of the measure in per cent, per per cent of the parameter.
 
-        NaN where the measure is nothing, which has no per cent.
+        For a parameter of 0, it is the relative change of the measure per unit of the parameter.
+        If the measure is about 0, it is NaN.
         """
         return self._relative(self.slope)
 
@@ -96,8 +97,8 @@ class _Progress(Measure):
     """Speed of the root, m/s: towards the light, ahead, or in any direction.
 
     Attributes:
-        duration: from the first control step to the last, s.
-        axes: number of axes along which the displacement counts; 1 is ahead or towards the light.
+        duration: time from the first control step to the last, s.
+        axes: number of axes along which the displacement counts. 1 is ahead or towards the light.
     """
 
     duration: Number
@@ -130,8 +131,8 @@ def followed(simulation: Simulation) -> Simulation:
     """Return the same trial with `_SPEED` among its terms, m/s.
 
     With a light, it is the speed at which the distance to the light decreases. Without one, it is
-    the speed ahead if the task's heading is forward, else the speed in any direction. Over ground
-    heights do not count.
+    the speed ahead if the task's heading is forward, else the speed in any direction. Height does
+    not count over ground.
     """
     task = simulation.task
     ahead = simulation.lights[0] is not None or task.heading == "forward"
@@ -151,9 +152,9 @@ def measured(
 
     Args:
         simulation: the trial, without `followed`.
-        genes: of the animal.
-        scales: the task's scales.
-        keys: of the trial's noise, see `rollout`.
+        genes: genes of the animal.
+        scales: scales of the task.
+        keys: random keys of the trial's noise, see `rollout`.
     """
     outcome = rollout(followed(simulation), genes, keys)
     own_scales = {name: jnp.asarray(value, genes.dtype) for name, value in scales.items()}
@@ -163,13 +164,13 @@ def measured(
 def changed(
     values: Float[np.ndarray, " k"], allowed: Callable[[Float[np.ndarray, " k"]], bool]
 ) -> Float[np.ndarray, "2 k k"]:
-    """The values with one of them made smaller, and larger, by ``CHANGE`` of it.
+    """Return the values with each of them in turn made smaller, and larger, by ``CHANGE``.
 
-    Where that is not allowed, as a share of more than 1 is not, it is left as it is.
+    A change that is not allowed is left out, such as a fraction of more than 1.
 
     Args:
-        values: of the parameters.
-        allowed: whether a simulation can have these values.
+        values: values of the parameters.
+        allowed: function of values that returns whether a simulation can have them.
     """
     steps = np.diag(CHANGE * np.where(values, np.abs(values), 1.0))
     places = values + np.stack([-steps, steps])
@@ -184,15 +185,15 @@ def sensitivities(
     after: Float[np.ndarray, "m 2 k"],
     steps: Float[np.ndarray, " k"],
 ) -> tuple[tuple[Sensitivity, ...], ...]:
-    """For each measure, every parameter; the one that matters most stands first.
+    """Return the sensitivities of each measure to all parameters, the most important first.
 
     Args:
-        keys: of the parameters.
-        values: of the parameters.
-        measures: of the animal as it is.
+        keys: keys of the parameters.
+        values: values of the parameters.
+        measures: measures at these values.
         slopes: derivatives.
-        after: measures after each parameter was made smaller, and larger.
-        steps: from the smaller value to the larger one; 0 where neither is allowed.
+        after: measures with each parameter made smaller, and larger.
+        steps: difference of the larger and the smaller value, 0 if neither is allowed.
     """
 
     def weight(one: Sensitivity) -> tuple[bool, float]:
@@ -213,9 +214,9 @@ def sensitivities(
 def differentiate(
     function: Callable[[Array], Array], values: Float[Array, " k"]
 ) -> tuple[Float[Array, " m"], Float[Array, "m k"]]:
-    """Value and derivatives, forwards: all parameters are lanes of one program.
+    """Return values and derivatives in forward mode, with all parameters side by side.
 
-    Backwards would take one pass, but longer to compile.
+    Reverse mode would take one pass, but longer to compile.
     """
     slopes, result = jax.jacfwd(lambda p: (function(p),) * 2, has_aux=True)(values)
     return result, slopes

@@ -1,13 +1,13 @@
-"""The stride: how long an animal takes until it does the same again, how far that carries it.
+"""The stride: the shortest time after which a motion repeats, and its length.
 
 | word | meaning | source |
 |---|---|---|
-| stride frequency | strides a second | Moe-Nilssen and Helbostad 2004 (autocorrelation) |
-| path speed | speed along the way, smoothed over a stride | |
-| stride length | path speed by stride frequency | Alexander 2003 |
-| excursion | from side to side across the way, in a stride | Triantafyllou et al. 1993 |
+| stride frequency | strides per second | Moe-Nilssen and Helbostad 2004 (autocorrelation) |
+| path speed | speed along the path, smoothed over a stride | |
+| stride length | path speed / stride frequency | Alexander 2003 |
+| excursion | displacement across the path, in a stride | Triantafyllou et al. 1993 |
 | Strouhal number | frequency x excursion / speed | Triantafyllou et al. 1993 |
-| cost of transport | energy by weight and distance | Tucker 1975 |
+| cost of transport | energy / (weight x distance) | Tucker 1975 |
 """
 
 import math
@@ -16,41 +16,41 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-# Below this autocorrelation nothing is repeated: white noise of 600 samples reaches 0.2.
+# Autocorrelation below which a motion does not repeat. White noise of 600 samples reaches 0.2.
 _ALIKE = 0.3
-# Among peaks that are as high but for so much, the first is a stride and the others are several.
+# Relative height of peaks that count as equally high. The first of them is one stride, the others
+# are several.
 _AS_HIGH = 0.9
-# Peaks whose lags differ by less than this factor are the same stride's.
+# Factor between lags below which peaks belong to one stride.
 _SAME = 1.2
-# Lags of the autocorrelation in a sample: the peaks of fast strides lie between samples.
+# Lags of the autocorrelation per sample. Peaks of fast strides lie between samples.
 _BETWEEN = 8
-# Least number of samples in a stride whose excursion is looked for.
+# Least number of samples in a stride, after interpolation.
 _FINE = 32
 # Least number of strides in a record.
 _STRIDES = 2.0
-# Nobody has gone nowhere (m), as in `evo_cpg.simulation.measures`.
+# Largest distance (m) that counts as 0. `evo_cpg.simulation.measures` has the same value.
 _NOWHERE = 1e-6
 
 
 def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
     """Return the stride frequency from the autocorrelation of all joints together.
 
-    The stride is the shortest time after which all joints are again as they were: the first peak
-    of
+    The stride is the shortest time after which all joints repeat. It is the first peak of
 
         r(m) = sum_j cov_m(x_j, x_j) / sqrt(sum_j var_m(x_j) sum_j var'_m(x_j))
 
-    over the parts of the record that overlap, among those at least 0.9 as high as the highest
-    (unbiased autocorrelation, Moe-Nilssen and Helbostad 2004), also between samples. Unlike the
-    peak of a spectrum it is not that of a joint that swings twice in a stride.
+    that is at least 0.9 times as high as the highest one. The sums cover the overlapping parts of
+    the record (unbiased autocorrelation, Moe-Nilssen and Helbostad 2004). Peaks may lie between
+    samples. A joint that swings twice in a stride shifts the peak of a spectrum, but not this peak.
 
     Args:
-        signals: such as the joints' angles, any unit.
-        step: between samples, s.
+        signals: signals such as the joint angles, any unit.
+        step: time between samples, s.
 
     Returns:
-        Hz, up to a third of the samples a second; NaN where nothing is repeated, or the record is
-        shorter than two strides.
+        Frequency, Hz, up to a third of the sampling rate. NaN if nothing repeats, or if the record
+        is shorter than two strides.
     """
     count = len(signals)
     level = signals - signals.mean(0)
@@ -61,13 +61,13 @@ def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
     alike = CubicSpline(np.arange(most + 1), _autocorrelation(level, most))(lags)
     inner = alike[1:-1]
     peak = 1 + np.flatnonzero((inner >= alike[:-2]) & (inner > alike[2:]))
-    # What changes slowly is like itself before it ever changed.
+    # Skip the initial peak of slow signals, before the autocorrelation first falls.
     below = np.flatnonzero(alike < 0.5 * (1 + alike.min()))
     peak = peak[peak > below[0]] if len(below) else peak[:0]
     if not len(peak) or alike[peak].max() < _ALIKE:
         return math.nan
     first = int(peak[alike[peak] >= _AS_HIGH * alike[peak].max()][0])
-    # Noise makes several of a slow stride's peak.
+    # Noise splits the peak of a slow stride into several.
     same = peak[(peak >= first) & (peak <= _SAME * first)]
     first = int(same[alike[same].argmax()])
     left, middle, right = alike[first - 1 : first + 2]
@@ -80,9 +80,9 @@ def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) ->
     """Return the speed along the path, m/s, smoothed over a stride to remove swaying.
 
     Args:
-        path: of the animal's middle, m.
-        step: between samples, s.
-        frequency: strides a second; where it is NaN the way is a straight line.
+        path: path of the animal's middle, m.
+        step: time between samples, s.
+        frequency: stride frequency, Hz, or NaN for the straight line from start to end.
     """
     path, step = _finer(path, step, frequency)
     smooth = _over_strides(path, step, frequency)
@@ -92,11 +92,11 @@ def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) ->
 
 
 def stride_length(speed: float, frequency: float) -> float:
-    """Return the stride length, m: speed by frequency (Alexander 2003).
+    """Return the stride length, m: speed / frequency (Alexander 2003).
 
     Args:
-        speed: m/s.
-        frequency: strides a second; no stride if NaN.
+        speed: speed, m/s.
+        frequency: stride frequency, Hz, or NaN without a stride.
     """
     return speed / frequency if frequency > 0 else math.nan
 
@@ -104,20 +104,20 @@ def stride_length(speed: float, frequency: float) -> float:
 def excursion(
     point: Float[np.ndarray, "t 3"], path: Float[np.ndarray, "t 3"], step: float, frequency: float
 ) -> float:
-    """How far a point of the animal swings from side to side across the way in a stride, m.
+    """Return the displacement of a point from side to side across the path in a stride, m.
 
-    The point's own way is smoothed over a stride; what is left of it across the course, in the
-    direction in which most is left, goes from its least to its most in every whole stride; the
-    median of those.
+    The swing is the point's path less its mean over a stride. Its component across the animal's
+    direction of motion counts, along the axis of largest swing. The result is the median of the
+    peak-to-peak ranges of all whole strides.
 
     Args:
-        point: such as the tip of the tail, m.
-        path: of the animal's middle, whose course counts, m.
-        step: between samples, s.
-        frequency: strides a second.
+        point: path of the point, such as the tip of the tail, m.
+        path: path of the animal's middle, m.
+        step: time between samples, s.
+        frequency: stride frequency, Hz.
 
     Returns:
-        m; NaN where there is no stride.
+        Excursion, m, or NaN without a stride.
     """
     if not frequency > 0:
         return math.nan
@@ -140,27 +140,27 @@ def excursion(
 
 
 def strouhal_number(frequency: float, amplitude: float, speed: float) -> float:
-    """St = f A / U, no unit (Triantafyllou, Triantafyllou and Grosenbaugh 1993).
+    """Return St = f A / U, no unit (Triantafyllou, Triantafyllou and Grosenbaugh 1993).
 
     Args:
-        frequency: f, of the tail's beat, Hz.
-        amplitude: A, the tip's excursion from side to side, m.
-        speed: U, m/s; no number if it is 0.
+        frequency: f, frequency of the tail's beat, Hz.
+        amplitude: A, excursion of the tip from side to side, m.
+        speed: U, m/s. The result is NaN for 0.
     """
     return frequency * amplitude / speed if speed > 0 else math.nan
 
 
 def cost_of_transport(energy: float, mass: float, gravity: float, distance: float) -> float:
-    """Energy by weight and distance, E / (m g d), no unit (Tucker 1975).
+    """Return the cost of transport E / (m g d), no unit (Tucker 1975).
 
     Args:
-        energy: E, of the motors, J.
+        energy: E, energy of the motors, J.
         mass: m, kg.
         gravity: g, m/s^2.
         distance: d, m.
 
     Returns:
-        NaN for an animal that gets nowhere or weighs nothing.
+        Cost of transport, or NaN without distance or weight.
     """
     work = mass * gravity * distance
     return energy / work if distance > _NOWHERE and work > 0 else math.nan
@@ -186,15 +186,17 @@ def _samples(step: float, frequency: float) -> int:
 def _finer(
     path: Float[np.ndarray, "t 3"], step: float, frequency: float
 ) -> tuple[Float[np.ndarray, "n 3"], float]:
-    """The same way with a whole number of samples in a stride, `_FINE` or more; and their step, s.
+    """Interpolate a path to a whole number of samples in a stride, at least `_FINE`.
 
-    By a cubic spline. As it is where there is no stride, or less than one.
+    Returns:
+        Path by a cubic spline, and time between its samples, s. A path without a whole stride stays
+        unchanged.
     """
     width = 1.0 / (frequency * step) if frequency > 0 else math.nan
     if not width < len(path):
         return path, step
     own = width / max(_FINE, round(width))
-    # A rounding error is no reason to leave out the last sample.
+    # The margin keeps the last sample in spite of rounding.
     places = np.arange(0, len(path) - 1 + 1e-9, own)
     return CubicSpline(np.arange(len(path)), path)(places), own * step
 
@@ -202,7 +204,7 @@ def _finer(
 def _over_strides(
     path: Float[np.ndarray, "t 3"], step: float, frequency: float
 ) -> Float[np.ndarray, "n 3"]:
-    """Return means over every stride; a straight line without strides."""
+    """Return moving means over a stride, or a straight line without strides."""
     width = _samples(step, frequency) if frequency > 0 else len(path)
     if width >= len(path):
         return np.linspace(path[0], path[-1], len(path))

@@ -9,8 +9,8 @@ from typing import NamedTuple
 from evo_cpg.errors import UserError
 from evo_cpg.spatial.numerics import Number, xp
 
-# Where no limit is given: the deepest of all, m, and of an animal's length; and how many lengths an
-# animal falls to become as fast as it may be, under the earth's gravity, m/s^2.
+# Default limits: depth in m, and as a fraction of the animal's length. The largest speed is the
+# speed after a fall from `_FALL` lengths, with the earth's gravity in m/s^2.
 _DEEPEST, _DEPTH, _FALL, _GRAVITY = 0.01, 0.02, 20.0, 9.81
 
 
@@ -18,8 +18,8 @@ _DEEPEST, _DEPTH, _FALL, _GRAVITY = 0.01, 0.02, 20.0, 9.81
 class Limits:
     """Limits of a sound gait.
 
-    Shares of a way are of the one that the champion makes under its own circumstances; energies are
-    shares of what its motors put in and take out.
+    Fractions of the displacement refer to the champion's displacement in its own configuration.
+    Fractions of energy refer to the absolute work of its motors.
 
     Attributes:
         half_step: least fraction of the displacement at half the physics step.
@@ -31,24 +31,25 @@ class Limits:
         precision: least fraction in float64.
         other_engine: least fraction with the other engine.
         limp_way: largest fraction of the displacement with motors that exert no torque.
-        simulator_energy: largest share of energy that no force accounts for, summed over stretches
+        simulator_energy: largest fraction of energy that no force explains, summed over intervals
             of a quarter of a second in which it is a gain.
-        push_out_energy: largest share of energy that comes from lifting sunken points out.
-        limb_energy: largest share of energy that comes from limbs that push each other apart.
-        limit_energy: largest share of energy that comes from joints pushed back to their limits.
-        simulator_momentum: largest share of the surroundings' impulses that no force accounts for.
-        penetration: deepest of the ground, m; if None 1 cm, or a fiftieth of the animal's length
-            where that is less.
-        overlap: deepest overlap of two bodies, m; if None the default of ``penetration``.
-        unsolved: largest share of steps whose equations are not solved to 1e-3.
-        slipping: largest share of steps whose friction misses its cone by a tenth.
-        airborne_way: largest share of the way while nothing touches the ground.
-        overload: by which a motor may exceed its torque limit, as a share of it.
-        speed: of the root, in lengths of the animal a second; if None that of a fall from twenty
-            times its length.
-        power: of all motors together, W for each kg of animal; no limit if None.
-        free_energy: by which the energy spent may exceed the most that costs fitness, as a share.
-        seen_through_ground: largest share of the light seen with ground in the way.
+        push_out_energy: largest fraction of energy from lifting sunken points out of the ground.
+        limb_energy: largest fraction of energy from limbs that push each other apart.
+        limit_energy: largest fraction of energy from joints pushed back to their limits.
+        simulator_momentum: largest fraction of the environment's impulses that no force explains.
+        penetration: largest penetration of the ground, m, or None for 1 cm or a fiftieth of the
+            animal's length, whichever is less.
+        overlap: deepest overlap of two bodies, m, or None for the default of ``penetration``.
+        unsolved: largest fraction of steps whose equations are not solved to 1e-3.
+        slipping: largest fraction of steps whose friction misses its cone by a tenth.
+        airborne_way: largest fraction of the displacement without contact with ground or water.
+        overload: largest torque of a motor beyond its limit, as a fraction of the limit.
+        speed: largest speed of the root, in lengths of the animal per second, or None for the speed
+            after a fall from twenty times its length.
+        power: largest power of all motors, W for each kg of animal, or None for no limit.
+        free_energy: largest excess of the energy spent over the most that costs fitness, as a
+            fraction of the latter.
+        seen_through_ground: largest fraction of the light seen with ground in the way.
     """
 
     half_step: float = 0.9
@@ -96,7 +97,7 @@ def limits_from(settings: Sequence[str], limits: Limits = Limits()) -> Limits:
         limits: limits to change.
 
     Raises:
-        LimitError: a key does not exist, or a value is no limit.
+        LimitError: a key does not exist, or a value is negative or not a finite number.
     """
     changed = {}
     for setting in settings:
@@ -104,15 +105,15 @@ def limits_from(settings: Sequence[str], limits: Limits = Limits()) -> Limits:
         known = [field.name for field in dataclasses.fields(Limits)]
         if key not in known:
             near = difflib.get_close_matches(key, known, 1)
-            hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
-            raise LimitError(f"{setting}: there is no limit {key!r}; {hint}")
+            hint = f"Did you mean {near[0]}?" if near else f"Allowed: {', '.join(known)}"
+            raise LimitError(f"{setting}: there is no limit {key!r}. {hint}")
         try:
-            # Python's own separator of digits is no number in YAML.
+            # Python accepts 1_000, which is no number in YAML.
             value = math.nan if "_" in text else float(text)
         except ValueError:
             value = math.nan
         if not (math.isfinite(value) and value >= 0):
-            raise LimitError(f"{setting}: {text!r} is no limit; allowed: a number of at least 0")
+            raise LimitError(f"{setting}: {text!r} is no limit. Allowed: a number of at least 0")
         changed[key] = value
     return dataclasses.replace(limits, **changed)
 

@@ -18,7 +18,7 @@ from evo_cpg.files import read_json, write_text
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.devices import use_cores
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         ConfigError: the configuration of the run is wrong.
         LockedError: another process writes into the folder.
         RunFolderError: there is no run, the run has no champion, or the champion's number of genes
-            differs from that of its ``config.yaml``.
+            does not fit its ``config.yaml``.
         ValueError: there is no such trial.
     """
     folder = RunFolder(run)
@@ -77,8 +77,8 @@ def write_page(
     Args:
         opened: the run and the champion.
         trial: number of the champion's trial, from 0.
-        number: number of the chosen run, of several; None for the best.
-        output: path of the page; None for one in the run folder.
+        number: number of the chosen run, or None for the run of the best champion.
+        output: path of the page, or None for one in the run folder.
         doing: called with the name of each step after the replay.
         warn: called with a sentence if ``config.yaml`` has changed since the run.
 
@@ -103,7 +103,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
     from evo_cpg.view.film import picture
     from evo_cpg.view.frames import Film
     from evo_cpg.view.page.document import document
-    from evo_cpg.view.page.subject import Motion, Subject
+    from evo_cpg.view.page.subject import RecordedMotion, Subject
     from evo_cpg.view.page.viewer_data import RATE, viewer_data
     from evo_cpg.view.scene import panel_of
 
@@ -115,7 +115,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
     numbers = gait_numbers(simulation, experiment.creature, frames, recording)
     doing("drawing")
     panel = panel_of(experiment, recording, experiment.name)
-    motion = Motion(
+    motion = RecordedMotion(
         recording=recording,
         clip=sample(recording, RATE),
         numbers=numbers,
@@ -151,7 +151,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
 
 
 def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:
-    """Return the fraction that `train` measured at half the step, None if of another champion."""
+    """Return the fraction that `train` measured at half the step, or None for another champion."""
     first = meta.get("half_step")
     if not isinstance(first, Mapping) or first.get("genes_sha256") != genes_digest(champion.genes):
         return None
@@ -160,7 +160,7 @@ def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float
 
 
 def _expected(champion: Champion) -> dict[str, float]:
-    """Return the mean fitness in fresh draws; empty if there were none."""
+    """Return the mean fitness in fresh draws of the noise, or {} without fresh draws."""
     if champion.expected is None:
         return {}
     return {f"mean fitness in {champion.lives} fresh draws": champion.expected}
@@ -172,7 +172,7 @@ def _jpeg(picture: "Image.Image") -> bytes:
     return written.getvalue()
 
 
-def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
+def _sentence(experiment: ExperimentParts, config: ExperimentConfig) -> str:
     simulation, creature = experiment.simulation, experiment.creature
     places = (
         ("in water", simulation.world.water is not None),

@@ -27,7 +27,7 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training import variations
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.experiment import Experiment, champion_keys, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, champion_keys, situation_numbers
 from evo_cpg.training.probe import blinded
 from evo_cpg.training.variations import Variation, Varied
 
@@ -77,8 +77,8 @@ class Audit:
         verdict: all checks.
         trials: trials of the champion in the unchanged simulation.
         step_length: duration of a physics step, s.
-        opinions: our result of the first trial, and MuJoCo's; empty without a second opinion.
-        missing: reason why second opinions are missing; empty if none is.
+        opinions: results of the first trial: ours, then MuJoCo's. Empty without MuJoCo's.
+        missing: reason why second opinions are missing, or empty if none is missing.
     """
 
     verdict: Verdict
@@ -121,7 +121,7 @@ class Audit:
 
 
 def audits(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     champions: Sequence[Champion],
     limits: Limits,
     config: ExperimentConfig,
@@ -144,7 +144,7 @@ def audits(
     own = Variation("as it evolved", (simulation,))
     others = _variations(experiment, config, source, tuple(folders))
     total = len(others) + 3
-    tell("living as it evolved", 0, total)
+    tell("replaying the champions", 0, total)
     live = variations.compile_variation(experiment, own)
     replayed = [live(champion) for champion in champions]
     champions = [_complete(*both) for both in zip(champions, replayed, strict=True)]
@@ -184,7 +184,7 @@ def _complete(champion: Champion, replayed: Varied) -> Champion:
 
 
 def _opinions(
-    experiment: Experiment, champion: Champion, steps: PhysicsSteps
+    experiment: ExperimentParts, champion: Champion, steps: PhysicsSteps
 ) -> tuple[tuple[Opinion, ...], str]:
     """Return our trial and MuJoCo's, and the reason why one is missing."""
     simulation, creature = experiment.simulation, experiment.creature
@@ -201,7 +201,7 @@ def _opinions(
     return (own_opinion(simulation, steps), *theirs) if theirs else (), missing
 
 
-def _brain(experiment: Experiment, champion: Champion) -> Brain:
+def _brain(experiment: ExperimentParts, champion: Champion) -> Brain:
     """Return the brain that drives the champion in its first trial."""
     keys, numbers = champion_keys(experiment, champion), situation_numbers(experiment)
     own = None if keys is None else keys[:, :1]
@@ -210,7 +210,7 @@ def _brain(experiment: Experiment, champion: Champion) -> Brain:
 
 
 def compile_first_look(
-    experiment: Experiment, least: float
+    experiment: ExperimentParts, least: float
 ) -> Callable[[Champion, float | None], Check]:
     """Compile the only check that `train` makes, before there is a champion.
 
@@ -219,8 +219,8 @@ def compile_first_look(
         least: smallest allowed fraction of the displacement that is kept at half the physics step.
 
     Returns:
-        A function of a champion and its displacement, m. With noise, pass None: the function then
-        measures the displacement in fresh draws.
+        A function of a champion and its displacement, m. Pass None with noise: the function then
+        measures the displacement with fresh noise.
     """
     own = experiment.simulation
     simulations = [variations.finer(own, 2)]
@@ -238,7 +238,7 @@ def compile_first_look(
         if own_displacement is not None:
             displacements.insert(0, own_displacement)
         displacement, half = displacements
-        question, detail = "way kept: half the step", f"{half:.3g} of {displacement:.3g} m"
+        question, detail = "displacement kept: half the step", f"{half:.3g} of {displacement:.3g} m"
         if not displacement > shortest:
             return Check("half_step", question, 1.0, detail=detail)
         fraction = float(np.clip(half / displacement, 0.0, 1.0))
@@ -247,7 +247,7 @@ def compile_first_look(
     return look
 
 
-def compile_steps(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
+def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[Trial, ...]]:
     """Return a function that replays all trials of a champion, step by step."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
@@ -274,7 +274,7 @@ def compile_steps(experiment: Experiment) -> Callable[[Champion], tuple[Trial, .
 
 
 def books(
-    experiment: Experiment, champion: Champion, trials: tuple[Trial, ...], limits: Limits
+    experiment: ExperimentParts, champion: Champion, trials: tuple[Trial, ...], limits: Limits
 ) -> list[Check]:
     """Return the checks of the trials themselves, each for the worst trial."""
     simulation, mass = experiment.simulation, float(experiment.creature.mass)
@@ -292,44 +292,46 @@ def books(
     checks = [
         check(
             "simulator_energy",
-            "energy balance off by, of motors' work",
+            "unaccounted energy / motors' work",
             max(_energy_gain(one, h) / _effort(one) for one in ledgers),
             detail=_ledger_words(ledgers[0]),
         ),
         check(
             "simulator_momentum",
-            "momentum balance off by, of impulses",
+            "unaccounted momentum / impulses",
             max(_momentum_fraction(one) for one in ledgers),
         ),
         check(
             "limit_energy",
-            "joints pushed back, of motors' work",
+            "work of joint limits / motors' work",
             max(_given(one, one.limits) for one in ledgers),
         ),
-        check("speed", "fastest speed of the root", worst("peak_speed") / length, "lengths/s"),
-        check("power", "largest power of all motors", worst("peak_power") / mass, "W/kg"),
-        Check("peak_torque", "largest torque of a motor", worst("peak_torque"), unit="N m"),
-        Check("mean_power", "power of all motors, mean", worst("mean_power") / mass, unit="W/kg"),
-        Check("peak_rate", "fastest joint", worst("peak_rate"), unit="rad/s"),
+        check("speed", "highest speed of the root", worst("peak_speed") / length, "lengths/s"),
+        check("power", "peak power of all motors", worst("peak_power") / mass, "W/kg"),
+        Check("peak_torque", "peak torque of a motor", worst("peak_torque"), unit="N m"),
+        Check("mean_power", "mean power of all motors", worst("mean_power") / mass, unit="W/kg"),
+        Check("peak_rate", "highest joint rate", worst("peak_rate"), unit="rad/s"),
     ]
     world = simulation.world
     if np.isfinite(world.tree.torque_limit).any():
-        checks.append(check("overload", "torque over its limit", worst("overload")))
+        checks.append(check("overload", "torque above its limit", worst("overload")))
     checks += _between_limbs(experiment, found, ledgers, check)
     if world.contact_model is not None:
         checks += [
             check("penetration", "penetration of the ground", worst("penetration"), "m"),
             check(
                 "push_out_energy",
-                "push-out, of motors' work",
+                "push-out work / motors' work",
                 max(one.push_out.sum() / _effort(one) for one in ledgers),
             ),
         ]
         # Nothing flies with water everywhere.
         if world.water_level < math.inf:
-            checks.append(check("airborne_way", "way made while airborne", worst("airborne_way")))
+            checks.append(
+                check("airborne_way", "displacement while airborne", worst("airborne_way"))
+            )
     if any(np.any(trial.steps.coulomb_residual) for trial in trials):
-        checks.append(check("unsolved", "steps not solved", worst("unsolved")))
+        checks.append(check("unsolved", "unsolved steps", worst("unsolved")))
         if world.contact_model is not None:
             checks.append(check("slipping", "steps off the friction cone", worst("slipping")))
     lit = any(light is not None for light in simulation.lights)
@@ -337,33 +339,33 @@ def books(
         seen = worst("seen_through_ground")
         checks.append(check("seen_through_ground", "light seen through the ground", seen))
     for name, excess in simulation.task.beyond_scales(champion.terms, champion.scales).items():
-        checks.append(check(f"free_{name}", f"{name} spent for free", excess))
+        checks.append(check(f"free_{name}", f"{name} without cost to fitness", excess))
     return checks
 
 
 def _between_limbs(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     found: Sequence[Excursions],
     ledgers: Sequence[Ledger],
     check: Callable[..., Check],
 ) -> list[Check]:
-    """Return the checks of limbs that may touch; empty if no two can meet."""
+    """Return the checks of limbs that may touch, or [] if no two limbs can meet."""
     checks, world = [], experiment.simulation.world
     if world.pairs is not None or any(np.any(one.limbs) for one in ledgers):
         pushed = max(_given(one, one.limbs) for one in ledgers)
-        checks.append(check("limb_energy", "limbs pushed apart, of motors' work", pushed))
+        checks.append(check("limb_energy", "work between limbs / motors' work", pushed))
     passing = _pairs_that_pass(experiment)
     if passing or make_pairs(experiment.creature, world.tree, world.watched) is not None:
         deepest = max(found, key=lambda each: each.overlap)
         words = [" in ".join(deepest.overlapping)] if deepest.overlapping else []
         if passing:
-            words.append(f"not looked at, as they touch in the neutral pose: {passing}")
+            words.append(f"not checked, because they touch in the neutral pose: {passing}")
         words = "; ".join(words)
-        checks.append(check("overlap", "limbs overlap by", deepest.overlap, "m", words))
+        checks.append(check("overlap", "overlap of limbs", deepest.overlap, "m", words))
     return checks
 
 
-def _pairs_that_pass(experiment: Experiment) -> str:
+def _pairs_that_pass(experiment: ExperimentParts) -> str:
     """Name the body pairs that touch in the neutral pose. Their overlap is not checked."""
     world = experiment.simulation.world
     found = pairs_that_touch_at_rest(experiment.creature, world.tree, world.watched)
@@ -373,13 +375,13 @@ def _pairs_that_pass(experiment: Experiment) -> str:
 
 
 def _variations(
-    experiment: Experiment, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
+    experiment: ExperimentParts, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
 ) -> dict[str, Variation]:
-    """Return the variations of the simulation, by the key of the limit.
+    """Return the variation of the simulation for each key of a limit.
 
-    The champion was selected partly for lucky noise. With noise, all variations but
-    `precision` and `other_engine` therefore use the same fresh draws, and are compared with the
-    variation `_CHANCE`.
+    Under noise, the champion was selected partly for its luck. So all variations except
+    `precision` and `other_engine` use the same fresh noise, and are compared with the variation
+    `_CHANCE`.
     """
     simulation = experiment.simulation
     draws = draws_of(simulation)
@@ -388,7 +390,7 @@ def _variations(
         return Variation(name, sims, draws)
 
     found = {
-        _CHANCE: drawn("other draws of chance", simulation)
+        _CHANCE: drawn("new draws of the noise", simulation)
         if draws > 1
         else Variation("other poses", (variations.shaken(simulation, _SHAKE),), _DRAWS),
         "half_step": drawn("half the step", variations.finer(simulation, 2)),
@@ -436,10 +438,10 @@ def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, .
 
 def _replay(champion: Champion, replayed: Varied) -> Check:
     off = abs(float(replayed.fitness[0]) - champion.fitness) / max(abs(champion.fitness), _REPLAY)
-    return Check("replay", "replayed fitness off by", off, _REPLAY, unit="%")
+    return Check("replay", "error of the replayed fitness", off, _REPLAY, unit="%")
 
 
-def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
+def _carried(experiment: ExperimentParts, trials: Sequence[Trial]) -> float:
     """Return the displacement by the water's flow alone, mean over trials, m."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     water, displacements = simulation.world.water, []
@@ -474,11 +476,11 @@ def _kept(
         creature: the animal.
         carried: displacement by the water alone, m.
     """
-    checks = [Check("way", "way as it evolved", own, unit="m")]
+    checks = [Check("way", "displacement in its own trials", own, unit="m")]
     if not own > _LEAST_DISPLACEMENT * length_of(creature):
         return checks
     chance, drawn = kept[_CHANCE]
-    # Without noise, only the variation of poses has several draws.
+    # Only the variation of poses has several draws without noise.
     usual = float(drawn.mean_displacements(chance)[0])
     for key, (variation, one) in kept.items():
         of_own = variation.draws == 1 or key == _CHANCE
@@ -486,7 +488,7 @@ def _kept(
         displacements = one.mean_displacements(variation)
         detail = ", ".join(f"{x:.3g}" for x in displacements) + f" of {reference:.3g} m"
         if key == "limp_way":
-            # Subtract the water's part. No animal drifts against a current.
+            # Subtract the displacement by the flow. No animal drifts against a current.
             swum, limp = reference - carried, float(displacements.max()) - max(0.0, carried)
             if carried > 0 and swum <= _LEAST_DISPLACEMENT * length_of(creature):
                 # The displacement is due to the water alone.
@@ -494,15 +496,15 @@ def _kept(
             else:
                 fraction = float(np.clip(limp / swum, 0.0, 1.0)) if swum > 0 else 0.0
             if carried:
-                detail += f", of which the water makes {carried:.3g}"
-            question = f"way with {variation.name}"
+                detail += f" ({carried:.3g} m by the flow alone)"
+            question = f"displacement with {variation.name}"
             checks.append(Check(key, question, fraction, limits.limp_way, unit="%", detail=detail))
             continue
         fractions = np.zeros_like(displacements)
         if reference > 0:
             fractions = np.clip(displacements / reference, 0.0, 1.0)
-        question, limit = f"way kept: {variation.name}", getattr(limits, key, None)
-        # Several settings: the worst one counts.
+        question, limit = f"displacement kept: {variation.name}", getattr(limits, key, None)
+        # The worst of several settings counts.
         checks.append(Check(key, question, float(fractions.min()), limit, True, "%", detail))
     return checks
 

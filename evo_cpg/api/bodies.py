@@ -12,17 +12,18 @@ from evo_cpg.config.numbers import number_at
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import Experiment, compile_trials
+from evo_cpg.training.experiment import ExperimentParts, compile_trials
 
 Numbers = Mapping[str, ArrayLike | Sequence[float]]
 
 
 class Bodies:
-    """Trials of individuals that differ in numbers, with one program for each set of keys.
+    """Trials of individuals that differ in numbers of the configuration.
 
-    One program builds all bodies that fit a plan (`BodyPlan`). Other bodies are built one by one.
-    They join the plan's trials if they differ in the trials' numbers alone. Otherwise a new plan
-    is made from all individuals of the call.
+    One program computes all trials with the same set of configuration keys. Another builds all
+    bodies that fit a plan (`BodyPlan`). Other bodies are built one by one. They join the plan's
+    trials if they differ only in numbers that are inputs of these trials. Otherwise a new plan is
+    made from all individuals of the call.
 
     Args:
         parts: experiment that the individuals have in common.
@@ -30,7 +31,7 @@ class Bodies:
         source: file of the configuration.
     """
 
-    def __init__(self, parts: Experiment, config: ExperimentConfig, source: Path):
+    def __init__(self, parts: ExperimentParts, config: ExperimentConfig, source: Path):
         self._parts, self._config, self._source = parts, config, source
         self._made: dict[frozenset[str], tuple[BodyPlan, Callable[..., Outcome]]] = {}
 
@@ -44,7 +45,7 @@ class Bodies:
             count: number of individuals.
 
         Returns:
-            The function and its argument; None if all individuals have the configuration's numbers.
+            The function and its argument, or None if no individual differs from the configuration.
 
         Raises:
             ConfigError: wrong numbers, see `evo_cpg.config.batched.build_batch`.
@@ -54,7 +55,7 @@ class Bodies:
         for key, values in columns.items():
             if values.shape != (count,):
                 raise ValueError(
-                    f"{key} must have a value for each of the {count} individuals, got the shape "
+                    f"{key} must have one value for each of the {count} individuals, got the shape "
                     f"{values.shape}"
                 )
         differs = {

@@ -2,7 +2,7 @@
 
 Everything goes to standard error. In a log or a pipe, short work prints nothing. Longer work is
 never silent for more than `LONGEST_SILENCE` seconds: a thread prints its name and duration if the
-work prints nothing. The library itself is quieter, see `evo_cpg.api.progress`.
+work prints nothing. The library in a script prints less, see `evo_cpg.api.progress`.
 """
 
 import contextlib
@@ -60,8 +60,8 @@ class Heartbeat(Work):
 
     Args:
         what: name of the work.
-        printed: time of the last printed line, s; minus infinity if there was none.
-        expected: duration that was measured before, s; None if nothing was.
+        printed: time of the last printed line, s, or minus infinity before the first line.
+        expected: duration that was measured before, s, or None if unknown.
         clock: function that returns the time, s.
     """
 
@@ -115,7 +115,7 @@ class Heartbeat(Work):
         """Print due lines, in a thread, while the block lasts.
 
         Args:
-            write: function that prints a line; None for standard error.
+            write: function that prints a line, or None for standard error.
         """
         over = threading.Event()
 
@@ -181,7 +181,7 @@ def working(
     Args:
         what: name of the work.
         counted: whether the work reports its finished steps.
-        expected: duration that was measured before, s; None if nothing was.
+        expected: duration that was measured before, s, or None if unknown.
         stays: whether the line stays on a terminal after the work.
 
     Yields:
@@ -221,13 +221,13 @@ def progress(
     """Show the progress of work in steps.
 
     Args:
-        step: name of several steps. The number of finished steps is shown, never the number of
-            the current one: generations and the like have numbers of their own, from 0.
+        step: name of several steps. The line shows the number of finished steps. It does not show
+            the number of the current step, because generations have their own numbers, from 0.
         total: number of all steps.
         completed: number of steps done before.
         first: name of the work before the first step.
         last: name of the work after the last step.
-        expected: duration of the work before the first step, s; None if it was not measured.
+        expected: duration of the work before the first step, s, or None if unknown.
 
     Yields:
         A function to call after every step, with a line about the state and the duration of the

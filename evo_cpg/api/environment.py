@@ -37,7 +37,7 @@ from evo_cpg.simulation.situation import light_places
 
 
 class EnvironmentState(eqx.Module):
-    """State of an environment; fields may be added.
+    """State of an environment. Later versions may add fields.
 
     Attributes:
         obs: observation of the animal's senses.
@@ -70,7 +70,7 @@ class _Inner(eqx.Module):
 
 
 class Environment:
-    """One animal in its world, without its controller; made by `Experiment.environment`.
+    """One animal in its world, without its controller. `Experiment.environment` makes it.
 
     Attributes:
         action_names: degree of freedom that each number of an action moves.
@@ -92,7 +92,7 @@ class Environment:
         if actions not in ("rates", "angles"):
             raise ValueError(f"actions must be 'rates' or 'angles', got {actions!r}")
         if actions == "angles" and not np.asarray(tree.servo_stiffness).any():
-            raise ValueError("actions='angles' needs motors with a stiffness, and none has one")
+            raise ValueError("actions='angles' needs motors with a stiffness, but no motor has one")
         situations = simulation.situations
         own = situations[trial if len(situations) > 1 else 0]
         self._simulation = dataclasses.replace(simulation, situations=(own,))

@@ -64,7 +64,7 @@ class Trials:
 
 
 class Experiment:
-    """Creature in a world, with a nervous system and a task; made by `evo_cpg.load`.
+    """Creature in a world, with a nervous system and a task. `evo_cpg.load` makes it.
 
     Experiments are immutable. Methods that evaluate, record or replace return new objects.
 
@@ -77,7 +77,7 @@ class Experiment:
 
     def __init__(
         self,
-        parts: training.Experiment,
+        parts: training.ExperimentParts,
         config: ExperimentConfig,
         source: Path,
         replaced: tuple[str, ...] = (),
@@ -121,7 +121,7 @@ class Experiment:
 
     @property
     def world(self) -> World:
-        """Physical model of the animal and its surroundings."""
+        """Physical model of the animal and its environment."""
         return self.parts.simulation.world
 
     @property
@@ -149,7 +149,7 @@ class Experiment:
 
         Args:
             key: seed of all random draws: a number or a JAX key.
-            count: number of genomes; None for the configuration's population.
+            count: number of genomes, or None for the configuration's population.
         """
         shape = (self.population if count is None else count,)
         return np.asarray(self.parts.simulation.genome.random(_key(key), shape)).T.copy()
@@ -161,9 +161,9 @@ class Experiment:
             key: seed of the noise in the trials, if there is any: a number or a JAX key.
             genomes: genomes of the individuals, ``(n, genes)``.
             bodies: numbers of the configuration in which individuals differ, such as sizes and
-                densities: arrays ``(n,)`` by key. One program builds all bodies, for populations
-                with equal keys. Bodies that do not fit its plan are built one by one, which takes
-                some 10 to 50 ms each (see docs/models/bodies.md).
+                densities: arrays ``(n,)`` by key. One program builds all bodies, and serves all
+                populations with the same keys. Bodies that do not fit its plan are built one by
+                one, which takes some 10 to 50 ms each (see docs/models/bodies.md).
 
         Returns:
             Terms and survival, ``(n, trials)``.
@@ -196,11 +196,11 @@ class Experiment:
         Args:
             key: seed of the noise in the trials: a number or a JAX key.
             genomes: genomes of the individuals, ``(n, genes)``.
-            bodies: numbers in which individuals differ, by key; see `rollout`.
+            bodies: numbers in which individuals differ, by key (see `rollout`).
 
         Raises:
             ValueError: the genomes or the numbers of the bodies have another shape.
-            ConfigError: a number of the bodies is wrong; see `rollout`.
+            ConfigError: a number of the bodies is wrong (see `rollout`).
         """
         trials = self.rollout(key, genomes, bodies)
         outcome = Outcome(*jax.tree.map(jnp.asarray, (trials.terms, trials.alive)))
@@ -214,8 +214,8 @@ class Experiment:
     def scales(self) -> dict[str, Float[Array, ""]]:
         """Scales of the task, which `train` measures on the first generation.
 
-        They are measured with the experiment's own seed, in its first run. So a genome always has
-        the same fitness.
+        They are measured with the experiment's own seed, in its first run. So the fitness of a
+        genome is always the same.
         """
         first = self.parts._replace(runs=1)
         shapes = jax.eval_shape(lambda: self.task.scales(no_terms(self.parts.simulation)))
@@ -238,9 +238,9 @@ class Experiment:
 
         Args:
             key: seed of the noise in the trials, if there is any: a number or a JAX key.
-            horizon: time constant of the decay of gradients, s. It helps with chaotic motion (see
-                docs/models/gradients.md); on the ground gradients are cut as well. None for
-                gradients without decay: exact in water, cut on the ground. `math.inf` for exact
+            horizon: time constant of the decay of gradients, s. The decay helps with chaotic motion
+                (see docs/models/gradients.md). On the ground, gradients are also cut. None gives
+                gradients without decay: exact in water, cut on the ground. `math.inf` gives exact
                 gradients on the ground, too.
             numbers: keys of numbers of the configuration, such as sizes and densities. The function
                 takes their values as its second argument, builds the animal from them, and is
@@ -327,7 +327,7 @@ class Experiment:
                 shape ``(n,)`` for a population and ``()`` for one individual.
 
         Raises:
-            UnknownTermError: the function reads a term that the task lacks; a `KeyError`.
+            UnknownTermError: the function reads a term that the task lacks (a `KeyError`).
             ValueError: the result is not one real number for each individual.
         """
         task = JudgedBy(self.task.light, self.task, fitness)
@@ -337,8 +337,8 @@ class Experiment:
             found = jax.eval_shape(lambda terms: task.fitness(terms, {}), terms)
             if getattr(found, "shape", None) != batch or not is_real(found):
                 raise ValueError(
-                    "fitness must give each individual a real number of its own: from terms of "
-                    f"the shape {batch} one of that shape; got {described(found)}"
+                    "fitness must return one real number for each individual: the shape "
+                    f"{batch} from terms of the shape {batch}, got {described(found)}"
                 )
         return self.with_task(task)
 
@@ -380,7 +380,7 @@ class Experiment:
         given = np.asarray(genomes)
         if given.ndim != 2 or given.shape[1] != self.gene_count or not len(given):
             turned = given.ndim == 2 and given.shape[0] == self.gene_count
-            hint = "; individuals come first, so transpose them" if turned else ""
+            hint = ". Transpose them: individuals come first" if turned else ""
             raise ValueError(
                 f"genomes must have the shape (n, {self.gene_count}), one row per individual, got "
                 f"{given.shape}{hint}"
@@ -390,7 +390,7 @@ class Experiment:
         return given.T.astype(np.float32)
 
     def _noise(self, key: Array, count: int) -> Array | None:
-        """Return raw keys of all trials, ``(words, count x trials)``; None without noise."""
+        """Return raw keys of all trials, ``(words, count x trials)``, or None without noise."""
         if self.parts.simulation.noise.silent:
             return None
         individual, trial = np.divmod(np.arange(count * self.trials), self.trials)

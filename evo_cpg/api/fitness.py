@@ -16,11 +16,11 @@ from evo_cpg.config.parameters import Parameters
 from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.task import Task
-from evo_cpg.training.experiment import Experiment, judge, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, judge, situation_numbers
 
 
 def fitness_function(
-    parts: Experiment,
+    parts: ExperimentParts,
     scales: dict[str, Float[Array, ""]],
     keys: Array | None,
     horizon: float | None,
@@ -32,7 +32,7 @@ def fitness_function(
     Args:
         parts: internal parts of the experiment.
         scales: scales of the task.
-        keys: random keys of the noise in the trials; None without noise.
+        keys: random keys of the noise in the trials, or None without noise.
         horizon: time constant of the decay of derivatives, s. None for derivatives that are exact
             in water and cut on the ground, infinity for exact derivatives.
         parameters: numbers of the configuration that are the function's second argument.
@@ -65,7 +65,7 @@ def fitness_function(
 
 
 class UnknownTermError(KeyError):
-    """Error for a term that the task lacks; the message suggests available terms."""
+    """Error for a term that the task lacks. The message suggests available terms."""
 
     def __str__(self) -> str:
         """Return the message without the quotes of a key."""
@@ -73,7 +73,7 @@ class UnknownTermError(KeyError):
 
 
 class Terms(dict):
-    """Terms by name; the error for an unknown name lists available terms.
+    """Terms by name. The error for an unknown name lists available terms.
 
     Raises:
         UnknownTermError: an unknown name is looked up.
@@ -81,7 +81,7 @@ class Terms(dict):
 
     def __missing__(self, name: object) -> Any:
         """Raise `UnknownTermError`."""
-        raise UnknownTermError(f"the task has no term {name!r}; {nearest(str(name), self)}")
+        raise UnknownTermError(f"the task has no term {name!r}: {nearest(str(name), self)}")
 
 
 class JudgedBy(Task):

@@ -29,15 +29,16 @@ def load(
     """Read a configuration and build its experiment.
 
     Args:
-        config: one of: the path of a YAML file; the name of a shipped one, such as ``hexapod``, if
-            no file in the working folder has that name; a run folder, for its ``config.yaml``; the
-            contents of such a file as a dictionary, with file names relative to the working folder.
+        config: path of a YAML file, or of a run folder with a ``config.yaml``. A name such as
+            ``hexapod`` means the shipped configuration, if the working folder has no such file.
+            A dictionary holds the contents of a file. Its file names are relative to the working
+            folder.
         overrides: settings to change: ``["seed=3", "world.gravity=1.6"]`` as on the command line,
             or ``{"seed": 3, "world.gravity": 1.6}``.
-        cores: number of cores that share a population; None for all cores. If JAX has already
+        cores: number of cores that share a population, or None for all cores. If JAX has already
             computed something, its devices are kept.
-        trust: whether you trust the configuration. A trusted one may name files outside its folder
-            and run code of classes in modules next to it, outside the working folder.
+        trust: whether you trust the configuration. A trusted configuration may name files outside
+            its folder, and run code of modules next to it, outside the working folder.
 
     Raises:
         ConfigError: the configuration is wrong.

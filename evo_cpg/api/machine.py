@@ -39,7 +39,7 @@ def machine_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[s
     """Return descriptions of the machine's changes that affect bits.
 
     Args:
-        before: fingerprint from meta.json; missing keys count as unchanged.
+        before: fingerprint from meta.json. Missing keys count as unchanged.
         now: `machine_fingerprint` of this machine.
     """
     pairs = [(words, before.get(key), now.get(key)) for key, words in _ROUNDING.items()]

@@ -14,7 +14,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.recording import Recording, as_recording
 from evo_cpg.system import named
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 
@@ -44,7 +44,7 @@ class Opened:
 
     folder: RunFolder
     config: ExperimentConfig
-    experiment: Experiment
+    experiment: ExperimentParts
 
     @property
     def devices(self) -> int:
@@ -58,7 +58,7 @@ class Opened:
 
     @functools.cached_property
     def changed(self) -> str | None:
-        """Warning that ``config.yaml`` changed since the champion evolved; None if unchanged.
+        """Warning that ``config.yaml`` has changed since the champion evolved, or None.
 
         Raises:
             RunFolderError: there is no champion.
@@ -66,7 +66,7 @@ class Opened:
         _, _, digests = self.folder.load_champion()
         if digests["config_sha256"] == self.folder.config_digest():
             return None
-        return "config.yaml is not the one that the champion was evolved with"
+        return "config.yaml has changed since the champion evolved"
 
     def require_configured(self) -> None:
         """Check that the configuration describes the whole run.
@@ -77,11 +77,10 @@ class Opened:
         replaced = self.folder.read_meta().get("replaced")
         if replaced:
             raise RunFolderError(
-                f"{self.folder.path} was begun in Python with another {' and '.join(replaced)} or "
-                "fitness than its config.yaml names, which only that program has; commands can "
-                "film and plot it, but neither try its champion again nor go on with it. In Python "
-                "`Experiment.evaluate` tries genomes again, and `evo.train(..., start=...)` begins "
-                "a new run with them"
+                f"{self.folder.path} began in Python with a {' and '.join(replaced)} or fitness "
+                "that its config.yaml does not describe. Commands can film and plot it, but cannot "
+                "evaluate its champion or continue it. In Python, `Experiment.evaluate` evaluates "
+                "genomes, and `evo.train(..., start=...)` begins a new run with them"
             )
 
     def load_champion(self) -> "OpenedChampion":
@@ -134,14 +133,14 @@ class OpenedChampion(Opened):
 
     Attributes:
         champion: the individual.
-        recording: motion in its first trial; None if not kept or of another configuration.
+        recording: motion in its first trial, or None if not kept or of another configuration.
     """
 
     champion: Champion
     recording: Recording | None
 
 
-def open_run(run: Path | str, build: Callable[..., Experiment] = build_experiment) -> Opened:
+def open_run(run: Path | str, build: Callable[..., ExperimentParts] = build_experiment) -> Opened:
     """Read a run folder and build its experiment.
 
     Args:

@@ -14,13 +14,13 @@ from evo_cpg.view.page.subject import Difference, Note, PaperDifferences
 
 # `  steps: 2000   # paper`: indent, key, value and comment.
 _LINE = re.compile(r"^( *)([A-Za-z_]\w*):\s*(.*?)\s*(?:# ?(.*))?$")
-# "paper: not said", "paper: 200; ours: 400" and "ours: half the paper's times" are all ours.
+# All ours: "paper: not said", "paper: 200; ours: 400" and "ours: half the paper's times".
 _WHOSE = re.compile(r"\bours\b|\bpaper\b(?!')")
 _CONTINUED = re.compile(r"^\s+# ?(.*)$")
 
 
 def paper_differences(config: ExperimentConfig) -> PaperDifferences | None:
-    """Return the differences; None if no configuration of this name is shipped."""
+    """Return the differences, or None if no configuration of this name is shipped."""
     if config.name not in shipped_names():
         return None
     ours = shipped(config.name)
@@ -56,7 +56,7 @@ def notes(text: str) -> list[Note]:
     """Return values whose comments name their origin, and ``creature`` even without one.
 
     Args:
-        text: text of a YAML file. Comment lines are joined; lists are left out.
+        text: text of a YAML file. Comment lines are joined, and lists are left out.
     """
     found: list[Note] = []
     above: list[tuple[int, str]] = []
@@ -86,7 +86,7 @@ def notes(text: str) -> list[Note]:
 
 
 def _flat(value: Any, key: str = "") -> dict[str, Any]:
-    """Return values by dotted key; empty lists and dictionaries are values."""
+    """Return values by dotted key. Empty lists and dictionaries are values."""
     inner = {}
     if isinstance(value, dict):
         inner = value

@@ -1,8 +1,8 @@
 """Progress lines on standard error: on a terminal, in a notebook, or on request.
 
 A library prints nothing that its user did not request, so logs and pipes stay clean. But the first
-call of a program compiles it, which takes seconds or, for a large animal, minutes. A user at a
-terminal should know what is happening.
+call of a program compiles it, which takes seconds or, for a large animal, minutes. So a terminal
+shows the progress.
 """
 
 import contextlib

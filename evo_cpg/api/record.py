@@ -42,7 +42,7 @@ class Record(Mapping[str, Float[np.ndarray, " t"]]):
         return f"Record({len(self['time'])} steps, {len(names)} columns: {', '.join(shown)})"
 
     def to_csv(self, path: Path | str) -> None:
-        """Write the record as a CSV table; headers are names with units: ``time [s]``.
+        """Write the record as a CSV table. Headers are names with units: ``time [s]``.
 
         Raises:
             OutputError: the file cannot be written.

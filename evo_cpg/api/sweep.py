@@ -60,7 +60,7 @@ class Member(Opened):
 
     @property
     def checkpoint(self) -> Checkpoint | None:
-        """Newest checkpoint; None if there is none yet."""
+        """Newest checkpoint, or None if there is none yet."""
         return self.folder.load() if self.folder.config.is_file() else None
 
     @property
@@ -93,7 +93,7 @@ class Summary(NamedTuple):
 
 
 def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]) -> dict[str, Any]:
-    """Return the plan of a sweep, the contents of ``sweep.json``.
+    """Return the plan of a sweep, which is the contents of ``sweep.json``.
 
     Raises:
         ConfigError: the configuration or a value of a setting is wrong.
@@ -111,7 +111,7 @@ def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]
             except TypeError:
                 kind = type(value).__name__
                 raise ConfigError(
-                    source, key.split("."), f"{value}: a {kind}; allowed: numbers, texts, lists"
+                    source, key.split("."), f"{value}: a {kind}. Allowed: numbers, texts, lists"
                 ) from None
     # Return the plan in the form in which it will be read.
     return json.loads(json.dumps(plan))
@@ -129,19 +129,19 @@ def claim(folder: Path, plan: Mapping[str, Any]) -> None:
         other = [key for key, value in plan.items() if known.get(key) != value]
         if other:
             raise RunFolderError(
-                f"{folder} holds another sweep (its {other[0]} differ); go on with "
-                f"`evo-cpg sweep {folder}` or choose another --out"
+                f"{folder} holds a sweep with other `{other[0]}`. Continue it with "
+                f"`evo-cpg sweep {folder}`, or choose another --out"
             )
         return
     if folder.is_file() or (
         folder.is_dir() and any(path.name != locks.FILE for path in folder.iterdir())
     ):
-        raise RunFolderError(f"{folder} is not empty and holds no sweep; choose another --out")
+        raise RunFolderError(f"{folder} is not empty and holds no sweep. Choose another --out")
     write_text(make_folder(folder) / _PLAN, json.dumps(plan, indent=2))
 
 
 def read_plan(folder: Path) -> dict[str, Any] | None:
-    """Read the plan of a sweep; None if the folder holds no sweep.
+    """Read the plan of a sweep, or None if the folder holds no sweep.
 
     Raises:
         RunFolderError: the file of the plan is damaged.
@@ -151,9 +151,9 @@ def read_plan(folder: Path) -> dict[str, Any] | None:
 
 def _is_plan(plan: Any) -> bool:
     for name in plan["settings"]:
-        # The name is that of a folder next to the file.
+        # The setting's folder, next to the file, has this name.
         if not is_folder_name(name):
-            raise ValueError(f"{name[:80]!r} is no name of a setting")
+            raise ValueError(f"{name[:80]!r} is not allowed as the name of a setting")
     kinds = {"config": str, "config_sha256": str, "overrides": list, "settings": dict}
     return (
         all(isinstance(plan[key], kind) for key, kind in kinds.items())
@@ -170,7 +170,7 @@ def members_of(
     Args:
         folder: folder of the sweep.
         plan: plan of the sweep.
-        names: names of the settings to build; None for all.
+        names: names of the settings to build, or None for all.
 
     Raises:
         RunFolderError: the configuration has changed since the sweep began.
@@ -180,8 +180,8 @@ def members_of(
     source = named(plan["config"])
     if _digest(source, plan["overrides"]) != plan["config_sha256"]:
         raise RunFolderError(
-            f"{folder}: {source} has changed since the sweep began; put it back as it was, or "
-            "begin another sweep"
+            f"{folder}: {source} has changed since the sweep began. Restore it, or begin "
+            "another sweep"
         )
     members = []
     for name, values in plan["settings"].items():
@@ -289,9 +289,9 @@ def _standing(latest: Mapping[str, float]) -> str:
     """Return text that names the setting with the best median champion so far."""
     known = {name: value for name, value in latest.items() if math.isfinite(value)}
     if not known:
-        return "nobody lives yet"
+        return "no finite fitness yet"
     best = max(known, key=lambda name: known[name])
-    return f"ahead: {best}, median champion {known[best]:.4f}"
+    return f"best so far: {best}, median champion {known[best]:.4f}"
 
 
 def _reopen(group: Sequence[Member], devices: int, warn: Callable[[str], object]) -> None:

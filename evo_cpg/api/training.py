@@ -47,7 +47,7 @@ class Trained:
         folder: the run folder, for `evo-cpg render` and the other commands.
         genome: genome of the champion.
         fitness: fitness of the champion.
-        expected: mean fitness of the champion with fresh noise; None without noise.
+        expected: mean fitness of the champion with fresh noise, or None without noise.
         terms: task's terms of the champion.
         history: rows of metrics.csv.
     """
@@ -138,7 +138,7 @@ def begin_run(
         run: run whose folder is made.
         devices: number of devices of this process.
         source: file of the configuration.
-        start: initial genomes; None for random ones.
+        start: initial genomes, or None for random ones.
         processes: number of processes that evolve together.
 
     Raises:
@@ -205,7 +205,7 @@ def reopen_run(
         noted = _known(run, devices, source, processes)
     folder.update_meta(**noted)
     found = machine_changes(before, here)
-    return [f"{folder.path}: {difference}; bits may differ" for difference in found]
+    return [f"{folder.path}: {difference}. Bits may differ" for difference in found]
 
 
 def _genes(experiment: Experiment, start: ArrayLike) -> np.ndarray:
@@ -232,19 +232,19 @@ class Recorder:
         experiment: experiment that evolves.
         folder: run folder.
         least: smallest allowed fraction of its displacement that the champion keeps at half the
-            physics step; None for no check.
-        animal: digest of all that the program of a trial depends on; the compile time is stored
-            under this digest. None to store no time.
+            physics step, or None for no check.
+        animal: digest of all that the program of a trial depends on. The compile time is stored
+            under this digest. None stores no time.
 
     Attributes:
-        seen: result of the first check; None without one.
+        seen: result of the first check, or None without one.
         checks: whether the champion is to be checked.
         skipped: whether the check was skipped.
     """
 
     def __init__(
         self,
-        experiment: parts.Experiment,
+        experiment: parts.ExperimentParts,
         folder: RunFolder,
         least: float | None = None,
         animal: str | None = None,
@@ -253,7 +253,7 @@ class Recorder:
         self.checks, self.skipped = least is not None, False
         self._experiment, self._folder, self._least = experiment, folder, least
         self._animal = animal
-        # Without noise, the recording measures the displacement to compare with.
+        # The recording measures the reference displacement if there is no noise.
         self._measures_displacement = self.checks and experiment.simulation.noise.silent
         self._displacement: float | None = None
         self._thread = ThreadPoolExecutor(1, "recording")
@@ -271,8 +271,8 @@ class Recorder:
         """Start to compile the programs.
 
         Args:
-            spent: time spent on the code of the trials, about that of each program here. None if
-                unknown.
+            spent: time spent on the code of the trials. Each program here takes about as long.
+                None if unknown.
         """
         from evo_cpg.training.replay import compile_replay
 
@@ -288,7 +288,7 @@ class Recorder:
         if self._least is not None:
             from evo_cpg.api.audit import compile_first_look
 
-            # With noise, the displacement at the original step takes another program.
+            # The displacement at the original step takes another program if there is noise.
             programs = 1 if self._measures_displacement else 2
             expected = None if took is None else programs * took
             self._look = _Compilation(
@@ -296,11 +296,11 @@ class Recorder:
             )
 
     def expected_to_record(self) -> float | None:
-        """Estimate the remaining time to compile for `record`, s; None without a measurement."""
+        """Estimate the remaining time to compile for `record`, s, or None without a measurement."""
         return self._program and self._program.left
 
     def expected_to_look(self) -> float | None:
-        """Estimate the remaining time to compile for `look`, s; None without a measurement."""
+        """Estimate the remaining time to compile for `look`, s, or None without a measurement."""
         return self._look and self._look.left
 
     def keep(self, champion: Champion) -> None:
@@ -345,7 +345,7 @@ class _Compilation:
 
     Args:
         thread: thread that compiles.
-        expected: expected duration, s; None without a measurement.
+        expected: expected duration, s, or None without a measurement.
         compile_it: function that returns the program.
         given: arguments of ``compile_it``.
     """
@@ -368,7 +368,7 @@ class _Compilation:
 
     @property
     def left(self) -> float | None:
-        """Estimate of the remaining time, s; None without a measurement."""
+        """Estimate of the remaining time, s, or None without a measurement."""
         if self._program.done():
             return 0.0
         if self._expected is None or self._start is None:
@@ -381,12 +381,12 @@ class _Compilation:
 
 
 def first_look_limit(config: ExperimentConfig) -> float | None:
-    """Return the limit of the first check of a champion; None without a check."""
+    """Return the limit of the first check of a champion, or None without a check."""
     return config.audit.half_step if config.audit.after_training else None
 
 
 def evolve(
-    experiment: parts.Experiment,
+    experiment: parts.ExperimentParts,
     folder: RunFolder,
     on_generation: Callable[[Rows], None],
     recorder: Recorder,
@@ -399,7 +399,7 @@ def evolve(
         folder: run folder.
         on_generation: called with the new rows of metrics.csv after every generation.
         recorder: recorder that compiles meanwhile.
-        team: processes that evolve together; None for this one alone.
+        team: processes that evolve together, or None for this one alone.
 
     Raises:
         RunFolderError: no individual of any generation has a finite fitness.
@@ -419,21 +419,21 @@ def evolve(
             team=team,
         )
     if done.champion is None:
-        everybody = experiment.strategy.population
-        if any(row["diverged"] < everybody for row in done.history):
+        count = experiment.strategy.population
+        if any(row["diverged"] < count for row in done.history):
             task = type(experiment.simulation.task).__name__
             raise RunFolderError(
-                f"{folder.path}: of those that did not diverge nobody has a fitness that is a "
-                f"finite number, so there is no champion; see `fitness` and `scales` of {task}"
+                f"{folder.path}: no individual has a finite fitness, so there is no champion. "
+                f"Check `fitness` and `scales` of {task}"
             )
         raise RunFolderError(
             f"{folder.path}: every individual of every generation diverged, so there is no "
-            "champion; try more substeps or weaker motors"
+            "champion. Try more substeps or weaker motors"
         )
     return done.champion
 
 
-def follow(experiment: parts.Experiment, folder: RunFolder, team: "Team") -> None:
+def follow(experiment: parts.ExperimentParts, folder: RunFolder, team: "Team") -> None:
     """Evolve as a follower in a team. Nothing is written or shown.
 
     Args:

@@ -25,7 +25,7 @@ def version() -> str:
 
 
 def checkout() -> Path | None:
-    """Return the folder of this program's checkout; None if it was installed."""
+    """Return the folder of this program's checkout, or None if it was installed."""
     folder = Path(evo_cpg.__file__).parents[1]
     # An installed package may lie in a checkout of another project.
     return folder if os.path.exists(folder / ".git") else None
@@ -38,7 +38,7 @@ def commit() -> str | None:
 
 
 def program_commit() -> str | None:
-    """Return `commit`; only changes of program, configurations and benchmarks count as dirty."""
+    """Return `commit`, dirty only if the program, configurations or benchmarks have changed."""
     folder = checkout()
     return folder and commit_of(folder, ("evo_cpg", "configs", "benchmarks", "pyproject.toml"))
 
@@ -63,7 +63,7 @@ def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
 
 
 def _engine() -> str:
-    """Return the engine of this machine, with the reason if it is the slower one."""
+    """Return the engine of this machine, with the reason for the slower engine."""
     from evo_cpg.fusion.engine import Engine, described
 
     with warnings.catch_warnings(record=True) as caught:

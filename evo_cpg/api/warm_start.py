@@ -11,7 +11,7 @@ from jaxtyping import Float
 from evo_cpg.api.opened import open_run
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolderError
 
 What = Literal["champion", "population"]
@@ -32,7 +32,7 @@ class Start(NamedTuple):
     provenance: dict[str, Any]
 
 
-def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
+def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
     """Return the first populations of an experiment, from an earlier run of the same plan.
 
     If both have the same number of runs, each run starts from its own champion. Otherwise all
@@ -52,7 +52,7 @@ def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
     _require_same_plan(experiment, earlier.experiment, path)
     checkpoint = earlier.folder.load()
     if checkpoint is None or checkpoint.champion is None:
-        raise RunFolderError(f"{path} has no champion yet; train it first")
+        raise RunFolderError(f"{path} has no champion yet. Train it first")
     chosen = [_of_run(checkpoint, experiment, run) for run in range(experiment.runs)]
     genes = [
         _first_population(experiment, checkpoint, champion, run, what)
@@ -70,7 +70,7 @@ def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
     return Start(np.concatenate(genes, axis=1), provenance)
 
 
-def _of_run(checkpoint: Checkpoint, experiment: Experiment, run: int) -> Champion:
+def _of_run(checkpoint: Checkpoint, experiment: ExperimentParts, run: int) -> Champion:
     """Return the champion that a run continues from."""
     own = checkpoint.champions[run] if len(checkpoint.champions) == experiment.runs else None
     best = own or checkpoint.champion
@@ -79,7 +79,7 @@ def _of_run(checkpoint: Checkpoint, experiment: Experiment, run: int) -> Champio
 
 
 def _first_population(
-    experiment: Experiment, checkpoint: Checkpoint, champion: Champion, run: int, what: What
+    experiment: ExperimentParts, checkpoint: Checkpoint, champion: Champion, run: int, what: What
 ) -> Float[np.ndarray, "g n"]:
     size, strategy = experiment.strategy.population, experiment.strategy
     kept = champion.genes[:, None]
@@ -92,14 +92,14 @@ def _first_population(
     return np.concatenate([kept, np.asarray(jax.jit(strategy.around)(key, parents))[:, count:]], 1)
 
 
-def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) -> None:
+def _require_same_plan(experiment: ExperimentParts, earlier: ExperimentParts, path: Path) -> None:
     """Check that both experiments have genomes of the same meaning.
 
     Raises:
         RunFolderError: the plans differ.
     """
 
-    def plan(of: Experiment) -> dict[str, Any]:
+    def plan(of: ExperimentParts) -> dict[str, Any]:
         controller, tree = of.simulation.controller, of.simulation.world.tree
         return {
             "controller": type(controller).__name__,
@@ -112,6 +112,6 @@ def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) 
     for name, value in expected.items():
         if found[name] != value:
             raise RunFolderError(
-                f"{path}: animals of another plan evolved there: its {name}: {found[name]}; "
-                f"asked for: {value}"
+                f"{path} holds animals of another plan. Its {name}: {found[name]}. "
+                f"Requested: {value}"
             )

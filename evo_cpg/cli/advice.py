@@ -64,7 +64,7 @@ def advise(path: Path, simulation: Simulation) -> None:
 
 
 def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
-    """Warn of oscillators that are uncoupled or come to rest, and name keys to change.
+    """Warn of oscillators that are uncoupled or at rest, and name keys to change.
 
     Args:
         path: path of the configuration.
@@ -84,20 +84,20 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
     least = 1 + network.rise_time / network.adaptation_time
     if drive <= 0:
         total = "controller.cpg.max_tonic_input + sensory_feedback"
-        cure = f"{total} is {drive:g}; it must be positive"
+        cure = f"{total} is {drive:g} and must be positive"
     else:
         cure = (
-            f"a pair alone swings where controller.cpg.pair_weight ({cpg.pair_weight:.3g}) is more "
-            f"than {least:.3g} (constants: {cpg.constants}) and less than 1 + the adaptation gain "
-            f"({gains[0]:g} to {gains[1]:g})"
+            f"An isolated pair oscillates if controller.cpg.pair_weight ({cpg.pair_weight:.3g}) is "
+            f"more than {least:.3g} (constants: {cpg.constants}) and less than 1 + the adaptation "
+            f"gain ({gains[0]:g} to {gains[1]:g})"
         )
-    couple = "controller.cpg.couplings and rings couple them"
+    couple = "Couple them with controller.cpg.couplings or rings"
     rest = "at rest under a constant drive"
     matters = (
         ("coupled to no other oscillator", couple, [i for i in alone if i not in still]),
         (
             f"coupled to no other oscillator, and {rest}",
-            f"{couple}; {cure}",
+            f"{couple}. {cure}",
             [i for i in alone if i in still],
         ),
         (rest, cure, [i for i in still if i not in alone]),
@@ -105,7 +105,7 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
     for what, change, found in matters:
         if found:
             names = ", ".join(tree.dof_names[i] for i in found)
-            warn(f"{path}: {what}: {names}; {change}")
+            warn(f"{path}: {what}: {names}. {change}")
 
 
 def warn_of_cost(path: Path, simulation: Simulation) -> None:
@@ -149,18 +149,18 @@ def _line(operations: Operations) -> str:
     total = operations.total
     if total < _MANY:
         return ""
-    limit = f"native code ends at {MOST_OPERATIONS:,}"
+    limit = f"Native code is limited to {MOST_OPERATIONS:,}"
     seconds = expected_seconds(total)
     # The estimate is not accurate to more than two digits.
     rounded = float(f"{total:.2g}")
-    times = f"{total / _SWIMMER:.0f} times those of iwadate2010_swimmer"
+    times = f"{total / _SWIMMER:.0f} times as many as iwadate2010_swimmer"
     words = f"a trial has about {rounded:,.0f} operations, {times}"
     if total > (1 + _ERROR) * MOST_OPERATIONS:
-        words += f"; {limit}, and plain JAX will compute it, many times more slowly"
+        words += f". {limit}, so plain JAX will compute the trial, many times more slowly"
     elif total > (1 - _ERROR) * MOST_OPERATIONS:
-        words += f"; {limit}, and plain JAX may have to compute it, many times more slowly"
+        words += f". {limit}, so plain JAX may have to compute the trial, many times more slowly"
     elif seconds is not None:
-        words += f"; on this machine they take about {seconds:.0f} s to compile"
+        words += f". On this machine they take about {seconds:.0f} s to compile"
     part, most = max(operations._asdict().items(), key=lambda item: item[1])
     cause, cure = _CAUSES[part]
-    return f"{words}; {most / total:.0%} of them are for {cause}; to lower that: {cure}"
+    return f"{words}. {most / total:.0%} of them are for {cause}. To lower the cost: {cure}"

@@ -15,7 +15,7 @@ def analyse(
     run: Run,
     output: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="A .html file; RUN/analysis.html by default."),
+        typer.Option("--out", "-o", help="A .html file (default: RUN/analysis.html)."),
     ] = None,
     number: Number = None,
     trial: Trial = 0,

@@ -30,5 +30,5 @@ def audit(
     limits_from(limits or [])
     for option, value in (("--run", number), ("--cell", cell)):
         if every and value is not None:
-            raise UsageError(f"--all and {option}: give one of them")
+            raise UsageError(f"--all and {option} exclude each other. Give only one of them")
     audit_champions(run, limits or [], Which(number, cell=cell), every)

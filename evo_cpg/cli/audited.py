@@ -72,7 +72,7 @@ def audit_champions(run: Path, limits: Sequence[str], which: Which, every: bool)
             if done.opinions:
                 show_opinions(done.opinions)
             if done.missing:
-                none = "one opinion is missing" if done.opinions else "no second opinion"
+                none = "a second opinion is missing" if done.opinions else "no second opinion"
                 print(f"{none}: {done.missing}")
         title = f"{experiment.name}: audit" + (f" of run {champion.run}" if every else "")
         title += "" if which.cell is None else f" of cell {which.cell}"
@@ -93,11 +93,11 @@ def champions_of(folder: RunFolder) -> list[Champion]:
     champions = checkpoint.champions if checkpoint else ()
     found = [champion for champion in champions if champion is not None]
     if not found:
-        raise UsageError(f"--all: the checkpoints of {folder.path} hold no champion")
+        raise UsageError(f"--all: {folder.path} has no champion in its checkpoints")
     for run, champion in enumerate(champions):
         if champion is None:
             print(
-                f"{folder.path}: run {run}: every individual diverged: it has no champion to audit",
+                f"{folder.path}: run {run} has no champion to audit: every individual diverged",
                 file=sys.stderr,
             )
     return found
@@ -111,11 +111,11 @@ def say_verdict(
         lines = list(done.verdict.reasons)
         if "half_step" not in done.measured:
             displacement = shown(done.measured["way"], "m")
-            lines.insert(0, f"displacement {displacement}: too little to try what is kept of it")
+            lines.insert(0, f"displacement {displacement}: too short to compare variations with")
         blind = done.measured.get("blind", 0.0)
         if blind >= UNSEEING:
             lines.append(
-                "note: the champion does not use its eyes: blind it keeps "
+                "note: the champion does not use its eyes: blinded, it keeps "
                 f"{blind:.0%} of its displacement"
             )
         whose = f"{run}: run {each.run}" if len(made) > 1 else run
@@ -138,7 +138,11 @@ def draw_audit(folder: RunFolder, name: str, title: str, done: Audit) -> None:
     figure = audit_figure(
         done.trials[0].ledger,
         done.step_length,
-        [check for check in done.verdict.checks if "way" in check.question and check.unit == "%"],
+        [
+            check
+            for check in done.verdict.checks
+            if check.unit == "%" and (check.least or check.key.endswith("_way"))
+        ],
         {one.program: one.path for one in done.opinions},
         title,
     )
@@ -150,13 +154,13 @@ def show_summary(champions: Sequence[Champion], made: Sequence[Audit]) -> None:
     keys = [key for key in _KEPT if any(key in done.measured for done in made)]
     rows = []
     for each, done in zip(champions, made, strict=True):
-        goes = [f"{one.displacement:.2g}" for one in done.opinions]
+        displacements = [f"{one.displacement:.2g}" for one in done.opinions]
         rows.append(
             (
                 str(each.run),
                 shown(done.measured.get("way")),
                 *(shown(done.measured.get(key), "%").removesuffix(" %") for key in keys),
-                f"{', '.join(goes[1:])} of {goes[0]}" if goes else "",
+                f"{', '.join(displacements[1:])} of {displacements[0]}" if displacements else "",
                 ", ".join(f"{100 * one.upright:.0f}" for one in done.opinions),
                 _WORDS[done.verdict.passed],
             )
@@ -195,4 +199,4 @@ def show_opinions(opinions: Sequence[Opinion]) -> None:
                 f"{math.degrees(off):.2g} deg" if one is not opinions[0] else "",
             )
         )
-    show_table(("program", "displacement", "heading", "upright", *flight, "joints off by"), rows)
+    show_table(("program", "displacement", "heading", "upright", *flight, "joint error"), rows)

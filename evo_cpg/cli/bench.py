@@ -17,13 +17,15 @@ def bench(
         typer.Argument(
             metavar="[CASE]...",
             help="swimmer, salamander-water, salamander-land, quadruped, cpg, brain, ga, "
-            "generation, gradient, bodies, large-creatures, engines, scaling or startup; all by "
-            "default.",
+            "generation, gradient, bodies, large-creatures, engines, scaling or startup "
+            "(default: all).",
         ),
     ] = None,
     sizes: Annotated[
         str | None,
-        typer.Option(help="Individuals, such as 1,15,200; each case has its own by default."),
+        typer.Option(
+            help="Numbers of individuals, such as 1,15,200 (default: depends on the case)."
+        ),
     ] = None,
     json: Annotated[
         Path | None, typer.Option("--json", help="Also write the rows to this file.")
@@ -34,11 +36,11 @@ def bench(
     compare: Annotated[
         Path | None,
         typer.Option(
-            "--compare", help="An earlier --json file; exit code 3 if anything is slower."
+            "--compare", help="Compare with an earlier --json file. If any case is slower, exit 3."
         ),
     ] = None,
     tolerance: Annotated[
-        float, typer.Option(min=0, max=1, help="Fraction of speed that may be lost.")
+        float, typer.Option(min=0, max=1, help="Largest allowed loss of speed, a fraction.")
     ] = 0.1,
     limit: Annotated[
         float, typer.Option(min=1, help="Longest time to compile a peer written in JAX, s.")
@@ -56,10 +58,12 @@ def bench(
     suite = bench_suite()
     for case in cases or []:
         if case not in suite.CASES:
-            raise UsageError(f"there is no case {case!r}; {nearest(case, suite.CASES)}")
+            raise UsageError(f"there is no case {case!r}: {nearest(case, suite.CASES)}")
     chosen = cases or list(suite.CASES)
     if numbers and not any(suite.CASES[case].sized for case in chosen):
-        raise UsageError(f"--sizes: {', '.join(chosen)} has a size of its own")
+        raise UsageError(
+            f"--sizes: {', '.join(chosen)} has a fixed number of individuals. Leave --sizes out"
+        )
     if json is not None:
         # Measuring takes minutes, so check first that the path can be written.
         try:
@@ -86,7 +90,7 @@ def _sizes(text: str) -> tuple[int, ...]:
     for word in words:
         if not word.isascii() or not word.isdigit() or not 1 <= int(word) <= _LARGEST:
             raise UsageError(
-                f"--sizes: {word!r} is no number of individuals; "
-                f"allowed: whole numbers from 1 to {_LARGEST} with commas between, such as 1,15,200"
+                f"--sizes: {word!r} is not a number of individuals. "
+                f"Allowed: whole numbers from 1 to {_LARGEST} with commas between, such as 1,15,200"
             )
     return tuple(dict.fromkeys(map(int, words)))

@@ -9,7 +9,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.lint import lint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 
 def read_config(
@@ -36,7 +36,7 @@ def read_config(
     return config
 
 
-def build(config: ExperimentConfig, source: Path, folders: Iterable[Path] = ()) -> Experiment:
+def build(config: ExperimentConfig, source: Path, folders: Iterable[Path] = ()) -> ExperimentParts:
     """Build an experiment, with a progress line if the build takes long.
 
     Args:

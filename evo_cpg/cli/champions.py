@@ -41,7 +41,7 @@ def open_champion(run: Path, which: Which = BEST) -> OpenedChampion:
         found = opened.with_champion(champion_of(opened.folder, own))
     trials = opened.experiment.trials
     if which.trial >= trials:
-        raise UsageError(f"--trial: an individual of {run} has {trials} trial(s), counted from 0")
+        raise UsageError(f"--trial: {run} has {trials} trial(s) per individual, counted from 0")
     return found
 
 
@@ -69,15 +69,15 @@ def champion_of(folder: RunFolder, number: int) -> Champion:
     checkpoint = folder.load()
     champions = checkpoint.champions if checkpoint else ()
     if number >= len(champions):
-        raise UsageError(f"--run: {folder.path} holds {len(champions)} run(s), counted from 0")
+        raise UsageError(f"--run: {folder.path} has {len(champions)} run(s), counted from 0")
     champion = champions[number]
     if champion is None:
-        raise UsageError(f"--run: every individual of run {number} diverged: it has no champion")
+        raise UsageError(f"--run: run {number} has no champion: every individual diverged")
     return champion
 
 
 def use_cores_of(run: Path, cores: int | None = None) -> int:
-    """Use the given number of cores, or as many as the run was trained on, and return the number.
+    """Set the number of cores (default: those that trained the run), and return the number.
 
     Call this before the run is built: finding a place to stand on uneven ground starts JAX.
     """

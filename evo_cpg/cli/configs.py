@@ -31,9 +31,7 @@ def copy(
     ],
     folder: Annotated[
         Path,
-        typer.Argument(
-            metavar="[FOLDER]", help="Folder to copy to; the working folder by default."
-        ),
+        typer.Argument(metavar="[FOLDER]", help="Folder to copy to (default: the working folder)."),
     ] = Path("."),
 ) -> None:
     """Copy a configuration and the files that it names."""
@@ -59,7 +57,7 @@ def _list() -> None:
 
     names = shipped_names()
     if not names:
-        raise UsageError("configs: there are none beside the program; install it anew")
+        raise UsageError("configs: the installation has no configurations. Reinstall evo-cpg")
     found = map(shipped, names)
     rows = [(one.name, one.study or "ours", one.summary) for one in found]
-    show_table(("name", "study", "what it is"), rows, left=3)
+    show_table(("name", "study", "description"), rows, left=3)

@@ -12,10 +12,10 @@ def cpg(
     overrides: Overrides = None,
     gain: Annotated[
         float | None,
-        typer.Option(min=0, help="Adaptation gain b; the middle of its range by default."),
+        typer.Option(min=0, help="Adaptation gain b (default: the middle of its range)."),
     ] = None,
     tonic_input: Annotated[
-        float | None, typer.Option(min=0, help="Tonic input u; the largest by default.")
+        float | None, typer.Option(min=0, help="Tonic input u (default: the largest).")
     ] = None,
     frequency: Annotated[
         float | None, typer.Option(help="Find settings with this frequency, Hz.")
@@ -23,13 +23,13 @@ def cpg(
     lag: Annotated[
         float | None,
         typer.Option(
-            help="Find settings with this mean lag along a chain, degrees; negative "
-            "from tail to head."
+            help="Find settings with this mean lag along a chain, degrees (negative: from tail "
+            "to head)."
         ),
     ] = None,
     chain: Annotated[
         str | None,
-        typer.Option(metavar="JOINT", help="Use the longest chain through this oscillator."),
+        typer.Option(metavar="JOINT", help="Use the longest chain that contains this oscillator."),
     ] = None,
 ) -> None:
     """Show the rhythm of the oscillators, or find settings for one."""

@@ -44,36 +44,35 @@ class Distribution(NamedTuple):
         bool,
         typer.Option(
             "--distributed",
-            help="Evolve with other processes: those of SLURM or Open MPI, of --hosts or of "
-            "--local.",
+            help="Evolve with other processes, from SLURM, Open MPI, --hosts or --local.",
         ),
     ] = False
     hosts: Annotated[
         str | None,
         typer.Option(
             metavar="HOST[:PORT],HOST,...",
-            help="Hosts of the processes, or a file with one on each line; the first leads.",
+            help="Hosts of the processes, or a file with one host on each line. The first leads.",
         ),
     ] = None
     process: Annotated[
         int | None,
         typer.Option(
             min=0,
-            help="Which of --hosts this process is, from 0; by the name of its host by default.",
+            help="Place of this process in --hosts, from 0 (default: the place of its host).",
         ),
     ] = None
     local: Annotated[
-        int | None, typer.Option(min=1, help="Start so many processes on this machine.")
+        int | None, typer.Option(min=1, help="Start this many processes on this machine.")
     ] = None
     join_timeout: Annotated[
-        float, typer.Option(min=0.1, help="Seconds that the processes may take to come together.")
+        float, typer.Option(min=0.1, help="Longest time until all processes have joined, s.")
     ] = 60.0
     patience: Annotated[
         float | None,
         typer.Option(
             min=0,
-            help="Seconds, beyond twice what its own part took, that a process waits for the "
-            "others; 20 by default.",
+            help="Time to wait for the other processes, s, in addition to twice the time that "
+            "this process takes for its trials (default: 20).",
         ),
     ] = None
 
@@ -91,14 +90,14 @@ class Distribution(NamedTuple):
         given = {"--hosts": self.hosts, "--process": self.process, "--local": self.local}
         named = [option for option, value in given.items() if value is not None]
         if named and not self.distributed:
-            raise UsageError(f"{named[0]} goes with --distributed")
+            raise UsageError(f"{named[0]} needs --distributed. Add it")
         if self.local is not None and self.hosts is not None:
             raise UsageError(
-                "--local starts processes on this machine, --hosts names machines on which they "
-                "are started: take one of them"
+                "--local and --hosts exclude each other. Give --local to start all processes on "
+                "this machine, or --hosts to start one yourself on each host"
             )
         if self.process is not None and self.hosts is None:
-            raise UsageError("--process goes with --hosts: it is a place in that list")
+            raise UsageError("--process needs --hosts, because it is a place in that list")
         if self.local is not None:
             from evo_cpg.cli.local import run_local
 
@@ -131,8 +130,8 @@ def together(distribution: Distribution, run: Path) -> Iterator["Team"]:
     from evo_cpg.training import processes
 
     def end(message: str) -> None:
-        advice = f"go on with `evo-cpg resume {run}`, on any number of processes"
-        print(f"evo-cpg: {message}; {advice}", file=sys.stderr, flush=True)
+        advice = f"Continue with `evo-cpg resume {run}`, on any number of processes"
+        print(f"evo-cpg: {message}. {advice}", file=sys.stderr, flush=True)
         leave_at_once(ExitCode.LOST)
 
     place = _place(distribution) if distribution.distributed else None
@@ -167,11 +166,11 @@ def require_same(team: "Team", own: Mapping[str, Mapping[str, str]]) -> None:
     from evo_cpg.training.processes import difference
 
     text = json.dumps(own, sort_keys=True).encode()
-    rows = team.exchange(text, "the others, to compare the configuration")
+    rows = team.exchange(text, "the other processes, to compare the configuration")
     unlike = difference(rows)
     if unlike:
         changed = changes(json.loads(rows[0]), own)
-        how = f"; process {team.index} differs from process 0 in {', '.join(changed)}"
+        how = f". Process {team.index} differs from process 0 in {', '.join(changed)}"
         raise Disagreement(
             f"the configuration differs between the processes: {unlike}{how if changed else ''}"
         )
@@ -187,9 +186,9 @@ def _place(distribution: Distribution) -> "Place":
     found = detected_cluster(distribution.join_timeout)
     if found is None:
         raise UsageError(
-            "--distributed: no scheduler that JAX knows (SLURM, Open MPI) has started this; say "
-            "--local N for N processes on this machine, or --hosts A,B,C for those of a list, and "
-            "start the same command on each"
+            "--distributed: no scheduler that JAX knows (SLURM, Open MPI) has started this process."
+            " Add --local N to start N processes on this machine. Or add --hosts A,B,C, and start "
+            "the same command on each host"
         )
     address, count, index = found
     host, _, port = address.rpartition(":")

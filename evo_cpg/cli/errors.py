@@ -12,19 +12,19 @@ class ExitCode(IntEnum):
     """Exit codes other than 0. The users' list is in docs/cli.md."""
 
     FAULT = 1
-    """A fault of the program; or a job of a sweep, or the search for a rhythm, failed."""
+    """Fault of the program, failed job of a sweep, or failed search for a rhythm."""
 
     WRONG_INPUT = 2
-    """The input is wrong, as a message says."""
+    """Wrong input. A message names the error."""
 
     NOT_PASSED = 3
-    """An audit, a verification or a comparison failed."""
+    """Failed audit, verification or comparison."""
 
     LOST = 4
-    """Another process of the same run was lost."""
+    """Loss of another process of the same run."""
 
     INTERRUPTED = 130
-    """The user interrupted; shells use this number."""
+    """Interrupt by the user. Shells use this number, too."""
 
 
 class UsageError(UserError):
@@ -44,7 +44,7 @@ def require_free(output: Path, overwrite: bool) -> None:
     """
     # Path.exists raises an error for names that no file can have.
     if os.path.exists(output) and not overwrite:
-        raise UsageError(f"{output} exists already; --overwrite replaces it")
+        raise UsageError(f"{output} exists. Choose another name, or replace it with --overwrite")
 
 
 def message_for(error: Exception) -> str | None:
@@ -63,7 +63,7 @@ def _of_system(error: Exception) -> str | None:
     """Return the message for a refusal of the operating system."""
     if isinstance(error, UnicodeEncodeError):
         return (
-            f"{error.object[:100]!a} cannot be written in {error.encoding}; choose a locale with "
+            f"{error.object[:100]!a} cannot be written in {error.encoding}. Choose a locale with "
             "UTF-8, such as LC_ALL=C.UTF-8, or another name"
         )
     if not isinstance(error, OSError):
@@ -84,7 +84,7 @@ def _of_platform() -> str | None:
         names = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME")
         given = [f"{name} is {os.environ[name]!r}" for name in names if os.environ.get(name)]
         return (
-            f"JAX finds no device to compute on ({', '.join(given) or 'of any kind'}); set "
+            f"JAX finds no device to compute on ({', '.join(given) or 'of any kind'}). Set "
             "JAX_PLATFORMS to 'cpu', or unset it"
         )
     return None

@@ -40,10 +40,10 @@ def export(
     suffix = output_path(output, (".xml", ".glb", ".csv", ".npz")).suffix.lower()
     if suffix == ".xml":
         if which != BEST:
-            raise UsageError(f"{output}: has no motion; leave out --run, --trial, --cell")
+            raise UsageError(f"{output}: has no motion. Leave out --run, --trial and --cell")
         _export_model(source, output)
     elif not os.path.isdir(source):
-        raise UsageError(f"{source} is no run folder: only a run has a motion for {output.name}")
+        raise UsageError(f"{source} is not a run folder: only a run has a motion for {output.name}")
     elif suffix == ".glb":
         _export_scene(source, output, which)
     else:
@@ -99,8 +99,8 @@ def _export_model(source: Path, output: Path) -> None:
     write_text(output, mjcf_text(model))
     if world.water is not None:
         carried = world.water.surface is None
-        what = "all of it but buoyancy" if carried else "all of it, since it has a surface"
-        print(f"left out: the water, {what}", file=sys.stderr)
+        what = "the water, except buoyancy" if carried else "the water, because it has a surface"
+        print(f"left out: {what}", file=sys.stderr)
     own = [type(law).__name__ for law in world.forces if not law.of_water]
     if own:
         print(f"left out: force laws of your own, {', '.join(own)}", file=sys.stderr)

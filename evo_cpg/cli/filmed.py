@@ -22,7 +22,13 @@ _SHOWN = 4
 
 
 def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
-    """Return a panel with the champion of a run, or with the elite of a cell."""
+    """Return a panel with the champion of a run, or with the elite of a cell of its map.
+
+    Args:
+        run: run folder.
+        which: champion or elite, and trial.
+        signals: whether the panel has a strip of signals.
+    """
     strip = None
     if signals:
         opened = open_champion(run, which)
@@ -33,7 +39,7 @@ def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
     experiment = opened.experiment
     if which.cell is None:
         return panel_of(experiment, recording, experiment.name, strip)
-    # The map keeps only those terms of an elite that are axes of the map.
+    # The map keeps only those terms of an elite that are axes of the map. The panel shows them all.
     title = f"{experiment.name}, cell {which.cell}"
     return panel_of(experiment, recording, title, strip, terms_text(opened.champion.terms))
 
@@ -53,13 +59,13 @@ def lineage_panels(
             replay.fitness, one.fitness, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
         ):
             warn(
-                f"{run}: the champion of generation {one.generation} comes to "
-                f"{replay.fitness:.4f} and not to {one.fitness:.4f} as recorded: "
-                f"{opened.folder.config} or the machine is another one than it evolved with"
+                f"{run}: the champion of generation {one.generation} replays with fitness "
+                f"{replay.fitness:.4f}, not {one.fitness:.4f} as recorded. "
+                f"{opened.folder.config} or the machine has changed since the evolution"
             )
         title = f"generation {one.generation}: fitness {one.fitness:.3g}"
         if one.expected is not None:
-            title = f"champion: fitness {one.expected:.3g} in fresh draws"
+            title = f"champion: fitness {one.expected:.3g} with new noise"
         shown = _signals(opened, replay) if signals else None
         panels.append(panel_of(opened.experiment, replay.recording, title, shown))
     return panels
@@ -75,7 +81,7 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
     folder, champion, run = opened.folder, opened.champion, opened.champion.run
     lineage = [each for each in folder.load_lineage() if each.run == run]
     if not lineage:
-        raise RunFolderError(f"{folder.lineage} knows no champion of run {run}")
+        raise RunFolderError(f"{folder.lineage} has no champion of run {run}")
     if generations is None:
         if champion.expected is None:
             return representatives(lineage, _SHOWN)
@@ -89,11 +95,11 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
         one = champion_at(lineage, generation)
         if generation >= max(done, lineage[-1].generation + 1):
             raise UsageError(
-                f"--lineage: {folder.path} has done {done} generations; {done - 1} is the last"
+                f"--lineage: {folder.path} has {done} generations. The last is {done - 1}"
             )
         if one is None:
             raise UsageError(
-                f"--lineage: the first champion that {folder.path} knows is that of generation "
+                f"--lineage: the first recorded champion of {folder.path} is from generation "
                 f"{lineage[0].generation}"
             )
         if all(one is not other for other in found):

@@ -20,7 +20,7 @@ def fit(
         ),
     ],
     settings: Annotated[
-        list[str] | None, typer.Option("--set", help="KEY=VALUE to set, but not to estimate.")
+        list[str] | None, typer.Option("--set", help="KEY=VALUE to set without estimating it.")
     ] = None,
     run: Annotated[
         Path | None, typer.Option("--run", help="A run folder, whose champion moves the joints.")
@@ -28,7 +28,7 @@ def fit(
     noise: Annotated[
         list[str] | None,
         typer.Option(
-            help="Standard deviation as position=, attitude= or angle=; estimated by default."
+            help="Standard deviation, position=, attitude= or angle= (default: estimated)."
         ),
     ] = None,
     out: Annotated[

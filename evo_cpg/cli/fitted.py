@@ -37,8 +37,8 @@ INITIAL = "initial."
 UNITS = {"position": "m", "attitude": "rad", "angle": "rad"}
 
 # Measured numbers that each kind of column needs beyond the number of parameters, if the noise of
-# several kinds is estimated. The intervals then hold the truth in at least 92 % of cases. With one
-# number less than there are parameters, they hold it in 78 % (docs/models/gradients.md).
+# several kinds is estimated. The intervals then contain the true value in at least 92 % of cases.
+# With one number less than parameters, they contain it in 78 % (docs/models/gradients.md).
 _OF_A_KIND = 5
 
 # The search restarts from its result until the result changes by less than this fraction of its
@@ -121,7 +121,7 @@ def fit_motion(
     genes = None
     if run is not None:
         if recording.targets:
-            raise UsageError("--run: the champion moves the joints; leave out the target columns")
+            raise UsageError("--run: the champion moves the joints. Leave out the target columns")
         # Opening the run sets the number of cores, which must precede the start of JAX.
         genes = np.asarray(open_champion(run).champion.genes, float)
     begins = with_numbers(whole, {k: v for k, v in start.items() if k in inner}, config)
@@ -147,8 +147,8 @@ def fit_motion(
     late = late_commands(recording, simulation)
     if late:
         warn(
-            f"{data}: {late} commands come between two control steps, of which "
-            f"there are {simulation.control_rate:g} a second, and take effect at the next"
+            f"{data}: {late} commands lie between two control steps "
+            f"({simulation.control_rate:g} steps per second) and take effect at the next one"
         )
     with working("compiling the search") as work:
         result, shown = search(problem, work)
@@ -182,14 +182,15 @@ def _check_keys(names: Sequence[str], set_here: dict[str, str], run: Path | None
     for i, name in enumerate(names):
         if name in set_here:
             raise UsageError(
-                f"{name}: is searched for and set; give its start as {name}=VALUE alone"
+                f"{name}: is both estimated and set. Leave out --set, and give its start as "
+                f"{name}=VALUE"
             )
         if name in names[:i]:
-            raise UsageError(f"{name}: is given twice")
+            raise UsageError(f"{name}: is given twice. Give it once")
         if run is None and name.startswith("controller."):
             raise UsageError(
-                f"{name}: the recorded commands move the joints, not the controller; "
-                "--run RUN takes a champion's"
+                f"{name}: the recorded commands move the joints, not the controller. "
+                "Add --run RUN to let the controller of a champion move them"
             )
 
 
@@ -217,11 +218,11 @@ def _check_names(
         for name in given:
             if name not in valid:
                 hint = nearest(name, valid) if valid else "the creature has no joints"
-                raise UsageError(f"{path}: there is nothing called {prefix}{name}; {hint}")
+                raise UsageError(f"{path}: unknown column {prefix}{name}: {hint}")
     for name in beginnings:
         short, valid = name.removeprefix(INITIAL), beginning_names(simulation)
         if short not in valid:
-            raise UsageError(f"{name}: does not exist; {nearest(short, valid)}")
+            raise UsageError(f"{name}: does not exist: {nearest(short, valid)}")
 
 
 def _is_positive(parameters: Parameters, name: str) -> bool:
@@ -250,8 +251,8 @@ def _require_numbers(problem: Problem, path: Path) -> None:
     for kind, count in counts.items():
         if len(present) > 1 and count < least and not problem.noise:
             raise UsageError(
-                f"{path}: {count} number(s) of kind {kind} are too few to tell how noisy they are, "
-                f"beside {parameters} parameter(s) {least} are needed; give "
+                f"{path}: {count} number(s) of kind {kind} are too few to estimate their noise. "
+                f"With {parameters} parameter(s), at least {least} are needed. Give "
                 f"{' '.join(f'--noise {each}=..' for each in present)}, or leave them out"
             )
 
@@ -262,10 +263,12 @@ def _noise(problem: Problem) -> np.ndarray | None:
         return None
     for kind, size in known.items():
         if kind not in UNITS or not size > 0:
-            raise UsageError(f"--noise: {kind}={size:g}; give {'=.., '.join(UNITS)}=.. above 0")
+            raise UsageError(
+                f"--noise: {kind}={size:g} is wrong. Allowed: {'=.., '.join(UNITS)}=.. above 0"
+            )
     missing = [kind for kind in present if kind not in known]
     if missing:
-        raise UsageError(f"--noise: also give that of {', '.join(missing)}, or none at all")
+        raise UsageError(f"--noise: is missing for {', '.join(missing)}. Give it, or none at all")
     return np.array([known[kind] for kind in present])
 
 
@@ -305,16 +308,16 @@ def search(problem: Problem, work: Work) -> tuple[Fit, np.ndarray]:
         program = jax.jit(fit_to)
         for number in range(1, _MOST_SEARCHES + 1):
             if number > 1:
-                work.doing(f"searching on from there: {number} of up to {_MOST_SEARCHES}")
+                work.doing(f"searching again from the result: {number} of up to {_MOST_SEARCHES}")
             result = jax.device_get(program(jnp.asarray(values), jnp.asarray(recording.data)))
             unfelt = [n for n, felt in zip(names, result.felt, strict=True) if not felt]
             if unfelt:
                 raise UsageError(
-                    f"{unfelt[0]}: nothing that was measured depends on it at these values; leave "
+                    f"{unfelt[0]}: does not influence any measured quantity at these values. Leave "
                     "it out, or start elsewhere, KEY=VALUE"
                 )
             if not np.isfinite(result.values).all():
-                raise UsageError("the simulation diverges near these values; try others, KEY=VALUE")
+                raise UsageError("the simulation diverges near these values. Try others, KEY=VALUE")
             size = np.where(positive, np.abs(result.values), 1.0) * result.errors
             still = np.abs(result.values - values) <= _STILL * size
             values = np.asarray(result.values)
@@ -324,7 +327,7 @@ def search(problem: Problem, work: Work) -> tuple[Fit, np.ndarray]:
                 raise UsageError(_forbidden(names, values, size, error)) from None
             if still.all():
                 break
-        work.doing("the motion with the estimates")
+        work.doing("simulating the motion with the estimates")
         shown = jax.device_get(jax.jit(observe)(jnp.asarray(values)))
     return result, shown
 
@@ -337,7 +340,7 @@ def _forbidden(
         for name, value, size in zip(names, values, sizes, strict=True)
     )
     return (
-        f"the data ask for {found}, which is not allowed ({error}); leave out what the data set at "
+        f"the best fit is {found}, which is not allowed ({error}). Leave out the parameter at "
         "its bound, or start elsewhere, KEY=VALUE"
     )
 
@@ -356,6 +359,6 @@ def _report(problem: Problem, result: Fit) -> None:
     show_table(("parameter", "start", "estimate", "95 % interval"), rows)
     sizes = zip(problem.present, result.noise, strict=True)
     noise = ", ".join(f"{kind} {size:.3g} {UNITS[kind]}" for kind, size in sizes)
-    print(f"noise: {noise}; {int(result.freedom)} degrees of freedom")
+    print(f"noise: {noise} ({int(result.freedom)} degrees of freedom)")
     for words in fit_warnings(problem.names, problem.positive, result):
-        print(f"beware: {words}")
+        print(f"warning: {words}")

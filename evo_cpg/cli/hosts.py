@@ -43,13 +43,13 @@ def _words(text: str) -> list[str]:
         words = [line.partition("#")[0].strip() for line in lines]
         words = [word for word in words if word]
         if not words:
-            raise UsageError(f"--hosts: {text} names no host; write one on each line")
+            raise UsageError(f"--hosts: {text} names no host. Write one on each line")
         return words
     words = [word.strip() for word in text.split(",")]
     if "" in words:
         raise UsageError(
-            f"--hosts {text}: there is nothing between two commas, or at an end; "
-            "write HOST[:PORT],HOST,... or the name of a file"
+            f"--hosts {text}: a name is missing before or after a comma. "
+            "Write HOST[:PORT],HOST,... or the name of a file"
         )
     return words
 
@@ -60,7 +60,7 @@ def _parted(word: str) -> tuple[str, int]:
     form = r"\[([^]]*)\](?::(.*))?" if bracketed else r"([^:]*)(?::([^:]*))?"
     match = re.fullmatch(form, word)
     if match is None and bracketed:
-        raise UsageError(f"--hosts: {word}: an address in brackets is written [HOST]:PORT")
+        raise UsageError(f"--hosts: {word}: write an address in brackets as [HOST]:PORT")
     # Any other word with several colons is an IPv6 address without a port.
     host, port = match.groups() if match else (word, None)
     host = _name(host, 1)
@@ -73,7 +73,7 @@ def _parted(word: str) -> tuple[str, int]:
 
 def _name(word: str, number: int) -> str:
     if not word or any(character.isspace() or character in "/@,;=" for character in word):
-        raise UsageError(f"--hosts: host {number} is {word!r}, which is no name of a host")
+        raise UsageError(f"--hosts: host {number} is {word!r}, which is not the name of a host")
     if word.count(":") == 1:
         raise UsageError(f"--hosts: {word}: only the first host, the lead, may have a port")
     return word
@@ -86,12 +86,12 @@ def _own(names: Sequence[str]) -> int:
         return found[0]
     if not found:
         raise UsageError(
-            f"--hosts: none of {', '.join(names[:8])} is this machine, {socket.gethostname()}; "
-            "say which of them it is: --process I, counted from 0"
+            f"--hosts: none of {', '.join(names[:8])} is this machine, {socket.gethostname()}. "
+            "Give the place of this process with --process I, counted from 0"
         )
     raise UsageError(
-        f"--hosts: {len(found)} of them are this machine, {', '.join(names[i] for i in found[:8])};"
-        " say which this process is: --process I, counted from 0"
+        f"--hosts: {len(found)} of them are this machine, {', '.join(names[i] for i in found[:8])}."
+        " Give the place of this process with --process I, counted from 0"
     )
 
 

@@ -103,7 +103,7 @@ class Job(NamedTuple):
                 stack.enter_context(joined(folder))
             plan = read_plan(folder)
             if plan is None:
-                raise RunFolderError(f"{folder} is no sweep any more")
+                raise RunFolderError(f"{folder} is no longer a sweep")
             for group in groups(members_of(folder, plan, self.settings)):
                 run_group(group, devices, lambda member, rows: None)
 
@@ -120,7 +120,7 @@ def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
     """
     given = dict(_option(text) for text in options)
     if given and word != "slurm":
-        raise UsageError("--job-option: is for --jobs slurm")
+        raise UsageError("--job-option: needs --jobs slurm. Add it, or leave --job-option out")
     if word is None:
         return None
     count = None if word == "slurm" else int(word) if word.isdecimal() else 0
@@ -130,13 +130,13 @@ def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
         importlib.import_module("submitit")
     except ImportError as error:
         raise UsageError(
-            f"--jobs: 'submitit' is not installed here ({error}); `{command_for('jobs')}` installs "
-            "it"
+            f"--jobs: 'submitit' is not installed here ({error}). Install it with "
+            f"`{command_for('jobs')}`"
         ) from None
     if count is None and not (shutil.which("sbatch") and shutil.which("srun")):
         raise UsageError(
-            "--jobs slurm: there is no sbatch here, with which SLURM is given jobs; run this on a "
-            "host that has it, or choose --jobs N for N processes on this one"
+            "--jobs slurm: this host has no sbatch, which submits jobs to SLURM. Run the command "
+            "on a host that has it, or choose --jobs N for N processes on this host"
         )
     return Jobs(count, given)
 
@@ -161,14 +161,14 @@ def claimed(folder: Path, jobs: Jobs | None) -> Iterator[None]:
         try:
             lock = stack.enter_context(locked(folder, make=True))
         except LockedError as error:
-            raise LockedError(f"{error}; a job that it has started may be at work, too") from None
+            raise LockedError(f"{error}. A job that it has started may be running, too") from None
         if jobs is None or jobs.count is not None:
-            going_on = [entry["id"] for entry in _recorded(folder) if not _of_slurm(entry).done()]
-            if going_on:
+            running = [entry["id"] for entry in _recorded(folder) if not _of_slurm(entry).done()]
+            if running:
                 raise RunFolderError(
-                    f"{folder}: jobs of it are with SLURM ({', '.join(going_on)}); look at them "
-                    f"with `evo-cpg sweep {folder} --jobs slurm`, end them with `scancel "
-                    f"{' '.join(going_on)}`, or, if SLURM has no such jobs, delete "
+                    f"{folder}: SLURM has jobs of this sweep ({', '.join(running)}). Follow them "
+                    f"with `evo-cpg sweep {folder} --jobs slurm`, or end them with `scancel "
+                    f"{' '.join(running)}`. If SLURM has no such jobs, delete "
                     f"{folder / _HIDDEN / _SLURM}"
                 )
             (folder / _HIDDEN / _SLURM).unlink(missing_ok=True)
@@ -306,8 +306,9 @@ class _Slurm:
                 return job
             else:
                 raise UsageError(
-                    f"--jobs slurm: job {entry['id']} evolves {', '.join(sorted(shared))} already, "
-                    f"with others; wait until it is done, or end it with `scancel {entry['id']}`"
+                    f"--jobs slurm: job {entry['id']} already evolves {', '.join(sorted(shared))}, "
+                    f"with other settings. Wait for its end, or end it with `scancel "
+                    f"{entry['id']}`"
                 )
         try:
             job = self._executor.submit(_job(self._folder, group, cores, False))
@@ -315,7 +316,7 @@ class _Slurm:
             logs = str(self._logs.resolve())
             if not any(entry["logs"] == logs for entry in self._entries):
                 shutil.rmtree(logs, ignore_errors=True)
-            reason = next(iter(str(error).split("\n")), "") or "without a word"
+            reason = next(iter(str(error).split("\n")), "") or "no reason given"
             raise UsageError(f"--jobs slurm: sbatch refuses the job: {reason}") from None
         entry = _Entry(id=job.job_id, logs=str(self._logs.resolve()), settings=names)
         self._record([*self._entries, entry])
@@ -331,8 +332,8 @@ class _Slurm:
             return
         ids = [job.job_id for job in running]
         print(
-            f"jobs {', '.join(ids)} go on; look at them with `evo-cpg sweep {self._folder} --jobs "
-            f"slurm`, end them with `scancel {' '.join(ids)}`",
+            f"jobs {', '.join(ids)} continue. Follow them with `evo-cpg sweep {self._folder} --jobs"
+            f" slurm`, or end them with `scancel {' '.join(ids)}`",
             file=sys.stderr,
         )
 
@@ -359,7 +360,7 @@ def _failed(job: Any, group: Sequence[Member], work: Work) -> list[str]:
     if left:
         path = Path(job.paths.stderr)
         last = [line for line in described_by(path).splitlines() if line.strip()][-_LAST_LINES:]
-        work.say(f"job {job.job_id} failed ({', '.join(left)}); {path} ends:")
+        work.say(f"job {job.job_id} failed ({', '.join(left)}). {path} ends:")
         for line in last or ["(nothing)"]:
             work.say(f"    {line}")
     return left
@@ -387,8 +388,8 @@ def _of_slurm(entry: _Entry) -> Any:
         submitit: Any = importlib.import_module("submitit")
     except ImportError:
         raise RunFolderError(
-            f"job {entry['id']} of this sweep may be with SLURM, and 'submitit' is not installed "
-            f"here to look; `{command_for('jobs')}` installs it"
+            f"job {entry['id']} of this sweep may be running in SLURM, and 'submitit', which can "
+            f"check this, is not installed here. Install it with `{command_for('jobs')}`"
         ) from None
     return submitit.SlurmJob(entry["logs"], entry["id"])
 

@@ -151,7 +151,7 @@ def options(
         typer.Option(
             "--trust",
             callback=_trust,
-            help="Trust the configuration: it may run code beside it and name files anywhere.",
+            help="Trust the configuration: it may run code in its folder and name any file.",
         ),
     ] = False,
     version: Annotated[

@@ -62,16 +62,16 @@ def read_motion(path: Path) -> MeasuredMotion:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UsageError(f"{path}: cannot be read ({error})") from None
     if len(lines) < 2:
-        raise UsageError(f"{path}: has no numbers; give a line of names and lines of numbers")
+        raise UsageError(f"{path}: has no numbers. Give a line of names, then lines of numbers")
     # A unit may follow a name: `time [s]`.
     heads = [name.strip() for name in lines[0][1]]
     names = [_UNIT.sub("", head) for head in heads]
     units = [match[1].strip() if (match := _UNIT.search(head)) else None for head in heads]
     twice = [name for i, name in enumerate(names) if name in names[:i]]
     if twice:
-        raise UsageError(f"{path}: the column {twice[0]!r} is there twice")
+        raise UsageError(f"{path}: the column {twice[0]!r} occurs twice")
     if "time" not in names:
-        raise UsageError(f"{path}: has no column time (s); it has {', '.join(names)}")
+        raise UsageError(f"{path}: has no column time (s). It has {', '.join(names)}")
     table = np.full((len(lines) - 1, len(names)), np.nan)
     for i, (line, row) in enumerate(lines[1:]):
         if len(row) != len(names):
@@ -84,13 +84,13 @@ def read_motion(path: Path) -> MeasuredMotion:
     columns = _of_export(columns, root, path) if root else columns
     time = columns.pop("time")
     if not np.isfinite(time).all() or time.min() < 0 or (np.diff(time) <= 0).any():
-        raise UsageError(f"{path}: time must grow from row to row, from 0 or later")
+        raise UsageError(f"{path}: time must begin at 0 or later and increase from row to row")
     targets = {name: columns.pop(name) for name in [*columns] if name.startswith(TARGET)}
     for name, column in targets.items():
         if not np.isfinite(column).all():
             raise UsageError(f"{path}: {name} must be a number in every row")
     if not columns:
-        raise UsageError(f"{path}: nothing was measured: there is only time")
+        raise UsageError(f"{path}: has no measured column. Add at least one")
     targets = {name.removeprefix(TARGET): column for name, column in targets.items()}
     return MeasuredMotion(time, tuple(columns), np.stack(list(columns.values()), 1), targets)
 
@@ -118,7 +118,7 @@ def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
         return 1.0
     if unit not in allowed:
         raise UsageError(
-            f"{path}: {name} [{unit}]: cannot be in that unit; choose {' or '.join(allowed)}"
+            f"{path}: {name} cannot be in the unit [{unit}]. Allowed: {' or '.join(allowed)}"
         )
     return allowed[unit]
 
@@ -131,7 +131,7 @@ def _of_export(columns: dict[str, np.ndarray], root: str, path: Path) -> dict[st
     needed = [*(f"{root}.rotation_{axes}" for axes in _ATTITUDE), *(f"{root}.{x}" for x in "xyz")]
     lacking = [name for name in needed if name not in columns]
     if lacking:
-        raise UsageError(f"{path}: {lacking[0]} is missing, which an exported motion has")
+        raise UsageError(f"{path}: an exported motion must have the column {lacking[0]}")
     xx, yx, zx, zy, zz = (columns[f"{root}.rotation_{axes}"] for axes in _ATTITUDE)
     seen = {"time": columns["time"], **{axis: columns[f"{root}.{axis}"] for axis in "xyz"}}
     seen |= {

@@ -12,7 +12,7 @@ from evo_cpg.cli.errors import UsageError
 
 
 class What(enum.StrEnum):
-    """Choice of the genomes that a run begins with."""
+    """Choice of the initial genomes of a run."""
 
     CHAMPION = "champion"
     POPULATION = "population"
@@ -63,7 +63,7 @@ Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file i
 Number = Annotated[
     int | None,
     typer.Option(
-        "--run", min=0, help="Number of one of several runs side by side; the best by default."
+        "--run", min=0, help="Number of one of several runs side by side (default: the best)."
     ),
 ]
 Trial = Annotated[
@@ -75,7 +75,7 @@ Cell = Annotated[
     typer.Option(
         "--cell",
         help="Use the elite of this cell of the run's map, not the champion: a number for "
-        "each axis from 0, such as 3,0,7.",
+        "each axis, from 0, such as 3,0,7.",
     ),
 ]
 
@@ -114,13 +114,16 @@ BEST = Which()
 Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse values that are allowed but not plausible.")
 ]
-Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use; all by default.")]
+Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use (default: all).")]
+CoresOfRun = Annotated[
+    int | None, typer.Option("--cores", min=1, help="Cores to use (default: as in training).")
+]
 Tensorboard = Annotated[
     bool,
-    typer.Option("--tensorboard", help="Write RUN/tensorboard, with the columns of metrics.csv."),
+    typer.Option("--tensorboard", help="Write RUN/tensorboard with the columns of metrics.csv."),
 ]
 Folder = Annotated[
-    Path | None, typer.Option("--out", "-o", help="Folder for the files; RUN by default.")
+    Path | None, typer.Option("--out", "-o", help="Folder for the files (default: RUN).")
 ]
 
 

@@ -13,7 +13,7 @@ from evo_cpg.cli.writing import writes_to_run
 def plot(
     run: Run,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder; RUN/plots by default.")
+        Path | None, typer.Option("--output", "-o", help="Folder (default: RUN/plots).")
     ] = None,
     which: Which = BEST,
 ) -> None:

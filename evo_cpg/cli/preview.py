@@ -13,7 +13,7 @@ def preview(
     config: Config,
     overrides: Overrides = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="A .png file; NAME.png by default.")
+        Path | None, typer.Option("--output", "-o", help="A .png file (default: NAME.png).")
     ] = None,
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "1280x720",
     strict: Strict = False,
@@ -42,7 +42,7 @@ def preview(
     if given.simulation.start_pose == "settled" or shaped:
         # Draw the initial pose, with obstacles and shore.
         names = [body.name for body in creature.bodies]
-        with working("finding how it starts"):
+        with working("computing the initial pose"):
             simulation = build_experiment(given, config).simulation
             pose = starting_pose(simulation.situations[0], simulation.world.tree, names)
         contact_model = simulation.world.contact_model

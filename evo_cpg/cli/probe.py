@@ -15,25 +15,25 @@ def probe(
     bearings: Annotated[
         str | None,
         typer.Option(
-            help="Bearings of the light, degrees to the left: START:STOP:COUNT, -75:75:11 by "
-            "default, or a list such as -60,0,60."
+            help="Bearings of the light, degrees to the left: START:STOP:COUNT or a list such as "
+            "-60,0,60 (default: -75:75:11)."
         ),
     ] = None,
     distances: Annotated[
         str | None,
         typer.Option(
-            help="Distances of the light, m, in the same form; that of the config by default."
+            help="Distances of the light, m, in the same form (default: from the configuration)."
         ),
     ] = None,
     trials: Annotated[
-        bool, typer.Option("--trials", help="Use the situations of the config instead.")
+        bool, typer.Option("--trials", help="Use the situations of the configuration instead.")
     ] = False,
     blind: Annotated[bool, typer.Option("--blind", help="Set all light sensors to 0.")] = False,
     reach: Annotated[
         float,
         typer.Option(
             min=0,
-            help="Fraction of the distance that may be left to a light that counts as reached.",
+            help="Largest fraction of the distance that may be left to a reached light.",
         ),
     ] = 0.2,
     number: Number = None,
@@ -44,7 +44,8 @@ def probe(
 
     if trials and (bearings is not None or distances is not None):
         raise UsageError(
-            "--trials takes the lights of the config: leave out --bearings and --distances, or it"
+            "--trials uses the lights of the configuration. Leave out --bearings and --distances, "
+            "or --trials"
         )
     lights = None if trials else (bearings, distances)
     probe_champion(run, Which(number), lights, blind, reach, out or run)

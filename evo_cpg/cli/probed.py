@@ -14,7 +14,7 @@ from evo_cpg.cli.tables import show_table
 from evo_cpg.config.situations import out_of_reach
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.probe import UNSEEING, Probe, around, blinded, probe, seen_from_start
 from evo_cpg.view.figure import save_figure
 from evo_cpg.view.probe_plot import probe_figure
@@ -71,8 +71,8 @@ def probe_champion(
     show_probe(rows)
     if blind and seeing.displacement > 0:
         kept = max(0.0, found.displacement) / seeing.displacement
-        print(f"blind it keeps {kept:.0%} of its displacement towards the lights")
-    print(f"{result} ({reached.mean():.0%}): at most {reach:g} of the distance left")
+        print(f"blinded, it keeps {kept:.0%} of its displacement towards the lights")
+    print(f"{result} ({reached.mean():.0%}), with at most {reach:g} of the distance left")
     print(table)
     print(picture)
     words = missed(found, reach)
@@ -91,7 +91,7 @@ def _places(bearings: str | None, distances: str | None) -> tuple[np.ndarray, li
     away = [] if distances is None else _numbers("--distances", distances)
     lights = len(turned) * max(len(away), 1)
     if lights > _MOST:
-        raise UsageError(f"--bearings, --distances: {lights} lights; allowed: up to {_MOST}")
+        raise UsageError(f"--bearings, --distances: {lights} lights. Allowed: up to {_MOST}")
     if min(away, default=1.0) <= 0:
         raise UsageError(f"--distances: must be greater than 0, got {min(away):g}")
     return np.deg2rad(turned), away
@@ -111,7 +111,7 @@ def _numbers(option: str, text: str) -> list[float]:
     if not numbers or len(numbers) > _MOST or not np.isfinite(numbers).all():
         raise UsageError(
             f"{option}: {text!r} is neither START:STOP:COUNT, such as {_BEARINGS}, nor a list, "
-            f"such as -60,0,60; at most {_MOST} numbers"
+            f"such as -60,0,60. Allowed: at most {_MOST} numbers"
         )
     return numbers
 
@@ -132,11 +132,13 @@ def missed(found: Probe, reach: float) -> str:
 def unseeing(seeing: Probe, blind: Probe) -> str:
     """Return a warning if an animal does not use its eyes, else an empty text."""
     if not seeing.displacement > 0:
-        return "it comes no nearer to the lights with its eyes, so there is nothing to compare"
+        return "it does not approach the lights with its eyes, so there is nothing to compare"
     kept = max(0.0, blind.displacement) / seeing.displacement
     if kept < UNSEEING:
         return ""
-    return f"it does not use its eyes: blind it keeps {kept:.0%} of its displacement to the lights"
+    return (
+        f"it does not use its eyes: blinded, it keeps {kept:.0%} of its displacement to the lights"
+    )
 
 
 def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:
@@ -178,7 +180,7 @@ def own_situations(opened: Opened) -> tuple[Situation, ...]:
     simulation = opened.experiment.simulation
     if None in simulation.lights:
         raise UsageError(
-            f"{opened.folder.path}: its task has no light, so there is none to look for"
+            f"{opened.folder.path}: its task has no light, so there is nothing to probe"
         )
     return tuple(
         situation._replace(light=light)
@@ -186,7 +188,7 @@ def own_situations(opened: Opened) -> tuple[Situation, ...]:
     )
 
 
-def require_reachable(experiment: Experiment, situations: tuple[Situation, ...]) -> None:
+def require_reachable(experiment: ExperimentParts, situations: tuple[Situation, ...]) -> None:
     """Check that every light can be reached.
 
     Raises:
@@ -202,7 +204,7 @@ def require_reachable(experiment: Experiment, situations: tuple[Situation, ...])
             distance, bearing, _ = seen_from_start(situation)
             raise UsageError(
                 f"--bearings, --distances: {_degrees(bearing):g} degrees, {distance:g} m: "
-                f"{problem}; choose others, or --trials"
+                f"{problem}. Choose others, or --trials"
             )
 
 

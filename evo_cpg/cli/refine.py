@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.options import Cores, Number, Run
+from evo_cpg.cli.options import CoresOfRun, Number, Run
 
 if TYPE_CHECKING:
     import numpy as np
 
     from evo_cpg.config.parameters import Parameters
     from evo_cpg.training.ascent import Free
-    from evo_cpg.training.experiment import Experiment
+    from evo_cpg.training.experiment import ExperimentParts
     from evo_cpg.training.refine import Round
 
 
@@ -26,7 +26,7 @@ def refine(
         list[str] | None,
         typer.Argument(
             metavar="[KEY]...",
-            help="Numbers of the configuration to refine with the genes, such as "
+            help="Numbers of the configuration to refine together with the genes, such as "
             "controller.cpg.time_scale.",
         ),
     ] = None,
@@ -34,7 +34,7 @@ def refine(
     steps: Annotated[int, typer.Option(min=1, help="Steps of each lane in a round.")] = 20,
     number: Number = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the lanes.")] = 0,
-    cores: Cores = None,
+    cores: CoresOfRun = None,
 ) -> None:
     """Improve the champion along the gradient of its fitness."""
     from evo_cpg.cli.champions import use_cores_of
@@ -71,13 +71,13 @@ def _refine(
         config = config.model_copy(update={"controller": controller})
         experiment = build(config, folder.config, beside)
         print(
-            "bits have no slopes: the genes count as graded, as they do in the run once it gains",
+            "bits have no derivative: the genes count as graded, and stay so in RUN after a gain",
             file=sys.stderr,
         )
     if keys and experiment.runs > 1:
         raise UsageError(
-            f"{keys[0]}: {run} holds {experiment.runs} runs, whose champions share one "
-            "configuration; free numbers take a run of its own"
+            f"{keys[0]}: cannot be refined, because the {experiment.runs} runs of {run} share one "
+            "configuration. Leave the keys out, or use a folder with a single run"
         )
     parameters = parametrise(config, folder.config, keys, beside) if keys else None
     history: list[Round] = []
@@ -109,7 +109,7 @@ def _refine(
             )
             refine(champion, tell)
     except KeyboardInterrupt:
-        print(f"interrupted; what was gained is in {folder.path}", file=sys.stderr)
+        print(f"interrupted. The gain so far is in {folder.path}", file=sys.stderr)
         raise
     last = history[-1]
     if not math.isclose(
@@ -117,14 +117,14 @@ def _refine(
     ):
         print(
             f"the champion's fitness is {last.initial_fitness:.4f} here, not {recorded:.4f} as "
-            f"recorded: {folder.config} or the program is another one than it evolved with",
+            f"recorded. {folder.config} or the program has changed since the evolution",
             file=sys.stderr,
         )
     if not any(done.finite for done in history):
-        print("no slope was finite: the fitness has none here to climb along", file=sys.stderr)
+        print("no gradient was finite, so there was no direction to climb", file=sys.stderr)
     if not any(done.gain > 0 for done in history):
         print(
-            f"no better individual found in {rounds * steps} steps; try another --seed",
+            f"no better individual found in {rounds * steps} steps. Try another --seed",
             file=sys.stderr,
         )
         print(folder.path)
@@ -151,7 +151,7 @@ def _free(parameters: "Parameters") -> "Free":
     from evo_cpg.config.errors import ConfigError
     from evo_cpg.training.ascent import Free
 
-    def rebuild(values: "np.ndarray") -> "Experiment | None":
+    def rebuild(values: "np.ndarray") -> "ExperimentParts | None":
         try:
             config = parameters.config_at(values)
             experiment = build_experiment(config, parameters.source, parameters.folders)
@@ -180,4 +180,4 @@ def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
 
 def _derivatives(done: "Round") -> str:
     lost = done.gradients - done.finite
-    return f"{done.gradients} slopes" + (f", {lost} not finite" if lost else "")
+    return f"{done.gradients} gradients" + (f", {lost} not finite" if lost else "")

@@ -22,30 +22,28 @@ def render(
         typer.Option(
             "--output",
             "-o",
-            help="A .mp4, .webp, .gif or .png file, in RUN/videos by default; or FOLDER/%04d.png "
-            "for a picture of every frame.",
+            help="A .mp4, .webp, .gif or .png file (default: in RUN/videos), or FOLDER/%04d.png "
+            "for one picture per frame.",
         ),
     ] = None,
     size: Annotated[
         str | None,
         typer.Option(
-            help="WIDTHxHEIGHT in pixels: 1280x720, or 640x360 for each of a sheet and of animals "
-            "side by side."
+            help="WIDTHxHEIGHT in pixels (default: 1280x720, or 640x360 for each picture of a "
+            "sheet and each of several animals)."
         ),
     ] = None,
     sheet: Annotated[
         str | None,
         typer.Option(
             metavar="COLUMNSxROWS",
-            help="One picture with so many moments of the film, such as 4x3; several animals "
-            "stand in columns.",
+            help="Draw one picture with this many moments of the film, such as 4x3. Several "
+            "animals stand in columns.",
         ),
     ] = None,
     title: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="TEXT", help="Caption of the champion, then of each animal beside it."
-        ),
+        typer.Option(metavar="TEXT", help="Caption of the champion, then of each --beside animal."),
     ] = None,
     camera: Annotated[View, typer.Option(help="Position of the camera.")] = View.FOLLOW,
     signals: Annotated[
@@ -56,18 +54,16 @@ def render(
         str | None,
         typer.Option(
             metavar="GENERATIONS",
-            help="Show the champions of these generations side by side, such as 0,5,20,49; "
-            "auto for four.",
+            help="Show the champions of these generations side by side, such as 0,5,20,49, or "
+            "auto for four of them.",
         ),
     ] = None,
     beside: Annotated[
         list[Path] | None,
-        typer.Option(metavar="RUN", help="Show the champion of another run beside; repeatable."),
+        typer.Option(metavar="RUN", help="Also show the champion of this run. Repeatable."),
     ] = None,
     fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,
-    speed: Annotated[
-        float, typer.Option(min=0.01, help="Speed of the film; 1 is real time.")
-    ] = 1.0,
+    speed: Annotated[float, typer.Option(min=0.01, help="Speed of the film (1: real time).")] = 1.0,
     seconds: Annotated[
         float | None, typer.Option(min=0.1, help="Show only the first seconds of the trial.")
     ] = None,
@@ -81,15 +77,18 @@ def render(
     pixels = pixels_of(size or ("640x360" if several or moments else "1280x720"))
     if lineage is not None and (which.cell is not None or others):
         wrong = "--cell" if which.cell is not None else "--beside"
-        raise UsageError(f"--lineage: the champions of a run on its way; leave {wrong} out")
+        raise UsageError(f"--lineage and {wrong} exclude each other. Leave out one of them")
     if title and lineage is not None:
-        raise UsageError("--title: of a lineage every one has its generation and fitness")
+        raise UsageError(
+            "--title: animals of --lineage are captioned with generation and fitness. "
+            "Leave --title out"
+        )
     if title and len(title or ()) != 1 + len(others):
         raise UsageError(
-            f"--title: {len(title or ())} for {1 + len(others)} animals; give one for each"
+            f"--title: {len(title or ())} for {1 + len(others)} animals. Give one for each"
         )
     if len(others) >= _MOST:
-        raise UsageError(f"--beside: {len(others) + 1} runs are too many; {_MOST} have room")
+        raise UsageError(f"--beside: {len(others) + 1} runs are too many. Allowed: up to {_MOST}")
     generations = None if lineage is None else _generations(lineage)
     name = "lineage" if lineage is not None else which.of_cell.removeprefix("_") or "champion"
     name += which.of_trial + ("_beside_others" if others else "")
@@ -133,11 +132,13 @@ def _generations(lineage: str) -> list[int] | None:
         return None
     if not re.fullmatch(r"\d{1,9}(,\d{1,9})*", lineage):
         raise UsageError(
-            f"--lineage: {lineage!r} is not auto and no list of generations, such as 0,5,20,49"
+            f"--lineage: {lineage!r} is neither auto nor a list of generations, such as 0,5,20,49"
         )
     found = [int(part) for part in lineage.split(",")]
     if len(found) > _MOST:
-        raise UsageError(f"--lineage: {len(found)} generations are too many; {_MOST} have room")
+        raise UsageError(
+            f"--lineage: {len(found)} generations are too many. Allowed: up to {_MOST}"
+        )
     return found
 
 

@@ -25,21 +25,22 @@ def reproduce(
     ] = None,
     parts: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[PART]...", help="Parts of the study; all by default."),
+        typer.Argument(metavar="[PART]...", help="Parts of the study (default: all)."),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
             "--out",
             "-o",
-            help="Folder; docs/reproduction/STUDY of a clone, else reproduction/STUDY.",
+            help="Folder (default: docs/reproduction/STUDY in a clone, else reproduction/STUDY).",
         ),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Run everything scaled down, as a test; no results.")
+        bool,
+        typer.Option("--quick", help="Test every step with tiny runs. The results mean nothing."),
     ] = False,
     listed: Annotated[
-        bool, typer.Option("--list", help="Show the studies, their parts, and how each was made.")
+        bool, typer.Option("--list", help="List the studies, their parts, and when each was made.")
     ] = False,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Delete finished runs of these parts first.")
@@ -53,17 +54,17 @@ def reproduce(
     from evo_cpg.training.devices import use_cores
 
     if study is not None and study not in NAMES:
-        raise UsageError(f"reproduce: there is no study {study!r}; {nearest(study, NAMES)}")
+        raise UsageError(f"reproduce: there is no study {study!r}: {nearest(study, NAMES)}")
     if listed:
         _list([study] if study else NAMES, out)
         return
     if study is None:
-        raise UsageError(f"reproduce: name a study: {', '.join(NAMES)}; --list tells their parts")
+        raise UsageError(f"reproduce: name a study: {', '.join(NAMES)}. --list shows their parts")
     chosen = study_called(study)
     for part in parts or []:
         if part not in chosen.parts:
             raise UsageError(
-                f"reproduce: {study} has no part {part!r}; {nearest(part, list(chosen.parts))}"
+                f"reproduce: {study} has no part {part!r}: {nearest(part, list(chosen.parts))}"
             )
     place = out or default_folder(study, quick)
     make(chosen, parts or list(chosen.parts), place, quick, fresh, use_cores(cores))
@@ -92,16 +93,16 @@ def make(
                 if folder != default_folder(chosen.name, quick):
                     left += f" --out {folder}"
                 left += " --quick" if quick else ""
-                again = f"`{left}` makes the rest"
+                again = f"Make the rest with `{left}`"
                 if chosen.runs:
                     # The same command with --fresh would delete the finished runs.
-                    again = f"`{left}` goes on" if fresh else "the same command goes on"
-                print(f"interrupted; {again}", file=sys.stderr)
+                    again = f"Continue with `{left}`" if fresh else "Continue with the same command"
+                print(f"interrupted. {again}", file=sys.stderr)
                 raise
 
 
 def default_folder(name: str, quick: bool) -> Path:
-    """Return the folder of a study: beside its page in a checkout, else in the working folder."""
+    """Return the folder of a study: next to its page in a checkout, else in the working folder."""
     if quick:
         return Path("reproduction") / f"{name}_quick"
     from evo_cpg.api.version import checkout
@@ -124,4 +125,4 @@ def _list(names: Sequence[str], out: Path | None) -> None:
             record = known.get(part, {})
             made = f"{record['date'][:10]}, {record['commit']}" if "date" in record else "never"
             rows.append((name, part, declared.title, made))
-    show_table(("study", "part", "about", "made"), rows, left=4)
+    show_table(("study", "part", "contents", "made"), rows, left=4)

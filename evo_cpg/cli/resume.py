@@ -6,15 +6,15 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.distributed import ONE_PROCESS, Distribution
-from evo_cpg.cli.options import Cores, Run, Tensorboard
+from evo_cpg.cli.options import CoresOfRun, Run, Tensorboard
 
 
 def resume(
     run: Run,
     generations: Annotated[
-        int | None, typer.Option(min=1, help="Evolve up to this many generations in all.")
+        int | None, typer.Option(min=1, help="Continue to this total number of generations.")
     ] = None,
-    cores: Cores = None,
+    cores: CoresOfRun = None,
     distribution: Distribution = ONE_PROCESS,
     tensorboard: Tensorboard = False,
 ) -> None:

@@ -42,7 +42,7 @@ def read_oscillators(path: Path, overrides: Sequence[str]) -> tuple[Simulation, 
     oscillators = simulation.controller.rhythm_generator
     if oscillators is None:
         raise UsageError(
-            f"{path}: its controller has no oscillators; `controller.type: brain_cpg` has"
+            f"{path}: its controller has no oscillators. Choose controller.type: brain_cpg"
         )
     return simulation, oscillators
 
@@ -90,7 +90,7 @@ def show_rhythm(
         if members[0] in cycles:
             lags = ", ".join(f"{lag:.1f}" for lag in cycles[members[0]].lags(members))
             names = ", ".join(tree.dof_names[member] for member in members)
-            print(f"ring of {names}: {lags} deg behind the one before")
+            print(f"ring of {names}: each lags behind the one before by {lags} deg")
     for reason, joints in rests.items():
         print(f"{', '.join(joints)}: {reason}")
     warn_of_oscillators(path, simulation)
@@ -180,7 +180,7 @@ def find_rhythm(
     except UnreachableRhythmError as error:
         raise UsageError(f"{path}: {chain.name}: {error}") from None
     except NoRhythmError as error:
-        hint = "; --lag looks for one that does" if lag is None else ""
+        hint = ". Search for a rhythm with --lag" if lag is None else ""
         raise UsageError(f"{path}: {chain.name}: {error}{hint}") from None
     except RhythmSearchError as error:
         print(f"evo-cpg: {path}: {chain.name}: {error}", file=sys.stderr)
@@ -188,7 +188,7 @@ def find_rhythm(
     _show_found(chain, settings, b, before, found)
     changes = _changes(settings, found)
     if not changes:
-        print("The settings give it as they are.")
+        print("The present settings already have this rhythm.")
         return
     print("controller:\n  cpg:")
     for key, value in changes.items():
@@ -199,17 +199,17 @@ def find_rhythm(
     shown += [] if tonic_input is None else ["--tonic-input", f"{tonic_input:.8g}"]
     if "min_adaptation_gain" in changes:
         print(
-            f"\nThe brain sets b within this range, whose middle is {held}. With {held} for both "
-            "ends of it\nthe brain can set nothing else."
+            f"\nThe brain sets b within this range, whose middle is {held}. To fix b, set both "
+            f"ends to {held}."
         )
-    print(f"\nThe rhythm, with b held there:\n{shlex.join(shown)}")
+    print(f"\nTo show the rhythm with b held at this value:\n{shlex.join(shown)}")
 
 
 def _check(
     frequency: float | None, lag: float | None, gain: float | None, tonic_input: float | None
 ) -> None:
     if frequency is None and lag is None:
-        raise UsageError("--chain goes with --frequency or --lag")
+        raise UsageError("--chain needs --frequency or --lag. Add one of them")
     if frequency is not None and not 0 < frequency < np.inf:
         raise UsageError(f"--frequency {frequency:g}: must be a positive number of Hz")
     if lag is not None and not -180 < lag < 180:
@@ -218,7 +218,8 @@ def _check(
         raise UsageError(f"--gain {gain:g}: must be a positive number")
     if tonic_input is not None and not 0 < tonic_input < np.inf:
         raise UsageError(
-            f"--tonic-input {tonic_input:g}: must be a positive number; without input all rests"
+            f"--tonic-input {tonic_input:g}: must be a positive number. Oscillators without input "
+            "rest"
         )
 
 
@@ -227,7 +228,7 @@ def _chain(tree: Tree, settings: CpgSettings, joint: str | None) -> Chain:
     if joint is None:
         return chains(tree, settings)[0]
     if joint not in tree.dof_names:
-        raise UsageError(f"--chain {joint}: no such oscillator; {nearest(joint, tree.dof_names)}")
+        raise UsageError(f"--chain {joint}: no such oscillator: {nearest(joint, tree.dof_names)}")
     index = tree.dof_names.index(joint)
     return next(chain for chain in chains(tree, settings) if index in chain.oscillators)
 
@@ -256,7 +257,7 @@ def _show_found(
         ),
         *zip(_NAMES, _rhythm_words(before), _rhythm_words(found), strict=True),
     ]
-    show_table(("", "now", "then"), rows, title=chain.name)
+    show_table(("", "present", "found"), rows, title=chain.name)
 
 
 _NAMES = (

@@ -32,16 +32,16 @@ def sensitivity(
         list[str] | None,
         typer.Argument(
             metavar="[KEY]...",
-            help="Numbers of the configuration, such as world.water.form_drag, or genes; by "
-            "default all but shapes in water.",
+            help="Numbers of the configuration, such as world.water.form_drag, or genes "
+            "(default: all except shapes in water).",
         ),
     ] = None,
     seconds: Annotated[
         float | None,
-        typer.Option(min=0, help="Length of the trial, from its start; all by default."),
+        typer.Option(min=0, help="Seconds to simulate from the start of the trial (default: all)."),
     ] = None,
     shapes: Annotated[
-        bool, typer.Option("--shapes", help="Include numbers that change surfaces in water; slow.")
+        bool, typer.Option("--shapes", help="Include numbers that change surfaces in water (slow).")
     ] = False,
     number: Number = None,
     out: Folder = None,
@@ -59,15 +59,15 @@ def sensitivity(
     opened = open_champion(run, which)
     experiment, config, beside = opened.experiment, opened.config, opened.class_folders
     if experiment.simulation.situations[1:]:
-        print(f"{run}: of its {experiment.trials} trials the first is taken")
+        print(f"{run}: using the first of {experiment.trials} trials")
     rate, steps = experiment.simulation.control_rate, experiment.simulation.steps
     if seconds is not None:
         control_steps = seconds * rate
         # A displacement needs two steps. The comparison also rejects infinity and NaN.
         if not 1.5 < control_steps < steps + 0.5:
             raise UsageError(
-                f"--seconds: {seconds:g}; a trial of {run} has {steps / rate:g} s, of which "
-                f"{2 / rate:.3g} s at least are needed"
+                f"--seconds: {seconds:g} s is not allowed. Allowed: {2 / rate:.3g} to "
+                f"{steps / rate:g} s, the length of a trial of {run}"
             )
         steps = round(control_steps)
     trial = config.simulation.model_copy(update={"steps": steps})
@@ -77,14 +77,14 @@ def sensitivity(
     bits = not getattr(config.controller, "graded", True)
     if bits and GENES in (keys or []):
         raise UsageError(
-            f"{GENES}: bits count as 0 or 1, so that 1 % more of them is the same; allowed: the "
-            "keys of numbers, or controller.graded: true"
+            f"{GENES}: bits are 0 or 1 and cannot change by 1 %. Allowed: keys of numbers, or "
+            "controller.graded: true"
         )
     source, chosen = opened.folder.config, tuple(key for key in keys or [] if key != GENES)
     if not keys:
-        with working("finding the numbers that can be changed"):
+        with working("finding the numbers that can change"):
             chosen = all_parameters(config, source, beside, shapes)
-    with working("finding what each number changes"):
+    with working("finding the effects of each number"):
         parameters = parametrise(config, source, chosen, beside)
     place = make_folder(out or run)
     scaled = not bits and (not keys or GENES in keys)
@@ -103,13 +103,13 @@ def sensitivity(
     print(f"speed {speed[0].measure:.4g} m/s, fitness {fitness[0].measure:.4g} over {time:.3g} s")
     if doubtful:
         print(
-            f"{doubtful} of {len(rows)} marked ?: runs with 1 % more and less do not do what the "
-            "derivative says; their own change is shown. Try a shorter trial: --seconds"
+            f"{doubtful} of {len(rows)} marked ?: trials with 1 % more and less disagree with the "
+            "derivative, so the table shows their change. Try a shorter trial: --seconds"
         )
     if stuck:
         print(
-            f"{stuck} of {len(rows)} marked ? may be changed by 1 % neither way, so that their "
-            "derivative is not checked"
+            f"{stuck} of {len(rows)} marked ?: a change by 1 % is not allowed in either direction, "
+            "so the derivative is not checked"
         )
     print(table)
     print(picture)
@@ -139,7 +139,7 @@ def _measure(parameters: "Parameters", champion: "Champion", scaled: bool, work:
 
         program = jax.jit(lambda values: differentiate(outcome, values))
         measures, slopes = jax.device_get(program(jnp.asarray(values)))
-        work.doing("changing the numbers one by one")
+        work.doing("changing each number")
         tried = itertools.count(1)
 
         def allowed(place: "np.ndarray") -> bool:
@@ -152,7 +152,7 @@ def _measure(parameters: "Parameters", champion: "Champion", scaled: bool, work:
 
         places = changed(values, allowed)
         steps = np.diagonal(places[1] - places[0])
-        work.doing("compiling and living the trial with every number changed")
+        work.doing("compiling and simulating the trial with each number changed")
         run_all = jax.jit(jax.vmap(outcome, out_axes=1))
         after = jax.device_get(run_all(jnp.asarray(places.reshape(-1, len(values)))))
     return sensitivities(keys, values, measures, slopes, after.reshape(len(measures), 2, -1), steps)

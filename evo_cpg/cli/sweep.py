@@ -28,7 +28,7 @@ def sweep(
         Path,
         typer.Argument(
             metavar="CONFIG",
-            help="A YAML configuration file or the name of a shipped one; or a sweep to continue.",
+            help="A YAML configuration file, the name of a shipped one, or a sweep to continue.",
             callback=find_config_or_folder,
             autocompletion=complete_config,
         ),
@@ -39,7 +39,7 @@ def sweep(
         typer.Option(
             "--grid",
             metavar="KEY=A,B,...",
-            help="Values of a key. Several keys give every combination.",
+            help="Values of a key. Several keys give all combinations.",
         ),
     ] = None,
     settings: Annotated[
@@ -49,17 +49,17 @@ def sweep(
         ),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder; runs/CONFIG_sweep by default.")
+        Path | None, typer.Option("--out", "-o", help="Folder (default: runs/CONFIG_sweep).")
     ] = None,
     only: Annotated[
-        list[str] | None, typer.Option("--only", metavar="NAME", help="Only this setting.")
+        list[str] | None, typer.Option("--only", metavar="NAME", help="Evolve only this setting.")
     ] = None,
     cores: Cores = None,
     jobs: Annotated[
         str | None,
         typer.Option(
             metavar="N|slurm",
-            help="Run settings with programs of their own as N processes, or as SLURM jobs.",
+            help="Run settings that share no program as N processes, or as SLURM jobs.",
         ),
     ] = None,
     job_option: Annotated[
@@ -67,7 +67,7 @@ def sweep(
         typer.Option(
             "--job-option",
             metavar="KEY=VALUE",
-            help="With --jobs slurm, a parameter of submitit, such as slurm_partition=long, "
+            help="Parameter of submitit for --jobs slurm, such as slurm_partition=long, "
             "timeout_min=600, cpus_per_task=8 or mem_gb=4.",
         ),
     ] = None,
@@ -88,7 +88,8 @@ def sweep(
         plan = new_plan(config, overrides, _varied(grid, settings))
     elif overrides or grid or settings or out:
         raise UsageError(
-            f"sweep: {config} is a sweep, which is gone on with as it is; give no other settings"
+            f"sweep: {config} is a sweep, which can only be continued unchanged. Leave out other "
+            "settings"
         )
     devices = use_cores(cores)
     with working("building every setting"):
@@ -101,8 +102,8 @@ def sweep(
             _tell(folder, members)
     if failed:
         print(
-            f"{len(failed)} of {len(chosen)} settings did not come to their ends: "
-            f"{', '.join(failed)}; go on with `evo-cpg sweep {folder}`",
+            f"{len(failed)} of {len(chosen)} settings did not finish: "
+            f"{', '.join(failed)}. Continue with `evo-cpg sweep {folder}`",
             file=sys.stderr,
         )
         raise typer.Exit(ExitCode.FAULT)
@@ -114,8 +115,8 @@ def _varied(grid: Sequence[str], settings: Path | None) -> "list[Setting]":
     axes = dict(_axis(word) for word in grid)
     if not axes and settings is None:
         raise UsageError(
-            "sweep: nothing is varied; name keys and values, such as "
-            "--grid evolution.mutation_rate=0.02,0.05, or a file of --settings"
+            "sweep: nothing is varied. Name keys and values, such as "
+            "--grid evolution.mutation_rate=0.02,0.05, or a file with --settings"
         )
     named = {} if settings is None else read_settings(settings)
     try:
@@ -147,7 +148,7 @@ def _chosen(members: "Sequence[Member]", only: Sequence[str]) -> "list[Member]":
     known = {member.setting.name: member for member in members}
     for name in only:
         if name not in known:
-            raise UsageError(f"--only: there is no setting {name!r}; there are {', '.join(known)}")
+            raise UsageError(f"--only: there is no setting {name!r}. Allowed: {', '.join(known)}")
     return [known[name] for name in only] or list(members)
 
 
@@ -168,7 +169,7 @@ def _evolve(
         evolve(members, devices, folder.name, warn=warn)
     except KeyboardInterrupt:
         if jobs is None or jobs.count is not None:
-            print(f"interrupted; go on with `evo-cpg sweep {folder}`", file=sys.stderr)
+            print(f"interrupted. Continue with `evo-cpg sweep {folder}`", file=sys.stderr)
         raise
     return []
 
@@ -178,7 +179,7 @@ def _tell(folder: Path, members: "Sequence[Member]") -> None:
     from evo_cpg.api.sweep import summarise
     from evo_cpg.cli.tables import show_table
 
-    with working("tables and figure"):
+    with working("making tables and figure"):
         found = summarise(folder, members)
     spreads = [
         (
@@ -204,8 +205,8 @@ def _tell(folder: Path, members: "Sequence[Member]") -> None:
         for one in sorted(found.comparisons, key=lambda one: one.adjusted)[:_MOST_ROWS]
     ]
     if tests:
-        heads = "setting", "against", "wins", "p", "p of all tests"
-        title = "who wins (Mann and Whitney's test, Holm's correction)"
+        heads = "setting", "against", "wins", "p", "p corrected"
+        title = "comparisons (Mann-Whitney test, Holm correction)"
         show_table(heads, tests, left=2, title=title)
     print(found.figure)
     print(folder)

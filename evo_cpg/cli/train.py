@@ -13,7 +13,7 @@ def train(
     config: Config,
     overrides: Overrides = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Run folder; runs/NAME by default.")
+        Path | None, typer.Option("--out", "-o", help="Run folder (default: runs/NAME).")
     ] = None,
     cores: Cores = None,
     strict: Strict = False,

@@ -31,7 +31,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
-from evo_cpg.training.experiment import TABLE_COLUMNS, Experiment
+from evo_cpg.training.experiment import TABLE_COLUMNS, ExperimentParts
 from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.scalars import FOLDER, MissingWriterError, Scalars, require_writer
@@ -87,8 +87,8 @@ def resume_run(
         changed = changes(folder.read_meta().get("fingerprint"), fingerprint(config))
         if changed and team.leads:
             warn(
-                f"{run}: changed since the run was last started: "
-                f"{', '.join(changed)}; what is evolved from here on is evolved under the new one"
+                f"{run}: changed since the run was last started: {', '.join(changed)}. "
+                "The run continues with the changes"
             )
         if generations is not None:
             config = load_config(folder.config, [f"evolution.generations={generations}"])
@@ -129,7 +129,7 @@ def goes_on_with_scalars(run: Path, requested: bool) -> bool:
     try:
         require_writer()
     except MissingWriterError as error:
-        warn(f"{run}: no more scalars for TensorBoard: {error}")
+        warn(f"{run}: writing no more scalars for TensorBoard: {error}")
         return False
     return True
 
@@ -145,8 +145,8 @@ def _require_alike(opened: Opened) -> Checkpoint | None:
     run, done = folder.path, folder.load()
     if done is not None and done.generation > config.evolution.generations:
         raise UsageError(
-            f"{run}: {done.generation} generations are done already, "
-            f"--generations {config.evolution.generations} would take some back"
+            f"{run}: already has {done.generation} generations, more than "
+            f"--generations {config.evolution.generations}. Give at least {done.generation}"
         )
     if done is not None:
         runs, population = experiment.runs, experiment.strategy.population
@@ -154,15 +154,15 @@ def _require_alike(opened: Opened) -> Checkpoint | None:
         found = *done.genes.shape, len(done.champions)
         if expected != found:
             raise RunFolderError(
-                f"{folder.config} was changed: it asks for {expected[0]} genes and {expected[1]} "
-                f"individuals in {expected[2]} run(s), the checkpoint has {found[0]}, {found[1]} "
-                f"and {found[2]}; start a new run instead"
+                f"{folder.config} was changed: it now has {expected[0]} genes and {expected[1]} "
+                f"individuals in {expected[2]} run(s), but the checkpoint has {found[0]}, "
+                f"{found[1]} and {found[2]}. Start a new run instead"
             )
         _require_same_columns(folder, done, experiment)
     return done
 
 
-def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Experiment) -> None:
+def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: ExperimentParts) -> None:
     """Check that the next rows of metrics.csv will have the columns of the earlier rows.
 
     Raises:
@@ -179,12 +179,12 @@ def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Exper
         changed = " and ".join(f"{verb} {', '.join(names)}" for verb, names in parts if names)
         raise RunFolderError(
             f"{folder.config} or its task was changed: metrics.csv would {changed}, but all its "
-            "rows have the same columns; put task, measures and evolution back as they were, or "
-            f"begin a new run with `evo-cpg train {folder.config} --from {folder.path} --out ...`"
+            "rows must have the same columns. Restore task, measures and evolution. Or start a new "
+            f"run with `evo-cpg train {folder.config} --from {folder.path} --out ...`"
         )
 
 
-def _finished(folder: RunFolder, done: Checkpoint | None, experiment: Experiment) -> bool:
+def _finished(folder: RunFolder, done: Checkpoint | None, experiment: ExperimentParts) -> bool:
     """Return whether a run is finished, and none of its files was lost or changed since."""
     if done is None or not is_finished(experiment, done):
         return False
@@ -206,7 +206,7 @@ def _finished(folder: RunFolder, done: Checkpoint | None, experiment: Experiment
 def _say_finished(folder: RunFolder, done: int) -> None:
     print(
         f"{folder.path} is finished: all {done} generations are done, and the champion is in "
-        f"{folder.champion}; to go on, ask for more than that in all, such as "
+        f"{folder.champion}. To continue, give a larger total, such as "
         f"`evo-cpg resume {folder.path} --generations {2 * done}`",
         file=sys.stderr,
     )
@@ -251,7 +251,7 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
                     champion = evolve(experiment, folder, tell, recorder, team)
             _record(recorder, champion, folder)
     except KeyboardInterrupt:
-        print(f"interrupted; go on with `evo-cpg resume {folder.path}`", file=sys.stderr)
+        print(f"interrupted. Continue with `evo-cpg resume {folder.path}`", file=sys.stderr)
         raise
     terms = ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items())
     origin = f"generation {champion.generation}"
@@ -259,7 +259,7 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
         origin += f" of run {champion.run}"
     fitness = f"fitness {champion.fitness:.4f}"
     if champion.expected is not None:
-        fitness += f" in its own trials, {champion.expected:.4f} in {champion.lives} fresh draws"
+        fitness += f" in training, mean {champion.expected:.4f} over {champion.lives} new draws"
     print(f"champion of {origin}: {fitness} ({terms})", file=sys.stderr)
     if recorder.seen is not None:
         _say_first_look(recorder.seen, folder)
@@ -267,12 +267,12 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
 
 
 def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
-    """Record the champion, and try it at half the physics step unless interrupted."""
+    """Record the champion, and test it at half the physics step unless interrupted."""
     expected = recorder.expected_to_record()
     with working("recording the champion's motion", expected=expected):
         recorder.record(champion)
     if recorder.checks:
-        what = "trying the champion at half the step; control-C skips this"
+        what = "testing the champion at half the step (Ctrl-C skips this)"
         try:
             with working(what, expected=recorder.expected_to_look()):
                 recorder.look(champion)
@@ -280,8 +280,8 @@ def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
             recorder.skip()
             wait_for_no_thread()
             print(
-                "skipped: the champion was not tried at half the step; "
-                f"`evo-cpg audit {folder.path}` does that",
+                "skipped: the champion was not tested at half the step. "
+                f"`evo-cpg audit {folder.path}` tests it",
                 file=sys.stderr,
             )
     recorder.finish()
@@ -290,10 +290,10 @@ def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
 def _say_first_look(seen: Check, folder: RunFolder) -> None:
     if seen.passed is None:
         return
-    kept = f"at half the physics step it keeps {shown(seen.measured, '%')} of its way"
+    kept = f"at half the physics step it keeps {shown(seen.measured, '%')} of its displacement"
     if not seen.passed:
-        kept = f"warning: {kept}, {seen.detail}: a trick of the step's length or of chance?"
-    print(f"{kept}; `evo-cpg audit {folder.path}` looks closer", file=sys.stderr)
+        kept = f"warning: {kept} ({seen.detail}). It may exploit the step length or the noise"
+    print(f"{kept}. For a full test, run `evo-cpg audit {folder.path}`", file=sys.stderr)
 
 
 def _standing(rows: list[dict[str, float]]) -> str:

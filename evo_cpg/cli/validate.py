@@ -17,7 +17,7 @@ def validate(
         typer.Argument(
             metavar="CONFIG... [KEY=VALUE]...",
             help="YAML configuration files or names of shipped ones, and settings to change in "
-            "all of them.",
+            "each of them.",
             autocompletion=complete_config,
         ),
     ],
@@ -33,7 +33,7 @@ def validate(
     overrides = [word for word in configs if "=" in word and not _exists(word)]
     paths = [Path(word) for word in configs if word not in overrides]
     if not paths:
-        raise UsageError(f"validate: {overrides[0]} is a setting; name a configuration file, too")
+        raise UsageError(f"validate: {overrides[0]} is a setting. Name a configuration file, too")
     wrong = 0
     for given in paths:
         path = given

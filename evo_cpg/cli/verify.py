@@ -4,11 +4,11 @@ import sys
 from pathlib import Path
 
 from evo_cpg.cli.errors import ExitCode
-from evo_cpg.cli.options import Cores, Run
+from evo_cpg.cli.options import CoresOfRun, Run
 
 
-def verify(run: Run, cores: Cores = None) -> None:
-    """Replay the champion and compare it with what was recorded."""
+def verify(run: Run, cores: CoresOfRun = None) -> None:
+    """Replay the champion and compare it with the record."""
     import numpy as np
 
     from evo_cpg.api.machine import machine_changes, machine_fingerprint
@@ -22,18 +22,18 @@ def verify(run: Run, cores: Cores = None) -> None:
     champion, _, digests = folder.load_champion()
     differences = []
     if digests["genes_sha256"] != genes_digest(champion.genes):
-        differences.append("champion.npz: the genome is not the one that was evolved")
+        differences.append("champion.npz: the genome differs from the evolved genome")
     if digests["outcome_sha256"] != outcome_digest(champion):
-        differences.append("champion.npz: fitness or terms are not those that were recorded")
+        differences.append("champion.npz: fitness or terms differ from the recorded values")
     if opened.changed:
         differences.append(opened.changed)
     checkpoint = folder.load()
     kept = checkpoint.champion if checkpoint else None
     if kept and kept.generation == champion.generation:
         if not np.array_equal(kept.genes, champion.genes):
-            differences.append("champion.npz: the genome is not that of the newest checkpoint")
+            differences.append("champion.npz: the genome differs from the newest checkpoint")
         if outcome_digest(kept) != outcome_digest(champion):
-            differences.append("champion.npz: the newest checkpoint records other fitness or terms")
+            differences.append("champion.npz: fitness or terms differ from the newest checkpoint")
     wrong = experiment.simulation.genome.misfit(champion.genes)
     if wrong:
         _report(run, [*differences, wrong])
@@ -42,18 +42,18 @@ def verify(run: Run, cores: Cores = None) -> None:
     found = {"fitness": fitness, **terms}
     for name, value in recorded.items():
         if name not in found:
-            differences.append(f"{name}: recorded {value:.6g}, and not replayed")
+            differences.append(f"{name}: recorded {value:.6g}, but missing in the replay")
             continue
         now = found[name]
         if not np.isclose(now, value, REPLAY_TOLERANCE, REPLAY_TOLERANCE, equal_nan=True):
             differences.append(f"{name}: recorded {value:.6g}, replayed {now:.6g}")
     here = machine_fingerprint(experiment.simulation.engine, opened.devices)
     for changed in machine_changes(folder.read_meta(), here):
-        print(f"{run}: {changed}; bits may differ", file=sys.stderr)
+        print(f"{run}: {changed}. The last digits may differ", file=sys.stderr)
     _report(run, differences)
     same = all(np.array_equal(found[name], recorded[name], True) for name in recorded)
     exact = "exactly" if same else f"to {REPLAY_TOLERANCE:g}"
-    print(f"{run}: the champion's fitness {champion.fitness:.6f} comes out as recorded ({exact})")
+    print(f"{run}: the champion's fitness {champion.fitness:.6f} is as recorded ({exact})")
 
 
 def _report(run: Path, differences: list[str]) -> None:

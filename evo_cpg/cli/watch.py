@@ -59,7 +59,9 @@ class Standing(NamedTuple):
 
 def watch(
     run: Run,
-    once: Annotated[bool, typer.Option("--once", help="Look once, then exit.")] = False,
+    once: Annotated[
+        bool, typer.Option("--once", help="Print the present state, then exit.")
+    ] = False,
     picture: Annotated[
         bool, typer.Option(help="Draw the newest champion into RUN/watch.png.")
     ] = True,
@@ -134,7 +136,7 @@ def standing(folder: "RunFolder", before: Standing | None = None) -> Standing:
 def _plan(folder: "RunFolder") -> tuple[int, bool]:
     """Return the number of generations, and whether there is noise.
 
-    Both are read anew each time, because `resume` may change the configuration.
+    Both are read each time, because `resume` may change the configuration.
     """
     from evo_cpg.config.load import load_config
 
@@ -157,7 +159,7 @@ def _in_lines(
             if history:
                 printed = int(history[-1]["generation"]) + 1
             elif once:
-                print(f"{folder.path}: not one generation is finished", flush=True)
+                print(f"{folder.path}: no generation is finished yet", flush=True)
             seen = now
         made = _newest(now, draw)
         if made is not None:

@@ -29,13 +29,13 @@ def panel(folder: RunFolder, now: "Standing", width: int) -> RenderableType:
     checkpoint = now.checkpoint
     name = Text(str(folder.path))
     if checkpoint is None or not checkpoint.history:
-        return Panel(Text("not one generation is finished yet"), title=name, title_align="left")
+        return Panel(Text("no generation is finished yet"), title=name, title_align="left")
     columns = _over_generations(checkpoint.history)
     plots = [
         part for key, color in _COLORS for part in _plot(key, columns[key], width - _MARGIN, color)
     ]
     inner = Group(_table(now), Text(), *plots)
-    return Panel(inner, title=name, title_align="left", subtitle="Ctrl-C ends the watching only")
+    return Panel(inner, title=name, title_align="left", subtitle="Ctrl-C ends this display only")
 
 
 def _over_generations(history: list[dict[str, float]]) -> dict[str, np.ndarray]:
@@ -80,7 +80,7 @@ def _table(now: "Standing") -> Table:
     if now.changed is not None and left:
         quiet = time.time() - now.changed
         if quiet > max(60.0, 10 * seconds):
-            table.add_row(Text(f"nothing new for {_duration(quiet)}", style="yellow"), "", "")
+            table.add_row(Text(f"no new generation for {_duration(quiet)}", style="yellow"), "", "")
     if champion is not None:
         whose = f" of run {champion.run}" if len(now.checkpoint.champions) > 1 else ""
         table.add_row(

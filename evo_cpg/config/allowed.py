@@ -18,7 +18,7 @@ _SIMPLE = {
     "string": ("text", "texts"),
     "number": ("a number", "numbers"),
     "integer": ("a whole number", "whole numbers"),
-    "boolean": ("true or false", "truth values"),
+    "boolean": ("true or false", "booleans"),
     "null": ("null", "nulls"),
 }
 
@@ -52,23 +52,23 @@ class Allowed:
             # A flat list is given, but a list of lists is expected.
             whole = value_at(self._data, place[:-1])
             if isinstance(whole, list) and self._fits(place[:-1], [whole]):
-                return f"write {as_written([whole])}"
+                return f"Write {as_written([whole])}"
         if given is None:
-            return "the key has no value: leave it out, or give it one"
+            return "The key has no value. Leave it out, or give it one"
         for reading in _readings(given):
             if self._fits(place, reading):
-                return f"write {as_written(reading)}"
+                return f"Write {as_written(reading)}"
         if isinstance(given, dict) and any(option.get("type") == "array" for option in options):
-            return "begin each entry with '- '"
+            return "Begin each entry with '- '"
         if isinstance(given, str) and given in map(self._kind, options):
-            return f"write {{type: {given}}}"
+            return f"Write {{type: {given}}}"
         words = [word for o in options for word in o.get("enum", []) if isinstance(word, str)]
         if close := difflib.get_close_matches(str(given), words, n=1, cutoff=0.5):
-            return f"did you mean {close[0]!r}?"
+            return f"Did you mean {close[0]!r}?"
         for option in options:
             (only, *more) = option.get("required", []) or ["", ""]
             if not more and self._fits(place, {only: given}):
-                return f"write {as_written({only: given})}"
+                return f"Write {as_written({only: given})}"
         return ""
 
     def _fits(self, place: Place, value: Any) -> bool:

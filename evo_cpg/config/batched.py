@@ -126,7 +126,7 @@ def _build(
         number_at(config, key, source)
     sizes = {np.shape(values) for values in numbers.values()}
     if len(sizes) != 1 or len(next(iter(sizes))) != 1:
-        raise ValueError(f"one value for each individual, equally many of each, got {sizes}")
+        raise ValueError(f"each key needs one value for each individual, got shapes {sizes}")
     columns = [np.asarray(values, float).tolist() for values in numbers.values()]
     configs = [
         with_numbers(config, dict(zip(numbers, row, strict=True)), source)
@@ -149,7 +149,7 @@ def _build(
         sets = [_pairs(each) for each in (like.common if like else common, *simulations)]
         every = PlanPairs(*(tuple(sorted({*itertools.chain(*x)})) for x in zip(*sets, strict=True)))
         if like and every != sets[0]:
-            problem = "limbs can meet that never do in the others"
+            problem = "limbs can touch that cannot touch in the other bodies"
             break
         if len(set(sets)) > 1:
             # Longer limbs may touch more bodies. All simulations check the same pairs.

@@ -46,7 +46,7 @@ from evo_cpg.simulation.task import Task, term_names
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.system import resolved, with_working_folder
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 # Resolution of the quadrature that random surface points are drawn from.
 _DENSE_RESOLUTION = 24
@@ -58,7 +58,7 @@ def build_experiment(
     folders: Iterable[Path] = (),
     layout: PointLayout = "merged",
     pairs: PlanPairs | None = None,
-) -> Experiment:
+) -> ExperimentParts:
     """Build the experiment that a configuration describes.
 
     Args:
@@ -82,7 +82,7 @@ def _build_experiment(
     folders: tuple[Path, ...],
     layout: PointLayout,
     pairs: PlanPairs | None,
-) -> Experiment:
+) -> ExperimentParts:
     for folder in with_working_folder(code_folders(folders)):
         if str(resolved(folder)) not in sys.path:
             sys.path.append(str(resolved(folder)))
@@ -93,7 +93,7 @@ def _build_experiment(
     check_own_returns(config, simulation)
     with under("evolution"):
         strategy = _build_strategy(config, simulation)
-    return Experiment(
+    return ExperimentParts(
         name=config.name,
         creature=creature,
         simulation=simulation,
@@ -123,7 +123,7 @@ def _build_strategy(config: ExperimentConfig, simulation: Simulation) -> Strateg
     return Mapped(given.population, given.build_axes(), strategy) if mapped else strategy
 
 
-def require_genes(experiment: Experiment, source: Path | str) -> None:
+def require_genes(experiment: ExperimentParts, source: Path | str) -> None:
     """Check that the controller has genes.
 
     Args:
@@ -138,8 +138,8 @@ def require_genes(experiment: Experiment, source: Path | str) -> None:
         raise ConfigError(
             source,
             ("controller",),
-            f"{type(controller).__name__} has no genes, so there is nothing to evolve; choose a "
-            "controller that has some, such as {type: brain_cpg}",
+            f"{type(controller).__name__} has no genes, so there is nothing to evolve. Choose a "
+            "controller with genes, such as {type: brain_cpg}",
         )
 
 
@@ -177,7 +177,9 @@ def build_simulation(
         friction=config.noise.friction,
     )
     if config.noise.friction and world.contact_model is None:
-        raise KeyProblem(("noise", "friction"), "there is no ground to be rough")
+        raise KeyProblem(
+            ("noise", "friction"), "there is no ground whose friction could vary (world.ground)"
+        )
     with using(engine):
         situations = build_situations(config, creature, world)
     task = _build_task(config, creature, situations[0].light)
@@ -221,13 +223,13 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
         problem = None
         if name not in MEASURES:
             known = [*MEASURES, *(own if key[0] == "evolution" else ())]
-            problem = f"is no measure; {nearest(name, known)}"
+            problem = f"is not a measure: {nearest(name, known)}"
         elif name in own:
-            problem = "is a term of the task already"
+            problem = "is already a term of the task"
         elif name in GROUND_MEASURES and world.contact_model is None:
-            problem = "means nothing: there is no ground"
+            problem = "is undefined without ground (world.ground)"
         elif name == "cost_of_transport" and not chosen(lambda: world.gravity > 0):
-            problem = "means nothing: there is no gravity"
+            problem = "is undefined without gravity (world.gravity)"
         if problem:
             raise KeyProblem(key, f"{name!r} {problem}")
     return measures(*dict.fromkeys(name for _, name in requested))
@@ -246,9 +248,9 @@ def _build_rules(
         return None
     limits = config.audit.limits().of_length(length_of(creature))
     if "power" in names and limits.power is None:
-        raise KeyProblem(("audit", "power"), "is missing; disqualify names it")
+        raise KeyProblem(("audit", "power"), "is missing, but audit.disqualify contains 'power'")
     if "penetration" in names and world.contact_model is None:
-        raise KeyProblem(("audit", "disqualify"), "penetration: there is no ground")
+        raise KeyProblem(("audit", "disqualify"), "'penetration' needs ground (world.ground)")
     most = {name: getattr(limits, name) for name in names}
     if "speed" in most:
         most["speed"] = most["speed"] * length_of(creature)
@@ -277,7 +279,7 @@ def _choose_engine(config: ExperimentConfig) -> Engine:
                 target()
         except Unsupported as error:
             key = ("engine",) if config.instruction_set == "host" else ("instruction_set",)
-            raise KeyProblem(key, f"there is no such native code here: {error}") from None
+            raise KeyProblem(key, f"this machine has no such native code: {error}") from None
     return engine
 
 
@@ -385,7 +387,7 @@ def _build_controller(
         )
     except UnfitError as error:
         inner = ("cpg",) if isinstance(error, CouplingError) else ()
-        problem = f"{error}; the controller must name parts of creature {creature.name!r}"
+        problem = f"{error}. The controller must name parts of creature {creature.name!r}"
         raise KeyProblem(("controller", *inner, *error.where), problem) from None
     except ValueError as error:
         raise KeyProblem(("controller",), str(error)) from None

@@ -26,7 +26,7 @@ _INHERITED = (MapSection, Limits)
 
 _CREATURE_FILE = {
     "type": "string",
-    "description": "path of the creature's own file, seen from this one.",
+    "description": "path of the creature's own file, relative to this file.",
 }
 
 
@@ -45,7 +45,7 @@ def file_schema() -> Schema:
     whole = kinds["CreatureConfig"]
     kinds["CreatureFile"] = {
         **whole,
-        "description": "A creature's own file, and keys that replace those of the file.",
+        "description": "A creature's own file, and keys that replace keys of the file.",
         "properties": {"file": _CREATURE_FILE, **whole["properties"]},
         "required": ["file"],
     }

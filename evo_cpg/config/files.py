@@ -15,7 +15,7 @@ def require_small(path: Path) -> None:
     size = path.stat().st_size
     if size > LARGEST:
         raise OSError(
-            None, f"{size / 2**20:.0f} MiB; files of more than {LARGEST // 2**20} MiB are not read"
+            None, f"{size / 2**20:.0f} MiB, more than the limit of {LARGEST // 2**20} MiB"
         )
 
 
@@ -29,5 +29,5 @@ def read_small(path: Path) -> str:
     require_small(path)
     if not (path.is_file() or path.is_dir()):
         # A pipe or a device may be endless.
-        raise OSError(None, "is no ordinary file")
+        raise OSError(None, "is not a regular file")
     return path.read_text(encoding="utf-8")

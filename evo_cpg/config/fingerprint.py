@@ -37,13 +37,13 @@ def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
         now: current fingerprint.
     """
     found = []
-    for kind, said in (("config", "{}"), ("code", "the source of {}")):
+    for kind, form in (("config", "{}"), ("code", "the source of {}")):
         old = before.get(kind) if isinstance(before, dict) else None
         if not isinstance(old, dict):
             continue
         names = {*old, *now[kind]}
         found += [
-            said.format(name) for name in sorted(names) if old.get(name) != now[kind].get(name)
+            form.format(name) for name in sorted(names) if old.get(name) != now[kind].get(name)
         ]
     return found
 

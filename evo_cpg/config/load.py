@@ -117,11 +117,11 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         row = error.object[: error.start].count(b"\n") + 1
         problem = (
-            f"is not UTF-8 text (byte {error.start} is wrong, in line {row}); save it as UTF-8"
+            f"is not UTF-8 text (byte {error.start} is wrong, in line {row}). Save it as UTF-8"
         )
         raise ConfigError(path, (), problem) from None
     except ValueError:
-        raise ConfigError(path, (), "is no name of a file") from None
+        raise ConfigError(path, (), "is not a file name") from None
     try:
         data = parse_yaml(text)
     except yaml.YAMLError as error:
@@ -131,7 +131,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if lost := lost_colour(text):
         raise ConfigError(path, (), lost)
     if data is None:
-        raise ConfigError(path, (), "is empty; it must be a YAML mapping of keys to values")
+        raise ConfigError(path, (), "is empty. It must be a YAML mapping of keys to values")
     if not isinstance(data, dict):
         raise ConfigError(path, (), "must be a YAML mapping of keys to values")
     return data
@@ -209,12 +209,12 @@ def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any
 def _elsewhere(path: Path) -> str:
     """Return a hint for a missing file: a shipped configuration, or a similar name nearby."""
     if path.stem in shipped_names():
-        return f"; that which comes with evo-cpg is called {path.stem}"
+        return f". The configuration that comes with evo-cpg is called {path.stem}"
     names = []
     # The folder may be missing or unreadable.
     with contextlib.suppress(OSError):
         names = [other.name for other in path.parent.iterdir() if other.suffix in (".yaml", ".yml")]
-    return f"; {nearest(path.name, names)}" if names else ""
+    return f": {nearest(path.name, names)}" if names else ""
 
 
 def _apply(data: dict[str, Any], override: str) -> None:
@@ -248,5 +248,5 @@ def _apply(data: dict[str, Any], override: str) -> None:
         parts = [*parents, last]
         problem = f"{'.'.join(parts[:known])} has no {parts[known]}"
         if isinstance(place, list) and place:
-            problem = f"{problem}; its entries are numbered from 0 to {len(place) - 1}"
+            problem = f"{problem}. Its entries are numbered from 0 to {len(place) - 1}"
         raise refused(problem)

@@ -91,10 +91,10 @@ def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
             raise KeyProblem((), f"{relief.file}: cannot be read ({error})") from None
         problem = None
         if heights.ndim != 2 or not np.isfinite(heights[:MOST_HEIGHTS, :MOST_HEIGHTS]).all():
-            problem = f"must hold a grid of finite numbers, not {heights.shape}"
+            problem = f"must contain a 2D grid of finite numbers, got shape {heights.shape}"
         elif not all(2 <= count <= MOST_HEIGHTS for count in heights.shape):
             size = " x ".join(map(str, heights.shape))
-            problem = f"{size} heights; allowed: 2 to {MOST_HEIGHTS} each way"
+            problem = f"{size} heights. Allowed: 2 to {MOST_HEIGHTS} along each axis"
         if problem is not None:
             raise KeyProblem((), f"{relief.file}: {problem}")
     return heights.tolist()
@@ -107,7 +107,7 @@ def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
 
     with Image.open(path) as image:
         if max(image.size) > MOST_HEIGHTS:
-            raise ValueError(f"{image.width} x {image.height} pixels, of {MOST_HEIGHTS} each way")
+            raise ValueError(f"{image.width} x {image.height} pixels, more than {MOST_HEIGHTS}")
     pixels = np.asarray(imread(path))
     full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
     grey = pixels if pixels.ndim == 2 else pixels[..., :3].mean(-1)

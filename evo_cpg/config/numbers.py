@@ -37,13 +37,13 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     parts = key.split(".")
     place, known = follow(config.model_dump(mode="json"), parts)
     if known < len(parts):
-        problem = f"does not exist; {_hint(config, key)}"
+        problem = f"does not exist: {_hint(config, key)}"
     elif isinstance(place, float):
         return place
     elif isinstance(place, int) and not isinstance(place, bool):
-        problem = f"is a whole number ({place}), by which there is no derivative"
+        problem = f"is a whole number ({place}) and has no derivative"
     elif isinstance(place, (dict, list)):
-        problem = f"is a part of the configuration, not a number; {_hint(config, key)}"
+        problem = f"is a part of the configuration, not a number: {_hint(config, key)}"
     else:
         problem = f"is {place!r}, not a number"
     raise ConfigError(source, parts, problem)

@@ -37,7 +37,7 @@ from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
 _INDIVIDUALS = 7
 _BATCH = (_INDIVIDUALS,)
 
-# Returns the problem of a value, to follow the name of the method; None if the value is valid.
+# Returns the problem of a value, worded to follow the name of the method, or None.
 Test = Callable[[Any], str | None]
 
 
@@ -171,7 +171,7 @@ def check_own_strategy(
         if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
             return f"must be a tuple of names, got {names!r}"
         return _first(
-            f"must not have {name!r}, which metrics.csv has already"
+            f"must not contain {name!r} again: columns of metrics.csv need unique names"
             for name in names
             if name in taken or names.count(name) > 1
         )
@@ -182,7 +182,7 @@ def check_own_strategy(
         problem = _is_dict("metric", ())(found)
         if problem is None and set(found) != set(declared):
             expected, given = (", ".join(names) or "nothing" for names in (declared, found))
-            problem = f"must return what metric_names has, {expected}; got {given}"
+            problem = f"must return the metrics of metric_names, {expected}, got {given}"
         return problem
 
     def go(random: jax.Array, fitness: jax.Array) -> None:
@@ -262,10 +262,11 @@ def _is_array(shape: tuple[int, ...], what: str = "") -> Test:
     def test(value: Any) -> str | None:
         found = getattr(value, "shape", () if isinstance(value, (int, float)) else None)
         if found != shape:
-            numbers = " x ".join(map(str, shape[:-1])) or "one number"
-            axis = f", the last axis being individuals ({shape[-1]} here)" if shape else ""
-            return f"must return {numbers}{what}, shape {shape}{axis}; got {described(value)}"
-        return None if is_real(value) else f"must return real numbers{what}; got {described(value)}"
+            count = " x ".join(map(str, shape[:-1]))
+            numbers = f"{count} numbers" if count else "one number"
+            axis = f" with {shape[-1]} individuals on the last axis" if shape else ""
+            return f"must return {numbers}{what}, shape {shape}{axis}, got {described(value)}"
+        return None if is_real(value) else f"must return real numbers{what}, got {described(value)}"
 
     return test
 
@@ -275,8 +276,8 @@ def _is_finite_at_rest(value: Any) -> str | None:
     if np.isfinite(value).all():
         return None
     return (
-        "is NaN or infinite for a creature at rest; a speed that divides, or whose root is taken, "
-        "needs a small number: jnp.sqrt(v @ v + 1e-12)"
+        "is NaN or infinite for a creature at rest. Add a small number under a root or in "
+        "a denominator: jnp.sqrt(v @ v + 1e-12)"
     )
 
 
@@ -301,11 +302,11 @@ def _is_like(what: str, model: Any) -> Test:
 
     def test(value: Any) -> str | None:
         if any(_type_of(leaf) is None for leaf in jax.tree.leaves(value)):
-            return f"must return {what} as a pytree of arrays; got {described(value)}"
+            return f"must return {what} as a pytree of arrays, got {described(value)}"
         if jax.tree.structure(value) != jax.tree.structure(model) or kinds(value) != kinds(model):
             return (
-                f"must return {what} with the same structure, shapes and types as it began with, "
-                f"{described(model)}; got {described(value)}"
+                f"must return {what} with unchanged structure, shapes and types, "
+                f"{described(model)}, got {described(value)}"
             )
         return None
 

@@ -37,18 +37,18 @@ def require_code(config: ExperimentConfig, folders: Iterable[Path]) -> None:
         module = part.type.partition(":")[0]
         top = module.partition(".")[0]
         if not top:
-            # A relative name without a package; the import itself reports the error.
+            # A relative name without a package. The import itself reports the error.
             continue
         there, found = _found(top)
         if not there:
-            problem = f"cannot be imported (no module {top!r}{distrusted(module, folders)})"
+            problem = f"cannot be imported (no module {top!r}){distrusted(module, folders)}"
             raise KeyProblem((*key, "type"), f"{part.type!r} {problem}")
         own = _file_in(with_working_folder(code_folders(folders)), top)
         if None not in (own, found) and own != found:
             raise KeyProblem(
                 (*key, "type"),
-                f"{part.type!r} would be that of {found}, which has the name of {own}; rename one "
-                "of the two, or use a process for each",
+                f"{part.type!r} would import {found} instead of {own}. Rename one of the two "
+                "modules, or use a process for each",
             )
 
 

@@ -30,9 +30,9 @@ from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.decisions import all_hold
 from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
-# Distance of neighbouring values, as a fraction of the value; absolute if the value is 0.
+# Distance of neighbouring values, as a fraction of the value, or absolute if the value is 0.
 _STEP = 1e-4
 
 # Fractions of the step to build at: on both sides, or on one if the other is not allowed.
@@ -51,7 +51,7 @@ _ROUNDING = 16 * np.finfo(float).eps
 # Attribute of force laws that contains the wetted surfaces.
 _PATCHES = jax.tree_util.GetAttrKey("patches")
 
-# Elements that depend on a number, by the index of their leaf.
+# Elements that depend on a number, for each index of a leaf that has such elements.
 Change = dict[int, np.ndarray]
 
 
@@ -71,7 +71,7 @@ class Parameters:
     """
 
     keys: tuple[str, ...]
-    experiment: Experiment
+    experiment: ExperimentParts
     config: ExperimentConfig
     source: Path | str
     folders: tuple[Path, ...]
@@ -118,7 +118,7 @@ class Parameters:
             if not (other.has_layout_of(own) and all_hold(own.agrees(other.leaves, self.inputs))):
                 named = zip(self.keys, values, strict=True)
                 place = ", ".join(f"{key}={value:g}" for key, value in named)
-                raise KeyProblem((), f"at {place} the simulation is laid out differently")
+                raise KeyProblem((), f"the simulation has another layout at {place}")
 
     def checked(self, values: Float[Array, " k"]) -> Float[Array, " k"]:
         """Return the values, and raise the error of `require` as soon as the values are known.
@@ -260,8 +260,8 @@ def _change(
     if not all(other.has_layout_of(building.own) for other in others):
         raise KeyProblem(
             where,
-            "changes more than numbers (which parts there are, how they are joined or grouped, "
-            "which of several is the largest, steps of time), so there is no derivative by it",
+            "changes more than numbers (such as the parts, the joints or the time step), so it has "
+            "no derivative",
         )
     change: Change = {}
     for place, leaf in enumerate(building.own.leaves):
@@ -271,8 +271,8 @@ def _change(
         moves, smooth = _moves(leaf, [other.leaves[place] for other in others], both, accuracy)
         if not smooth:
             problem = (
-                f"{value:g} is at a kink of `{building.name(place)}` (the lowest of several feet, "
-                "a limit), so there is no derivative by it"
+                f"{value:g} is at a kink of `{building.name(place)}` (such as a limit, or the "
+                "lowest of several feet), so it has no derivative"
             )
             if kinks is None:
                 raise KeyProblem(where, problem)
@@ -283,7 +283,7 @@ def _change(
         raise KeyProblem(where, "changes nothing in a trial of this experiment")
     for place in change:
         if getattr(building.own.paths[place][-1], "name", None) in TABLES:
-            problem = "changes a table of places (a mesh, a relief): not differentiable"
+            problem = "changes a table of positions (a mesh or a relief), so it has no derivative"
             raise KeyProblem(where, problem)
     return change
 

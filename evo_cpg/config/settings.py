@@ -44,7 +44,7 @@ def read_settings(path: Path) -> dict[str, Values]:
     read = read_yaml(path)
     for name, values in read.items():
         if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
-            raise ConfigError(path, (str(name),), "must be settings, {key: value}")
+            raise ConfigError(path, (str(name),), "must be settings, such as {key: value}")
     return {str(name): values for name, values in read.items()}
 
 
@@ -63,7 +63,7 @@ def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> l
     for values in grid.values():
         count *= len(values)
     if count > _MOST:
-        raise ValueError(f"a sweep has at most {_MOST} settings, this one {count}")
+        raise ValueError(f"a sweep has at most {_MOST} settings, got {count}")
     settings: list[Setting] = []
     for name, values in named.items() or [("", {})]:
         for chosen in itertools.product(*grid.values()):
@@ -74,7 +74,7 @@ def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> l
     names = [setting.name for setting in settings]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise ValueError(f"two settings would be called {twice[0]!r}; give them names of their own")
+        raise ValueError(f"two settings would be called {twice[0]!r}. Give them different names")
     return settings
 
 

@@ -62,11 +62,8 @@ def shipped(name: str) -> Shipped:
     """
     folder = shipped_folder()
     if folder is None or name not in shipped_names():
-        raise ConfigError(
-            name,
-            (),
-            f"no configuration of this name comes with evo-cpg; {nearest(name, shipped_names())}",
-        )
+        hint = nearest(name, shipped_names())
+        raise ConfigError(name, (), f"no configuration of this name comes with evo-cpg: {hint}")
     path = folder / f"{name}.yaml"
     about = _head(path.read_text(encoding="utf-8"))
     summary = re.split(r"(?<=\.) (?=[A-Z])", about, maxsplit=1)[0].removesuffix(".")
@@ -98,7 +95,7 @@ def find_config(given: Path | str, folders: bool = False) -> Path:
     raise ConfigError(
         name,
         (),
-        "no such file here, and no configuration of this name comes with evo-cpg; "
+        "no such file here, and no configuration of this name comes with evo-cpg: "
         f"{hint}{nearest(name, shipped_names())}",
     )
 
@@ -137,7 +134,9 @@ def copy_shipped(name: str, folder: Path) -> Path:
         copy = folder / part
         if copy.exists() and not (copy.is_file() and filecmp.cmp(path, copy, shallow=False)):
             raise ConfigError(
-                copy, (), f"exists already, and is not that of {name}; name another folder"
+                copy,
+                (),
+                f"already exists and is not the file of {name}. Choose another folder",
             )
     for part in parts.values():
         make_folder((folder / part).parent)

@@ -62,7 +62,7 @@ def build_situations(
             if height is None:
                 raise KeyProblem(
                     ("simulation", "start") if entry.start is None else (*key, "start"),
-                    f"no place to stand at ({x:g}, {y:g}); is it in an obstacle?",
+                    f"no place to stand at ({x:g}, {y:g}). Is it inside an obstacle?",
                 )
             begin = Situation((x, y, height), heading)
             if settings.start_pose == "settled":
@@ -105,8 +105,8 @@ def _settled(
         x, y, _ = situation.start_position
         raise KeyProblem(
             ("simulation", "start_pose"),
-            f"'settled': no rest from the start at ({x:g}, {y:g}), {error}; "
-            "'neutral' starts in the neutral pose",
+            f"'settled': no rest from the start at ({x:g}, {y:g}), {error}. "
+            "Use 'neutral' to start in the neutral pose",
         ) from None
 
 
@@ -162,7 +162,7 @@ def out_of_reach(creature: Creature, world: World, start: Triple, light: Triple)
         return f"the light at {where} would be where the animal starts"
     if distance > _FARTHEST_LIGHT * length:
         return (
-            f"the light at {where} would be {distance:.3g} m from the start; allowed: up to "
+            f"the light at {where} would be {distance:.3g} m from the start. Allowed: up to "
             f"{_FARTHEST_LIGHT:g} times the creature's length, {_FARTHEST_LIGHT * length:.3g} m"
         )
     return None

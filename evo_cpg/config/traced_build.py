@@ -128,7 +128,7 @@ class Building:
         with replaying_decisions(self.own.choices, conditions), jax.numpy_rank_promotion("allow"):
             leaves, structure = jax.tree.flatten(self._build(put_numbers(config, numbers)))
         if conditions is not None and structure != self.own.structure:
-            raise Undecidable("what is no number would change")
+            raise Undecidable("more than numbers would change")
         return leaves
 
     def name(self, place: int) -> str:

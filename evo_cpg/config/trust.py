@@ -77,8 +77,8 @@ def beside(source: Path, name: str) -> Path:
     if not inside:
         raise KeyProblem(
             (),
-            f"{name[:200]!r} lies outside of the configuration's folder; if the configuration is "
-            "yours, say so: evo-cpg --trust ...",
+            f"{name[:200]!r} lies outside of the configuration's folder. If you trust the "
+            "configuration, run evo-cpg --trust ...",
         )
     return path
 
@@ -96,7 +96,7 @@ def named_file(source: Path, name: str, suffixes: Sequence[str]) -> Path:
     """
     path = beside(source, name)
     if path.suffix.lower() not in suffixes:
-        problem = f"{path.suffix!r} is not known; allowed: {', '.join(suffixes)}"
+        problem = f"{path.suffix!r} is not known. Allowed: {', '.join(suffixes)}"
         raise KeyProblem((), f"{name}: {problem}")
     try:
         require_small(path)
@@ -122,7 +122,7 @@ def distrusted(module: str, folders: Iterable[Path]) -> str:
     for folder in folders:
         if (folder / f"{top}.py").is_file() or (folder / top).is_dir():
             return (
-                f"; it lies in {folder}, and code is run only from the working folder, or with "
-                "evo-cpg --trust ..., which says that it is yours"
+                f". It lies in {folder}, but code is run only from the working folder. If you "
+                "trust the code, run evo-cpg --trust ..."
             )
     return ""

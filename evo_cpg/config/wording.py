@@ -14,7 +14,7 @@ _Section = TypeVar("_Section", bound=pydantic.BaseModel)
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 _LENGTH = ("too_short", "too_long")
 
-_TRUTHS = "YAML reads yes, no, on, off, true and false as truth values; in quotes they are text"
+_TRUTHS = "YAML reads yes, no, on, off, true and false as booleans. Put text in quotes"
 
 
 def worded(
@@ -38,12 +38,12 @@ def worded(
     if is_of_key(problem):
         return KeyProblem(key, _about_key(given, value_at(data, (*key, given))))
     if kind in _UNKNOWN_KEY:
-        return KeyProblem(key, f"unknown key; {_near_key(allowed, key)}")
+        return KeyProblem(key, f"unknown key: {_near_key(allowed, key)}")
     if kind == "missing":
         beside = [p["loc"][-1] for p in problems if p["loc"][:-1] == problem["loc"][:-1]]
         missing = [place + 1 for place in beside if isinstance(place, int)]
         if missing:
-            return KeyProblem(key, f"{short(given)}: {max(missing)} values are needed")
+            return KeyProblem(key, f"{short(given)}: must have {max(missing)} values")
         return KeyProblem(key, "is missing and has no default")
     message = problem["msg"].removeprefix("Value error, ")
     if kind == "value_error":
@@ -54,7 +54,7 @@ def worded(
         expected = problem.get("ctx", {}).get("expected_tags", "")
         expected = expected.replace("'custom'", "or module:Class for your own")
         found = given.get("type")
-        return KeyProblem((*key, "type"), f"{found!r} is not known; allowed: {expected}")
+        return KeyProblem((*key, "type"), f"{found!r} is not known. Allowed: {expected}")
     if kind in _LENGTH:
         limits = problem.get("ctx", {})
         least, most = limits.get("min_length"), limits.get("max_length")
@@ -65,6 +65,7 @@ def worded(
         return KeyProblem(key, f"{short(given)}: {_about_kind(allowed, key, given)}")
     keys = {key_of(each, data) for each in problems}
     more = f" ({len(keys)} problems in all)" if len(keys) > 1 else ""
+    message = message.replace("Input should be", "must be", 1)
     return KeyProblem(key, f"{short(given)}: {message[:1].lower()}{message[1:]}{more}")
 
 
@@ -91,18 +92,18 @@ def _about_kind(allowed: Allowed, key: tuple[str | int, ...], given: Any) -> str
     words = allowed.words(key)
     problem = f"must be {words}"
     if isinstance(given, bool) and words.startswith("text"):
-        return f"{problem}; {_TRUTHS}"
+        return f"{problem}. {_TRUTHS}"
     hint = allowed.hint(key, given)
-    return f"{problem}; {hint}" if hint else problem
+    return f"{problem}. {hint}" if hint else problem
 
 
 def _about_key(given: Any, value: Any) -> str:
     """Return the problem with a key that is not text."""
     if isinstance(given, bool):
-        return f"the key {given} must be text; {_TRUTHS}"
+        return f"the key {given} must be text. {_TRUTHS}"
     if value is None:
-        return f"the key {given} must be text; if it follows a decimal comma, write a point"
-    return f"the key {given} must be text; write it in quotes: '{given}'"
+        return f"the key {given} must be text. If it follows a decimal comma, write a point"
+    return f"the key {given} must be text. Write it in quotes: '{given}'"
 
 
 def _is_wrong_kind(problem: Any) -> bool:

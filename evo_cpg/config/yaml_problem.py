@@ -33,7 +33,7 @@ def syntax_problem(text: str, error: yaml.YAMLError) -> tuple[str, str]:
     if row is None:
         return "", problem
     hint = _hint(text.splitlines() or [""], row, column, error, problem)
-    return f"line {row + 1}, column {column + 1}", f"{problem}{f'; {hint}' if hint else ''}"
+    return f"line {row + 1}, column {column + 1}", f"{problem}{f'. {hint}' if hint else ''}"
 
 
 def lost_colour(text: str) -> str | None:
@@ -42,8 +42,8 @@ def lost_colour(text: str) -> str | None:
         found = _COLOUR.search(words)
         if found and "#" not in words[: found.start()]:
             return (
-                f"line {line + 1}: color: {found[1]} has no value, since # begins a comment; write "
-                f"it in quotes: '{found[1]}'"
+                f"line {line + 1}: color: the value is missing, since # begins a comment. Write "
+                f"the color in quotes: '{found[1]}'"
             )
     return None
 
@@ -71,24 +71,24 @@ def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> 
     context = str(getattr(error, "context", None) or "")
     at = here[column : column + 1]
     if re.match(r"[ -]*\t", here):
-        return "a tab stands at the beginning of the line, where YAML takes spaces only"
+        return "A tab stands at the beginning of the line. YAML allows only spaces there"
     if strange := re.search(r"[\u00a0\u2000-\u200b\u3000\ufeff]", f"{here}{_line(lines, above)}"):
         code = f"U+{ord(strange[0]):04X}"
-        return f"the character {code} looks like a space but is none; write a space"
+        return f"The character {code} looks like a space but is not one. Write a space"
     if braces := _unquoted_braces(here) or _unquoted_braces(_line(lines, above)):
-        return f"write text with braces in quotes: '{braces}'"
+        return f"Write text with braces in quotes: '{braces}'"
     word = re.split(r"[\s,\]}#]", here[column:])[0]
     if at and at in _RESERVED and not word.startswith("!!"):
-        return f"YAML reserves {at} at the beginning of a value; write it in quotes: '{word}'"
+        return f"YAML reserves {at} at the beginning of a value. Write it in quotes: '{word}'"
     if "another document" in problem:
-        return "a file holds one configuration: leave out '---'"
+        return "A file contains one configuration. Leave out '---'"
     if "quoted scalar" in context and opened:
-        return f"the quote that opens in line {opened.line + 1} is not closed"
+        return f"The quote that opens in line {opened.line + 1} is not closed"
     if "flow" in context and opened:
         bracket = "[" if "sequence" in context else "{"
         rest = _line(lines, opened.line)[opened.column :]
-        lost = "; # after a space begins a comment" if re.search(r"\s#", rest) else ""
-        return f"the {bracket} in line {opened.line + 1} is not closed, or a comma is missing{lost}"
+        lost = ". A # after a space begins a comment" if re.search(r"\s#", rest) else ""
+        return f"The {bracket} in line {opened.line + 1} is not closed, or a comma is missing{lost}"
     for number, line in ((above, _line(lines, above)), (row, here)):
         words = line.strip()
         if (
@@ -96,16 +96,16 @@ def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> 
             and re.match(r"-[\w'\"{\[]", words)
             and not re.match(r"-\.?\d", words)
         ):
-            return f"a space is missing after the - in line {number + 1}"
+            return f"A space is missing after the - in line {number + 1}"
         glued = re.match(r"(?:- +)?[A-Za-z_]\w*:(?![\s/]|$)", words)
         if number is not None and glued:
-            return f"a space is missing after the colon in line {number + 1}"
+            return f"A space is missing after the colon in line {number + 1}"
     if "mapping values" in problem and len(_KEY.findall(here)) > 1:
-        return "write text with a colon and a space in it in quotes"
+        return "Write text that contains a colon and a space in quotes"
     if above is not None and at.strip() and _indent(here) != _indent(_line(lines, above)):
         return (
-            f"it is indented by {_indent(here)} characters, line {above + 1} by "
-            f"{_indent(_line(lines, above))}; keys of one section begin in the same column"
+            f"The line is indented by {_indent(here)} characters, line {above + 1} by "
+            f"{_indent(_line(lines, above))}. All keys of a section begin in the same column"
         )
     return ""
 

@@ -54,7 +54,7 @@ class _Loader(_SafeLoader):
             for one in value.value if isinstance(value, yaml.SequenceNode) else [value]:
                 if not isinstance(one, yaml.MappingNode):
                     raise yaml.constructor.ConstructorError(
-                        None, None, "<< takes a mapping or a list of them", one.start_mark
+                        None, None, "<< takes a mapping or a list of mappings", one.start_mark
                     )
                 self.flatten_mapping(one)
                 merged.insert(0, one.value)
@@ -179,7 +179,7 @@ def _require_shallow(text: str) -> None:
         elif isinstance(event, yaml.AliasEvent):
             size = sizes.get(event.anchor, 0)
             if size is None:
-                raise _refused(event, f"*{event.anchor} stands within what it names")
+                raise _refused(event, f"the alias *{event.anchor} is inside its own anchor")
             added = size
         elif isinstance(event, yaml.ScalarEvent):
             added = 1
@@ -187,7 +187,7 @@ def _require_shallow(text: str) -> None:
                 sizes[anchor] = 1
         opened[-1] = opened[-1][0], opened[-1][1] + added
         if len(opened) > _DEEPEST:
-            raise _refused(event, f"nested more than {_DEEPEST} deep")
+            raise _refused(event, f"nested more than {_DEEPEST} levels deep")
         if opened[-1][1] > _MOST_VALUES:
             raise _refused(event, f"more than {_MOST_VALUES} values")
 

@@ -9,7 +9,7 @@
 | T | ``temperature`` |
 
 Differs from Iwadate 2010: each unit has a bias (the weight of a unit that is always 1), and T is
-a setting of its own; the paper prints T_r, the CPG's rise time, but calls it a temperature.
+a separate setting. The paper prints T_r, the CPG's rise time, but calls it a temperature.
 
 The genes of a layer are its weights ``(out, in + 1)`` row by row, the bias last. All weights of a
 unit are adjacent, so that one-point crossover tends to keep them together.
@@ -39,8 +39,8 @@ class BrainSettings:
     """Shape of the brain and range of its initial weights.
 
     Attributes:
-        hidden: units in each hidden layer, at least 1; empty for a single layer.
-        temperature: T of eq. 3, more than 0; small values make the units switches.
+        hidden: units in each hidden layer, at least 1, or empty for a single layer.
+        temperature: T of eq. 3, more than 0. Small values make the units switches.
         init_range: largest magnitude of the uniform random genes of the first generation, more
             than 0.
 
@@ -61,7 +61,7 @@ class BrainSettings:
 
 
 class Brain(eqx.Module):
-    """Structure of the network; its weights are the genes.
+    """Structure of the network. Its weights are the genes.
 
     Attributes:
         sizes: number of inputs, units of each hidden layer, number of outputs.
@@ -121,8 +121,8 @@ def think(brain: Brain, weights: Weights, inputs: Float[Array, "i *n"]) -> Float
     """
     if inputs.shape[0] != brain.sizes[0]:
         raise ValueError(
-            f"the brain has {brain.sizes[0]} inputs, but was given {inputs.shape[0]} values; "
-            "build it for as many sensors and joints as the creature has"
+            f"the brain has {brain.sizes[0]} inputs, but was given {inputs.shape[0]} values. "
+            "Build it for the sensors and joints of the creature"
         )
     values = inputs
     for *blocks, activation in weights:

@@ -20,9 +20,9 @@ The paper describes the last line only as "angular-velocity control".
 | k_c | ``centring`` (1/s) |
 | q | ``joint_angle`` (rad) |
 
-Differs from Iwadate 2010: steering and centring are additions. Without a difference between u_e
-and u_f an animal cannot turn by bending to one side. Without centring, that difference or the
-initial transient leaves the joints off centre, at worst at their stops.
+Differs from Iwadate 2010: steering and centring are additions. An animal needs a difference between
+u_e and u_f to turn by bending to one side. That difference, and the initial transient, would leave
+the joints off centre without centring, at worst at their stops.
 
 One `BrainCpg.act` of the default swimmer (27 oscillators, 94 inputs, 100 individuals) takes about
 36 us on one core in float32.
@@ -74,10 +74,10 @@ class AxisSettings:
 
     Attributes:
         gain: factor on ``rate_gain``.
-        centring: rate at which these joints return to their neutral angle, 1/s; None for the
+        centring: rate at which these joints return to their neutral angle, 1/s, or None for the
             setting of the whole animal.
-        steering_range: largest relative difference between extensor and flexor drive, 0 to 1; None
-            for the setting of the whole animal.
+        steering_range: largest relative difference between extensor and flexor drive, 0 to 1, or
+            None for the setting of the whole animal.
 
     Raises:
         ValueError: a value is outside its range.
@@ -98,11 +98,11 @@ class BrainCpgSettings:
     Attributes:
         cpg: the oscillators.
         brain: the network that sets them.
-        drive: variables that the brain sets: ``shared``, u and steering of each axis (of each
-            group) and one b for the whole animal; ``per_joint``, all three for each joint;
-            ``per_dof``, all three for each degree of freedom.
-        groups: names of bodies, or patterns such as ``*_arm``, whose joints have axes of their
-            own, named ``group/axis``; axes of all other bodies have the plain name.
+        drive: variables that the brain sets. ``shared``: u and steering of each axis (of each
+            group), and one b for the whole animal. ``per_joint``: all three for each joint.
+            ``per_dof``: all three for each degree of freedom.
+        groups: names of bodies, or patterns such as ``*_arm``. Their joints have separate axes,
+            named ``group/axis``. Axes of all other bodies have the plain name.
         steering_range: largest relative difference between extensor and flexor drive, 0 to 1.
         rate_gain: G, joint rate per unit of output, rad/s.
         centring: k_c, rate at which a joint returns to its neutral angle, 1/s, at least 0, which
@@ -232,9 +232,9 @@ class BrainCpg(Controller):
         """Return the inputs of the brain: Table 2 of Iwadate 2010, every value from -1 to 1.
 
         The order is: light, pressure, cosine and sine to the vertical. Then: cosine of each joint
-        angle, sine of each, gain A / A_max of each oscillator in the last step. Then, if the
-        settings say so: each joint rate in units of ``max_rate``, clipped to 1. Last, not in
-        Table 2: depths of depth gauges, and readings of extra sensors.
+        angle, sine of each, gain A / A_max of each oscillator in the last step. Then, if
+        ``joint_rates`` is True: each joint rate in units of ``max_rate``, clipped to 1. Last, not
+        in Table 2: depths of depth gauges, and readings of extra sensors.
         """
         angle = observation.joint_angle
         values = [
@@ -279,10 +279,10 @@ def build_brain_cpg(
     """Build the controller for a creature's tree.
 
     Args:
-        tree: the creature; every degree of freedom gets an oscillator.
+        tree: the creature. Every degree of freedom gets an oscillator.
         light_count: number of light sensors, which also sense their angle to the vertical.
         pressure_count: number of pressure sensors.
-        settings: settings; None for the defaults.
+        settings: settings, or None for the defaults.
         control_step: time between two calls of `BrainCpg.act`, s.
         depth_count: number of depth gauges.
         custom_count: number of readings of the creature's `sensors`.
@@ -298,7 +298,7 @@ def build_brain_cpg(
     kinds = sorted(set(axes))
     for axis in settings.axes:
         if axis not in kinds:
-            problem = f"no joint turns about {axis!r}; {nearest(axis, kinds)}"
+            problem = f"no joint turns about {axis!r} ({nearest(axis, kinds)})"
             raise UnfitError(problem, ("axes", axis))
     joints = sorted(set(tree.dof_bodies))
     per_joint = tuple(joints.index(body) for body in tree.dof_bodies)
@@ -349,7 +349,7 @@ def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:
 
 
 def max_amplitude(settings: BrainCpgSettings) -> Number:
-    """Return A_max, the bound of every oscillator's output, in units of the tonic input."""
+    """Return A_max, the largest size of any oscillator's output, in the unit of the tonic input."""
     cpg = settings.cpg
     ranges = [_or(axis.steering_range, 0.0) for axis in settings.axes.values()]
     every = [settings.steering_range, *ranges]
@@ -365,7 +365,7 @@ def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str
         found = matching_bodies(tree, patterns, ("groups", group))
         if not found & set(tree.dof_bodies):
             names = [tree.names[body] for body in sorted(set(tree.dof_bodies))]
-            problem = f"names no body with a joint; bodies with one are {', '.join(names)}"
+            problem = f"names no body with a joint (bodies with one: {', '.join(names)})"
             raise UnfitError(problem, ("groups", group))
         for body in found:
             if group_of.setdefault(body, group) != group:

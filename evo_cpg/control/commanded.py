@@ -11,7 +11,7 @@ from evo_cpg.spatial.linear import array_of, expand_dims_like
 
 
 class Commanded(Controller):
-    """Controller that commands a table of rates; without a table, all rates are 0.
+    """Controller that commands a table of rates. All rates are 0 without a table.
 
     In a configuration: ``controller: {type: "evo_cpg.control.commanded:Commanded"}``. It also
     serves creatures without joints.

@@ -120,12 +120,12 @@ class Controller(eqx.Module):
 
     @property
     def binary(self) -> bool:
-        """Return whether genes are bits, 0 or 1; False unless overridden."""
+        """Return whether genes are bits, 0 or 1 (False unless overridden)."""
         return False
 
     @property
     def rhythm_generator(self) -> Oscillators | None:
-        """Return the oscillators of the rhythm; None unless overridden."""
+        """Return the oscillators of the rhythm (None unless overridden)."""
         return None
 
     @abc.abstractmethod
@@ -150,7 +150,7 @@ class Controller(eqx.Module):
         """
 
     def decode(self, genes: Float[Array, "g *n"]) -> PyTree[Array]:
-        """Return the genes in the form that `act` takes; unchanged unless overridden.
+        """Return the genes in the form that `act` takes. They are unchanged unless overridden.
 
         Called once per trial. Compute here everything that does not change in the trial. It is then
         computed once, and a gradient accumulates over these arrays.

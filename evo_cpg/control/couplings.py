@@ -1,4 +1,4 @@
-"""Couplings beyond those of the tree: between chosen oscillators, and around rings.
+"""Additional couplings between chosen oscillators and around rings, beyond the tree's couplings.
 
 A is the inhibition of each oscillator (row) by the other side of each other one (column). A
 negative A is inhibition by the same side. Both are in units of ``pair_weight``. A pair in which the
@@ -66,13 +66,13 @@ class Coupling:
 
     Attributes:
         source: a degree of freedom, or a pattern such as ``left_*.z``.
-        target: a degree of freedom, or a pattern; as many targets as sources in the order of the
-            bodies, or one of either for several of the other.
-        weight: strength in units of ``pair_weight``; without a lag, positive if the source
-            inhibits the target's other side (they swing together), negative if it inhibits the
-            same side (they swing against each other).
-        lag_deg: lag of the target behind the source, degrees, with coupling in both directions;
-            None for coupling from source to target only.
+        target: a degree of freedom, or a pattern. Sources and targets are equal in number and pair
+            up in the order of the bodies, or there is one source or one target.
+        weight: strength in units of ``pair_weight``. Positive without a lag: the source inhibits
+            the target's other side, and they swing together. Negative without a lag: it inhibits
+            the same side, and they swing against each other.
+        lag_deg: lag of the target behind the source, degrees, with coupling in both directions.
+            None couples from source to target only.
 
     Raises:
         ValueError: a value is outside its range.
@@ -98,8 +98,8 @@ class Ring:
 
     Attributes:
         oscillators: degrees of freedom, or patterns such as ``arm*_1.y``, in the order of the
-            ring; matches of a pattern are in the order of the bodies.
-        lag_deg: lag of each behind the previous one, degrees; the lags of all oscillators add up
+            ring. Matches of a pattern are in the order of the bodies.
+        lag_deg: lag of each behind the previous one, degrees. The lags of all oscillators add up
             to whole turns.
         weight: largest total inhibition of one oscillator by the others, in units of
             ``pair_weight``, at least 0.
@@ -144,7 +144,7 @@ def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str |
     for i, pattern in enumerate(patterns):
         matches = fnmatch.filter(tree.names, pattern)
         if not matches:
-            problem = f"{pattern!r} matches no body; {_near(pattern, tree.names)}"
+            problem = f"{pattern!r} matches no body ({_near(pattern, tree.names)})"
             raise UnfitError(problem, (*where, i))
         found.update(map(tree.names.index, matches))
     return found
@@ -163,7 +163,7 @@ def matching_oscillators(tree: Tree, pattern: str, where: Sequence[str | int]) -
     """
     found = [i for i, name in enumerate(tree.dof_names) if fnmatch.fnmatchcase(name, pattern)]
     if not found:
-        problem = f"{pattern!r} is no degree of freedom; {_near(pattern, tree.dof_names)}"
+        problem = f"{pattern!r} is no degree of freedom ({_near(pattern, tree.dof_names)})"
         raise CouplingError(problem, where)
     return found
 
@@ -172,7 +172,7 @@ def _near(pattern: str, names: Sequence[str]) -> str:
     """Return a hint for a pattern that matches none of the names."""
     starred = re.sub(r"\{\w+\}", "*", pattern)
     if starred != pattern:
-        return f"placeholders stand for nothing here, write {starred!r}; {nearest(starred, names)}"
+        return f"placeholders have no meaning here: write {starred!r}, {nearest(starred, names)}"
     return nearest(pattern, names)
 
 
@@ -192,7 +192,7 @@ def explicit_weights(
         if (target, source) in weights:
             names = f"{tree.dof_names[source]!r} and {tree.dof_names[target]!r}"
             raise CouplingError(
-                f"couples {names}, which {written[target, source]} couples already", where
+                f"couples {names}, which {written[target, source]} already couples", where
             )
         weights[target, source] = weight
         written[target, source] = ".".join(map(str, where))
@@ -290,16 +290,17 @@ def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
     names = [tree.dof_names[i] for i in found]
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise CouplingError(f"{name!r} stands in the ring twice", where)
+            raise CouplingError(f"{name!r} is in the ring twice", where)
     count = len(found)
     if count < 2:
-        raise CouplingError(f"a ring needs at least two, got {', '.join(names) or 'none'}", where)
+        problem = f"a ring needs at least two oscillators, got {', '.join(names) or 'none'}"
+        raise CouplingError(problem, where)
     if not chosen(functools.partial(_closes, ring.lag_deg, count)):
         allowed = sorted({(360 * k / count + 180) % 360 - 180 for k in range(count)})
         allowed.sort(key=lambda lag: (round(abs(lag), 6), -lag))
         raise CouplingError(
-            f"{count} lags around the ring must make whole turns, as "
-            f"{', '.join(f'{lag:.5g}' for lag in allowed[:5])} degrees do, got {ring.lag_deg:g}",
+            f"{count} lags around the ring must add up to whole turns (for example "
+            f"{', '.join(f'{lag:.5g}' for lag in allowed[:5])} degrees), got {ring.lag_deg:g}",
             ("rings", number, "lag_deg"),
         )
     return found
@@ -336,8 +337,8 @@ def _pairs(tree: Tree, coupling: Coupling, number: int) -> Iterator[tuple[int, i
     count = max(len(sources), len(targets))
     if {len(sources), len(targets)} - {1, count}:
         raise CouplingError(
-            f"{coupling.source!r} stands for {len(sources)} degrees of freedom and "
-            f"{coupling.target!r} for {len(targets)}; there must be as many of both, or one",
+            f"{coupling.source!r} matches {len(sources)} degrees of freedom and "
+            f"{coupling.target!r} matches {len(targets)} (allowed: equal numbers, or 1 and any)",
             where,
         )
     sources, targets = sources * (count // len(sources)), targets * (count // len(targets))
@@ -348,7 +349,7 @@ def _pairs(tree: Tree, coupling: Coupling, number: int) -> Iterator[tuple[int, i
 
 
 def _cosine_and_sine(lag_deg: Number) -> tuple[Number, Number]:
-    """Return cosine and sine of a lag; rounding errors become exactly 0, which is no coupling."""
+    """Return cosine and sine of a lag. Rounding errors become exactly 0, which is no coupling."""
     cosine, sine = xp.cos(xp.deg2rad(lag_deg)), xp.sin(xp.deg2rad(lag_deg))
     cosine_counts, sine_counts = chosen(
         lambda: (abs(cosine) > _NO_COUPLING, abs(sine) > _NO_COUPLING)

@@ -32,7 +32,7 @@ negative part B within a side:
     T_r dx_e/dt + x_e = -A y_f - B y_e - b z_e + u_e + s,    and the same with e and f exchanged.
 
 Differs from Iwadate 2010: the paper prints no connections between joints, and its T_r and T_a
-admit no oscillation; the default exchanges the two (``docs/models/controller.md`` derives why).
+admit no oscillation. The default exchanges the two (``docs/models/controller.md`` derives why).
 
 Layout: ``(2, oscillators, *n)``, extensors first. The matrix has few non-zero diagonals (three
 for a chain), so its product is a sum of shifted rows. One `advance` of 27 oscillators and 112
@@ -87,21 +87,21 @@ class CpgSettings:
     Attributes:
         constants: which of the two times of Table 3 is T_r: ``swapped`` (0.153 s) oscillates,
             ``as_printed`` (1.182 s) does not.
-        time_scale: factor on T_r and T_a, more than 0; it divides frequencies exactly and changes
+        time_scale: factor on T_r and T_a, more than 0. It divides frequencies exactly and changes
             nothing else.
         pair_weight: a, between extensor and flexor of one oscillator, at least 0.
         parent_weight: inhibition from the parent's oscillator, in units of ``pair_weight``, at
             least 0.
         child_weight: inhibition from a child's oscillator, in units of ``pair_weight``, at least 0.
         cross_weight: mutual inhibition of successive axes of one joint, in units of
-            ``pair_weight``, at least 0; they then turn together, positive with positive.
+            ``pair_weight``, at least 0. They then turn together, positive with positive.
         opposite: bodies, or patterns such as ``front_*``, whose oscillators follow the opposite
             side of their parents', as for front legs that step against hind legs.
-        couplings: couplings between chosen oscillators, which replace those of the tree.
+        couplings: couplings between chosen oscillators, which replace couplings of the tree.
         rings: rings of oscillators with a constant lag from one to the next, which replace
             couplings of the tree.
         sensory_feedback: the s of eq. 4, equal for every neuron.
-        max_tonic_input: u_max, more than 0; outputs are proportional to it.
+        max_tonic_input: u_max, more than 0. Outputs are proportional to it.
         min_adaptation_gain: smallest b, more than 0.
         max_adaptation_gain: largest b.
 
@@ -141,7 +141,7 @@ class CpgSettings:
 
 
 class MatsuokaNetwork(eqx.Module):
-    """Connections and time constants; one oscillator per degree of freedom of the tree.
+    """Connections and time constants, with one oscillator per degree of freedom of the tree.
 
     Attributes:
         offsets: diagonals of the inhibition A from the other side that are not zero. Offset k means
@@ -171,7 +171,7 @@ class MatsuokaNetwork(eqx.Module):
 
     @property
     def matrix(self) -> Float[np.ndarray, "o o"]:
-        """Inhibition of each oscillator by each other one; see `inhibition_matrix`."""
+        """Inhibition of each oscillator by each other one (see `inhibition_matrix`)."""
         count = self.oscillator_count
         matrix = np.zeros((count, count))
         for sign, offsets, weights in (
@@ -210,8 +210,8 @@ class MatsuokaState(eqx.Module):
     """State of every neuron, extensors first.
 
     Attributes:
-        potential: x, in units of the tonic input.
-        adaptation: z, in units of the tonic input.
+        potential: x, in the unit of the tonic input.
+        adaptation: z, in the unit of the tonic input.
     """
 
     potential: Float[Array, "2 o *n"]
@@ -366,7 +366,7 @@ def advance(
         tonic_input: u of each neuron, extensors first.
         adaptation_gain: b of each oscillator.
         h: step, s. It is divided into substeps if it is long compared with T_r or T_a.
-        substeps: number of substeps; None for `MatsuokaNetwork.substeps`.
+        substeps: number of substeps, or None for `MatsuokaNetwork.substeps`.
     """
     count = network.substeps(h) if substeps is None else substeps
     drive = tonic_input + network.sensory_feedback
@@ -386,7 +386,7 @@ def advance(
 
 
 def output(state: MatsuokaState) -> Float[Array, "o *n"]:
-    """Return the motor signal of each oscillator, ``y_e - y_f``, in units of the tonic input.
+    """Return the motor signal of each oscillator, ``y_e - y_f``, in the unit of the tonic input.
 
     Its size never exceeds the largest u + s (or the initial potential), because inhibition and
     adaptation only lower a potential.

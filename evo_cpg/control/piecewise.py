@@ -108,7 +108,7 @@ class Run(NamedTuple):
     Attributes:
         state: final state.
         duration: requested duration, or less.
-        tangent: derivative of the final state with respect to the initial one; None unless
+        tangent: derivative of the final state with respect to the initial one, or None unless
             requested.
         onsets: starts of firing, in order of time.
         lowest: smallest output of each oscillator, at the computed steps.
@@ -140,9 +140,12 @@ class Rest(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """A pattern's generator, with the constant in the last column, and its tabulated steps.
+    """Linear flow for one pattern of signs.
 
-    Steps, longest first, are None if a mode would grow by more than `_LARGEST_GROWTH`.
+    Attributes:
+        generator: A, with the constant c in the last column.
+        steps: E(h) for each tabulated length h of a step, longest first. An entry is None if a mode
+            would grow by more than `_LARGEST_GROWTH` in that step.
     """
 
     generator: np.ndarray
@@ -302,7 +305,7 @@ class Flow:
 
     @property
     def driven(self) -> bool:
-        """True if any neuron has a drive. Without one, no neuron fires for long."""
+        """True if any neuron has a drive. No neuron fires for long without a drive."""
         return bool((self._drive > 0).any())
 
     def stands_still(self, state: Float[np.ndarray, " k"]) -> bool:
@@ -310,7 +313,7 @@ class Flow:
         return bool(np.abs(self.derivative(state)).max() < _STILL)
 
     def rest(self, state: Float[np.ndarray, " k"]) -> Rest | None:
-        """Return the equilibrium that a state certainly decays to; None if this is not certain.
+        """Return the equilibrium that a state certainly decays to, or None if this is not certain.
 
         The conditions are: state and equilibrium have one pattern, the equilibrium is stable, and
         no decaying mode of the distance can bring a potential across zero.
@@ -339,7 +342,8 @@ class Flow:
         Near the onset of oscillation this may be millions of periods, without any steps.
 
         Returns:
-            The later state, and the time until then; the initial state and 0 if nothing is certain.
+            The later state, and the time until then. If nothing is certain, the initial state and
+            0.
         """
         near = self.equilibrium(state)
         if near is None or not near.rates[0].real > 0:
@@ -358,7 +362,7 @@ class Flow:
         return (near.state + grown, time) if time else (state, 0.0)
 
     def equilibrium(self, state: Float[np.ndarray, " k"]) -> Rest | None:
-        """Return the equilibrium of this state's pattern; None if it has another pattern."""
+        """Return the equilibrium of this state's pattern, or None if it has another pattern."""
         firing = self._pattern(state)
         generator = self._piece(firing).generator
         try:
@@ -376,11 +380,11 @@ class Flow:
         return Rest(state, rates[np.argsort(-rates.real)].astype(complex), firing)
 
     def _margin(self, near: Rest) -> Float[np.ndarray, " n"]:
-        """Return the distance of each potential from zero; infinity for neurons without a drive."""
+        """Return each potential's distance from zero, or infinity for neurons without a drive."""
         return np.where(self._drive > 0, np.abs(near.state[: self.neurons]), np.inf)
 
     def _modes(self, near: Rest, distance: np.ndarray) -> _Modes | None:
-        """Split a distance from an equilibrium into modes; None if modes are too similar."""
+        """Split a distance from an equilibrium into modes. Return None if modes are too similar."""
         rates, vectors = np.linalg.eig(self._piece(near.firing).generator[:-1, :-1])
         try:
             shapes = vectors * np.linalg.solve(vectors, distance)
@@ -429,7 +433,7 @@ class Flow:
         generator[n:k, n:k] = -self._adaptation * np.eye(n)
         if not self._depth:
             return _Piece(generator, [None])
-        # Without the identity, which would cost slow rates their digits.
+        # Leave out the identity, which would cost slow rates their digits.
         shortest = generator * self._lengths[-1]
         step = term = shortest
         for order in range(2, _TERMS):
@@ -446,13 +450,16 @@ class Flow:
     def _onto_zero(
         self, piece: _Piece, columns: np.ndarray, about: float, neuron: int
     ) -> tuple[np.ndarray, float]:
-        """Move along one piece to the zero of a neuron's potential, and return the time it takes.
+        """Follow one piece until a neuron's potential is 0.
 
         Args:
             piece: piece that holds until then.
-            columns: state and its derivatives.
-            about: estimate of the time.
+            columns: state and its derivatives with respect to the initial state.
+            about: estimate of the time until the potential is 0.
             neuron: number of the neuron.
+
+        Returns:
+            New columns at that time, and the time until then in the flow's units.
         """
         left = about
         for step, length in zip(piece.steps, self._lengths, strict=True):
@@ -461,7 +468,7 @@ class Flow:
         if not self._depth:
             # The series is exact within a whole step.
             left = min(left, float(self._lengths[0]))
-        # From here a series reaches the shortest step in both directions.
+        # A series from here reaches the shortest step in both directions.
         terms = _terms(piece.generator, columns)
         series = [float(term[neuron, 0]) for term in terms]
         reach, moment = float(self._lengths[-1]), left

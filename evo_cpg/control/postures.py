@@ -1,12 +1,12 @@
-"""The controller of Fukui 2003: a few postures that an animal takes in turn, for ever.
+"""The controller of Fukui 2003: a few postures that an animal takes in turn, repeatedly.
 
 A posture is one angle for every joint. The motors are springs that pull to it (2.5 to 2.7 of the
 thesis). There is no sensing: posture k = 0, 1, ... is held while
 
     k T <= t < (k + 1) T,
 
-and the first follows the last. The angles evolve, in bits (3.2). With B bits b_1 ... b_B for each
-joint of each posture,
+and the first follows the last. The angles evolve as bits (3.2). Each joint has B bits b_1 ... b_B
+in each posture:
 
     theta = theta_0 + step sum_i 2^(B - i) b_i,    q = theta - theta_n.
 
@@ -45,8 +45,8 @@ from evo_cpg.spatial.numerics import Number, Numbers, xp
 # control steps. A trial of the thesis, 20 s, has 60.
 EXACT_PERIODS = 500
 
-# Largest fraction of a control step by which a switch may be early: 20 control steps of 1/60 s are
-# 1/3 s, however the floating-point numbers were rounded.
+# Largest fraction of a control step by which a switch may be early. So 20 control steps of 1/60 s
+# are 1/3 s for any rounding of the floating-point numbers.
 TOLERANCE = 1e-6
 
 # Largest excess of an angle over a limit, rad: both are rounded from degrees.
@@ -58,18 +58,17 @@ LONGEST_PERIOD = 8000
 
 @dataclasses.dataclass(frozen=True)
 class PostureSettings:
-    """Settings of the postures; the defaults are those of Fukui 2003.
+    """Settings of the postures, with the defaults of Fukui 2003.
 
     Attributes:
         postures: number of postures, 1 to 1000.
         period: time for which each is held, s, more than 0.
         lowest_angle: angle of a joint whose bits are all 0, degrees.
         angle_step: difference between neighbouring angles, degrees, more than 0.
-        bits_per_joint: bits for each joint of each posture, 1 to 16, giving 2 to the power of it
-            angles.
+        bits_per_joint: B, bits for each joint of each posture, 1 to 16. They encode 2^B angles.
         neutral_angle: angle of a joint in the neutral pose, degrees.
-        graded: True to use genes as numbers from 0 to 1 instead of rounding them to bits, so that
-            angles change smoothly and have derivatives; genomes of bits mean the same either way.
+        graded: True to use genes as numbers from 0 to 1 instead of rounding them to bits. Angles
+            then change smoothly and have derivatives. Genomes of bits mean the same in both cases.
 
     Raises:
         ValueError: a value is outside its range.
@@ -99,7 +98,7 @@ class PostureController(Controller):
     """The postures of one creature, with the number of completed control steps as its state.
 
     Attributes:
-        gene_count: number of bits.
+        gene_count: number of genes, one for each bit of each angle.
         dof_count: degrees of freedom, each of which has an angle in every posture.
         origin: settings of the controller.
         postures: number of postures.
@@ -177,7 +176,7 @@ def build_posture_controller(
     """Build the controller for a creature.
 
     Args:
-        tree: the creature; every degree of freedom gets an angle in every posture.
+        tree: the creature. Every degree of freedom gets an angle in every posture.
         settings: the postures and their angles.
         control_step: time between two calls of `PostureController.act`, s.
 
@@ -233,8 +232,8 @@ def _check_limits(tree: Tree, settings: PostureSettings) -> None:
     for i in np.flatnonzero(beyond):
         lower, upper = np.rad2deg([tree.lower[i], tree.upper[i]])
         raise ValueError(
-            f"the postures turn joint {tree.dof_names[i]} from {lowest:g} to {highest:g} degrees, "
-            f"counted from the neutral pose; its limits_deg allow {lower:g} to {upper:g}"
+            f"the postures turn joint {tree.dof_names[i]} from {lowest:g} to {highest:g} degrees "
+            f"(neutral pose: 0), but its limits_deg allow {lower:g} to {upper:g}"
         )
 
 

@@ -1,4 +1,4 @@
-"""Oscillators that come to rest under a constant drive, found by running the network.
+"""Find the oscillators that stop under a constant drive, by running the network.
 
 This takes a second at most, so it can be called before every run. A full analysis is in
 `evo_cpg.analysis.limit_cycle`.
@@ -25,9 +25,9 @@ _NEAR, _NEAR_ENOUGH = 1e-4, 0.02
 # Largest swing of the output of an oscillator at rest, as a fraction of its neurons' firing.
 _LEAST_SWING = 1e-3
 
-# Parts with more oscillators than this first get an inexact simulation with all gains at once:
-# tolerances, then settling time and observed time in units of the slower time constant. Oscillators
-# that swing in it are not reported to rest.
+# Parts with more oscillators than this first get an inexact simulation with all gains at once.
+# Oscillators that swing in it are not reported to rest. Below: its tolerances, then its settling
+# time and observed time in units of the slower time constant.
 _LARGE = 12
 _RELATIVE, _ABSOLUTE = 1e-4, 1e-5
 _SETTLING, _SEEN = 60.0, 10.0

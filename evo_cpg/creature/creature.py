@@ -53,7 +53,7 @@ class Actuator:
 
     Attributes:
         gain: torque per velocity error, N m s/rad.
-        torque_limit: largest torque on one axis, N m; infinite for no limit. The joint gives way
+        torque_limit: largest torque on one axis, N m, or infinity for no limit. The joint gives way
             under a larger load.
         stiffness: torque per angle error, N m/rad.
     """
@@ -297,8 +297,8 @@ def topological_order(creature: Creature) -> list[int]:
     the physics can treat together are therefore adjacent.
 
     Raises:
-        CreatureError: no body, no root or several, a name used twice, a joint to a body that
-            does not exist, or bodies joined in a ring.
+        CreatureError: the creature has no body, no root or several, a name used twice, a joint to a
+            body that does not exist, or bodies joined in a ring.
     """
     bodies = creature.bodies
     if not bodies:
@@ -310,15 +310,15 @@ def topological_order(creature: Creature) -> list[int]:
     roots = [i for i, body in enumerate(bodies) if body.joint is None]
     if len(roots) > 1:
         raise CreatureError(
-            f"bodies {names[roots[0]]!r} and {names[roots[1]]!r} both have no joint; "
-            "exactly one body (the root) may stand without one",
+            f"bodies {names[roots[0]]!r} and {names[roots[1]]!r} both have no joint. "
+            "Allowed: one body without a joint, the root",
             ("bodies", roots[1], "joint"),
         )
     for i, body in enumerate(bodies):
         if body.joint is not None and body.joint.parent not in names:
             raise CreatureError(
-                f"body {body.name!r} is joined to {body.joint.parent!r}, which does not exist; "
-                f"bodies are {', '.join(names)}",
+                f"body {body.name!r} is joined to {body.joint.parent!r}, which does not exist. "
+                f"Allowed: {', '.join(names)}",
                 ("bodies", i, "joint", "parent"),
             )
     depth = {names[i]: 0 for i in roots}

@@ -47,7 +47,7 @@ _THIN = 1e-4
 _LOST = 1e-4
 # Angle (rad) below which planes count as one. Rounding in files turns planes by 1e-6.
 _SAME_PLANE = 1e-4
-# Least spread of the planes at a corner, smallest over largest; squared radians.
+# Least spread of the planes at a corner, smallest over largest, squared radians.
 _SPREAD = 1e-7
 # Difference in reach, as a fraction of its range, below which corners count as equally far.
 _EQUALLY_FAR = 1e-9
@@ -315,14 +315,14 @@ def _require_triangles(vertices: np.ndarray, faces: np.ndarray) -> None:
         raise MeshError("it has no faces")
     if len(faces) > MOST_TRIANGLES:
         raise MeshError(
-            f"it has {len(faces)} triangles; allowed: at most {MOST_TRIANGLES}; simplify it in the "
+            f"it has {len(faces)} triangles. Allowed: at most {MOST_TRIANGLES}. Simplify it in the "
             "program that made it (in Blender: Decimate)"
         )
     if not np.isfinite(vertices).all():
         raise MeshError("a coordinate of a vertex is not a finite number")
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = int(faces.min() if faces.min() < 0 else faces.max())
-        raise MeshError(f"a face names vertex {wrong}; allowed: 0 to {len(vertices) - 1}")
+        raise MeshError(f"a face names vertex {wrong}. Allowed: 0 to {len(vertices) - 1}")
 
 
 def _sensible_length(vertices: np.ndarray) -> float:
@@ -331,13 +331,13 @@ def _sensible_length(vertices: np.ndarray) -> float:
         longest = float(np.ptp(vertices, axis=0).max())
     if longest > LONGEST:
         raise MeshError(
-            f"its longest side is {longest:.4g} m; allowed: {SHORTEST:g} to {LONGEST:g} m; "
-            "drawn in millimetres it needs scale: 0.001"
+            f"its longest side is {longest:.4g} m. Allowed: {SHORTEST:g} to {LONGEST:g} m. "
+            "For a drawing in millimetres, set scale: 0.001"
         )
     if longest < SHORTEST:
         raise MeshError(
-            f"its longest side is {longest:.4g} m; allowed: {SHORTEST:g} to {LONGEST:g} m; "
-            "is the scale too small?"
+            f"its longest side is {longest:.4g} m. Allowed: {SHORTEST:g} to {LONGEST:g} m. "
+            "Is the scale too small?"
         )
     return longest
 
@@ -351,19 +351,19 @@ def _require_one_closed_surface(faces: np.ndarray) -> None:
     wrong = int((counts != 2).sum())
     if wrong:
         raise MeshError(
-            f"it is open: {wrong} of {len(edges)} edges do not join two faces; close its holes "
-            "and remove what lies inside"
+            f"it is open: {wrong} of {len(edges)} edges do not join two faces. Close its holes "
+            "and remove parts in its interior"
         )
     count = faces.max() + 1
     joined = coo_array((np.ones(len(edges)), edges.T), shape=(count, count))
     pieces, _ = connected_components(joined, directed=False)
     if pieces > 1:
         raise MeshError(
-            f"it consists of {pieces} separate pieces; allowed: one; give each its file"
+            f"it consists of {pieces} separate pieces. Allowed: one. Save each in its own file"
         )
     if len(np.unique(directed, axis=0)) != len(directed):
         raise MeshError(
-            "neighbouring faces run round in different directions; make their normals consistent"
+            "neighbouring faces have opposite orientations. Make their normals consistent"
         )
 
 
@@ -373,7 +373,7 @@ def _require_broad(triangles: np.ndarray, longest: float) -> None:
     if areas[thin].sum() > _LOST * areas.sum():
         raise MeshError(
             f"{thin.sum()} of its {len(triangles)} triangles are lower than {_THIN:.2%} of its "
-            "longest side; make it thicker, or of fewer triangles"
+            "longest side. Make it thicker, or use fewer triangles"
         )
 
 
@@ -387,8 +387,8 @@ def _require_convex(vertices: np.ndarray, faces: np.ndarray, longest: float) -> 
         face, vertex = np.unravel_index(beyond.argmax(), beyond.shape)
         raise MeshError(
             f"it is not convex: vertex {vertex} lies {deepest:.3g} m beyond the plane of face "
-            f"{face}; allowed: {_DENT:.1%} of its longest side, {_DENT * longest:.2g} m; split it "
-            "into convex bodies, or take its convex hull in the program that made it"
+            f"{face}. Allowed: {_DENT:.1%} of its longest side, {_DENT * longest:.2g} m. Split it "
+            "into convex bodies, or use its convex hull"
         )
 
 
@@ -422,7 +422,7 @@ def _mass_properties(
     if longest is not None and abs(volume) <= _FLAT * longest**3:
         raise MeshError(f"it is flat: {longest:.3g} m long, it encloses {abs(volume):.2g} m^3")
     if longest is not None and volume < 0:
-        raise MeshError("it is inside out: its faces look inwards; flip its normals")
+        raise MeshError("it is inside out: its faces look inwards. Flip its normals")
     found = mass_properties(triangles - middle, density=1.0)
     return volume, middle + found.center_mass, np.asarray(found.inertia)
 

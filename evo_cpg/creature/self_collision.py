@@ -98,8 +98,8 @@ class LeftOut(NamedTuple):
     Attributes:
         apart: pairs of bodies that never meet, and the number of pieces of joint ranges that shows
             it.
-        others: pairs that are left out because they overlap in the neutral pose, or turn beside
-            each other.
+        others: pairs that are left out because they overlap in the neutral pose, or turn side by
+            side about a common axis.
     """
 
     apart: tuple[tuple[int, int, int], ...]

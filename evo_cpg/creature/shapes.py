@@ -47,8 +47,8 @@ class Cell(NamedTuple):
     """Part of a body's volume whose fraction below any plane is known in closed form.
 
     Attributes:
-        profile: distribution of height: that of a box, of a ball stretched along the axes, of an
-            upright disc, or of a polyhedron.
+        profile: distribution of height in a box, a ball stretched along the axes, an upright disc,
+            or a polyhedron.
         centre: centre in the shape's frame, m.
         half_axes: half axes along x, y and z, m.
         volume: volume of the cell, m^3.
@@ -150,7 +150,7 @@ class Shape(abc.ABC):
     def inertia(self, mass: Number) -> Numbers:
         """Return moments of inertia ``(3,)`` of uniform mass, about x, y, z at the centre, kg m^2.
 
-        Meshes also have products of inertia; see `inertia_tensor`.
+        Meshes also have products of inertia (`inertia_tensor`).
         """
 
     def inertia_tensor(self, mass: Number) -> Numbers:
@@ -210,7 +210,7 @@ class Shape(abc.ABC):
         Raises:
             TypeError: the shape is for use in water only.
         """
-        raise TypeError(f"no contact points for a {type(self).__name__}; define floor_parts")
+        raise TypeError(f"no contact points for a {type(self).__name__}. Define floor_parts")
 
     def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
         """Return the parts that may meet obstacles.
@@ -218,7 +218,7 @@ class Shape(abc.ABC):
         Raises:
             TypeError: the shape is for use in water only.
         """
-        raise TypeError(f"no contact points for a {type(self).__name__}; define obstacle_parts")
+        raise TypeError(f"no contact points for a {type(self).__name__}. Define obstacle_parts")
 
     @property
     def corners(self) -> np.ndarray | None:
@@ -464,7 +464,8 @@ class Capsule(Shape):
         normals = xp.tile(xp.column_stack([xp.zeros(len(around)), around]), (resolution, 1))
         ring_area = 2 * xp.pi * self.radius * self.length / len(around)
         side = Surface(points, normals, xp.repeat(weights / 2 * ring_area, len(around)))
-        # Each half-sphere has its own rule. A rule across both would ignore the step in between.
+        # Each half-sphere has its own rule, because a cylinder separates them. One rule across both
+        # would treat their points as one smooth surface.
         half, part = (nodes + 1) / 2, weights / 2
         directions, solid_angles = _around_x(
             xp.concatenate([-half[::-1], half]), xp.concatenate([part[::-1], part]), around
@@ -477,8 +478,8 @@ class Capsule(Shape):
     def cells(self) -> tuple[Cell, ...]:
         """Return a row of discs, and an ellipsoid for each half-spherical end.
 
-        A half-sphere's centre of volume is 3/8 r from its base. Its second moment about that centre
-        along the axis is that of an ellipsoid with a half axis of sqrt(19/64) r.
+        A half-sphere's centre of volume is 3/8 r from its base. Its second moment along the axis
+        about that centre equals an ellipsoid's with a half axis of sqrt(19/64) r.
         """
         r, slices = self.radius, _SLICES if chosen(lambda: self.length > 0) else 0
         half_slice = self.length / (2 * _SLICES)

@@ -34,8 +34,8 @@ class Group(NamedTuple):
     """Bodies of one level with limbs of the same build, such as all four thighs.
 
     The physics treats them side by side. Limbs have the same build if they have equally many joint
-    axes, and carry equally many limbs of the same build. A trunk segment beside two hands is a
-    group of its own.
+    axes, and carry equally many limbs of the same build. A trunk segment is not in a
+    group with two hands.
 
     Attributes:
         bodies: slice of the tree's bodies.

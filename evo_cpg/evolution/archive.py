@@ -35,7 +35,7 @@ class Archive(NamedTuple):
         fitness: fitness of each elite, or -inf if the cell is empty.
         descriptors: descriptors of each elite, in the order of the axes.
         generation: generation in which each elite was found, from 0.
-        index: index of each elite in that population. With the generation it selects the random
+        index: index of each elite in that population. Generation and index select the random
             numbers of the elite's trials.
         told: number of generations that the archive has seen.
     """

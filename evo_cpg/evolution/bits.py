@@ -2,8 +2,8 @@
 
 The best 7 of 15 individuals stay unchanged. Children of 4 pairs overwrite the other 8, two of each
 pair. The 8 parents are drawn independently by rank, so one may be both parents of a pair. Ranks 9
-to 15 are never parents. The children come from one-point crossover. With probability 1/2 a mutation
-changes 2 to 30 random genes.
+to 15 are never parents. One-point crossover makes the children. A child mutates with probability
+1/2, in 2 to 30 random genes.
 
 The thesis does not say whether mutation is per child or per pair, or how a gene changes. Here each
 child has its own mutation. A gene is redrawn unless ``mutation`` is "flip". Chapter 4 describes a
@@ -25,7 +25,8 @@ from evo_cpg.evolution.generation import Genetics, keep_elites
 from evo_cpg.evolution.selection import draw_parents
 from evo_cpg.evolution.variation import one_point_crossover
 
-# Change of a mutated gene: redrawn, so half of them stay as they are, or flipped to the other bit.
+# Change of a mutated gene. A redrawn gene keeps its value with probability 1/2. A flipped gene
+# becomes the other bit.
 MUTATIONS = ("redraw", "flip")
 
 # Sums of decimal probabilities such as the thesis's differ from 1 by rounding.
@@ -33,17 +34,17 @@ _SUM_TOLERANCE = 1e-6
 
 
 class BitGenetics(Genetics):
-    """The genetic algorithm on bits; the defaults are those of Fukui 2003.
+    """The genetic algorithm on bits, with the defaults of Fukui 2003.
 
     Attributes:
         population: number of individuals.
-        elites: places of the next generation that hold the best individuals, unchanged;
-            children fill the others.
+        elites: number of places for the best individuals, unchanged, in the next generation.
+            Children fill the other places.
         best_copies: number of these places for the best individual.
-        rank_probabilities: probability of each rank to be a parent, best first; lower ranks are
-            no parents.
+        rank_probabilities: probability of each rank to be a parent, best first. Lower ranks have
+            probability 0.
         mutation_probability: probability that a child mutates.
-        mutated_genes: fewest and most genes that a mutation changes; all numbers in between are
+        mutated_genes: fewest and most genes that a mutation changes. All numbers in between are
             equally likely.
         mutation: change of a mutated gene, one of ``MUTATIONS``.
 
@@ -77,8 +78,8 @@ class BitGenetics(Genetics):
             )
         if not 1 <= len(self.rank_probabilities) <= self.population:
             raise ValueError(
-                f"rank_probabilities must be 1 to {self.population} numbers, no more than the "
-                f"population, got {len(self.rank_probabilities)}"
+                f"rank_probabilities must be 1 to {self.population} numbers (at most the "
+                f"population), got {len(self.rank_probabilities)}"
             )
         if not all(p >= 0 for p in self.rank_probabilities):
             raise ValueError(
@@ -94,7 +95,7 @@ class BitGenetics(Genetics):
         fewest, most = self.mutated_genes
         if not 1 <= fewest <= most:
             raise ValueError(
-                f"mutated_genes must be fewest, at least 1, and most, got {fewest} and {most}"
+                f"mutated_genes must be two numbers, 1 <= fewest <= most, got {fewest} and {most}"
             )
         if self.mutation not in MUTATIONS:
             raise ValueError(f"mutation must be {' or '.join(MUTATIONS)}, got {self.mutation!r}")

@@ -36,7 +36,7 @@ class Sample(NamedTuple):
     """State that is carried from one generation to the next.
 
     Attributes:
-        numbers: numbers that the algorithm drew, or those of the first genes.
+        numbers: numbers that the algorithm drew, or numbers of the first genes.
         state: state of the algorithm.
         told: number of generations with results. The algorithm begins after the first.
     """
@@ -55,7 +55,7 @@ class Evosax(Strategy):
         gene_count: numbers in a genome.
         binary: True if genes are bits.
         sigma: standard deviation of the first sample, if the algorithm has one.
-        gene_bound: largest magnitude of a gene; None for bits.
+        gene_bound: largest magnitude of a gene, or None for bits.
         learning_rate: learning rate of Adam, if the algorithm follows a gradient.
         params: parameters of the algorithm that differ from its defaults, with their values.
         options: options of the algorithm's constructor.
@@ -80,7 +80,7 @@ class Evosax(Strategy):
         unknown = [name for name, _ in self.params if name not in known]
         if unknown:
             raise ValueError(
-                f"it has no parameter {', '.join(unknown)}; it has {', '.join(known) or 'none'}"
+                f"it has no parameter {', '.join(unknown)} (valid: {', '.join(known) or 'none'})"
             )
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Sample:

@@ -1,18 +1,19 @@
-"""CMA-MAE of pyribs (Tjanaka et al. 2023; Fontaine and Nikolaidis 2023) as a strategy.
+"""CMA-MAE of pyribs (Tjanaka et al. 2023, Fontaine and Nikolaidis 2023) as a strategy.
 
 Like any other search it begins with the random genomes of the controller, on which scales are
 measured. After that several evolution strategies, the *emitters*, put their samples into one map.
 Each adapts a normal distribution, which starts at the mean of the better half of the first genomes.
-A cell of the map has a threshold that fitness must exceed to enter. With each entry it rises,
+A cell of the map has a threshold that fitness must exceed to enter. The threshold rises at each
+entry,
 
     threshold <- (1 - a) threshold + a fitness,
 
 from ``threshold_min`` on, with the learning rate ``a``. The default threshold is the median of the
 valid individuals in the emitters' first generation. An emitter ranks its sample by the height above
 the thresholds. Thresholds rise in explored regions, so the emitter moves to lower ones.
-``a = 0`` optimises alone, as CMA-ES does, ``a = 1`` is CMA-ME. The settings are those of Fontaine
-and Nikolaidis: the better half of a sample are parents, and an emitter restarts at an elite of the
-map when its sample has converged.
+``a = 0`` only optimises, as CMA-ES does. ``a = 1`` is CMA-ME. Other settings follow Fontaine and
+Nikolaidis. The better half of a sample are parents. When its sample has converged, an emitter
+restarts at an elite of the map.
 
 pyribs is installed with the extra ``pyribs``, and imported when a strategy is built. Emitters and
 their map run on the host, in a callback of `Ribs.ask` and `Ribs.tell`. Between calls they are a
@@ -21,8 +22,8 @@ pytree of arrays (see `evo_cpg.evolution.pyribs_host`).
 The emitters' map may replace the fittest of a cell by a worse one above the threshold. So the map
 that a run shows is a separate `evo_cpg.evolution.archive.Archive` of all individuals.
 
-Three kinds of individuals do not enter the emitters' map and rank below all others of their
-emitter: those that diverged, those with descriptors that are not finite, and migrants. While no
+Some individuals do not enter the emitters' map, and rank below all others of their emitter. They
+have diverged, have a descriptor that is not finite, or are migrants. While no
 individual exceeds ``threshold_min``, that map is empty. Then no emitter adapts, and all continue to
 draw from their initial distributions.
 
@@ -83,7 +84,7 @@ class Ribs(MapStrategy):
     """CMA-MAE as a strategy.
 
     Attributes:
-        population: number of individuals, shared equally by the emitters.
+        population: number of individuals, divided equally among the emitters.
         gene_count: numbers in a genome.
         axes: axes of the map.
         binary: True if genes are bits.
@@ -91,8 +92,8 @@ class Ribs(MapStrategy):
         es: evolution strategy of each emitter, by pyribs' name, one of `ALGORITHMS`.
         sigma: standard deviation of the first sample.
         learning_rate: learning rate of thresholds, 0 to 1.
-        threshold_min: initial threshold; None for the median of the emitters' first sample.
-        gene_bound: largest magnitude of a gene; None for bits.
+        threshold_min: initial threshold, or None for the median of the emitters' first sample.
+        gene_bound: largest magnitude of a gene, or None for bits.
         options: options of the evolution strategy's constructor, such as ``lr`` of ``openai_es``.
 
     Raises:
@@ -119,12 +120,12 @@ class Ribs(MapStrategy):
             raise ValueError(f"es must be one of {', '.join(ALGORITHMS)}, got {self.es!r}")
         if self.population % self.emitters:
             raise ValueError(
-                f"a population of {self.population} cannot be shared equally by {self.emitters} "
-                "emitters"
+                f"a population of {self.population} cannot be divided equally among "
+                f"{self.emitters} emitters"
             )
         if self.population < 2 * self.emitters:
             raise ValueError(
-                f"each of {self.emitters} emitters needs two individuals or more, and the "
+                f"each of {self.emitters} emitters needs at least two individuals, but the "
                 f"population is {self.population}"
             )
         optimiser(self._settings)
@@ -154,9 +155,9 @@ class Ribs(MapStrategy):
     def tell(
         self, key: Array, state: State, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> State:
-        """Return the state after the results; after the first population the emitters start.
+        """Return the state after the results.
 
-        They start at the mean of its better half, in numbers.
+        The emitters start after the first population, at the mean of its better half, in numbers.
         """
         found = descriptor_rows(evaluation, self.measured())
         numbers, better = self._latent.numbers(genes), rank_order(evaluation.fitness)

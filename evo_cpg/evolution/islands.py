@@ -79,7 +79,7 @@ class Islands(Strategy):
         return Archipelago(done, islands)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """See `Strategy.around`; on every island the first stays as it is."""
+        """See `Strategy.around`. The first individual of every island stays unchanged."""
         about = jax.vmap(self.strategy.around, in_axes=(0, 1), out_axes=1)
         return about(self._keys(key), self._apart(genes)).reshape(len(genes), -1)
 

@@ -12,8 +12,8 @@ Children of real-valued genomes vary along the line to another individual (Vassi
 
 with a and b drawn from the map. For bits a child is a one-point crossover of a and b, mutated as in
 `evo_cpg.evolution.bits`. The archive is a pytree of arrays, with cells along the last axis.
-Individuals beyond the ranges belong to the nearest cell. Those without finite descriptors belong to
-none.
+Individuals beyond the ranges belong to the nearest cell. Individuals without finite descriptors
+belong to none.
 """
 
 import abc
@@ -92,7 +92,7 @@ class OfBits(Variation):
     """Variation of bits: crossover of the two parents, and mutation.
 
     Attributes:
-        crossover: probability that the parents are crossed; otherwise a child copies the first.
+        crossover: probability that the parents are crossed. Otherwise a child copies the first.
         mutation_probability: probability that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes.
         mutation: change of a mutated gene, one of ``bits.MUTATIONS``.
@@ -323,5 +323,5 @@ class Mapped(MapStrategy):
         return (*self.strategy.metric_names, *super().metric_names)
 
     def metrics(self, state: Charted) -> dict[str, Float[Array, ""]]:
-        """Return the metrics of the strategy and those of the map."""
+        """Return the metrics of the strategy and the metrics of the map."""
         return {**self.strategy.metrics(state.state), **super().metrics(state)}

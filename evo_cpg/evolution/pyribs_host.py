@@ -4,8 +4,8 @@ No object of pyribs outlives a call. Between calls its numbers are arrays, which
 Each call rebuilds the object to the same bits, by public names:
 
 - The evolution strategies are classes of `ribs.emitters.opt`, with `reset`, `ask`, `tell` and
-  `check_stop`. pyribs' own emitter does not expose its strategy, so its few steps are here
-  (`tell`): rank by improvement, adapt, restart.
+  `check_stop`. pyribs' own emitter does not expose its strategy. So `adapt` has its few steps:
+  rank by improvement, adapt, restart.
 - `vars` lists the attributes of a strategy, as for `copy` and `pickle`. The time at which an
   attribute is set shows its purpose (`Layout`).
 - pyribs' random numbers come from generators that are passed to it.
@@ -33,13 +33,13 @@ ALGORITHMS = {
     "openai_es": "OpenAIEvolutionStrategy",
     "cma_es": "CMAEvolutionStrategy",
 }
-"""Evolution strategies: pyribs' short names, and the names of their classes."""
+"""Class names of the evolution strategies, by pyribs' short names."""
 
 SAMPLE = "_solutions"
-"""Name of the array that holds what a strategy has drawn: pyribs' own, in all its strategies."""
+"""Name of the array of drawn individuals, in all strategies of pyribs."""
 
 SEED_WORDS = 4
-"""Numbers in a seed for NumPy's generators."""
+"""Number of 32-bit words in a seed for NumPy's generators."""
 
 # Kinds of numbers that a strategy holds.
 _KINDS = (float, np.float32, np.float64)
@@ -69,7 +69,7 @@ class RibsSettings(NamedTuple):
         es: evolution strategy of each emitter, one of `ALGORITHMS`.
         sigma: standard deviation of the first sample.
         learning_rate: learning rate of thresholds.
-        threshold_min: initial threshold; None for the median of the first sample.
+        threshold_min: initial threshold, or None for the median of the first sample.
         options: options of the evolution strategy's constructor.
     """
 
@@ -101,7 +101,7 @@ class Layout(NamedTuple):
 
 
 def optimiser(settings: RibsSettings, generator: np.random.Generator | None = None) -> Any:
-    """Build an evolution strategy of pyribs; call its `reset` before anything else.
+    """Build an evolution strategy of pyribs. Call its `reset` before any other method.
 
     Raises:
         ImportError: pyribs is not installed.
@@ -110,7 +110,7 @@ def optimiser(settings: RibsSettings, generator: np.random.Generator | None = No
     """
     kind = getattr(importlib.import_module("ribs.emitters.opt"), ALGORITHMS[settings.es])
     return kind(
-        # All products with it become float64, too.
+        # All products with it become float64.
         sigma0=np.float64(settings.sigma),
         solution_dim=settings.gene_count,
         batch_size=settings.batch,
@@ -218,8 +218,8 @@ def adapt(
         cells: the map.
         emitters: distributions of the emitters.
         drawn: draws of the emitters.
-        fitness: fitness of the population; finite.
-        measures: descriptors of each individual, by axis; finite.
+        fitness: fitness of the population, all finite.
+        measures: descriptors of each individual, by axis, all finite.
         counts: True for individuals that may enter. The others rank below all of their emitter.
     """
     cells = {name: np.array(array) for name, array in cells.items()}
@@ -303,9 +303,9 @@ def _held(thing: Any, prefix: str = "") -> dict[str, Any]:
         elif not isinstance(value, np.random.Generator | np.dtype | type | str):
             version = getattr(importlib.import_module("ribs"), "__version__", "?")
             raise UnknownPyribsError(
-                f"pyribs {version} keeps its state in another way than 0.12 ({path} of "
-                f"{type(thing).__name__} is a {type(value).__name__}); "
-                "`pip install 'ribs~=0.12.0'` helps"
+                f"pyribs {version} stores its state differently from 0.12 ({path} of "
+                f"{type(thing).__name__} is a {type(value).__name__}). "
+                "Install a known version: `pip install 'ribs~=0.12.0'`"
             )
     return found
 
@@ -313,7 +313,7 @@ def _held(thing: Any, prefix: str = "") -> dict[str, Any]:
 def _distribution(
     settings: RibsSettings, strategy: Any, generator: np.random.Generator, tells: int, restarts: int
 ) -> Arrays:
-    """Return a strategy as arrays; its restarts are the last of the counters."""
+    """Return a strategy as arrays. The last counter is its number of restarts."""
     inside = layout(settings)
     numbers = {
         name: operator.attrgetter(name)(strategy) for name in (*inside.vectors, *inside.scalars)

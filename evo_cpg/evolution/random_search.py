@@ -1,4 +1,4 @@
-"""Random search: every generation is drawn anew, like the first one.
+"""Random search: every generation consists of new random genomes, like the first one.
 
 It is the baseline for any search with an equal number of evaluations.
 """

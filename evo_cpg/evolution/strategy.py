@@ -1,7 +1,7 @@
 """Interface of all searches: they propose genomes and receive their evaluation.
 
 A *strategy* is structure and settings, like a controller or a task. Its *state* is any pytree of
-arrays, which the checkpoint holds beside the population. Every generation calls `ask` for genomes
+arrays, which the checkpoint stores with the population. Every generation calls `ask` for genomes
 and `tell` with their evaluation:
 
     init ---> ask ---> (trials) ---> tell ---> ask ---> (trials) ---> ...
@@ -120,8 +120,8 @@ class Strategy(eqx.Module):
         Args:
             key: random key.
             state: state from `ask`.
-            genes: evaluated genomes. They are those from `ask`, unless others have replaced some
-                (migrants from another island, for example).
+            genes: evaluated genomes: the genomes from `ask`, of which some may have been replaced
+                (by migrants from another island, for example).
             evaluation: results of the genomes. No fitness is NaN. An individual that diverged has
                 -inf.
         """
@@ -133,14 +133,14 @@ class Strategy(eqx.Module):
 
         Args:
             key: random key.
-            genes: copies of the individual. The first stays as it is.
+            genes: copies of the individual. The first stays unchanged.
         """
         del key
         return genes
 
     @property
     def map_axes(self) -> tuple[Axis, ...]:
-        """Axes of the map of behaviour that the search fills; none unless overridden."""
+        """Axes of the map of behaviour that the search fills. There are none unless overridden."""
         return ()
 
     def map_of(self, state: PyTree[Array]) -> Archive | None:
@@ -154,7 +154,7 @@ class Strategy(eqx.Module):
         return ()
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
-        """Return numbers for metrics.csv, by name; none unless overridden.
+        """Return numbers for metrics.csv, by name. There are none unless overridden.
 
         Args:
             state: state from `ask`.

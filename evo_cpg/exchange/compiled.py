@@ -49,12 +49,12 @@ class Compiled(NamedTuple):
         return Item(self, kind, number)
 
     def enabled(self, flag: str) -> bool:
-        """Return whether an option flag, off by default, is enabled; False for an unknown flag."""
+        """Return whether an option flag, off by default, is enabled. Unknown flags are not."""
         bit = getattr(self.mujoco.mjtEnableBit, f"mjENBL_{flag.upper()}", 0)
         return bool(self.model.opt.enableflags & int(bit))
 
     def disabled(self, flag: str) -> bool:
-        """Return whether a flag of the option element is disabled; False for an unknown flag."""
+        """Return whether a flag of the option element is disabled. Unknown flags are not."""
         bit = getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}", 0)
         return bool(self.model.opt.disableflags & int(bit))
 
@@ -62,7 +62,7 @@ class Compiled(NamedTuple):
         """Yield the elements with wrong values, and the place of each value.
 
         Args:
-            kind: kind of the elements; ``dof`` for degrees of freedom of joints.
+            kind: kind of the elements, ``dof`` for degrees of freedom of joints.
             wrong: mask of the wrong values.
         """
         for place in np.argwhere(wrong).tolist():
@@ -110,7 +110,7 @@ class Item(NamedTuple):
 
     def refusal(self, problem: str, allowed: str) -> RefusedError:
         """Return an error that ends the reading of the element."""
-        return RefusedError(Refusal(str(self), f"{problem}; allowed: {allowed}", self.line))
+        return RefusedError(Refusal(str(self), f"{problem}. Allowed: {allowed}", self.line))
 
     def section(self, section: type[_Section], values: dict[str, Any], what: str = "") -> _Section:
         """Return a section of the creature, made of the element.
@@ -129,7 +129,7 @@ class Item(NamedTuple):
 def make_section(
     section: type[_Section], values: dict[str, Any], what: str, line: int | None = None
 ) -> _Section:
-    """Return a section of the creature; see `Item.section`."""
+    """Return a section of the creature, see `Item.section`."""
     try:
         return section(**{key: value for key, value in values.items() if value is not None})
     except pydantic.ValidationError as error:
@@ -151,7 +151,7 @@ def compile_model(path: Path) -> Compiled:
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
         raise ExchangeError(
-            f"reading MJCF needs MuJoCo, which `{command_for('mujoco')}` installs"
+            f"reading MJCF needs MuJoCo. Install it with `{command_for('mujoco')}`"
         ) from None
     _require_mjcf(path)
     try:
@@ -165,7 +165,7 @@ def compile_model(path: Path) -> Compiled:
         # Find the whole name around the bad byte, in the file or in MuJoCo's message.
         before, after = error.object[: error.start], error.object[error.start :]
         word = re.split(rb"[\0\s'\"]", before)[-1] + re.split(rb"[\0\s'\"]", after)[0]
-        raise ExchangeError(f"{path}: {word!r} is not UTF-8 text; save it as UTF-8") from None
+        raise ExchangeError(f"{path}: {word!r} is not UTF-8 text. Save the file as UTF-8") from None
     except ValueError as error:
         raise ExchangeError(
             f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}"
@@ -174,7 +174,7 @@ def compile_model(path: Path) -> Compiled:
 
 
 def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
-    """Return the lines of elements; none for a file of a single line.
+    """Return the lines of elements, none for a file of a single line.
 
     An included element has the line of the included file and is left out. Its name is not in that
     line of this file.
@@ -216,7 +216,7 @@ def _require_mjcf(path: Path) -> None:
         # MuJoCo reports the fault.
         return
     if first is not None and first.tag == "robot":
-        raise ExchangeError(f"{path}: it is a URDF; allowed: MJCF, as MuJoCo saves it")
+        raise ExchangeError(f"{path}: it is a URDF. Allowed: MJCF, as MuJoCo saves it")
 
 
 def rotation(compiled: Compiled, quaternion: np.ndarray) -> np.ndarray:
@@ -227,7 +227,7 @@ def rotation(compiled: Compiled, quaternion: np.ndarray) -> np.ndarray:
 
 
 def tidy(value: float) -> float:
-    """Return a number without digits left by rounding in the compiler; 0 has no sign."""
+    """Return a number without digits left by rounding in the compiler. 0 has no sign."""
     return float(f"{value:.{_DIGITS}g}") + 0.0
 
 

@@ -133,7 +133,7 @@ class Glb:
         return self._add("meshes", {"name": name, "primitives": [primitive]})
 
     def node(self, name: str, parent: Node | None = None, **properties: Any) -> Node:
-        """Add a node; without a parent it is a root of the scene.
+        """Add a node. Without a parent it is a root of the scene.
 
         Args:
             name: name of the node.
@@ -150,7 +150,7 @@ class Glb:
         return node
 
     def times(self, time: Float[np.ndarray, " t"]) -> int:
-        """Add the instants of an animation, s; return their accessor for `animate`."""
+        """Add the instants of an animation, s, and return their accessor for `animate`."""
         return self._floats(time[:, None], None, bounds=True)
 
     def animate(self, node: Node, path: str, times: int, values: np.ndarray) -> None:
@@ -172,7 +172,7 @@ class Glb:
         self._channels.append({"sampler": len(self._samplers) - 1, "target": target})
 
     def light(self, name: str, kind: str, color: np.ndarray, intensity: float) -> dict[str, Any]:
-        """Add a lamp (KHR_lights_punctual); return the extensions of the node that carries it.
+        """Add a lamp (KHR_lights_punctual), and return the extensions of its node.
 
         Args:
             name: name of the lamp.

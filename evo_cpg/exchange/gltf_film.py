@@ -1,8 +1,8 @@
 """A recording as an animated glTF scene, for Blender, three.js and other programs.
 
-The animal, its ground, stones, water and light are those of our films. glTF counts metres and
-seconds as we do, but has y upwards. One node, ``world``, turns everything below it. So the file
-holds the trajectory's own numbers for the bodies, in our axes (z upwards).
+The scene shows the animal, ground, stones, water and light of our films. glTF also uses metres and
+seconds, but y points upwards. One node, ``world``, rotates all nodes below it. The file therefore
+holds the unchanged numbers of the trajectory, in our axes (z upwards).
 """
 
 import numpy as np

@@ -76,7 +76,7 @@ def mjcf_model(
     names = [body.name for body in creature.bodies]
     if _WORLD in names:
         raise ExchangeError(
-            f"body {_WORLD!r}: MuJoCo keeps this name for what does not move; rename the body"
+            f"body {_WORLD!r}: MuJoCo reserves this name for the fixed world. Rename the body"
         )
     root = Element("mujoco", model=creature.name)
     SubElement(root, "compiler", angle="radian")

@@ -2,7 +2,7 @@
 
 | table | a field is |
 |---|---|
-| `READ`, `READ_LIMITS` | part of a creature; it has to hold numbers |
+| `READ`, `READ_LIMITS` | part of a creature, and must hold numbers |
 | `COMPUTED` | computed by MuJoCo from others, and checked or read |
 | `NEUTRAL` | refused, unless it has this value |
 | `REFUSED_COUNTS` | a number of elements, all of which are refused |
@@ -20,7 +20,7 @@ import numpy as np
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled
 from evo_cpg.exchange.refusals import Refusal
 
-# Kind of the elements and their attribute in MJCF, by field of the compiled model.
+# Kind of elements in MJCF and their attribute, for each field of the compiled model.
 READ = {
     "body_pos": ("body", "pos"),
     "body_quat": ("body", "orientation"),
@@ -58,7 +58,7 @@ class Neutral(NamedTuple):
     """A field with no counterpart in a creature.
 
     Attributes:
-        kind: kind of the elements that have the field; ``dof`` for degrees of freedom of joints.
+        kind: kind of the elements with the field, ``dof`` for degrees of freedom of joints.
         word: the attribute in MJCF.
         values: the only allowed values.
     """
@@ -182,11 +182,11 @@ def refuse_elements(compiled: Compiled) -> None:
     """Refuse elements and flags that no creature has."""
     for count, kind in REFUSED_COUNTS.items():
         for number in range(int(getattr(compiled.model, count, 0))):
-            compiled.item(kind, number).refuse("no creature has such a thing", f"no {kind}")
+            compiled.item(kind, number).refuse("a creature cannot have it", f"no {kind}")
     for flag in filter(compiled.disabled, ENABLED_FLAGS):
-        compiled.refusals.add(Refusal(f"flag {flag!r}", "it is disabled; allowed: enable"))
+        compiled.refusals.add(Refusal(f"flag {flag!r}", "it is disabled. Allowed: enable"))
     for flag in filter(compiled.enabled, DISABLED_FLAGS):
-        compiled.refusals.add(Refusal(f"flag {flag!r}", "it is enabled; allowed: disable"))
+        compiled.refusals.add(Refusal(f"flag {flag!r}", "it is enabled. Allowed: disable"))
 
 
 def left_out_options(compiled: Compiled) -> list[str]:
@@ -207,7 +207,7 @@ def left_out_counts(compiled: Compiled) -> list[str]:
 
 
 def counted(number: int, kind: str) -> list[str]:
-    """Return a phrase for a number of elements; an empty list for none."""
+    """Return a phrase for a number of elements, or an empty list for none."""
     return [f"{number} {kind}{'s' if number > 1 else ''}"] if number else []
 
 

@@ -86,8 +86,8 @@ def _solids(root: Element, name: str, part: Part) -> list[dict[str, str]]:
     if isinstance(part, Relief):
         return [_relief(root, name, part)]
     raise ExchangeError(
-        f"ground with a {type(part).__name__} cannot be written as MJCF; "
-        "allowed: Plane, Boulder, Block, Shore, Relief"
+        f"ground with a {type(part).__name__} cannot be written as MJCF. "
+        "Allowed: Plane, Boulder, Block, Shore, Relief"
     )
 
 
@@ -117,7 +117,7 @@ def _shore(part: Shore) -> list[dict[str, str]]:
 
 
 def _relief(root: Element, name: str, part: Relief) -> dict[str, str]:
-    """Add a height field with its heights as an asset; return the attributes of its geom."""
+    """Add a height field with its heights as an asset, and return attributes of its geom."""
     heights = np.asarray(part.heights, float)
     lowest, rise = float(heights.min()), float(np.ptp(heights))
     half = part.spacing * (np.array(heights.shape) - 1) / 2

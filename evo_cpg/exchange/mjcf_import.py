@@ -1,4 +1,4 @@
-"""A MuJoCo model (MJCF) as a creature, as far as our creatures allow.
+"""Import of a MuJoCo model (MJCF) as a creature.
 
 MuJoCo compiles the file, which resolves defaults, classes, includes, units and orientations. The
 import reads the compiled model. It takes all parts that a creature can have. Parts that do not
@@ -62,8 +62,8 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
 
     Args:
         path: the file.
-        motor_gain: gain of the velocity servos that replace torque motors, N m s/rad; None refuses
-            torque motors.
+        motor_gain: gain of the velocity servos that replace torque motors, N m s/rad, or None to
+            refuse torque motors.
 
     Raises:
         ExchangeError: MuJoCo is missing or cannot load the file, or a part of the file cannot be
@@ -127,10 +127,10 @@ def _find_root(compiled: Compiled) -> int:
     model = compiled.model
     tops = [i for i in range(1, model.nbody) if model.body_parentid[i] == WORLD]
     if not tops:
-        raise ExchangeError(f"{compiled.source}: the worldbody holds no body; allowed: one")
+        raise ExchangeError(f"{compiled.source}: the worldbody holds no body. Allowed: one")
     root = tops[0]
     for other in tops[1:]:
-        problem = f"it stands in the worldbody beside {compiled.item('body', root)}"
+        problem = f"it is in the worldbody together with {compiled.item('body', root)}"
         compiled.item("body", other).refuse(problem, "one body there, the root")
     joints = joints_of(model, root)
     free = compiled.mujoco.mjtJoint.mjJNT_FREE
@@ -151,8 +151,8 @@ def _body_names(compiled: Compiled) -> dict[int, str]:
     names = {}
     for i, name in enumerate(given):
         if name and "{i}" in name:
-            problem = "{i} stands for a number in our names"
-            compiled.item("body", i).refuse(problem, "a name without it")
+            problem = "its name contains {i}, which stands for a number in our names"
+            compiled.item("body", i).refuse(problem, "a name without {i}")
         invented = f"body{i}"
         while invented in given:
             invented += "_"
@@ -225,7 +225,7 @@ def _has_weight(compiled: Compiled) -> bool:
 
 
 def _buoyancy(compiled: Compiled, placed: dict[int, Placed]) -> float:
-    """Return the density of the fluid that carries all bodies, kg/m^3; 0 for none."""
+    """Return the density of the fluid that carries all bodies, kg/m^3, or 0."""
     if not _has_weight(compiled):
         return 0.0
     model = compiled.model

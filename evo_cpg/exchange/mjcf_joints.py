@@ -82,7 +82,7 @@ def check_joints(
         if np.abs(model.jnt_pos[joint] - model.jnt_pos[first]).max() > TOLERANCE:
             unlike.append("pos")
         for word in unlike:
-            problem = f"its {word} is not that of {compiled.item('joint', first)}"
+            problem = f"its {word} differs from {compiled.item('joint', first)}"
             allowed = f"the same {word} for all hinges of a body"
             compiled.item("joint", joint).refuse(problem, allowed)
 
@@ -97,10 +97,10 @@ def _is_plain_hinge(compiled: Compiled, joint: int) -> bool:
         item.refuse(f"it is a {word} joint", allowed)
         return False
     if not model.jnt_limited[joint]:
-        item.refuse("it has no limits", "a range")
+        item.refuse("it has no limits", "limits in the attribute range")
     address = model.jnt_qposadr[joint]
     if model.jnt_stiffness[joint] and model.qpos_spring[address] != model.qpos0[address]:
-        item.refuse("its springref is not its ref", "a spring to the neutral pose")
+        item.refuse("its springref differs from its ref", "a spring to the neutral pose")
     return True
 
 

@@ -57,14 +57,14 @@ def _driven_joint(compiled: Compiled, number: int, driven: Container[int]) -> in
         raise item.refusal("it drives no hinge", "joint=, a hinge")
     if joint in driven:
         driven_one = compiled.item("joint", joint)
-        raise item.refusal(f"it is the second that drives {driven_one}", "one")
+        raise item.refusal(f"it is the second actuator of {driven_one}", "one")
     return joint
 
 
 def _read_motor(
     compiled: Compiled, number: int, joint: int, motor_gain: float | None
 ) -> ActuatorConfig:
-    """Read one motor; the gear scales the angle and multiplies the force."""
+    """Read one motor. The gear scales the angle and multiplies the force."""
     mujoco, model, item = compiled.mujoco, compiled.model, compiled.item("actuator", number)
     gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
     strength = float(model.actuator_gainprm[number, 0])
@@ -79,8 +79,8 @@ def _read_motor(
     follows = offset == 0 and stiffness >= 0 and strength == (stiffness or damping)
     if not simple or (affine and not follows):
         raise item.refusal(
-            "its law is not that of a servo",
-            "position, velocity, motor without dynamics of their own",
+            "its law is not a servo's",
+            "position, velocity, motor, without actuator dynamics",
         )
     limits = [
         (gear * model.actuator_forcerange[number], model.actuator_forcelimited[number]),
@@ -89,15 +89,15 @@ def _read_motor(
     if not affine:
         if motor_gain is None:
             raise item.refusal(
-                "it gives a torque, and our motors are servos",
-                "position, velocity, or --motor-gain, which makes velocity servos of torque motors",
+                "it is a torque motor, and our motors are servos",
+                "position, velocity, or --motor-gain to replace torque motors by velocity servos",
             )
         # The servo's limit is the largest torque of the motor.
         command = gear * strength * model.actuator_ctrlrange[_place(compiled, "ctrl", number)]
         limits.append((command, _limits_commands(compiled, number)))
         gain, stiffness = motor_gain, 0.0
     elif not damping > 0:
-        raise item.refusal("it is undamped", "a kv of more than 0")
+        raise item.refusal("it has no damping", "a kv of more than 0")
     else:
         # The square of the gear could overflow.
         gain, stiffness = (gear * (gear * value) for value in (damping, stiffness))
@@ -128,7 +128,7 @@ def _limits_commands(compiled: Compiled, number: int) -> bool:
 
 
 def _place(compiled: Compiled, what: str, number: int) -> int:
-    """Return the place of an actuator's first command or output; older models have one of each."""
+    """Return the place of an actuator's first command or output (one of each in older models)."""
     places = getattr(compiled.model, f"actuator_{what}adr", None)
     return number if places is None else int(places[number])
 

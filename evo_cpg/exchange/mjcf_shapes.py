@@ -5,7 +5,7 @@
 | box, sphere, ellipsoid | ``geom`` of the same ``type``, with half sizes |
 | capsule, along x | ``geom`` of the same ``type``, along z |
 | mesh | ``mesh`` asset with the body's name, which holds its vertices and faces |
-| density | ``density``; MuJoCo's mass and inertia have to be those of a uniform shape |
+| density | ``density``. MuJoCo's mass and inertia must belong to a uniform shape |
 """
 
 import itertools
@@ -33,7 +33,7 @@ from evo_cpg.exchange.refusals import ExchangeError
 # single precision, so `TOLERANCE` applies to it.
 _ROUNDING = 1e-12
 
-# Proper rotations of a box onto itself; columns are the new axes in the old ones.
+# Proper rotations of a box onto itself. Columns are the new axes in the old ones.
 _TURNS = [
     turn
     for order in itertools.permutations(np.eye(3))
@@ -80,13 +80,13 @@ def shape_attributes(body: Body) -> dict[str, str]:
     if isinstance(shape, ConvexMesh):
         return {"type": "mesh", "mesh": body.name}
     raise ExchangeError(
-        f"a {type(shape).__name__} cannot be written as MJCF; "
-        "allowed: Box, Sphere, Ellipsoid, Capsule, ConvexMesh"
+        f"a {type(shape).__name__} cannot be written as MJCF. "
+        "Allowed: Box, Sphere, Ellipsoid, Capsule, ConvexMesh"
     )
 
 
 def only_geom(compiled: Compiled, body: int) -> int:
-    """Return the only geom of a body; refuse a body with none or several."""
+    """Return the only geom of a body. Refuse a body with none or several."""
     model = compiled.model
     count = int(model.body_geomnum[body])
     if count != 1:
@@ -131,14 +131,14 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
         raise item.refusal(f"it is a {word}", "box, sphere, ellipsoid, capsule, mesh")
     if is_root and not np.allclose(turn, np.eye(3), rtol=0, atol=TOLERANCE):
         raise item.refusal(
-            f"the root's {shape.type} stands askew in the world",
+            f"the root's {shape.type} is rotated in the world",
             "edges and axes along x, y and z, a capsule's along x",
         )
     return Placed(shape, np.array(model.geom_pos[geom]), outer.T @ turn)
 
 
 def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> float:
-    """Return the density of a body, kg/m^3; refuse a body without uniform density."""
+    """Return the density of a body, kg/m^3. Refuse a body without uniform density."""
     model = compiled.model
     shape = own.shape.build()
     mass = float(model.body_mass[body])
@@ -154,8 +154,8 @@ def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> fl
     within = np.maximum(TOLERANCE * np.sqrt(np.outer(moments, moments)), rounding * moments.max())
     if off_centre or (off > within).any():
         raise compiled.item("body", body).refusal(
-            f"its centre of mass or inertia is not that of its {own.shape.type}",
-            "uniform density, without an inertial of its own",
+            f"its centre of mass or inertia does not match its {own.shape.type}",
+            "uniform density, without an inertial element",
         )
     return mass / shape.volume if shape.volume else float("inf")
 

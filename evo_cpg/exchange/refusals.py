@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 from evo_cpg.errors import UserError
 
-# Number of elements with one fault that are named; the rest is counted.
+# Number of elements with one fault that are named. The rest is counted.
 _NAMED = 5
 
 
 class ExchangeError(UserError):
-    """A model cannot be exchanged; the message is written for the user."""
+    """A model cannot be exchanged. The message is for the user."""
 
 
 class Refusal(NamedTuple):
@@ -31,7 +31,7 @@ class Refusal(NamedTuple):
 
 
 class RefusedError(ExchangeError):
-    """Ends the reading of one element; `Refusals.collecting` catches it."""
+    """Ends the reading of one element. `Refusals.collecting` catches it."""
 
     def __init__(self, refusal: Refusal):
         super().__init__(refusal.problem)
@@ -79,7 +79,9 @@ class Refusals:
         if len(said) == 1:
             raise ExchangeError(f"{self.source}: {said[0]}")
         lines = "".join(f"\n  {words}" for words in said)
-        raise ExchangeError(f"{self.source}: no creature can have these {len(said)} things:{lines}")
+        raise ExchangeError(
+            f"{self.source}: a creature cannot have these {len(said)} things:{lines}"
+        )
 
 
 def _words(group: list[Refusal]) -> str:

@@ -1,11 +1,11 @@
 """A second opinion on a champion: the same motor commands in MuJoCo.
 
 The exported model (`evo_cpg.exchange.mjcf_export`) starts in the champion's initial state. There
-are two ways to drive it:
+are two modes of driving it:
 
-- the commands that the champion's controller gave here, step by step;
-- the controller itself, with the senses of MuJoCo's animal (`Brain`). A controller that corrects
-  itself needs this if contacts differ.
+- The recorded commands of the champion's controller, step by step.
+- The controller in the loop, with the sensor readings of MuJoCo's animal (`Brain`). A controller
+  that corrects itself needs this mode if contacts differ. Tables name it "own senses".
 
 Both programs solve the same equations of motion. They differ in these points:
 
@@ -65,8 +65,8 @@ class Opinion(NamedTuple):
         path: path of the root, m, the start first.
         upright: fraction of the time in which the root's up axis points up.
         airborne: fraction of the time in which nothing touches the ground and no body's centre is
-            under water, or None without ground or with water everywhere, because it has no meaning
-                there.
+            under water. None without ground or with water everywhere, because it has no meaning
+            then.
         joint_angle: angles, rad, in our order of degrees of freedom.
     """
 
@@ -209,7 +209,7 @@ def _compile(simulation: Simulation, creature: Creature, hard: bool) -> tuple[An
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
         raise ExchangeError(
-            f"MuJoCo is not installed here; `{command_for('mujoco')}` installs it"
+            f"MuJoCo is not installed. Install it with `{command_for('mujoco')}`"
         ) from None
     world, h = simulation.world, simulation.step_length
     longest = _HARD_STEP if hard else h

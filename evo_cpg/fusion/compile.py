@@ -58,12 +58,13 @@ def check_size(graph: Graph) -> Graph:
         Unsupported: there are more operations than `MOST_OPERATIONS`.
     """
     if len(graph.nodes) > machine_constants.MOST_OPERATIONS:
-        raise Unsupported(f"it has more than {machine_constants.MOST_OPERATIONS} operations")
+        most = machine_constants.MOST_OPERATIONS
+        raise Unsupported(f"the program has more than {most} operations")
     return graph
 
 
 PASSES: tuple[Pass, ...] = (contract_multiply_adds, eliminate_dead_code, check_size, schedule)
-"""From graph to graph, in order."""
+"""Passes from graph to graph, in order."""
 
 
 class Module(NamedTuple):

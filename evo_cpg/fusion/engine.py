@@ -76,7 +76,7 @@ def is_native() -> bool:
         if engine.name == "native":
             raise
         if jax.default_backend() == "cpu":
-            _warn_once(f"JAX computes everything, slowly, for there is no native code: {error}")
+            _warn_once(f"Plain JAX computes everything, slowly. No native code: {error}")
         return False
     return True
 
@@ -88,7 +88,7 @@ def target() -> machine.Target:
         Unsupported: this machine has no native code, or failed the self-test.
     """
     if jax.default_backend() != "cpu":
-        raise Unsupported(f"JAX computes on {jax.default_backend()}, and native code is for CPUs")
+        raise Unsupported(f"JAX runs on {jax.default_backend()}, but native code needs a CPU")
     engine = _chosen.get(_AUTO)
     found = machine.host(None if engine.instructions == "host" else engine.instructions)
     if engine.tested and (wrong := _wrong(found)):
@@ -120,7 +120,7 @@ def warn_of_fallback(name: str, error: Exception) -> None:
 
 @contextlib.contextmanager
 def smallest_fallback(name: str, error: Exception) -> Iterator[None]:
-    """Compute a program in parts, and warn about it unless one of the parts falls back as well.
+    """Compute a program in parts, and warn of it unless a part falls back to plain JAX, too.
 
     Args:
         name: name of the program.
@@ -173,9 +173,9 @@ def _wrong(found: machine.Target) -> str:
             env=own,
         )
     except (OSError, subprocess.SubprocessError) as error:
-        return f"its self-test could not run ({error})"
+        return f"the self-test could not run ({error})"
     if test.returncode:
         last = (test.stderr.strip().splitlines() or ["no message"])[-1]
-        return f"it failed its self-test (exit status {test.returncode}: {last})"
+        return f"the self-test failed (exit status {test.returncode}: {last})"
     machine.remember_self_test(found, jax.__version__)
     return ""

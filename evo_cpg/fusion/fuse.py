@@ -47,7 +47,7 @@ def fuse(function: Callable, *args: Any, batch_ndim: int, name: str = "") -> Any
         with counted():
             return _bind(function, args, batch_ndim, name)
     except Exception as error:
-        # Any error may fall back: if JAX cannot compute the function either, JAX raises its own.
+        # Fall back to plain JAX after any error. If JAX fails, too, it raises its own error.
         with engine.smallest_fallback(name, error):
             return function(*args)
 
@@ -74,15 +74,15 @@ def _bind(function: Callable, args: tuple, batch_ndim: int, name: str) -> Any:
     program = Program(name, internals.opened(closed), own, len(shared))
     unknown = sorted(each for each in program.primitives if not is_supported(each))
     if unknown and not _tracing.get():
-        raise Unsupported(f"it has no rule for {', '.join(unknown)}")
+        raise Unsupported(f"no rule for {', '.join(unknown)}")
     found = fused_p.bind(*shared, *leaves, program=program, batch=tuple(batch))
     return jax.tree.structure(result).unflatten(found)
 
 
 def symmetric(m: jax.Array) -> jax.Array:
-    """Return the matrix ``(k, k, ...)`` with its lower half replaced by the upper half.
+    """Return the symmetric matrix ``(k, k, ...)``, its lower triangle copied from the upper one.
 
-    In a fused function the lower half then costs nothing. Elsewhere the matrix is unchanged.
+    In a fused function the lower triangle then costs nothing. Elsewhere the matrix is unchanged.
     """
     if not _tracing.get():
         return m

@@ -85,7 +85,7 @@ def random_program(equation: Any) -> ClosedJaxpr:
     try:
         return jax.make_jaxpr(_random_function(name, params, equation))(*shapes)
     except (AttributeError, ImportError, TypeError) as error:
-        raise Unsupported(f"it cannot follow {name} of JAX {jax.__version__}: {error}") from None
+        raise Unsupported(f"no rule for {name} of JAX {jax.__version__}: {error}") from None
 
 
 def _random_function(name: str, params: dict, equation: Any) -> Callable:
@@ -95,7 +95,7 @@ def _random_function(name: str, params: dict, equation: Any) -> Callable:
         return threefry2x32
     implementation = params.get("impl") or equation.invars[0].aval.dtype._impl
     if implementation.key_shape != (2,):
-        raise Unsupported(f"it has no random numbers of {implementation.name}")
+        raise Unsupported(f"no rule for random numbers of {implementation.name}")
     if name == "random_bits":
         one = functools.partial(
             implementation.random_bits, bit_width=params["bit_width"], shape=params["shape"]

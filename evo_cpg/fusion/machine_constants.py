@@ -34,53 +34,54 @@ INSTRUCTION_SETS = {
     "sse": InstructionSet(16, 16, ("sse2",)),
     "neon": InstructionSet(16, 32, ("neon",)),
 }
-"""A fact. By name; the first that a processor has is taken."""
+"""A fact: instruction sets by name. A processor uses the first one that it has."""
 
 LANES = 16
 """A fact: float32 numbers in the widest vector. Individuals per device are rounded up to it."""
 
 CACHE_LINE = 64
-"""A fact, bytes: places in scratch memory begin with a line."""
+"""A fact, bytes: size of a cache line. Places in scratch memory begin with a line."""
 
 VALUE_REGISTERS = 0.75
-"""Fitted: fraction of the registers that hold values; the others hold constants and what an
-operation needs on the way. Hardly sensitive: from 1/2 to 7/8 a step of swimmer and quadruped takes
-as long but for the scatter of a busy machine; on a quieter one 7/8 took 1.0 to 1.3 times as long,
-for LLVM then spills the others."""
+"""Fitted: fraction of the registers that hold values. The other registers hold constants and
+temporaries of an operation. On a busy machine, fractions from 1/2 to 7/8 give equal times for steps
+of the swimmer and the quadruped, within the scatter. On a quieter machine, 7/8 took 1.0 to 1.3
+times as long, because LLVM then spills the other registers."""
 
 LLVM_EFFORT = 2
-"""Fitted: 1 to 3 make the same code, for its order and registers are settled before; with 0 a step
-takes 2.3 (quadruped) to 3.3 times (swimmer) as long, and compiling no less."""
+"""Fitted: optimisation level of LLVM. Levels 1 to 3 make the same code, because its order and its
+registers are already chosen. With 0, a step takes 2.3 (quadruped) to 3.3 times (swimmer) as long,
+and compiling takes no less time."""
 
 WIDEST_CHUNK = 32
 """Fitted: vectors of individuals that a device computes at a time. Trials of 30 control steps of
-2048 swimmers take 1.9 times as long with 1, 1.3 times with 4 and 0.94 times with 128. What speaks
-against more is that progress shows, and memory stays flat, only from chunk to chunk."""
+2048 swimmers take 1.9 times as long with 1, 1.3 times with 4 and 0.94 times with 128. Larger chunks
+need more memory, and progress is reported less often."""
 
 VECTOR_GROUP = 16
-"""Fitted: vectors that run together (`evo_cpg.fusion.backend.packing`) in programs with a loop that
-ends at different rounds for each individual."""
+"""Fitted: vectors that run together in programs with a loop that ends at a different round for each
+individual (`evo_cpg.fusion.backend.packing`)."""
 
 LARGEST_RESIDUALS = 256 * 2**20
-"""Fitted, bytes: what may be kept of all control steps of a trial on a device, for its gradient;
-beyond that parts are computed again: with 0, gradients of 16 swimmers take 1.4 times as long. To be
-raised where there is memory."""
+"""Fitted, bytes: memory on a device for intermediate results of all control steps of a trial, for
+its gradient. Results that do not fit are computed again. With 0, gradients of 16 swimmers take 1.4
+times as long. Raise it on a machine with more memory."""
 
 LONGEST_FUNCTION = 6000
-"""Fitted: lines of LLVM IR in one function, about. Where a function is cut, all that is used again
-goes through memory."""
+"""Fitted: approximate number of lines of LLVM IR in one function. At a cut between functions, all
+values that are used again go through memory."""
 
 MOST_OPERATIONS = 600_000
-"""A limit: more would take minutes to compile, and more memory than code should."""
+"""A limit: operations of a program. A larger one would take minutes and much memory to compile."""
 
 SHORTEST_BRANCH = 60
-"""Fitted: scalars of a branch from which on it is jumped over where no individual takes it."""
+"""Fitted: least number of scalars of a branch that is skipped if no individual takes it."""
 
 LONGEST_ELIMINATION = 5000
-"""Fitted: products of an elimination beyond which it is done by a loop."""
+"""Fitted: most products of an elimination that is written out. A longer one is a loop."""
 
 LONGEST_LISTS = 1 << 17
-"""A limit: scalars that a loop may hand out as lists; each is a row of memory for every vector."""
+"""A limit: scalars that a loop may return as lists. Each is a row of memory for every vector."""
 
 LONGEST_SELF_TEST = 120.0
-"""A limit, s: the self-test of native code takes 2 s, and one that hangs has failed."""
+"""A limit, s: time after which the self-test of native code has failed. It takes 2 s."""

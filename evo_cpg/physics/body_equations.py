@@ -43,7 +43,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     """Return the inertia ``I + h D`` and the bias wrench of every body, in world axes.
 
     The bias wrench is the wrench for the velocity-product accelerations, which come from the change
-    of pose. It includes the inertia of the body and of the force laws, but not D: force laws use
+    of pose. It includes the inertia of the body and of the force laws, but not D. Force laws use
     the velocities in the pose at the start of the step.
     """
     tree, bodies = world.tree, world.bodies(kin, h)
@@ -74,7 +74,7 @@ def bias_of_mean(world: World, kin: Kinematics, moving: BodyMotion, h: float) ->
     """Return the change of the bias wrench with mean velocity products, world axes.
 
     Args:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         kin: kinematics at the start of the step.
         moving: motion of the bodies at the end of the step, in the pose of the start.
         h: step, s.
@@ -143,9 +143,9 @@ def gyroscopic_change(
     inertia = expand_dims_like(scale[None, None] * own, angular, angular.ndim + 1)
     momentum = matvec(inertia, angular)
     torque = cross(angular, momentum)
-    slope = matmul(skew(angular), inertia) - skew(momentum)
-    change = _solve(inertia + 0.5 * h * slope, -h * torque)
-    return expand_dims_like(0.5 / scale, angular[0])[None] * matvec(slope, change)
+    derivative = matmul(skew(angular), inertia) - skew(momentum)
+    change = _solve(inertia + 0.5 * h * derivative, -h * torque)
+    return expand_dims_like(0.5 / scale, angular[0])[None] * matvec(derivative, change)
 
 
 def central_inertia(tree: Tree) -> Float[Numbers, "3 3 b"]:

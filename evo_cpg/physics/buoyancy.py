@@ -211,16 +211,20 @@ def _box(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
     depth = jnp.clip(depth, -limit, limit)
     scale = 1.0 / (48.0 * reach[0] * reach[1] * reach[2])
     fraction = energy = jnp.zeros_like(depth)
-    slope = jnp.zeros_like(reach)
+    derivative = jnp.zeros_like(reach)
     for corner in itertools.product((1.0, -1.0), repeat=3):
         signs = expand_dims_like(np.array(corner), reach)
         below = jnp.maximum(depth + dot(signs, reach), 0.0)
         cube = math.prod(corner) * below * below * below
-        fraction, energy, slope = fraction + cube, energy + cube * below, slope + signs * cube[None]
+        fraction, energy, derivative = (
+            fraction + cube,
+            energy + cube * below,
+            derivative + signs * cube[None],
+        )
     fraction, energy = scale * fraction, 0.25 * scale * energy
     # dE/dw_i over w_i. Every w_j depends on every u_i.
-    slope = (scale[None] * slope - energy[None] / reach) / reach
-    moment = -stretched * ((1 - least) * slope + least * slope.sum(0, keepdims=True))
+    derivative = (scale[None] * derivative - energy[None] / reach) / reach
+    moment = -stretched * ((1 - least) * derivative + least * derivative.sum(0, keepdims=True))
     return fraction, moment
 
 
@@ -235,12 +239,12 @@ def _polyhedron(cells: Cells, up: Array, depth: Array) -> tuple[Array, Array]:
     limit = float(np.linalg.norm(triangles, axis=-1).max())
     flat_up, flat_depth = up.reshape(3, -1), jnp.clip(depth, -limit, limit).reshape(-1)
     first, second, third = (flat_depth[None] - corner @ flat_up for corner in corners)
-    value, slopes = _wet_difference(first, second, third)
+    value, derivatives = _wet_difference(first, second, third)
     facing = faces @ flat_up
-    fraction = -(facing * (slopes[0] + slopes[1] + slopes[2])).sum(0)
+    fraction = -(facing * (derivatives[0] + derivatives[1] + derivatives[2])).sum(0)
     moment = faces.T @ value
-    for corner, slope in zip(corners, slopes, strict=True):
-        moment = moment - corner.T @ (facing * slope)
+    for corner, derivative in zip(corners, derivatives, strict=True):
+        moment = moment - corner.T @ (facing * derivative)
     return fraction.reshape(depth.shape), moment.reshape(up.shape)
 
 
@@ -267,7 +271,7 @@ def _wet_difference(
     theirs = [both * fraction for fraction in fractions]
     total = jnp.where(most, first + second + third, 0.0)
     squares = jnp.where(most, first * first + second * second + third * third, 0.0) + total * total
-    slopes = (
+    derivatives = (
         total + jnp.where(most, first, 0.0) + jnp.where(lone[0], own, theirs[0]),
         total
         + jnp.where(most, second, 0.0)
@@ -275,4 +279,4 @@ def _wet_difference(
         total + jnp.where(most, third, 0.0) + jnp.where(lone[2] | ~counts, own, theirs[1]),
     )
     value = (squares / 2 + both * tip) / 24
-    return value, (slopes[0] / 24, slopes[1] / 24, slopes[2] / 24)
+    return value, (derivatives[0] / 24, derivatives[1] / 24, derivatives[2] / 24)

@@ -264,11 +264,11 @@ def contact_inertia(
             jnp.stack([none, none, linear.normal]),
         ]
     )
-    slope = symmetric(h * matmul(turn, matmul_t(K, turn)))
+    translation = symmetric(h * matmul(turn, matmul_t(K, turn)))
     shift = skew(contacts.offset)
-    mixed = matmul(shift, slope)
-    blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, slope)
-    bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), slope.ndim - 3)
+    mixed = matmul(shift, translation)
+    blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, translation)
+    bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), translation.ndim - 3)
     return bodies.plus(contact_model.bodies, blocks).stacked()
 
 

@@ -21,7 +21,7 @@ from evo_cpg.spatial.linear import dot, matmul, matvec, matvec_t, t_matmul
 # from the surface to 30 semi-axes away, for an ellipsoid of 0.15, 0.06 and 0.02 m.
 _ROOT_STEPS = 5
 
-# Rounds for the point of a box. Of 2000 random pairs, one was wrong after one round, none after 2.
+# Rounds for the point of a box. One of 2000 random pairs was wrong after one round, none after 2.
 _ROUNDS = 2
 
 # Squared length (m^2), or another quantity, added to divisors that may be zero.
@@ -56,8 +56,8 @@ def nearest_to_ball(
         # Solve |p(t)| = 1 with p = A y / (t + A^2), by the secular equation 1 / |p| = 1.
         p = scaled / (t[None] + square)
         length = dot(p, p) + _FLOOR
-        slope = (p * p / (t[None] + square)).sum(0) + _FLOOR
-        t = jnp.maximum(t + (jnp.sqrt(length) - 1.0) * length / slope, 0.0)
+        derivative = (p * p / (t[None] + square)).sum(0) + _FLOOR
+        t = jnp.maximum(t + (jnp.sqrt(length) - 1.0) * length / derivative, 0.0)
     displacement = square * own / (t[None] + square) - own
     apart = jnp.sqrt(dot(displacement, displacement) + _FLOOR)
     steep = own / square
@@ -111,8 +111,8 @@ def _least(metric: Array, here: Array, extent: Array) -> Array:
 
     def descend(x: Array) -> Array:
         for i in range(3):
-            slope = dot(metric[i], x - here)
-            moved = jnp.clip(x[i] - slope / diagonal[i], -extent[i], extent[i])
+            gradient = dot(metric[i], x - here)
+            moved = jnp.clip(x[i] - gradient / diagonal[i], -extent[i], extent[i])
             x = jnp.stack([moved if k == i else x[k] for k in range(3)])
         return x
 
@@ -127,10 +127,10 @@ def _least(metric: Array, here: Array, extent: Array) -> Array:
     return x
 
 
-def _solve_free(metric: Array, slope: Array, held: Array) -> Array:
+def _solve_free(metric: Array, gradient: Array, held: Array) -> Array:
     """Return the step to the minimum with some coordinates held, by elimination."""
     free = jnp.where(held, 0.0, 1.0)
-    slope = free * slope
+    gradient = free * gradient
 
     def entry(i: int, k: int) -> Array:
         own = free[i] * metric[i, k] * free[k]
@@ -140,7 +140,7 @@ def _solve_free(metric: Array, slope: Array, held: Array) -> Array:
     d, e, f = entry(1, 1), entry(1, 2), entry(2, 2)
     ratio, other = b / a, c / a
     d, e, f = d - ratio * b, e - ratio * c, f - other * c
-    second, third = slope[1] - ratio * slope[0], slope[2] - other * slope[0]
+    second, third = gradient[1] - ratio * gradient[0], gradient[2] - other * gradient[0]
     z = (third - e / d * second) / (f - e * e / d)
     y = (second - e * z) / d
-    return jnp.stack([(slope[0] - b * y - c * z) / a, y, z])
+    return jnp.stack([(gradient[0] - b * y - c * z) / a, y, z])

@@ -11,7 +11,7 @@ from evo_cpg.physics.contact import Contacts, find_contacts
 from evo_cpg.physics.joint_torque import (
     expected_limit_torque,
     passive_torque,
-    servo_slope,
+    servo_derivative,
     servo_torque,
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics, motion_of_bodies
@@ -142,7 +142,7 @@ def with_mean_products(
     tree push off from nothing. The motion that predicts the final velocities may be inexact.
 
     Args:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         h: step, s.
         equations: equations of the step.
         root: acceleration of the root's velocity.
@@ -158,8 +158,10 @@ def with_mean_products(
 def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations:
     """Return the motion of a step without contact and motor limits, which needs no search."""
     tree, start_torque = world.tree, equations.start_torque
-    stop, stop_slope = expected_limit_torque(tree, equations.state, h)
+    stop, stop_derivative = expected_limit_torque(tree, equations.state, h)
     torque = equations.passive + start_torque + stop
-    derivative = equations.derivative + h * (servo_slope(tree, start_torque, h) + stop_slope)
+    derivative = equations.derivative + h * (
+        servo_derivative(tree, start_torque, h) + stop_derivative
+    )
     kin, inertia, bias = equations.kin, equations.inertia, equations.bias
     return solve(tree, kin, inertia, bias, torque, derivative)

@@ -66,7 +66,7 @@ class FewPairContacts(NamedTuple):
     def find(
         cls, tree: Tree, pairs: Pairs, kin: Kinematics, qd: Float[Array, "d *n"], h: float
     ) -> "FewPairContacts":
-        """Return the contacts of a step; see `evo_cpg.physics.pair_contacts.find_pair_contacts`."""
+        """Find the contacts of a step (see `evo_cpg.physics.pair_contacts.find_pair_contacts`)."""
         where = separations(pairs, kin)
         target_velocity = rest_velocity(where.gap, h)
         bias = _bias(pairs, kin.origin, kin, where)
@@ -131,19 +131,19 @@ class FewPairContacts(NamedTuple):
 
 
 class FewPairForces(NamedTuple):
-    """Contact laws linearized at a velocity: ``f = force - slope (v - velocity)``.
+    """Contact laws linearized at a velocity: ``f = force - derivative (v - velocity)``.
 
     Attributes:
         contacts: contacts of the step.
         velocity: separation velocity of the linearization, m/s.
         force: force at this velocity, N.
-        slope: decrease of the force per velocity, N s/m.
+        derivative: decrease of the force per velocity, N s/m.
     """
 
     contacts: FewPairContacts
     velocity: Float[Array, "p *n"]
     force: Float[Array, "p *n"]
-    slope: Float[Array, "p *n"]
+    derivative: Float[Array, "p *n"]
 
     @property
     def load(self) -> Float[Array, "*n"]:
@@ -161,9 +161,9 @@ class FewPairForces(NamedTuple):
 
     def newton(self) -> tuple[Float[Array, "d *n"], Float[Array, "d d *n"]]:
         """Return the torques of the linearized forces at zero acceleration, and ``h J^T K J``."""
-        J, slope = self.contacts.jacobian, self.slope
-        force = self.force + slope * (self.velocity - self.contacts.unconstrained_velocity)
-        return self._pushing(force), t_matmul(self.contacts.h * slope[:, None] * J, J)
+        J, derivative = self.contacts.jacobian, self.derivative
+        force = self.force + derivative * (self.velocity - self.contacts.unconstrained_velocity)
+        return self._pushing(force), t_matmul(self.contacts.h * derivative[:, None] * J, J)
 
     def _pushing(self, force: Float[Array, "p *n"]) -> Float[Array, "d *n"]:
         return (self.contacts.jacobian * force[:, None]).sum(0)

@@ -2,7 +2,7 @@
 
 All joints between the boxes turn about one common axis, so the problem is plane. The gap of the two
 rectangles is the largest gap along the normals of their four sides. The contact points are both
-ends of the other rectangle's lowest edge, as far as the edge lies over the side.
+ends of the part of the other rectangle's lowest edge that lies over the side.
 """
 
 from typing import NamedTuple

@@ -284,7 +284,7 @@ def _wet_fraction(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[
         ValueError: if the patches were made for water without a surface.
     """
     if places is None:
-        raise ValueError("patches know no depth; make them with make_patches(..., surfacing=True)")
+        raise ValueError("patches have no depth. Call make_patches(..., surfacing=True)")
     flat = pose.reshape(4, -1)
     up, height = flat[:3], flat[3:]
     points, normals, extents = (jnp.asarray(column, flat.dtype) for column in places)

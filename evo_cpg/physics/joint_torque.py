@@ -5,13 +5,14 @@ Each law gives its torque at the present rates and its derivative. The implicit 
 
 - Passive: ``-k (q + h qd) - c qd``, T = h (c + h k).
 - Limit: a one-sided spring and damper, ``-K max(0, qd_end - v*)`` with ``K = c + h k``. The rate v*
-  brings the joint just to its limit at the end of the step. Beyond the limit, v* is the return rate
-  of the spring. The limit never slows a returning joint. A step of one solve (no ground, no motor
-  limits) uses a spring and damper if the joint would pass its limit at the present rate.
+  brings the joint just to its limit at the end of the step. If the joint is past its limit, v* is
+  the return rate of the spring. The limit never slows a returning joint. A step of one solve (no
+  ground, no motor limits) uses a spring and damper if the joint would pass its limit at the present
+  rate.
 - Motor: ``g (rate* - qd) + k_m (angle* - q - h qd)``, T = h (g + h k_m), with a limit on the torque
   at the *end* of the step. A limit on the torque before the step makes the motor chatter and exceed
-  its limit threefold. With k_m = 0 the motor is a velocity servo (Iwadate 2010: "angular-velocity
-  control"). With rate* = 0 the motor is a dashpot (Fukui 2003, 2.6).
+  its limit threefold. If k_m = 0, the motor is a velocity servo (Iwadate 2010:
+  "angular-velocity control"). If rate* = 0, the motor is a dashpot (Fukui 2003, 2.6).
 """
 
 import jax.numpy as jnp
@@ -47,16 +48,16 @@ def limit_torque(
         expand_dims_like(x, q)
         for x in (tree.limit_stiffness, tree.limit_damping, tree.lower, tree.upper)
     )
-    slope = damping + h * stiffness
+    derivative = damping + h * stiffness
 
     def miss(beyond: Array, outwards: Array) -> Array:
         """Return the excess of a rate towards a limit over v*, times K."""
-        back = slope * outwards + stiffness * beyond
-        ahead = slope * (outwards + (1.0 / h) * beyond) if h else jnp.zeros_like(back)
+        back = derivative * outwards + stiffness * beyond
+        ahead = derivative * (outwards + (1.0 / h) * beyond) if h else jnp.zeros_like(back)
         return jnp.maximum(jnp.where(beyond > 0, back, ahead), 0.0)
 
     above, below = miss(q - upper, rate), miss(lower - q, -rate)
-    return below - above, jnp.where((above > 0) | (below > 0), slope, 0.0)
+    return below - above, jnp.where((above > 0) | (below > 0), derivative, 0.0)
 
 
 def expected_limit_torque(
@@ -99,10 +100,10 @@ def servo_torque(
     return torque + expand_dims_like(tree.servo_stiffness, rates) * error
 
 
-def servo_slope(tree: Tree, like: Array, h: float) -> Float[Array, "d *n"]:
+def servo_derivative(tree: Tree, like: Array, h: float) -> Float[Array, "d *n"]:
     """Return the torque decrease per final rate, ``g + h k_m`` (N m s/rad), always positive."""
-    slope = expand_dims_like(tree.servo_gain + h * tree.servo_stiffness, like)
-    return jnp.maximum(slope, jnp.finfo(like.dtype).tiny)
+    derivative = expand_dims_like(tree.servo_gain + h * tree.servo_stiffness, like)
+    return jnp.maximum(derivative, jnp.finfo(like.dtype).tiny)
 
 
 def has_springs(tree: Tree) -> bool:

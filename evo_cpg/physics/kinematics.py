@@ -43,7 +43,7 @@ class Kinematics(NamedTuple):
 
 
 class _Body(NamedTuple):
-    """Poses and motion of one or several bodies; see `Kinematics`."""
+    """Poses and motion of one or several bodies (see `Kinematics`)."""
 
     rotation: Array
     origin: Array

@@ -110,7 +110,7 @@ class _Run(NamedTuple):
 
 
 class ManyPairContacts:
-    """Nearest points of many pairs; see `evo_cpg.physics.pair_contacts.PairContacts`.
+    """Nearest points of many pairs (see `evo_cpg.physics.pair_contacts.PairContacts`).
 
     Args:
         tree: the creature.
@@ -145,7 +145,11 @@ class ManyPairContacts:
         return ManyPairContacts(*given, self.runs, bias)
 
     def bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-        """Return the velocity-product bias at the joint rates after the step, as accelerations."""
+        """Return `bias` for the joint rates after the step: the joint accelerations themselves.
+
+        `bias` stores the joint accelerations that lead to the rates. `accelerations` computes the
+        velocity-product accelerations from them.
+        """
         return qdd
 
     def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
@@ -334,12 +338,12 @@ class ManyPairForces:
         def add(run: _Run, sums: tuple[Array, Array], q: Array, point: Any, push: Array) -> Any:
             torque, matrix = sums
             J, dofs = contacts.jacobian(run, point, q, axes)
-            slope = jnp.where(push > 0, self._stiffness(run, q, push), 0.0)
+            derivative = jnp.where(push > 0, self._stiffness(run, q, push), 0.0)
             own = jnp.take(rates, dofs, axis=0, mode="clip")
-            force = push + slope * h * (J * own).sum(0)
+            force = push + derivative * h * (J * own).sum(0)
             rows = jnp.asarray(run.paths.rows)[q % run.kind.count]
             i, j = np.tril_indices(len(dofs))
-            values = (h * slope)[None] * J[i] * J[j]
+            values = (h * derivative)[None] * J[i] * J[j]
             return (
                 _plus(torque, dofs, J * force[None]),
                 _plus(matrix, rows[i] + dofs[j], values),
@@ -401,7 +405,7 @@ class ManyPairForces:
 
 
 class _Point(NamedTuple):
-    """One point of one pair; see `_Points`."""
+    """One point of one pair (see `_Points`)."""
 
     watched: Array
     gap: Array

@@ -1,7 +1,7 @@
 """Pairs of bodies of one creature that must not pass through each other, and their gaps.
 
 A pair has the ground's contact law (`evo_cpg.physics.contact`) without friction and restitution.
-With the separation velocity v_n of the nearest points at the end of the step,
+The separation velocity of the nearest points at the end of the step is v_n. The force is
 
     f_n = max(0, c (v* - v_n)),      v* = -gap / h, or slowly out of an overlap.
 
@@ -127,15 +127,15 @@ class Pairs(eqx.Module):
 
     @property
     def looped(self) -> bool:
-        """Whether there are so many pairs that they are looped over."""
+        """True if there are so many pairs that a loop computes them."""
         return len(self.first) > _MOST_WRITTEN_OUT
 
 
 def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs | None:
     """Return the pairs of a creature that may touch; None if there are none.
 
-    With the pairs of a whole plan (``settings.only``), the pairs that may pass through each other
-    in this creature have zero stiffness and no force.
+    If the pairs are those of a whole plan (``settings.only``), pairs that may pass through each
+    other in this creature have zero stiffness and no force.
     """
     boxes = [body.shape.rounded_box for body in creature.bodies_of(tree.names)]
 
@@ -156,7 +156,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
     def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
         """Return whether each pair still has the right kind."""
         if settings.only is None and is_traced(tree, boxes):
-            raise Undecidable("which limbs can meet")
+            raise Undecidable("traced numbers cannot decide which limbs can touch")
         kinds = [run for run in made[2] for _ in range(run.count)]
         treated = zip(kinds, *made[:2], strict=True)
         return all_hold(_still(tree, turned, boxes, *each) for each in treated)
@@ -261,7 +261,7 @@ def _case(
 def _still(
     tree: Tree, turned: Numbers, boxes: list[RoundedBox], run: Alike, first: int, second: int
 ) -> Condition:
-    """Return whether a pair still fits the kind and the axes of a run; see `_case`."""
+    """Return whether a pair still fits the kind and the axes of a run (see `_case`)."""
     both = boxes[first], boxes[second]
     if run.kind in ("flat", "boxes"):
         return _case(tree, turned, boxes, first, second) == run[:2]

@@ -63,7 +63,7 @@ class PerBody(Generic[Value]):
         """Add values to some bodies, like ``x.at[bodies].add(stacked)`` for an array.
 
         Args:
-            bodies: body of each value; a body may occur more than once.
+            bodies: body of each value. A body may occur more than once.
             stacked: the values.
         """
         axis, structure = -self._batch_ndim - 1, jax.tree.structure(stacked)

@@ -1,10 +1,10 @@
 """The root of a tree: its degrees of freedom, its motion, and its place in generalized vectors.
 
 The root moves freely in space. Its velocity is angular (rad/s), then linear at its centre (m/s), in
-world axes; its pose is the position of its centre (m) and a unit quaternion (w, x, y, z).
+world axes. Its pose is the position of its centre (m) and a unit quaternion (w, x, y, z).
 
-A generalized vector ``(v, *n)`` holds the root's `ROOT_DOFS` components, then those of the joints
-in the tree's order. Other modules rely only on the root coming first and, in static coordinates, on
+A generalized vector ``(v, *n)`` holds the root's `ROOT_DOFS` components, then the joints' in the
+tree's order. Other modules rely only on the root coming first and, in static coordinates, on
 displacement before rotation (`evo_cpg.physics.statics`).
 """
 
@@ -34,7 +34,7 @@ ROOT_DOFS = 6
 ROOT, JOINTS = slice(0, ROOT_DOFS), slice(ROOT_DOFS, None)
 
 # Static coordinates of the root (`evo_cpg.physics.statics`): displacement, then rotation vector.
-# The first `LENGTHS` are in m. Along those of `SYMMETRIES` level ground is the same everywhere.
+# The first `LENGTHS` are in m. Level ground is the same everywhere along `SYMMETRIES`.
 LENGTHS, SYMMETRIES = 3, (0, 1, 5)
 
 

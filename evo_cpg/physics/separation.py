@@ -33,7 +33,7 @@ PARALLEL = 1e-4
 # 1 - cos^2 below which the ends of lines count, and not the point where they cross: 5 degrees.
 _NEARLY_PARALLEL = 7.6e-3
 
-# Distance beyond a face's edge at which a line still lies beside the face, as a fraction of the
+# Distance beyond a face's edge at which a line still lies over the face, as a fraction of the
 # radius. It enlarges the gap by 1/200 of the radius at most.
 _OVERHANG = 0.1
 
@@ -200,7 +200,7 @@ def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separat
 def _ends_beside_box(
     near: Array, middle: Array, direction: Array, extent: Array, most: Array, radius: Array
 ) -> tuple[Array, Array]:
-    """Return the near end and the far end of the part of a line beside a face, or in the box.
+    """Return the near and the far end of the part of a line that lies over a face, or in the box.
 
     The planes of all other faces cut off this part. Planes that the nearest point lies beyond do
     not count. The near end is the nearest point, unless the line is nearly parallel to the face or

@@ -73,7 +73,11 @@ def make_inertia(
     mixed: Float[Array, "3 3 *rest"],
     linear: Float[Array, "3 3 *rest"],
 ) -> Inertia:
-    """Return the inertia of blocks, of which only the upper halves of the symmetric ones count."""
+    """Return the inertia with the given blocks.
+
+    The blocks ``angular`` and ``linear`` are symmetric. Fused functions read only their upper
+    triangles.
+    """
     return Inertia(symmetric(angular), mixed, symmetric(linear))
 
 

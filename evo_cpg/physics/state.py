@@ -15,7 +15,7 @@ from evo_cpg.spatial.linear import array_of
 
 
 class State(eqx.Module):
-    """Pose and velocity of a tree; trailing axes are individuals.
+    """Pose and velocity of a tree. Trailing axes are individuals.
 
     The first three fields belong to the root (`evo_cpg.physics.root`), the others to the joints
     (`evo_cpg.physics.joints`).

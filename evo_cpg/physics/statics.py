@@ -1,20 +1,20 @@
 """Forces on a creature at rest, as functions of its pose.
 
-Small coordinates x = (d, r, a) describe a pose near another one: the displacement d of the root's
-centre (m), the rotation vector r of the root (rad), both in world axes, and the change a of the
-joint angles (rad). Virtual work gives the generalised forces
+Small coordinates x = (d, r, a) describe a pose near another one. They are the displacement d of the
+root's centre (m), the rotation vector r of the root (rad), both in world axes, and the change a of
+the joint angles (rad). Virtual work gives the generalised forces
 
     Q = (F, M, axis . M_outward + torque).
 
 F and M are the sums of forces and of moments about the root's centre. M_outward is the sum of
 moments on all bodies beyond a joint. The forces are weight, buoyancy, the ground, and all force
-laws except those of the water. The torques are those of springs, soft limits and motors that hold
-their joints at the neutral angle. Q vanishes at an equilibrium, and -dQ/dx is its stiffness.
+laws except the water's. Springs, soft limits and motors exert the torques. The motors hold their
+joints at the neutral angle. Q vanishes at an equilibrium, and -dQ/dx is its stiffness.
 
 The ground has the stiffness of a resting contact in a step of the simulation
 (`resting_stiffness`). The simulation therefore finds no motion in an equilibrium found here.
 Friction is Coulomb's law. A spring of that stiffness holds a sticking point where it touched down.
-Beyond the friction cone the point slides under a constant force.
+A point beyond the friction cone slides under a constant force.
 
 Differs from the simulation, whose friction is a velocity law. A point with the tangential force f
 creeps there at ``f / c`` (see `evo_cpg.physics.contact`). Here it stays.
@@ -87,7 +87,7 @@ def static_forces(
     """Return the generalised forces on a creature at rest.
 
     Args:
-        world: the creature and its surroundings; flow of the water is ignored.
+        world: the creature and its environment. The water is taken as still.
         h: step of the simulation, which determines how far the creature sinks into the ground, s.
         base: pose from which x is measured.
         friction: friction state at the base.

@@ -1,10 +1,10 @@
 """One step of the world: forces, the implicit solve, integration.
 
 The integrator is semi-implicit Euler: the velocities at the end of the step move the positions.
-Velocity products and drag are means of their values before and after the step. Without stiff forces
-the motion is therefore of second order, because positions and velocities leapfrog. A step without
-motor limits and contact takes two solves with one matrix. `evo_cpg.physics.step_solver` solves the
-other steps.
+Velocity products and drag are means of their values before and after the step. The motion is
+therefore of second order if no forces are stiff, because positions and velocities leapfrog. A step
+without motor limits and contact takes two solves with one matrix. `evo_cpg.physics.step_solver`
+solves the other steps.
 """
 
 import functools
@@ -26,7 +26,7 @@ from evo_cpg.physics.equations import (
     solve_at_once,
     with_mean_products,
 )
-from evo_cpg.physics.joint_torque import servo_slope
+from evo_cpg.physics.joint_torque import servo_derivative
 from evo_cpg.physics.state import State, integrate
 from evo_cpg.physics.step_solver import coldstart, solve_step
 from evo_cpg.physics.world import World
@@ -68,7 +68,7 @@ def step(
     """Advance the world by ``h`` seconds.
 
     Args:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         state: state at the start of the step.
         target_rate: target rates of the motors, constant over the step, rad/s.
         h: step, s.
@@ -114,7 +114,8 @@ def _step(
         # The matrix is the same, only the forces differ.
         found = solve_at_once(world, h, equations)
     motor = (
-        equations.start_torque - h * servo_slope(world.tree, equations.start_torque, h) * found.qdd
+        equations.start_torque
+        - h * servo_derivative(world.tree, equations.start_torque, h) * found.qdd
     )
     return _finish(h, state, StepSolution(found.root, found.qdd, motor))
 
@@ -131,7 +132,7 @@ def _finish(h: float, state: State, solution: StepSolution) -> tuple[State, Effo
 
 
 def _can_overload(tree: Tree) -> bool:
-    """Return whether any motor may have a torque limit; traced limits count as limits."""
+    """Return whether any motor may have a torque limit. Traced limits count as limits."""
     gains = tree.servo_gain, tree.servo_stiffness
     if not isinstance(tree.torque_limit, np.ndarray):
         return True

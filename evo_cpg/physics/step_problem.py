@@ -45,7 +45,7 @@ from evo_cpg.physics.contact import (
 )
 from evo_cpg.physics.equations import Equations
 from evo_cpg.physics.generalized import body_accelerations, generalized_force, mass_matrix
-from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, overloaded, servo_slope
+from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, overloaded, servo_derivative
 from evo_cpg.physics.pair_contacts import PairForces
 from evo_cpg.physics.root import (
     joint_part,
@@ -68,8 +68,8 @@ _SAME_TORQUE = 1e-3
 # Turn of a joint in a step (rad) beyond which the initial mass matrix is wrong at the end.
 _LARGEST_TURN = 0.3
 
-# Joint axes in a chain beyond which equations are solved body by body. The residual in float32, of
-# a chain of boxes on the ground, is below 1e-3 with 10 joints, at times 1e-3 with 20, 0.2 with 40.
+# Joint axes in a chain beyond which equations are solved body by body. Residuals in float32 for a
+# chain of boxes on the ground: below 1e-3 with 10 joints, at times 1e-3 with 20, 0.2 with 40.
 _LONGEST_ELIMINATED = 16
 
 # Force (N) or torque (N m) that counts as zero.
@@ -81,13 +81,13 @@ class Linearization(NamedTuple):
 
     Attributes:
         torque: torque of motors and limits of joints at zero joint acceleration, N m.
-        slope: decrease of that torque per end-of-step rate, N m s/rad.
+        derivative: decrease of that torque per end-of-step rate, N m s/rad.
         contact: laws of the contact points; None without ground.
         pairs: forces of the pairs; None if no pair can touch.
     """
 
     torque: Float[Array, "d *n"]
-    slope: Float[Array, "d *n"]
+    derivative: Float[Array, "d *n"]
     contact: ContactLinearization | None
     pairs: PairForces | None
 
@@ -96,7 +96,7 @@ class StepProblem(NamedTuple):
     """Minimisation problem of a step.
 
     Attributes:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         h: step, s.
         equations: equations of motion of this step.
         mass: M, ``(v, v, *n)``, kg, kg m and kg m^2.
@@ -166,16 +166,16 @@ class StepProblem(NamedTuple):
         commanded = self.commanded_torque(qdd)
         over = overloaded(tree, commanded)
         torque = jnp.where(over, clamp_torque(tree, commanded), start_torque)
-        slope = jnp.where(over, 0.0, servo_slope(tree, start_torque, self.h))
+        derivative = jnp.where(over, 0.0, servo_derivative(tree, start_torque, self.h))
         change = self.h * qdd
-        stop, stop_slope = limit_torque(tree, state.q, state.qd + change, self.h)
-        torque, slope = torque + stop + stop_slope * change, slope + stop_slope
+        stop, stop_derivative = limit_torque(tree, state.q, state.qd + change, self.h)
+        torque, derivative = torque + stop + stop_derivative * change, derivative + stop_derivative
         contact_model, contacts, linear = self.world.contact_model, self.equations.contacts, None
         if contact_model is not None and contacts is not None and velocity is not None:
             linear = linearize_contacts(contact_model, contacts, radius, velocity, self.h)
         apart = self.equations.pairs
         pushes = None if apart is None else apart.at(qdd)
-        return Linearization(torque, slope, linear, pushes)
+        return Linearization(torque, derivative, linear, pushes)
 
     def motion(self, linear: Linearization) -> Float[Array, "v *n"]:
         """Return the accelerations under linearized laws.
@@ -205,7 +205,7 @@ class StepProblem(NamedTuple):
             force = force + self._ground(
                 linearized_force(linear.contact, contacts.unconstrained_velocity)
             )
-        matrix = plus_joint_diagonal(matrix, h * linear.slope)
+        matrix = plus_joint_diagonal(matrix, h * linear.derivative)
         if linear.pairs is not None:
             pushes, stiffening = linear.pairs.newton()
             torque, matrix = torque + pushes, plus_joint_block(matrix, stiffening)
@@ -222,8 +222,11 @@ class StepProblem(NamedTuple):
             force = linearized_force(linear.contact, contacts.unconstrained_velocity)
             wrench = contact_wrench(contact_model, contacts, force, bias)
             bias = jax.tree.map(jnp.subtract, bias, wrench)
-        torque, slope = equations.passive + linear.torque, equations.derivative + h * linear.slope
-        found = solve(self.world.tree, equations.kin, inertia, bias, torque, slope)
+        torque, resistance = (
+            equations.passive + linear.torque,
+            equations.derivative + h * linear.derivative,
+        )
+        found = solve(self.world.tree, equations.kin, inertia, bias, torque, resistance)
         return jnp.concatenate(found)
 
     def residual(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "*n"]:
@@ -262,7 +265,7 @@ class StepProblem(NamedTuple):
 
     def torque(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "d *n"]:
         """Return the torque of motors and limits of joints under linearized laws, N m."""
-        return linear.torque - self.h * linear.slope * joint_part(y)
+        return linear.torque - self.h * linear.derivative * joint_part(y)
 
     def coulomb_error(
         self,
@@ -345,7 +348,7 @@ class StepProblem(NamedTuple):
     def commanded_torque(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Return the torques that the servos command at the end of the step, N m."""
         start_torque = self.equations.start_torque
-        return start_torque - self.h * servo_slope(self.world.tree, start_torque, self.h) * qdd
+        return start_torque - self.h * servo_derivative(self.world.tree, start_torque, self.h) * qdd
 
     @property
     def pair_bias(self) -> Float[Array, "k *n"]:

@@ -98,7 +98,7 @@ class _Search(NamedTuple):
 
 
 class _Answer(NamedTuple):
-    """The solution y, and the parameters of its problem; see `_Search`."""
+    """The solution y, and the parameters of its problem (see `_Search`)."""
 
     y: Float[Array, "v *n"]
     radius: Float[Array, "p *n"]
@@ -107,7 +107,7 @@ class _Answer(NamedTuple):
 
 
 class _Record(NamedTuple):
-    """Input of `_replay`; see `_Search`."""
+    """Input of `_replay` (see `_Search`)."""
 
     visited: _Visited
     restitution: Float[Array, "*n"]
@@ -127,7 +127,7 @@ def solve_step(
     Steps with neither are solved at once, joint limits included (`equations.solve_at_once`).
 
     Args:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         h: step, s.
         state: state at the start of the step.
         target_rate: target rates of the motors, rad/s.

@@ -47,7 +47,7 @@ class Moving(NamedTuple):
     """Pose and velocity of parts of a creature.
 
     Attributes:
-        at: the parts as rounded boxes; the half extents of an ellipsoid are its semi-axes.
+        at: the parts as rounded boxes. The half extents of an ellipsoid are its semi-axes.
         origin: origins of their bodies, m.
         linear: velocity of the origin, m/s.
         angular: angular velocity, rad/s.
@@ -93,7 +93,7 @@ def moved(parts: Moving, time: Float[Array, "p *n"]) -> Moving:
     twice = half * once
 
     def turn(x: Array) -> Array:
-        """Return the change of a vector by the rotation; its vector products are constants."""
+        """Return the change of a vector by the rotation, whose vector products are constants."""
         across = cross(w, x)
         return once[None] * across + twice[None] * cross(w, across)
 
@@ -172,7 +172,7 @@ def time_of_crossing(
     h: float,
     beyond: Float[Array, "p *#n"] | float = 0.0,
 ) -> Float[Array, "p *n"]:
-    """Return when points on straight paths first get deeper into a floor in a step, s; else 0.
+    """Return the time at which points on straight paths get deeper into a floor, s, or 0.
 
     Args:
         floor: parts of the floor.

@@ -48,7 +48,7 @@ class Plane(Part):
     height: Number = 0.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """Return the signed distance and the normal; see `Part.distance`."""
+        """Return the signed distance and the normal (see `Part.distance`)."""
         normal = array_of(self.normal)
         normal = expand_dims_like(normal / xp.linalg.norm(normal), point)
         return dot(normal, point) - self.height, normal
@@ -72,7 +72,7 @@ class Shore(Part):
     stop_height: Number = -1.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """Return the signed distance and the normal; see `Part.distance`."""
+        """Return the signed distance and the normal (see `Part.distance`)."""
         along = point["xy".index(self.axis)]
         slope = (self.stop_height - self.start_height) / (self.stop - self.start)
         inside = jnp.clip(along, self.start, self.stop)
@@ -87,7 +87,7 @@ class Relief(Part):
     """Heights on a regular grid, bilinear in between, and constant beyond its edges.
 
     Attributes:
-        heights: heights above the world's origin, m; the first axis is x.
+        heights: heights above the world's origin, m. The first axis is x.
         corner: x and y of the first height, m.
         spacing: spacing of the grid, m.
     """
@@ -97,7 +97,7 @@ class Relief(Part):
     spacing: float = eqx.field(static=True, default=0.1)
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """Return the signed distance and the normal; see `Part.distance`."""
+        """Return the signed distance and the normal (see `Part.distance`)."""
         height, along_x, along_y = self._look_up(point[0], point[1])
         return _above(point, height, along_x, along_y)
 
@@ -135,7 +135,7 @@ class Boulder(Part):
     radius: Number
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """Return the signed distance and the normal; see `Part.distance`."""
+        """Return the signed distance and the normal (see `Part.distance`)."""
         away = point - expand_dims_like(array_of(self.centre), point)
         length = jnp.sqrt(dot(away, away) + _FLOOR)
         return length - self.radius, away / length[None]
@@ -155,7 +155,7 @@ class Block(Part):
     heading: Number = 0.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
-        """Return the signed distance and the normal; see `Part.distance`."""
+        """Return the signed distance and the normal (see `Part.distance`)."""
         away = point - expand_dims_like(array_of(self.centre), point)
         c, s = cosine_sine(self.heading)
         own = jnp.stack([c * away[0] + s * away[1], c * away[1] - s * away[0], away[2]])

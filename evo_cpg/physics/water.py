@@ -44,7 +44,7 @@ class Current(Stream):
     gradient: Gradient | None = None
 
     def velocity(self, places: Float[Array, "3 b *n"]) -> Float[Array, "3 #b *#n"]:
-        """Return the velocity; see `Stream.velocity`."""
+        """Return the velocity (see `Stream.velocity`)."""
         velocity = expand_dims_like(array_of(self.origin), places)
         if self.gradient is None:
             return velocity
@@ -66,7 +66,7 @@ class Vortex(Stream):
     core: Number
 
     def velocity(self, places: Float[Array, "3 b *n"]) -> Float[Array, "3 #b *#n"]:
-        """Return the velocity; see `Stream.velocity`."""
+        """Return the velocity (see `Stream.velocity`)."""
         x, y = places[0] - self.centre[0], places[1] - self.centre[1]
         rate = self.circulation / (2 * np.pi) / (x * x + y * y + self.core**2)
         return jnp.stack([-rate * y, rate * x, jnp.zeros_like(x)])

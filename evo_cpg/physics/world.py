@@ -1,4 +1,4 @@
-"""A creature and its surroundings: the medium, the ground, and the force laws."""
+"""A creature and its environment: the medium, the ground, and the force laws."""
 
 import dataclasses
 import math
@@ -23,7 +23,7 @@ _Law = TypeVar("_Law", bound=ForceLaw)
 
 
 class World(eqx.Module):
-    """A creature and its surroundings, as `evo_cpg.physics.step` simulates them.
+    """A creature and its environment, as `evo_cpg.physics.step` simulates them.
 
     Attributes:
         tree: the creature.
@@ -31,7 +31,7 @@ class World(eqx.Module):
         water: the medium; None on dry land.
         forces: force laws besides weight, buoyancy, joints and contact, in the order of their sum.
         contact_model: the contact points; None without ground.
-        cells: the bodies' volumes; not needed if water is everywhere.
+        cells: simple volumes that make up the bodies. Empty without a water surface.
         pairs: bodies that must not pass through each other; None if none can meet.
     """
 
@@ -90,7 +90,7 @@ class World(eqx.Module):
 
     @property
     def submerged(self) -> bool:
-        """Whether water is everywhere, without surface and ground."""
+        """True if water is everywhere, without surface and ground."""
         return self.water is not None and self.water.surface is None and self.contact_model is None
 
     @property
@@ -105,7 +105,7 @@ class World(eqx.Module):
             ValueError: there is no ground.
         """
         if self.contact_model is None:
-            raise ValueError("there is no ground to be rough")
+            raise ValueError("the world has no ground, so friction cannot be scaled")
         axes = (1,) * np.ndim(factor)
         factor = xp.asarray(factor)[None] if axes else factor
         static, dynamic = (
@@ -122,6 +122,6 @@ class World(eqx.Module):
             ValueError: there is no water.
         """
         if self.water is None:
-            raise ValueError("there is no water to drag")
+            raise ValueError("the world has no water, so drag cannot be scaled")
         forces = (law.scaled(factor) if isinstance(law, Drag) else law for law in self.forces)
         return dataclasses.replace(self, forces=tuple(forces))

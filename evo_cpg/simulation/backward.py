@@ -32,9 +32,11 @@ from evo_cpg.physics.state import State
 Carry = TypeVar("Carry")
 Values = TypeVar("Values")
 
-# Parts of a gradient that fade, beside nerves. Over rough ground the height fades too. There their
-# norm (SI units) is at most this many times the norm of the horizontal position's gradient.
+# Fields of the body's state whose gradients fade. Gradients of the nerves fade, too, and over rough
+# ground also the gradient of the height.
 _FADING = "orientation", "velocity", "q", "qd"
+# Largest norm of the gradients of these fields and of the height over rough ground (SI units), as a
+# multiple of the norm of the horizontal position's gradient.
 _STEEPEST = 10.0
 
 
@@ -83,7 +85,7 @@ class Backward(NamedTuple):
         return segment(rest)(carry, count * length)[0] if rest else carry
 
     def forget(self, state: State, nerves: Any) -> tuple[State, Any]:
-        """Return body and nerves unchanged; gradients that pass back through here fade and are cut.
+        """Return body and nerves unchanged, but fade and cut gradients that pass back through.
 
         Args:
             state: state of the body.
@@ -101,7 +103,7 @@ class Backward(NamedTuple):
 
 
 def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[np.ndarray, " *n"]:
-    """Return the retention of gradients that fade to 1/e within the horizon (s); infinity: 1."""
+    """Return the retention of gradients that fade to 1/e within the horizon (s, or infinity)."""
     return np.exp(-1.0 / (horizon * control_rate))
 
 
@@ -126,7 +128,7 @@ def _bytes(arrays: Iterable[Any]) -> int:
 
 
 def _fading(values: Values, factor: Array) -> Values:
-    """Return the values; gradients with respect to them are multiplied by the factor."""
+    """Return the values, with gradients with respect to them multiplied by the factor."""
     return jax.tree.map(
         lambda x: _faded(x, factor) if jnp.issubdtype(x.dtype, jnp.inexact) else x, values
     )
@@ -147,7 +149,7 @@ def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> t
 
 @jax.custom_vjp
 def _cut(state: State) -> State:
-    """Return the state; gradients with respect to it are limited by `_STEEPEST`.
+    """Return the state, with gradients with respect to it limited by `_STEEPEST`.
 
     A gradient without a part for the horizontal position is not limited.
     """
@@ -162,8 +164,8 @@ def _cut_backward(_: None, gradient: State) -> tuple[State]:
     place, height = gradient.position[:2], gradient.position[2:]
     moving = {name: getattr(gradient, name) for name in _FADING}
     size = jnp.sqrt(sum((x * x).sum(0) for x in (height, *moving.values())))
-    said = jnp.sqrt((place * place).sum(0))
-    most = jnp.where(said > 0, _STEEPEST * said, jnp.inf)
+    horizontal = jnp.sqrt((place * place).sum(0))
+    most = jnp.where(horizontal > 0, _STEEPEST * horizontal, jnp.inf)
     fraction = jnp.minimum(1.0, most / jnp.maximum(size, jnp.finfo(size.dtype).tiny))
     fraction = jnp.where(jnp.isfinite(size), fraction, 0.0)
 

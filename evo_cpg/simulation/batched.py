@@ -45,7 +45,7 @@ class Inputs(NamedTuple):
         ]
 
     def put(self, simulation: Simulation, values: Sequence[Array]) -> Simulation:
-        """Return the simulation with these inputs, possibly traced; other numbers stay constant."""
+        """Return the simulation with these inputs, which may be traced. Other numbers stay."""
         leaves, structure = jax.tree.flatten(simulation)
         for place, own, value in zip(self.places, self.elements, values, strict=True):
             known = np.asarray(leaves[place], float)
@@ -107,26 +107,26 @@ def batch(
     names = [jax.tree_util.keystr(path)[1:] for path, _ in paths]
     if any(other != structure for _, other in others):
         raise LayoutError(
-            "the simulations differ in more than numbers: in parts, names, or how bodies are "
-            "joined or grouped"
+            "the simulations differ in more than numbers (in parts, names, joints or groups of "
+            "bodies)"
         )
     differing: dict[int, np.ndarray] = {}
     for place, leaf in enumerate(first):
         theirs = [leaves[place] for leaves, _ in others]
         if any(np.shape(other) != np.shape(leaf) for other in theirs):
-            raise LayoutError(f"{names[place]} has another shape in some of the simulations")
+            raise LayoutError(f"{names[place]} has different shapes in the simulations")
         moves = _differs(np.stack([np.asarray(x) for x in (leaf, *theirs)]))
         if moves.any():
             if not is_number(leaf):
-                raise ValueError(f"{names[place]} is no real number, and differs")
+                raise ValueError(f"{names[place]} differs, but is not a real number")
             differing[place] = np.flatnonzero(moves)
     if not (like or differing):
-        raise ValueError("the simulations are all as the configuration has it")
+        raise ValueError("all simulations equal the configuration")
     inputs = like.inputs if like else Inputs(tuple(differing), tuple(differing.values()))
     allowed = dict(zip(inputs.places, inputs.elements, strict=True))
     for place, elements in differing.items():
         if not np.isin(elements, allowed.get(place, ())).all():
-            raise ValueError(f"{names[place]} differs, and is no input of the program")
+            raise ValueError(f"{names[place]} differs, but is not an input of the program")
     values = zip(*(inputs.of(simulation) for simulation in simulations), strict=True)
     return BatchedSimulation(every[0], inputs, tuple(np.stack(each, axis=-1) for each in values))
 
@@ -136,5 +136,5 @@ def _differs(each: np.ndarray) -> np.ndarray | np.bool_:
     if not np.issubdtype(each.dtype, np.floating):
         return (each != each[:1]).any(0)
     largest = np.abs(each, where=np.isfinite(each), out=np.zeros_like(each)).max(initial=0.0)
-    # isclose accepts equal infinities, such as those of unlimited torques.
+    # isclose accepts equal infinities, such as unlimited torques.
     return np.any(~np.isclose(each, each[:1], rtol=0, atol=_ROUNDING * largest), axis=0)

@@ -33,8 +33,8 @@ class AnimalState(NamedTuple):
         state: state of the body.
         nerves: state of the controller.
         pressure: latest readings of the pressure sensors.
-        forces: forces of the last control step; None if no sensor reads them.
-        warmstart: warm start of the physics; None if a step needs none.
+        forces: forces of the last control step, or None if no sensor reads them.
+        warmstart: warm start of the physics, or None if a step needs none.
     """
 
     state: State
@@ -50,9 +50,9 @@ class EpisodeConstants(NamedTuple):
     Attributes:
         phenotype: decoded genes.
         keys: random keys of the noise.
-        light: place of the light for each individual; None if it is the same for all.
-        common_light: place of the light for all; None if there is none, or each has its own.
-        friction_scale: factor on the ground's friction; None for 1.
+        light: place of the light for each individual, or None if it is the same for all.
+        common_light: place of the light for all, or None if there is none or each has its own.
+        friction_scale: factor on the ground's friction, or None for 1.
     """
 
     phenotype: Phenotype
@@ -66,8 +66,8 @@ class PhysicsStep(NamedTuple):
     """Result of a physics step.
 
     Attributes:
-        before: the body at its beginning.
-        after: the body at its end.
+        before: the body at the start of the step.
+        after: the body at the end of the step.
         effort: effort of motors and ground.
     """
 
@@ -77,18 +77,18 @@ class PhysicsStep(NamedTuple):
 
 
 class Effects(NamedTuple):
-    """Result of a control step; see `Transition`.
+    """Result of a control step (see `Transition`).
 
     Attributes:
-        before: the body at its beginning.
-        after: the body at its end.
-        observation: what the controller sensed.
-        command: what the controller commanded.
+        before: the body at the start of the step.
+        after: the body at the end of the step.
+        observation: readings of the senses.
+        command: command of the controller.
         forces: forces of motors and ground.
         energy: energy spent by all motors, J.
-        airborne: fraction of the time off the ground.
-        residual: largest residual of the physics steps; None where one solve is exact.
-        physics: every physics step, stacked; None unless an observer needs them.
+        airborne: fraction of the step in which no body touches the ground.
+        residual: largest residual of the physics steps, or None if one solve is exact.
+        physics: every physics step, stacked, or None unless an observer needs them.
     """
 
     before: State
@@ -152,9 +152,9 @@ def control_step(
     Args:
         simulation: the trial.
         constants: constants of the trial.
-        animal: the animal at the beginning of the step.
+        animal: the animal at the start of the step.
         index: number of the step, from 0.
-        physics: whether to return `Effects.physics`; physics steps are then separate programs.
+        physics: True to return `Effects.physics`. Physics steps are then separate programs.
     """
 
     def advance(own: EpisodeConstants, animal: AnimalState):
@@ -234,7 +234,7 @@ def move(
     command: Command,
     physics: bool = False,
 ) -> tuple[AnimalState, Effects]:
-    """Take the physics steps of a control step; see `control_step`."""
+    """Take the physics steps of a control step (see `control_step`)."""
     world, h, state = simulation.world, simulation.step_length, animal.state
     batch = state.position.shape[1:]
 
@@ -305,7 +305,7 @@ def no_forces(simulation: Simulation, state: State) -> Forces:
 
 
 def _add_fraction(forces: Forces, effort: Effort, fraction: float) -> Forces:
-    """Return mean forces with those of one more physics step."""
+    """Return the mean forces after one more physics step."""
     of_step = effort.torque, effort.contact_force, effort.pair_force
     return Forces(
         *(
@@ -316,7 +316,7 @@ def _add_fraction(forces: Forces, effort: Effort, fraction: float) -> Forces:
 
 
 def _is_airborne(effort: Effort) -> Float[Array, " *n"]:
-    """Return 1 if nothing touched the ground in a physics step, else 0; 1 without ground."""
+    """Return 1 if nothing touched the ground in a physics step or there is no ground, else 0."""
     if effort.contact_frame_force is None:
         return jnp.ones_like(effort.energy)
     return jnp.all(effort.contact_frame_force[2] <= 0, axis=0).astype(effort.energy.dtype)

@@ -19,8 +19,8 @@ DISPLACEMENT = "(displacement of the root)"
 class RootDisplacement(Measure):
     """Displacement of the root, m.
 
-    With a light: decrease of the root's distance to it. Without one: straight line over the ground
-    from the root's initial place.
+    If there is a light, this is the decrease of the root's distance to it. Otherwise it is the
+    straight line over the ground from the root's initial place.
     """
 
     lit: bool = eqx.field(static=True)
@@ -51,7 +51,7 @@ def with_displacement(simulation: Simulation) -> Simulation:
 
 
 def _seen_from(snapshot: Snapshot) -> Float[Array, "2 *n"]:
-    """Return the distance from the light and 0; without a light, the place over the ground."""
+    """Return the distance from the light and 0, or the place over the ground without a light."""
     place = snapshot.state.position
     if snapshot.light_position is None:
         return place[:2]

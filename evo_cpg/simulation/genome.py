@@ -54,15 +54,15 @@ class Genome(NamedTuple):
         return genes
 
     def decode(self, genes: Float[Array, "g *n"]) -> Phenotype:
-        """Return the decoded genes; called once per trial."""
+        """Return the decoded genes. Called once per trial."""
         return Phenotype(self.controller.decode(genes))
 
     def bound(self, largest: float) -> float | None:
-        """Return the largest magnitude of a gene, given that of real numbers; None for bits."""
+        """Return ``largest``, the largest magnitude of a real-valued gene, or None for bits."""
         return None if self.binary else largest
 
     def misfit(self, genes: Float[np.ndarray, " _"]) -> str | None:
-        """Return what is wrong with the genes of one individual; None if they fit."""
+        """Return the reason why genes of one individual do not fit, or None if they fit."""
         if genes.shape == (self.count,):
             return None
         return f"the genome has {genes.size} genes, not {self.count}"

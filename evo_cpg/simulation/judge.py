@@ -38,7 +38,7 @@ class Judge(Observer):
     """Returns the `Outcome` of a whole trial."""
 
     def begin(self, simulation: Simulation, animal: AnimalState) -> tuple[PyTree, Array]:
-        """Return the tallies before a trial; all are alive."""
+        """Return the tallies before a trial, with all individuals alive."""
         batch, dtype = animal.state.position.shape[1:], animal.state.q.dtype
         return begin_tally(simulation, batch, dtype), jnp.ones(batch, bool)
 
@@ -80,7 +80,7 @@ JUDGE = Judge()
 
 
 def score(task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]) -> Float[Array, " *n"]:
-    """Return the fitness of every individual; -inf if it diverged or broke a rule."""
+    """Return the fitness of every individual, or -inf if it diverged or broke a rule."""
     fitness = task.fitness(outcome.terms, scales)
     return jnp.where(outcome.alive & jnp.isfinite(fitness), fitness, -jnp.inf)
 

@@ -1,9 +1,9 @@
 """Measures of gait: numbers that describe the motion in a whole trial, for any task.
 
-They stand beside the task's terms, and maps of behaviour (`evo_cpg.evolution.map_elites`) have them
-as axes. Each is a class with the same three functions, like a task. The table `MEASURES` lists them
-by name. Distances are straight lines from the initial to the final place of the root's centre.
-Over ground its height does not count.
+They are reported with the task's terms, and can be axes of maps of behaviour
+(`evo_cpg.evolution.map_elites`). Each is a class with the same three functions, like a task. The
+table `MEASURES` lists them by name. Distances are straight lines from the initial to the final
+place of the root's centre. Over ground its height does not count.
 
 | name | meaning | unit |
 |---|---|---|
@@ -12,7 +12,7 @@ Over ground its height does not count.
 | ``power`` | energy of the motors by time | W |
 | ``duty_factor`` | fraction of time on the ground, mean of the limbs that ever touch it | - |
 | ``airborne`` | fraction of time in which nothing touches the ground | - |
-| ``frequency`` | half of the changes of sign of the joints' rates, by time, mean of all | Hz |
+| ``frequency`` | half the sign changes of a joint's rate, by time, mean of all joints | Hz |
 | ``amplitude`` | standard deviation of the joints' angles, mean of all joints | rad |
 | ``turning`` | mean rate of the root about the vertical, to the left | rad/s |
 | ``tilt`` | mean of 1 - cos(angle of the root's up to the vertical) | - |
@@ -37,7 +37,7 @@ class Trial(NamedTuple):
     """Facts about the whole trial that a measure may use at the end.
 
     Attributes:
-        world: the animal in its surroundings.
+        world: the animal and its environment.
         duration: duration of the trial, s.
     """
 
@@ -70,7 +70,7 @@ class Displacement(NamedTuple):
     def moved(
         self, step: Array, before: Float[Array, "c *n"], after: Float[Array, "c *n"]
     ) -> "Displacement":
-        """Return the displacement after a control step; step 0 sets the start."""
+        """Return the displacement after a control step. Step 0 sets the start."""
         return Displacement(jnp.where(step == 0, before, self.start), after)
 
 
@@ -310,7 +310,7 @@ def measures(*names: str) -> Measures:
 
 
 def distance(displacement: Displacement, world: World) -> Float[Array, " *n"]:
-    """Return the length of the displacement, m; over ground without its height."""
+    """Return the length of the displacement, m, without its height over ground."""
     x, y, z = displacement.end - displacement.start
     level = x * x + y * y
     return jnp.sqrt(level if world.contact_model is not None else level + z * z)

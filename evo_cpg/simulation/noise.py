@@ -32,7 +32,7 @@ _START, _PUSH, _FRICTION = 0, 1, 2
 
 
 class Noise(eqx.Module):
-    """Sizes of the noise; a size of 0 costs no time.
+    """Sizes of the noise. A size of 0 costs no time.
 
     Attributes:
         joint_angle: standard deviation of every initial joint angle, rad. Joint limits are kept.
@@ -50,7 +50,7 @@ class Noise(eqx.Module):
 
     @property
     def silent(self) -> bool:
-        """Return whether all trials of an individual are equal; False if a size is traced."""
+        """Return whether no noise is set. A noise of traced size counts as set."""
         return all(
             _is_none(size) for size in (self.joint_angle, self.tilt, self.push, self.friction)
         )
@@ -59,13 +59,13 @@ class Noise(eqx.Module):
 def disturb_start(
     noise: Noise, world: World, state: State, keys: UInt32[Array, "w *n"] | None
 ) -> State:
-    """Return the initial pose with noise; it is lifted if it would penetrate the ground.
+    """Return the initial pose with noise, lifted if it would penetrate the ground.
 
     Args:
         noise: sizes of the noise.
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         state: the pose without noise.
-        keys: raw random keys of the trials; None without noise.
+        keys: raw random keys of the trials, or None without noise.
     """
     if keys is None or (_is_none(noise.joint_angle) and _is_none(noise.tilt)):
         return state
@@ -102,7 +102,7 @@ def disturb_motion(
     Args:
         noise: sizes of the noise.
         state: state before the push.
-        keys: raw random keys of the trials; None without noise.
+        keys: raw random keys of the trials, or None without noise.
         index: number of the control step.
         duration: duration of a control step, s.
     """
@@ -116,7 +116,7 @@ def disturb_motion(
 def friction_scale_of(
     noise: Noise, keys: UInt32[Array, "w *n"] | None
 ) -> Float[Array, " *n"] | None:
-    """Return the factor on friction in each trial; None if it is always 1."""
+    """Return the factor on friction in each trial, or None if it is always 1."""
     if keys is None or _is_none(noise.friction):
         return None
 
@@ -128,7 +128,7 @@ def friction_scale_of(
 
 
 def _is_none(size: ArrayLike) -> bool:
-    """Return whether the size is 0; False for a traced size."""
+    """Return whether the size of a noise is 0. A traced size counts as not 0."""
     return not (is_traced(size) or size)
 
 

@@ -1,4 +1,4 @@
-"""Observers: what `evo_cpg.simulation.rollout.rollout` returns of a trial.
+"""Observers, which determine the results of `evo_cpg.simulation.rollout.rollout`.
 
 | observer | in | result | of |
 |---|---|---|---|
@@ -40,14 +40,13 @@ class Seen(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Observer:
-    """Follows a trial and returns a result; subclasses override what they need.
+    """Follows a trial and returns a result. Subclasses override some of the methods.
 
     All methods are pure JAX functions of arrays whose trailing axes are individuals.
 
     Attributes:
-        every_step: whether `of_step` keeps anything. If not, a whole trial is one native program.
-        physics: whether `Effects.physics` is needed. If so, physics steps are programs of their
-            own.
+        every_step: True if `of_step` keeps anything. If False, a whole trial is one native program.
+        physics: True if `Effects.physics` is needed. Physics steps are then separate programs.
     """
 
     every_step = False
@@ -64,12 +63,12 @@ class Observer:
         return tally
 
     def of_step(self, seen: Seen) -> PyTree[Array]:
-        """Return what is kept of a control step."""
+        """Return the arrays to keep of a control step."""
         del seen
         return ()
 
     def finish(self, simulation: Simulation, tally: PyTree[Array], steps: PyTree[Array]) -> Any:
-        """Return the result, by default what `of_step` kept, stacked along time."""
+        """Return the result, by default the results of `of_step`, stacked along time."""
         del simulation, tally
         return steps
 

@@ -17,7 +17,7 @@ from evo_cpg.simulation.simulation import Simulation
 
 
 class PhysicsSteps(NamedTuple):
-    """Physics steps of one individual; the last axis of every array is time.
+    """Physics steps of one individual. The last axis of every array is time.
 
     Attributes:
         before: state at the start of the step, after any push by noise.
@@ -25,12 +25,12 @@ class PhysicsSteps(NamedTuple):
         target_rate: commanded rate of each motor, rad/s.
         target_angle: commanded neutral angle of the motors' springs, rad.
         torque: torque of the motors, N m.
-        contact_force: force of the ground on every contact point, world axes, N; none without
+        contact_force: force of the ground on every contact point, world axes, N. Empty without
             ground.
-        pair_force: force between touching limbs, N; none if no limbs can touch.
-        solved_residual: residual of the step's equations (`evo_cpg.physics.equations.Residual`); 0
-            where one solve is exact.
-        coulomb_residual: residual of Coulomb's law (`evo_cpg.physics.equations.Residual`); 0 where
+        pair_force: force between touching limbs, N. Empty if no limbs can touch.
+        solved_residual: residual of the step's equations (`evo_cpg.physics.equations.Residual`), 0
+            if one solve is exact.
+        coulomb_residual: residual of Coulomb's law (`evo_cpg.physics.equations.Residual`), 0 if
             one solve is exact.
         light: light seen by each eye in the control step, 0 to 1.
     """
@@ -51,7 +51,7 @@ class PhysicsSteps(NamedTuple):
 class EachPhysicsStep(Observer):
     """Keeps every physics step of the first individual of a population.
 
-    The other individuals are simulated too, so that the numbers equal those of training.
+    The other individuals are simulated too, so that the numbers equal the numbers in training.
     """
 
     every_step = True

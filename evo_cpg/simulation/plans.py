@@ -62,7 +62,7 @@ class _Made(NamedTuple):
 
 
 class Programs(Generic[_Program]):
-    """Programs of a kind, one for each plan; the most recently used are kept.
+    """Programs of a kind, one for each plan. The most recently used are kept.
 
     Args:
         make: function that makes a program from a plan and settings.

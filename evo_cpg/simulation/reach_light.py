@@ -43,7 +43,7 @@ class ReachLight(Task):
         energy_weight: b.
         light_weight: c.
         final_steps: control steps at the end over which the distance is averaged.
-        energy_max: E_max, J; None to measure it on the first generation.
+        energy_max: E_max, J, or None to measure it on the first generation.
     """
 
     light: Triple

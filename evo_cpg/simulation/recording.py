@@ -24,13 +24,14 @@ SENSE, NERVE = "sense.", "nerve."
 
 
 class RecordingError(UserError, ValueError):
-    """Raised for a motion that cannot be shown."""
+    """Raised for a recording that is incomplete, not finite, or of another creature."""
 
 
 class Recording(NamedTuple):
     """Motion of one animal in one trial, sampled once per control step.
 
-    Bodies are in the order of ``creature.bodies``, degrees of freedom in that of ``dof_names``.
+    Bodies are in the order of ``creature.bodies``, degrees of freedom in the order of
+    ``dof_names``.
 
     Attributes:
         time: time since the start of the trial, s.
@@ -40,8 +41,9 @@ class Recording(NamedTuple):
         target_rate: commanded rate of each motor, rad/s.
         cpg_output: output of each oscillator, or of any other source of the rhythm.
         torque: torque of each motor, N m.
-        distance: distance from the root to its goal, m; without a goal from the start, over ground.
-        goal: place of the light in the world, m; NaN without a light.
+        distance: distance from the root to its goal, m, or over the ground from its start if there
+            is no goal.
+        goal: place of the light in the world, m, or NaN without a light.
         dof_names: name of each degree of freedom, ``body.axis``.
     """
 
@@ -104,14 +106,14 @@ def require_whole(recording: Recording, creature: Creature) -> None:
     if recording.position.shape[1] != len(creature.bodies):
         raise RecordingError(
             f"the recording has {recording.position.shape[1]} bodies, "
-            f"but {creature.name!r} has {len(creature.bodies)}; they do not belong together"
+            f"but {creature.name!r} has {len(creature.bodies)}"
         )
     finite = np.isfinite(recording.position).all((1, 2))
     finite &= np.isfinite(recording.rotation).all((1, 2, 3))
     if not finite.all():
         raise RecordingError(
             f"the recording diverges at {recording.time[finite.argmin()]:g} s: "
-            "positions or rotations are not finite from there on"
+            "from then on positions or rotations are not finite"
         )
 
 
@@ -208,6 +210,6 @@ def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
 
 
 def _nerve_frames(nerves: PyTree[Array]) -> dict[str, Array]:
-    """Return the state of a controller, by the names of its fields."""
+    """Return the arrays in a controller's state, with names such as ``nerve.potential``."""
     leaves, _ = jax.tree_util.tree_flatten_with_path(nerves)
     return {NERVE + jax.tree_util.keystr(path).strip("."): values for path, values in leaves}

@@ -41,10 +41,10 @@ def rollout(
         simulation: the trial, or one trial for each individual. These have one axis, the last of
             every result.
         genes: one genome per individual, on the trailing axes.
-        keys: a raw random key for each trial's noise; None for no noise.
-        trial: number of the situation in each lane; None for the first in all lanes.
+        keys: a raw random key for each trial's noise, or None for no noise.
+        trial: number of the situation in each lane, or None for the first in all lanes.
         observers: one observer, or a tuple or dict of several.
-        backward: how to differentiate the trial, if needed; not for observers of every step.
+        backward: settings of differentiation, if needed. Not for observers of every step.
         begin: function that changes the initial state of the trial.
 
     Returns:
@@ -84,7 +84,7 @@ def _run(
     backward: Backward | None,
     begin: Callable[[State], State] | None,
 ) -> Any:
-    """Run one trial; its control steps are separate programs, or parts of one."""
+    """Run one trial. Its control steps are separate programs, or parts of one."""
     physics = any(one.physics for one in jax.tree.leaves(observers))
     constants, animal = begin_episode(simulation, genes, keys, trial)
     if begin is not None:

@@ -18,14 +18,14 @@ from evo_cpg.spatial.numerics import Number
 
 
 class Rules(eqx.Module):
-    """Limits on the motion of an animal; None for no limit.
+    """Limits on the motion of an animal. None is no limit.
 
     Attributes:
         speed: largest speed of the root, m/s.
         power: largest power of all motors together, mean over a control step, W.
         penetration: largest depth in the ground, m.
         overlap: largest overlap of two bodies, m.
-        pairs: pairs of bodies that are checked for overlap; None if no bodies can touch.
+        pairs: pairs of bodies that are checked for overlap, or None if no bodies can touch.
     """
 
     speed: Number | None = None
@@ -42,7 +42,7 @@ def keeps(
 
     Args:
         rules: the rules.
-        world: the animals and their surroundings.
+        world: the animals and their environment.
         state: state at the end of the control step.
         energy: energy spent by all motors in the step, J.
         duration: duration of a control step, s.

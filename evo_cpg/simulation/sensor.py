@@ -1,4 +1,4 @@
-"""Interface of sensors beside eyes, pressure sensors and depth gauges.
+"""Interface of further sensors, in addition to eyes, pressure sensors and depth gauges.
 
 A kind of sensor is a class. The config names it in ``creature.sensors``, as a built-in kind or as
 ``my_module:MySensor``. Its readings go into `Observation.custom`.
@@ -44,5 +44,5 @@ class Sensor(eqx.Module):
 
         Args:
             snapshot: the animal at this instant.
-            forces: forces of motors and ground in the last control step; zero at the start.
+            forces: forces of motors and ground in the last control step, zero at the start.
         """

@@ -83,9 +83,10 @@ def pressure_readings(
 
     Args:
         sensors: places of the sensors.
-        world: the animal's surroundings.
+        world: the animal and its environment.
         kin: present pose of the animal.
-        force: force of the ground on every contact point, contact frame, N; None without ground.
+        force: force of the ground on every contact point, contact frame, N, or None without
+            ground.
     """
     bodies = np.array(sensors.pressure_bodies, int)
     if force is None or world.contact_model is None or not len(bodies):
@@ -103,8 +104,8 @@ def pressure_readings(
 def depth_readings(sensors: Sensors, world: World, kin: Kinematics) -> Float[Array, "k *n"]:
     """Return the depth readings: 0 at the surface and above, 1 from full scale down.
 
-    This is the hydrostatic pressure relative to that at full scale. The readings are 0 on land, and
-    in water without a surface.
+    This is the hydrostatic pressure relative to the pressure at full scale. The readings are 0 on
+    land, and in water without a surface.
     """
     bodies = np.array(sensors.depth_bodies, int)
     if not len(bodies) or world.water is None or world.water.surface is None:
@@ -119,7 +120,7 @@ def _depth(
     bodies: np.ndarray,
     places: np.ndarray | Array | MixedArray,
 ) -> Float[Array, "k *n"]:
-    """Return the depth of points of bodies below the water's surface, m; negative above it."""
+    """Return the depth of points of bodies below the water's surface, m, negative above it."""
     own = take(kin.origin[2], bodies, 0)
     lever = take(kin.rotation[2], bodies) * expand_dims_like(places, own, own.ndim + 1)
     return jnp.asarray(surface - own - lever.sum(0))
@@ -130,8 +131,8 @@ def light_strength(
 ) -> Float[Array, "eyes *n"]:
     """Return the light seen, ``cos(pi theta / R)`` within half the field of view R, else 0 (eq. 1).
 
-    Differs from the printed condition ``theta <= R``, under which the value would reach -1 while
-    Table 2 says it lies in [0, 1].
+    Differs from the printed condition ``theta <= R``, which gives values down to -1, although Table
+    2 requires [0, 1].
     """
     angle = jnp.arccos(jnp.clip(angle_cosine, -1 + 1e-7, 1 - 1e-7))
     return jnp.maximum(jnp.cos(jnp.pi * jnp.minimum(angle / field_of_view, 0.5)), 0.0)
@@ -145,7 +146,7 @@ def light_readings(
     Args:
         sensors: places of the eyes.
         kin: present pose of the animal.
-        light: place of the light, m; None without a light, which then no eye sees.
+        light: place of the light, m. No eye sees light if it is None.
     """
     bodies = list(sensors.eye_bodies)
     if not bodies:

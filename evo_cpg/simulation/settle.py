@@ -53,7 +53,8 @@ _HALVINGS, _CHORDS = 60, 100
 # Largest number of solves. A new solve is needed if a foot begins or ceases to slide.
 _ROUNDS = 20
 
-# Largest step of the root over ground and without, in radii of gyration; of angles, rad.
+# Largest step of the root over ground and without ground, in radii of gyration. Largest step of
+# angles, rad.
 _FARTHEST_ON_GROUND, _FARTHEST, _LARGEST_TURN = 0.1, 10.0, 0.2
 
 # Forces in units of the weight at which the descent ends, and which the solution may leave.
@@ -71,12 +72,12 @@ _STAY = 10.0
 # Displacement from a saddle, rad.
 _KICK = 0.02
 
-# Largest tilt of the root, rad. Beyond it, an animal has fallen over.
+# Largest tilt of the root, rad. An animal has fallen over at larger tilts.
 _LARGEST_TILT = np.deg2rad(60.0)
 
 
 class NoRestError(ValueError):
-    """Raised if the creature does not come to rest."""
+    """Raised if the creature has no valid pose of rest."""
 
 
 class Rest(NamedTuple):
@@ -121,7 +122,7 @@ class _Here(NamedTuple):
         force: force on the free coordinates, in units of the weight.
         total: force on all coordinates, N and N m.
         touch: contact with the ground.
-        stiffness: negative derivative of ``force``, symmetric.
+        stiffness: symmetric part of the negative derivative of ``force``.
     """
 
     force: np.ndarray
@@ -131,14 +132,14 @@ class _Here(NamedTuple):
 
 
 class Settling:
-    """Solver for the rest of one creature in one world; its programs serve all starts.
+    """Solver for the rest of one creature in one world. Its programs serve all starts.
 
     Args:
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         h: step of the simulation, s.
 
     Raises:
-        NoRestError: nothing can carry the creature, wherever it starts.
+        NoRestError: nothing can carry the creature at any start.
     """
 
     def __init__(self, world: World, h: float):
@@ -150,7 +151,7 @@ class Settling:
             np.concatenate([np.ones(root.ROOT_DOFS, bool), _is_compliant(tree)])
         )
         self.size = radius_of_gyration(tree)
-        # Without gravity only springs act, which are at rest already.
+        # Only springs act without gravity, and they are at rest already.
         self.weight = float(tree.mass.sum() * abs(world.gravity)) or 1.0
         self.scale = np.where(self.free < root.LENGTHS, self.size, 1.0)
         self.stay = np.where(np.isin(self.free, root.SYMMETRIES), _STAY, 0.0)
@@ -165,13 +166,13 @@ class Settling:
     def settle(self, situation: Situation) -> "_Settled":
         """Return the pose in which the creature rests.
 
-        Place and heading stay as they are, unless the creature gives way on uneven ground.
+        Place and heading do not change, unless the creature moves on uneven ground.
 
         Args:
             situation: initial pose of the creature.
 
         Raises:
-            NoRestError: the creature does not come to rest, or falls over.
+            NoRestError: the creature finds no rest, or falls over.
         """
         with jax.enable_x64(True):
             start = resting_state(
@@ -188,13 +189,13 @@ class Settling:
             )
 
     def rest(self, start: State) -> Rest:
-        """Return the rest of the creature after a slow release; call with float64 enabled.
+        """Return the rest of the creature after a slow release. Call with float64 enabled.
 
         Args:
             start: the initial pose.
 
         Raises:
-            NoRestError: the creature does not come to rest, or falls over.
+            NoRestError: the creature finds no rest, or falls over.
         """
         state, friction = start, self._first_friction(start)
         for _ in range(_SADDLES):
@@ -206,7 +207,7 @@ class Settling:
             direction = modes[:, 0] * np.sign(modes[np.abs(modes[:, 0]).argmax(), 0])
             state, friction = self._move(_KICK * direction, state, friction)
         else:
-            raise NoRestError(f"it is balanced {_SADDLES} times, but never in a stable pose")
+            raise NoRestError(f"all {_SADDLES} poses of balance were unstable")
         self._require_hold(here.total)
         stiff = np.abs(values) > _SOFTEST
         give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
@@ -215,7 +216,7 @@ class Settling:
         tilt = _tilt(start, state)
         if tilt > _LARGEST_TILT:
             raise NoRestError(
-                f"it falls over: it would come to rest turned by {np.rad2deg(tilt):.0f} degrees"
+                f"it falls over (it would rest at a tilt of {np.rad2deg(tilt):.0f} degrees)"
             )
         return Rest(state, np.asarray(here.touch.normal_force), values, friction, give)
 
@@ -247,7 +248,7 @@ class Settling:
             here = self._at(np.zeros(len(self.free)), state, friction)
             if np.abs(here.force).max() < _EXACT:
                 return state, friction
-        raise NoRestError("its feet keep sliding: the forces do not come to balance")
+        raise NoRestError("its feet keep sliding, so the forces never balance")
 
     def _descend(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
         """Go downhill until the forces are small."""
@@ -267,7 +268,7 @@ class Settling:
             y = y / max(1.0, far.max())
             y = y * self._step_length(y, here, state, friction)
             state, friction = self._move(y, state, friction)
-        raise NoRestError(f"it slides, rolls or drifts away: no rest within {_STEPS} steps")
+        raise NoRestError(f"it slides, rolls or drifts away (no rest within {_STEPS} steps)")
 
     def _step_length(
         self, y: np.ndarray, here: _Here, state: State, friction: FrictionState
@@ -299,7 +300,7 @@ class Settling:
         torque = np.abs(total[root.JOINTS])
         for i in np.flatnonzero(~_is_compliant(tree) & (torque > tree.torque_limit)):
             raise NoRestError(
-                f"the motor of {tree.dof_names[i]} would have to hold {torque[i]:.3g} N m, and its "
+                f"the motor of {tree.dof_names[i]} would have to hold {torque[i]:.3g} N m, but its "
                 f"torque_limit is {tree.torque_limit[i]:.3g} N m"
             )
 
@@ -362,12 +363,12 @@ def settled(
 
     Args:
         settling: solver that finds the pose, from known numbers.
-        world: the creature and its surroundings.
+        world: the creature and its environment.
         h: step of the simulation, s.
         situation: initial pose of the creature.
 
     Raises:
-        NoRestError: the creature does not come to rest, or falls over.
+        NoRestError: the creature finds no rest, or falls over.
     """
     found = searched(lambda: settling().settle(situation), lambda _: _is_known(world, situation))
     alike_everywhere = chosen(lambda: _is_alike_everywhere(world))
@@ -422,16 +423,16 @@ def _require_support(world: World) -> None:
         return
     if water is None:
         if world.contact_model is None:
-            raise NoRestError("it falls: there is neither ground nor water to carry it")
+            raise NoRestError("it falls, because there is neither ground nor water to carry it")
         return
     own, displaced = float(tree.mass.sum()), water.density * float(tree.volume.sum())
     if abs(own - displaced) < _EXACT * own:
         return
-    weights = f"its mass is {own:.6g} kg, and it displaces {displaced:.6g} kg of water at most"
+    weights = f"its mass is {own:.6g} kg, and it displaces at most {displaced:.6g} kg of water"
     if own > displaced and world.contact_model is None:
-        raise NoRestError(f"it sinks: {weights}, with no ground below")
+        raise NoRestError(f"it sinks, because there is no ground ({weights})")
     if own < displaced and water.surface is None:
-        raise NoRestError(f"it rises for ever: {weights}, which has no surface")
+        raise NoRestError(f"it rises, because the water has no surface ({weights})")
 
 
 def _is_alike_everywhere(world: World) -> bool:

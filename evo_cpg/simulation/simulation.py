@@ -20,7 +20,7 @@ class Simulation(eqx.Module):
     """Everything that a trial needs except the genes.
 
     Attributes:
-        world: the creature in its surroundings.
+        world: the creature and its environment.
         sensors: places of the creature's sensors.
         controller: nervous system of the creature.
         task: task that the trial is scored by.
@@ -30,9 +30,9 @@ class Simulation(eqx.Module):
         noise: sizes of the noise.
         situations: initial situation of each trial of an individual, or one for all trials.
         engine: engine that computes the trial.
-        rules: rules that disqualify an animal; None for no rules.
+        rules: rules that disqualify an animal, or None for no rules.
         extra_sensors: sensors in the creature's `sensors`, which return `Observation.custom`.
-        measures: measures of gait, beside the task's terms.
+        measures: measures of gait, in addition to the task's terms.
     """
 
     world: World
@@ -66,5 +66,5 @@ class Simulation(eqx.Module):
 
     @property
     def lights(self) -> tuple[Triple | None, ...]:
-        """Place of the light in each situation, m; None for tasks in the dark."""
+        """Place of the light in each situation, m, or None for tasks in the dark."""
         return tuple(situation.light or self.task.light for situation in self.situations)

@@ -24,10 +24,10 @@ class Situation(NamedTuple):
     Attributes:
         start_position: initial position of the root's centre, m.
         start_heading: initial turn about z, rad.
-        light: place of the light, m; None for the task's.
-        start_orientation: initial orientation of the root, unit quaternion (w, x, y, z); None for
-            upright.
-        start_angles: initial joint angles, rad; None for the neutral pose.
+        light: place of the light, m, or None for the task's light.
+        start_orientation: initial orientation of the root, unit quaternion (w, x, y, z), or None
+            for a turn about z by ``start_heading``.
+        start_angles: initial joint angles, rad, or None for the neutral pose.
     """
 
     start_position: Triple = (0.0, 0.0, 0.0)
@@ -38,7 +38,7 @@ class Situation(NamedTuple):
 
     @property
     def orientation(self) -> tuple[Number, Number, Number, Number]:
-        """Initial orientation of the root (w, x, y, z); by default, a turn about z alone."""
+        """Initial orientation of the root (w, x, y, z), by default a turn about z."""
         if self.start_orientation is not None:
             return self.start_orientation
         half = self.start_heading / 2
@@ -57,7 +57,7 @@ def starting_state(
 
     Args:
         situations: situations of the trials.
-        trial: number of each lane's trial; None for the first in all lanes.
+        trial: number of each lane's trial, or None for the first in all lanes.
         tree: the creature.
         batch: trailing axes.
         dtype: floating-point type of every array.
@@ -104,11 +104,11 @@ def starting_pose(
 def light_places(
     lights: tuple[Triple | None, ...], trial: Int[Array, " *n"] | None, dtype: jnp.dtype
 ) -> Float[np.ndarray, "3"] | Float[Array, "3 *#n"] | None:
-    """Return the place of the light in each lane, m; a constant if it is equal in all.
+    """Return the place of the light in each lane, m. It is a constant if equal in all lanes.
 
     Args:
-        lights: place of the light in each trial; None in the dark. Either all or none are None.
-        trial: number of each lane's trial; None for the first in all lanes.
+        lights: place of the light in each trial. In the dark all are None.
+        trial: number of each lane's trial, or None for the first in all lanes.
         dtype: floating-point type.
     """
     if lights[0] is None:

@@ -26,10 +26,10 @@ class Forces(NamedTuple):
 
     Attributes:
         torque: torque of the motors, N m.
-        contact_force: force of the ground on every contact point, world axes, N; no points without
-            ground.
+        contact_force: force of the ground on every contact point, world axes, N. There are no
+            points without ground.
         pair_force: force between touching limbs, at every point of the pairs in ``world.pairs``
-            (`Pairs.owners`), N; no points if no limbs can touch.
+            (`Pairs.owners`), N. There are no points if no limbs can touch.
     """
 
     torque: Float[Array, "d *n"]
@@ -42,11 +42,11 @@ class Snapshot:
     """Pose and velocities of the animal in its world.
 
     Attributes:
-        world: model of the animal and its surroundings: ``world.tree.mass`` (kg),
+        world: model of the animal and its environment: ``world.tree.mass`` (kg),
             ``world.gravity`` (m/s^2), ``world.water``, ``world.ground``.
         control_step: length of a control step, s.
         state: pose and velocity of the root, joint angles and rates.
-        light_position: place of the light in this trial, m; None for a task in the dark.
+        light_position: place of the light in this trial, m, or None for a task in the dark.
     """
 
     world: World
@@ -112,7 +112,7 @@ class Snapshot:
 
     @property
     def clearance(self) -> Float[Array, "p *n"]:
-        """Heights of the contact points above the ground, m; negative where they penetrate."""
+        """Heights of the contact points above the ground, m, negative where they penetrate."""
         return self._lowest[1]
 
     def body(self, name: str) -> int:
@@ -161,5 +161,5 @@ class Snapshot:
 
 def _index(names: tuple[str, ...], name: str, kind: str) -> int:
     if name not in names:
-        raise ValueError(f"there is no {kind} {name!r}; there are {', '.join(names)}")
+        raise ValueError(f"there is no {kind} {name!r}. Allowed: {', '.join(names)}")
     return names.index(name)

@@ -32,7 +32,7 @@ class Transition(NamedTuple):
         command: command of the controller to the motors.
         forces: forces of motors and ground, means over the step.
         energy: energy spent by all motors, J.
-        airborne: fraction of the step in which nothing touches the ground; 1 without ground.
+        airborne: fraction of the step in which nothing touches the ground, 1 without ground.
     """
 
     step: Array
@@ -52,8 +52,8 @@ class Task(eqx.Module):
     is built with the keyword arguments in the config's ``task.options``.
 
     Attributes:
-        light: place of the point light, m, for situations without their own; None for a task in
-            the dark. `Snapshot.light_position` is the place in the trial.
+        light: place of the point light, m, for situations without their own, or None for a task
+            in the dark. `Snapshot.light_position` is the place in the trial.
         heading: ``forward`` if only displacement along the world's x counts, else ``any``.
 
     Example:
@@ -92,7 +92,7 @@ class Task(eqx.Module):
         """Return the terms of the finished trial, by name."""
 
     def scales(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Float[Array, ""]]:
-        """Return scales measured on the first generation, all finite; none unless overridden.
+        """Return scales measured on the first generation, all finite. Empty unless overridden.
 
         Terms of individuals that diverged are NaN.
         """
@@ -102,7 +102,7 @@ class Task(eqx.Module):
     def descriptors(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Array]:
         """Return the terms that describe behaviour rather than success, by name.
 
-        They serve searches for variety; none unless overridden.
+        They serve searches for variety. There are none unless overridden.
         """
         del terms
         return {}
@@ -120,7 +120,7 @@ class Task(eqx.Module):
     def beyond_scales(
         self, terms: Mapping[str, float], scales: Mapping[str, float]
     ) -> dict[str, float]:
-        """Return terms that exceed their scale; the excess does not affect the fitness.
+        """Return the excess of terms over their scale, which does not affect the fitness.
 
         Args:
             terms: terms of one individual.

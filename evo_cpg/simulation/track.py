@@ -16,7 +16,7 @@ from evo_cpg.spatial.rotation import quaternion_to_matrix
 # about its own axes. All others are joint angles (rad), by the names of their axes.
 POSITION, ATTITUDE = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
-# Changes to the initial state beside the configuration, by the first part of their names.
+# Changes to the configuration's initial state, by the first part of their names.
 BEGINNINGS = ("velocity", "spin", "angle", "rate")
 
 
@@ -90,7 +90,7 @@ def track(
 
     parts = [curve(states.position, states.velocity[:, 3:])]
     a, b = jnp.asarray(states.orientation)[first], states.orientation[first + 1]
-    # q and -q are one orientation; take the nearer.
+    # q and -q are one orientation. Take the nearer one.
     b = b * jnp.where((a * b).sum(1, keepdims=True) < 0, -1.0, 1.0)
     turn = (1 - fraction) * a + fraction * b
     turn = turn / jnp.sqrt((turn * turn).sum(1, keepdims=True))

@@ -60,7 +60,7 @@ class Gait(NamedTuple):
 
 
 class Distance(Task):
-    """Get as far as possible.
+    """Move a large distance.
 
     Attributes:
         light: none.
@@ -95,7 +95,7 @@ class Distance(Task):
 
 
 class Walk(Task):
-    """Get far with a level, steady torso and a foot on the ground.
+    """Move a large distance with a level, steady torso and a foot on the ground.
 
     Attributes:
         torso_length: l, m.

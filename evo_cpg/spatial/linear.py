@@ -20,9 +20,9 @@ from evo_cpg.spatial.numerics import is_traced, xp
 inlined = functools.partial(jax.jit, inline=True)
 """Decorator of a function of arrays alone: JAX traces it once for arguments of each shape and type.
 
-A program has the operations in its own text all the same, as if they had been written there, and so
-do derivatives; outside of programs the function is compiled as one. A step of the quadruped is
-traced in four fifths of the time.
+A traced program still holds the function's operations, as if they were written there. So do its
+derivatives. Outside traced programs the function is compiled as one program. Tracing a step of the
+quadruped takes four fifths of the time.
 """
 
 # Powers of two between which products of three numbers stay within float32.
@@ -187,4 +187,4 @@ def _inverse(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest"]:
         determinant = m00 * c00 + m01 * c01 + m02 * c02
         adjugate = jnp.stack([c00, c01, c02, c01, c11, c12, c02, c12, c22])
         return (adjugate * (1.0 / determinant)[None]).reshape(m.shape)
-    raise ValueError(f"closed-form inverse is for sizes 1 to 3, got {size}")
+    raise ValueError(f"closed-form inverse needs a matrix of size 1 to 3, got {size}")

@@ -36,7 +36,7 @@ def _whole(value: Any) -> Any:
 
 
 class _Namespace:
-    """NumPy module with JAX functions of equal names for traced arguments."""
+    """NumPy module that calls the JAX functions of the same names for traced arguments."""
 
     def __init__(self, known: Any, traced: Any):
         self._known, self._traced = known, traced

@@ -82,7 +82,7 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     for name, row in ((name, row) for name, found in rows.items() for row in found):
         measured, goes = row["measured"], {one["program"]: one["way"] for one in _others(row)}
         lines.append(
-            {"": name, "seed": str(row["seed"]), "way, m": _number(measured.get("way"))}
+            {"": name, "seed": str(row["seed"]), "displacement, m": _number(measured.get("way"))}
             | {_KEPT[key]: _percent(measured.get(key)) for key in keys}
             | {f"{program}: over ground, m": _number(goes.get(program)) for program in programs}
             | {"passes": "yes" if row["passed"] else "no: " + "; ".join(row["reasons"])}
@@ -97,7 +97,10 @@ def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     """
     lines = []
     for name, found in rows.items():
-        line = {"": name, "way, m": middle(_known(row["measured"].get("way") for row in found))}
+        line = {
+            "": name,
+            "displacement, m": middle(_known(row["measured"].get("way") for row in found)),
+        }
         for key, head in _KEPT.items():
             line[head] = _percents(row["measured"].get(key) for row in found)
         line["in MuJoCo"] = _percents(map(_second_opinion, found))
@@ -122,7 +125,7 @@ def _others(row: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _second_opinion(row: dict[str, Any]) -> float | None:
-    """Return the displacement in the last program, relative to our own; None without a program."""
+    """Return the displacement in the last other program, relative to ours, or None without one."""
     others = _others(row)
     return others[-1]["way"] / row["opinions"][0]["way"] if others else None
 

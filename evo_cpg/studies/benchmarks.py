@@ -29,7 +29,7 @@ def bench_suite() -> ModuleType:
     checkout = Path(evo_cpg.__file__).parents[1]
     if not (checkout / "benchmarks" / "suite.py").is_file():
         raise SuiteError(
-            f"the benchmark suite is part of a checkout of evo_cpg; there is none in {checkout}"
+            f"the benchmark suite is part of a checkout of evo_cpg, but {checkout} is no checkout"
         )
     if str(checkout) not in sys.path:
         sys.path.insert(0, str(checkout))
@@ -37,7 +37,7 @@ def bench_suite() -> ModuleType:
         return importlib.import_module("benchmarks.suite")
     except ModuleNotFoundError as error:
         raise SuiteError(
-            f"the benchmark suite needs {error.name}, which `{command_for('test')}` installs"
+            f"the benchmark suite needs {error.name}. Install it: `{command_for('test')}`"
         ) from None
 
 
@@ -52,25 +52,25 @@ def measure(workshop: Workshop, case: str) -> list[Table]:
 
 
 _TITLES = {
-    "swimmer": "a chain of ten boxes in water, beside MuJoCo, MJX and Brax",
-    "salamander-water": "sixteen ellipsoids and capsules in water, beside MuJoCo",
-    "salamander-land": "the same on hills, beside MuJoCo",
-    "quadruped": "nine boxes on flat ground, beside MuJoCo, MJX and Brax",
-    "cpg": "the swimmer's oscillators alone",
-    "brain": "the swimmer's network alone",
-    "ga": "a step of the genetic algorithm, beside evosax",
-    "generation": "a whole generation of the swimmer",
-    "gradient": "fitness and its gradient, beside fitness alone",
-    "bodies": "a body of its own for everybody, beside one for all",
+    "swimmer": "chain of ten boxes in water, compared with MuJoCo, MJX and Brax",
+    "salamander-water": "sixteen ellipsoids and capsules in water, compared with MuJoCo",
+    "salamander-land": "sixteen ellipsoids and capsules on hills, compared with MuJoCo",
+    "quadruped": "nine boxes on flat ground, compared with MuJoCo, MJX and Brax",
+    "cpg": "oscillators of the swimmer",
+    "brain": "neural network of the swimmer",
+    "ga": "step of the genetic algorithm, compared with evosax",
+    "generation": "whole generation of the swimmer",
+    "gradient": "fitness and its gradient, compared with fitness alone",
+    "bodies": "individual bodies, compared with one body for all",
     "large-creatures": "walkers and chains of up to 60 bodies: compile time, memory, run time",
-    "engines": "every shipped configuration on native code, beside plain JAX",
-    "scaling": "all cores, beside one and beside processes",
-    "startup": "from the prompt to the end of generation 0",
+    "engines": "native code for every shipped configuration, compared with plain JAX",
+    "scaling": "all cores, compared with one core and with processes",
+    "startup": "time from the prompt to the end of generation 0",
 }
 
 STUDY = Study(
     "benchmarks",
-    "How fast the program is",
+    "Speed of the program",
     {},
     {case: Part(title, (), partial(measure, case=case)) for case, title in _TITLES.items()},
 )

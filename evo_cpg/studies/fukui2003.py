@@ -1,7 +1,11 @@
 """Chapter 4 of Fukui 2003: distances of the three walkers, and the loss of lineages.
 
-Some choices that the thesis leaves open are varied, one at a time: the strength of the springs,
-sizes, the combination of restitutions, and whether a mutated gene is flipped.
+Under noise, all kept individuals may fall over by chance. A good lineage is then lost, and the best
+distance of the run falls.
+
+Choices that the thesis leaves open are varied, one at a time: the strength of the dashpots, the
+time for each posture, the length of the legs, the rule that combines two restitutions, and whether
+a mutated gene is flipped or redrawn.
 """
 
 from collections.abc import Sequence
@@ -21,8 +25,9 @@ from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 
 TORSO = 0.6  # m
-_LEGS = range(1, 9)  # bodies of Model 1 after its torso, where upper and lower boxes alternate
-# A fall of the best distance by this fraction of its highest so far is the loss of a lineage.
+# Bodies of Model 1 after its torso: upper and lower boxes alternate.
+_LEGS = range(1, 9)
+# A generation has fallen if its best distance is this fraction below the highest one before.
 COLLAPSE = 0.25
 HELD_ANGLE = 170.0  # degrees, one of the two allowed angles closest to straight down
 
@@ -107,7 +112,7 @@ def models(workshop: Workshop) -> list[Table]:
     ]  # fmt: skip
     head = ["", "best of each run, m (sorted)", "median, m", "torso lengths", "beats Model 2"]
     p = float(stats.kruskal(*best.values()).pvalue) if _differ(list(best.values())) else 1.0
-    rows.append(["all three alike (Kruskal-Wallis)", "", "", "", f"p = {p:.2g}"])
+    rows.append(["all three equal (Kruskal-Wallis)", "", "", "", f"p = {p:.2g}"])
     curves = {_title(model): _best(workshop, model) for model in MODELS}
     workshop.draw(generations_figure(curves, _LABEL, single_runs=True))
     return [Table("", head, rows)]
@@ -137,7 +142,7 @@ def single(workshop: Workshop) -> list[Table]:
         cells = f"{np.nanmax(own):.2f}", f"{own[-1, 0]:.2f}", f"{falls[0]}"
         rows.append([name, *cells, f"{100 * fraction:.0f} %", f"{100 * deepest:.0f} %"])
     head = ["", "best ever, m", "best of the last generation, m", "falls", "generations fallen",
-            "lowest, of the highest before"]  # fmt: skip
+            "lowest, relative to the highest before"]  # fmt: skip
     return [Table("", head, rows)]
 
 
@@ -157,8 +162,8 @@ def halving(workshop: Workshop) -> list[Table]:
         own, half, quarter, hair = (np.array(each, float) for each in gone)
         fractions = f"{100 * kept(own, half):.0f}", f"{100 * kept(own, hair):.0f}"
         rows.append([_title(model), *(middle(each) for each in (own, half, quarter)), *fractions])
-    head = ["", "goes at its step (1/240 s), m", "at half of it, m", "at a quarter, m",
-            "kept at half (median), %", "kept after a hair, %"]  # fmt: skip
+    head = ["", "at its own step (1/240 s), m", "at half the step, m", "at a quarter, m",
+            "kept at half (median), %", "kept with turned joints, %"]  # fmt: skip
     return [Table("", head, rows)]
 
 
@@ -177,14 +182,14 @@ def random(workshop: Workshop) -> list[Table]:
         middling = float(np.nanmedian(workshop.column(name, "median")))
         cells = middle(own), middle(drawn), words, f"{middling:.2f}", f"{held[model]:.2f}"
         rows.append([_title(model), *cells])
-    head = ["", "evolved, m", "random search, as many evaluations, m",
+    head = ["", "evolved, m", "random search with equal evaluations, m",
             "evolution beats random search", "median random agent, m",
-            "one posture held (170 degrees), m"]  # fmt: skip
+            "fixed posture (170 degrees), m"]  # fmt: skip
     return [Table("", head, rows)]
 
 
 def walk(workshop: Workshop) -> list[Table]:
-    """Compare models evolved for distance with models evolved for posture, too (section 4.3)."""
+    """Compare models evolved for distance with models evolved also for posture (section 4.3)."""
     from evo_cpg.view.search_plots import champions_figure
 
     rows, dots = [], {}
@@ -204,7 +209,7 @@ def walk(workshop: Workshop) -> list[Table]:
         "",
         "distance, m (sorted)",
         "tilt (0 upright, 1 on its side, 2 on its back), sorted",
-        "score to walk",
+        "walk score",
     ]
     return [Table("", head, rows)]
 
@@ -267,7 +272,7 @@ def _falls(best: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = None) -> Table:
-    """Return a table of the best distances ever, of those held at the end, and of the falls."""
+    """Return a table of the best distances ever, the best distances at the end, and the falls."""
     best = {name: _best(workshop, name) for name in names}
     ever = {name: np.nanmax(own, 0).tolist() for name, own in best.items()}
     last = {name: own[-max(len(own) // 10, 1) :] for name, own in best.items()}
@@ -287,7 +292,7 @@ def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = Non
                 *(test[name] for test in tests),
             ]
         )
-    against = f"best ever beats {names[first]}", "last tenth beats it"
+    against = f"best ever: beats {names[first]}", "last tenth: beats it"
     head = ["", "best ever, m", "best of a generation, last tenth, m", "falls per run, median",
             "generations fallen", *against]  # fmt: skip
     return Table("", head, rows)
@@ -328,16 +333,19 @@ STUDY = Study(
     "Fukui 2003: the walkers",
     RUNS,
     {
-        "models": Part("which of the three models goes farthest", MODELS, models),
+        "models": Part("distances of the three models", MODELS, models),
         "long": Part("Model 1 for 2000 generations (Fig. 4-2)", ("long", "long_noise"), long),
         "single": Part("two single runs of Model 1 (Fig. 4-5, 4-6)", ("single",), single),
-        "halving": Part("the champions at smaller steps", MODELS, halving),
+        "halving": Part("champions at smaller time steps", MODELS, halving),
         "robust": audit_part(
-            "evolved with noise, audited", {f"Model {n}": f"robust{n}" for n in (1, 2, 3)},
+            "audit of champions evolved with noise",
+            {f"Model {n}": f"robust{n}" for n in (1, 2, 3)},
             medians=True,
         ),
-        "random": Part("beside random search", (*MODELS, "random1", "random2", "random3"), random),
-        "walk": Part("scored for posture too", (*MODELS, "walk1", "walk2", "walk3"), walk),
+        "random": Part(
+            "comparison with random search", (*MODELS, "random1", "random2", "random3"), random
+        ),
+        "walk": Part("fitness that includes posture", (*MODELS, "walk1", "walk2", "walk3"), walk),
         "noise": Part("noise and the loss of lineages", tuple(_NOISES), noise),
         "pictures": pictures_part(
             "moments of the best champions",
@@ -350,13 +358,13 @@ STUDY = Study(
              "springs_double": "twice all three"},
         ),
         "period": _choice(
-            "0.3 against 1/3 s to a posture", {"model1": "1/3 s", "period": "0.3 s"}
+            "0.3 or 1/3 s for each posture", {"model1": "1/3 s", "period": "0.3 s"}
         ),
         "mutation": _choice(
-            "genes flipped against drawn anew", {"model1": "drawn anew", "flip": "flipped"}
+            "genes flipped or redrawn", {"model1": "redrawn", "flip": "flipped"}
         ),
         "restitution": _choice(
-            "how restitutions of animal and floor combine",
+            "combination of the restitutions of animal and floor",
             {"model1": "product", "restitution_average": "mean", "restitution_min": "smaller one"},
         ),
         "sizes": _choice(

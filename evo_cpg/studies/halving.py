@@ -1,8 +1,8 @@
 """Displacements of champions at smaller time steps.
 
 Champions are replayed at their own step, at half of it and at a quarter of it. Another replay at
-their own step first turns all joints by a hair (1e-6 rad). Its effect is the chaos of the animal.
-Only a larger effect of half the step is due to the step. The displacement is the horizontal
+their own step first turns all joints by 1e-6 rad. Its effect is the chaos of the animal. Only a
+larger effect of half the step is due to the step. The displacement is the horizontal
 distance of the root from start to end.
 """
 

@@ -24,7 +24,7 @@ STUDY = Study(
     RUNS,
     {
         "walk": Part("five champions", ("hexapod",), walk),
-        "audit": audit_part("the champions audited", {"hexapod": "hexapod"}, medians=True),
+        "audit": audit_part("audit of the champions", {"hexapod": "hexapod"}, medians=True),
         "pictures": pictures_part("moments of the best champion", {"hexapod": "hexapod"}),
     },
 )

@@ -27,7 +27,7 @@ RUNS = {
 
 
 def swim(workshop: Workshop) -> list[Table]:
-    """Compare champions with random search of as many evaluations, and with an undriven animal."""
+    """Compare champions with random search of equal evaluations, and with an undriven animal."""
     from evo_cpg.training.checkpoint import history_columns
     from evo_cpg.view.plots import fitness_figure, path_figure
 
@@ -71,7 +71,7 @@ def lags(workshop: Workshop) -> list[Table]:
 
 
 def drives(workshop: Workshop) -> list[Table]:
-    """Compare other readings of the quantities that the brain sets."""
+    """Compare other interpretations of the quantities that the brain sets."""
     rows = []
     for name in ("per_joint", "per_dof"):
         experiment = workshop.experiment(name)
@@ -97,17 +97,17 @@ def audit(workshop: Workshop) -> list[Table]:
     """Return tables of the audited champions, and of the load of their motors."""
     found = audited(workshop, "shared")
     columns = {
-        "largest torque, N m": "peak_torque",
-        "power, mean, W/kg": "mean_power",
-        "power, largest, W/kg": "power",
-        "fastest joint, rad/s": "peak_rate",
+        "peak torque, N m": "peak_torque",
+        "mean power, W/kg": "mean_power",
+        "peak power, W/kg": "power",
+        "highest joint rate, rad/s": "peak_rate",
     }
     rows = [
         {"seed": str(row["seed"])}
         | {head: f"{row['measured'][key] or 0:.3g}" for head, key in columns.items()}
         for row in found
     ]
-    return [audit_table("", {"swimmer": found}), tabled(rows, "What the motors are asked for:")]
+    return [audit_table("", {"swimmer": found}), tabled(rows, "Load of the motors:")]
 
 
 def _untrained(workshop: Workshop) -> dict[str, int]:
@@ -134,10 +134,12 @@ STUDY = Study(
     "Iwadate et al. 2010: the swimmer",
     RUNS,
     {
-        "swim": Part("five champions beside random search", ("shared", "random"), swim),
-        "lags": Part("the phase lag along the body (Fig. 3)", ("shared",), lags),
-        "drives": Part("other readings of what the brain sets", ("per_joint", "per_dof"), drives),
-        "audit": Part("the champions audited", ("shared",), audit),
+        "swim": Part("five champions, compared with random search", ("shared", "random"), swim),
+        "lags": Part("phase lag along the body (Fig. 3)", ("shared",), lags),
+        "drives": Part(
+            "other interpretations of the brain's outputs", ("per_joint", "per_dof"), drives
+        ),
+        "audit": Part("audit of the champions", ("shared",), audit),
         "pictures": pictures_part("moments of the best champion", {"swimmer": "shared"}),
     },
 )

@@ -79,7 +79,7 @@ def still(workshop: "Workshop", name: str) -> dict[str, str]:
     terms = {key: x.mean() for key, x in evaluate(simulation, silent).items()}
     scales = {key: jnp.asarray(x) for key, x in workshop.champions(name)[0].scales.items()}
     fitness = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)
-    return {"": "brain gives no drive", "fitness": f"{float(fitness):.3f}", **_terms(terms)}
+    return {"": "no drive from the brain", "fitness": f"{float(fitness):.3f}", **_terms(terms)}
 
 
 def evaluate(simulation: Simulation, genes: np.ndarray) -> dict[str, np.ndarray]:

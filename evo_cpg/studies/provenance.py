@@ -1,4 +1,4 @@
-"""Provenance of a study's tables and pictures, in `provenance.json` beside them."""
+"""Provenance of a study's tables and pictures, in `provenance.json` of their folder."""
 
 import hashlib
 import json
@@ -50,7 +50,7 @@ def problems(folder: Path) -> list[str]:
                 found.append(f"{folder / file} was changed after part {name} was made")
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if path.suffix in (".md", ".png") and path.name not in known:
-            found.append(f"{path} is of no part in {FILE}")
+            found.append(f"{path} belongs to no part in {FILE}")
     return found
 
 
@@ -68,5 +68,5 @@ def caption(study: str, part: str, record: Mapping[str, Any]) -> str:
     cores = "1 core" if record["devices"] == 1 else f"{record['devices']} cores"
     words += f" on {record['date'][:10]}, {record['processor']}, {cores}.*"
     if record["quick"]:
-        words = f"**Quick: scaled down, a test of the program and no result.** {words}"
+        words = f"**Quick: a small test of the program, not a result.** {words}"
     return words

@@ -36,9 +36,13 @@ RUNS = {
 
 
 def water(workshop: Workshop) -> list[Table]:
-    """Compare champions in water with random search, and with champions of land put into water."""
+    """Compare champions in water with random search, and with champions evolved on land."""
     left = 100 * np.array(_evaluated_in(workshop, "water", "land")["distance"])
-    guests = {"": "champions of land", "seed": "all", "distance left": f"{middle(left, 1)} %"}
+    guests = {
+        "": "champions evolved on land",
+        "seed": "all",
+        "distance left": f"{middle(left, 1)} %",
+    }
     return [light_table(workshop, "water", "water_random", still(workshop, "water"), guests)]
 
 
@@ -56,10 +60,10 @@ _AUDITED = {
 
 
 def shore(workshop: Workshop) -> list[Table]:
-    """Compare champions of the shore, in each situation, with champions of land put there."""
+    """Compare champions of the shore with champions evolved on land, in each situation."""
     left = 100 * np.array(_evaluated_in(workshop, "shore", "land")["distance"])
     cells = [f"{middle(column, 1)} %" for column in left.T]
-    guests = {"": "champions of land"} | dict(zip(_LEFT, cells, strict=True))
+    guests = {"": "champions evolved on land"} | dict(zip(_LEFT, cells, strict=True))
     return [tabled([*_crossings(workshop, "shore"), guests])]
 
 
@@ -71,7 +75,7 @@ def shore_random(workshop: Workshop) -> list[Table]:
     }
     words = beside(fitness, "shore_random")["shore"]
     rows = _crossings(workshop, "shore_random")
-    return [tabled([*rows, {"": "evolution beats it", "fitness": words}])]
+    return [tabled([*rows, {"": "evolution beats random search", "fitness": words}])]
 
 
 _LEFT = [
@@ -95,7 +99,7 @@ def _crossings(workshop: Workshop, name: str) -> list[dict[str, str]]:
         )
     both = (np.array(found["distance"])[:, :2] <= _REACHED).all(1)
     both &= _angle(np.max(found["tilt"], 1)) < _BELLY_DOWN
-    words = f"both ways (20 % left) under {_BELLY_DOWN} degrees"
+    words = f"into the water and back (20 % left), tilt below {_BELLY_DOWN} degrees"
     return [*rows, {"": words, "fitness": f"{both.sum()} of {both.size}"}]
 
 
@@ -165,18 +169,18 @@ def _evaluated_in(workshop: Workshop, world: str, name: str) -> dict[str, list[l
 
 STUDY = Study(
     "salamander",
-    "Salamander: water, land, and the shore between",
+    "The salamander in water, on land and at the shore",
     RUNS,
     {
         "water": Part("in water", ("water", "water_random", "land"), water),
         "land": Part("on land", ("land", "land_random"), land),
-        "audit": audit_part("champions on land, audited", {"on land": "land"}),
+        "audit": audit_part("audit of the champions on land", {"on land": "land"}),
         "shore": Part("across the shore", ("shore", "land"), shore),
         "shore_random": Part("random search at the shore", ("shore", "shore_random"), shore_random),
         "boulders": Part("among boulders", ("boulders",), boulders),
         "eyes": Part("a swimmer with two eyes", ("eyes",), eyes),
         **{
-            f"audit_{name}": audit_part(f"{title}, audited", {title: name})
+            f"audit_{name}": audit_part(f"audit: {title}", {title: name})
             for title, name in _AUDITED.items()
         },
         "pictures": pictures_part(

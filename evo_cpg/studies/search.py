@@ -15,7 +15,7 @@ from evo_cpg.studies.workshop import Workshop
 _FOLDER = Path(__file__).parent / "searches"
 _GENETIC, _RANDOM = "genetic algorithm", "random search"
 
-# Configuration and number of runs, by the file of settings.
+# Files of search settings in `_FOLDER`, each with its configuration and number of runs.
 _FILES = {
     "swimmer": ("iwadate2010_swimmer", 8),
     "walker": ("fukui2003_model1", 8),
@@ -55,7 +55,7 @@ def searches(workshop: Workshop, part: str) -> list[Table]:
         words = [against[first][own] for first in (_GENETIC, _RANDOM)]
         rows.append([own, f"{tried[-1]:,}", middle(fitness[own], 3), middle(left, 3), *words])
     workshop.draw(sweep_figure(curves, f"{part}: {len(names)} searches"))
-    head = ["search", "evaluations", "fitness, median (range)", "distance (of 1 left, or m)",
+    head = ["search", "evaluations", "fitness, median (range)", "distance (fraction left, or m)",
             f"beats {_GENETIC}", f"beats {_RANDOM}"]  # fmt: skip
     return [Table("", head, rows)]
 
@@ -97,7 +97,7 @@ def _part(part: str, title: str) -> Part:
 
 STUDY = Study(
     "search",
-    "Searches beside each other",
+    "Comparison of searches",
     RUNS,
     {
         "swimmer": _part("swimmer", "eight searches for the swimmer"),

@@ -60,7 +60,7 @@ STUDY = Study(
     RUNS,
     {
         "lags": Part("lags around the ring of arms", tuple(RUNS), lags),
-        "audit": audit_part("the champions audited", {f"`{name}`": name for name in RUNS}),
+        "audit": audit_part("audit of the champions", {f"`{name}`": name for name in RUNS}),
         "pictures": pictures_part(
             "moments of the champions", {"in water": "starfish", "on land": "starfish_land"}
         ),

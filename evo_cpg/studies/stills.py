@@ -48,7 +48,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
     for title, name in shown.items():
         experiment, champion = workshop.experiment(name), workshop.checkpoint(name).champion
         if champion is None:
-            rows.append({"": title, "seed": "nobody lives"})
+            rows.append({"": title, "seed": "no champion"})
             continue
         _, _, recording = compile_replay(experiment, workshop.devices)(champion)
         panels.append(panel_of(experiment, recording, title))
@@ -59,7 +59,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
                 "seed": str(experiment.seed + champion.run),
                 "generation": str(champion.generation),
                 "fitness": f"{champion.worth:.3f}",
-                "way": _distance(recording),
+                "distance": _distance(recording),
                 "moments, s": ", ".join(f"{t - recording.time[0]:.1f}" for t in instants),
             }
         )
@@ -70,7 +70,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
 
 
 def _distance(recording: Recording) -> str:
-    """Return the distance as text: initial and final distance to the light, or distance gone."""
+    """Return text: initial and final distance to the light or, without a light, the distance."""
     first, last = recording.distance[[0, -1]]
     if np.isfinite(recording.goal).all():
         return f"{first:.2f} to {last:.2f} m to the light"

@@ -49,7 +49,7 @@ class Part(NamedTuple):
     """Part of a study that can be made separately.
 
     Attributes:
-        title: subject of the part, for a list.
+        title: subject of the part, in the list of parts.
         runs: names of the study's runs that the part uses, if any.
         report: function that returns the tables, and draws pictures to `Workshop.picture`.
     """
@@ -60,13 +60,13 @@ class Part(NamedTuple):
 
 
 class Study(NamedTuple):
-    """Study of runs.
+    """Study: its runs, and the parts that report them.
 
     Attributes:
         name: name on the command line.
-        title: title for a list.
-        runs: runs by name, which is also the name of their folder.
-        parts: parts by name.
+        title: title in the list of studies.
+        runs: runs by name. Their folder has the same name.
+        parts: parts, which can be made separately, by name.
     """
 
     name: str
@@ -96,7 +96,7 @@ def in_order(values: Sequence[float] | np.ndarray, digits: int = 2) -> str:
 
 
 def beside(values: Mapping[str, Sequence[float]], first: str) -> dict[str, str]:
-    """Return the fraction of pairs in which each setting beats the first, with its p value.
+    """Return the fraction of pairs in which each setting beats the first setting, with p values.
 
     The p values are from the two-sided Mann-Whitney test. Holm's correction covers all settings
     except the first.
@@ -106,7 +106,7 @@ def beside(values: Mapping[str, Sequence[float]], first: str) -> dict[str, str]:
         first: name of the setting that the other settings are compared with.
 
     Returns:
-        Text for each setting, which is empty for the first and if there is nothing to test.
+        Text for each setting. It is empty for the first setting, and if no test is possible.
     """
     found = {
         name: compare({name: own, first: values[first]})

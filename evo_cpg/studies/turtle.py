@@ -10,7 +10,7 @@ from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.probe import around
 
-# Largest fraction of the distance left at a reached light, and fraction for a diverged animal.
+# Largest fraction of the distance left at a reached light. Fraction for a diverged animal.
 _REACHED, _LOST = 0.2, 9.0
 _BEARINGS = np.deg2rad(np.linspace(-75, 75, 11))
 
@@ -48,8 +48,8 @@ def changes(workshop: Workshop) -> list[Table]:
         rows.append([title, worth, f"{middle(own, 1)} %", middle(reached, 0), f"{others} %"])
     against = beside({name: -left for name, left in mean_left.items()}, "turtle")
     lights = f"{len(_BEARINGS)} lights"
-    head = ["", "fitness", "distance left", f"of {lights} reached", f"left of the way to {lights}",
-            "comes nearer to them than the shipped one"]  # fmt: skip
+    head = ["", "fitness", "distance left", f"reached, of {lights}", f"distance left, {lights}",
+            "comes nearer than as shipped"]  # fmt: skip
     return [Table("", head, [[*row, against[name]] for row, name in zip(rows, RUNS, strict=True)])]
 
 
@@ -58,7 +58,7 @@ STUDY = Study(
     "The turtle",
     RUNS,
     {
-        "changes": Part("what made the difference", tuple(RUNS), changes),
-        "audit": audit_part("the champions audited", {"`turtle`": "turtle"}),
+        "changes": Part("effects of the lights and of the twist", tuple(RUNS), changes),
+        "audit": audit_part("audit of the champions", {"`turtle`": "turtle"}),
     },
 )

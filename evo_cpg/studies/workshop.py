@@ -40,7 +40,7 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class Workshop:
         if other:
             kind = "full" if self.quick else "quick"
             raise RunFolderError(
-                f"{self.folder} holds {kind} results ({other[0]}); choose another --out"
+                f"{self.folder} holds {kind} results of part {other[0]!r}. Choose another --out"
             )
         make_folder(self.folder / "runs")
 
@@ -135,7 +135,7 @@ class Workshop:
             )
         return self._members[name]
 
-    def experiment(self, name: str) -> Experiment:
+    def experiment(self, name: str) -> ExperimentParts:
         """Return the experiment of a run."""
         return self.member(name).experiment
 
@@ -293,13 +293,13 @@ def _require_same(member: Member) -> None:
         return
     if _what_evolves(load_config(folder.config)) != _what_evolves(member.config):
         raise RunFolderError(
-            f"{folder.path} was made with another configuration; choose another --out, or --fresh "
-            "to evolve it anew"
+            f"{folder.path} was made with another configuration. Choose another --out, or --fresh "
+            "to delete and repeat it"
         )
 
 
 def _what_evolves(config: ExperimentConfig) -> dict[str, Any]:
-    """Return the settings that affect evolution: of the audit, only limits that disqualify."""
+    """Return the settings that affect evolution. The audit has only limits that disqualify."""
     limits = config.audit.limits().of_length(length_of(config.creature.build()))
     rules = {name: float(getattr(limits, name)) for name in config.audit.disqualify}
     return config.model_dump(mode="json", exclude={"audit"}) | {"audit": rules}

@@ -1,7 +1,7 @@
 """Reading of .npz files that may be damaged or malicious.
 
-A file from elsewhere must neither run code nor fill all memory. So pickles are refused. An array
-that claims to be larger than its part of the file is refused, too.
+A file from elsewhere must neither run code nor fill all memory. So this module refuses pickles, and
+arrays that claim to be larger than their part of the file.
 """
 
 import math
@@ -24,7 +24,7 @@ DAMAGED = (
     struct.error,
     zipfile.BadZipFile,
 )
-"""Errors that reading a truncated or overwritten .npz file has been seen to raise."""
+"""Errors that were observed when truncated or overwritten .npz files were read."""
 
 # End of an archive without a comment: mark, disks, entries (here and in all), size and place of
 # the list, length of the comment.
@@ -47,15 +47,17 @@ def _require_honest(file: IO[bytes]) -> None:
         ValueError: a check fails. Other errors of `DAMAGED`: the file is no .npz file.
     """
     with zipfile.ZipFile(file) as archive:
-        # A flipped byte may let one entry swallow later ones; zipfile does not notice.
+        # A flipped byte may let one entry swallow later ones. The module zipfile does not notice.
         file.seek(-_END.size, os.SEEK_END)
         mark, *_, entries, _, _, _ = _END.unpack(file.read(_END.size))
         if mark != b"PK\5\6" or entries != len(archive.infolist()):
-            raise ValueError("it lists fewer arrays than it was written with")
+            raise ValueError("the list of its arrays is incomplete")
         for member in archive.infolist():
             # The package writes uncompressed files.
             if member.compress_type != zipfile.ZIP_STORED:
-                raise ValueError(f"{member.filename} is compressed: more than the file holds")
+                raise ValueError(
+                    f"{member.filename} is compressed and may need more than the file holds"
+                )
             with archive.open(member) as array:
                 version = np.lib.format.read_magic(array)
                 if version == (1, 0):
@@ -63,5 +65,5 @@ def _require_honest(file: IO[bytes]) -> None:
                 else:
                     shape, _, kind = np.lib.format.read_array_header_2_0(array)
             if math.prod(shape) * kind.itemsize > member.file_size:
-                raise ValueError(f"{member.filename} promises more than the file holds")
+                raise ValueError(f"{member.filename} declares more than the file holds")
     file.seek(0)

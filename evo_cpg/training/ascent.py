@@ -23,15 +23,16 @@ from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
-from evo_cpg.training.experiment import Experiment, judge, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, judge, situation_numbers
 
-# Range of step sizes in water, in units of genes; drawn evenly on a logarithmic scale.
+# Range of step sizes in water, in units of genes. They are drawn evenly on a logarithmic scale.
 _STEP_SIZES = 3e-4, 1e-2
 # Gradients hold over shorter steps on the ground: most of five walkers' champions gained with 1e-4.
 _FINER_ON_GROUND = 0.1
-# Shortest gradient horizon, s, in water and on the ground, where gradients grow a hundredfold in
-# half a second; fraction of individuals whose gradients do not decay.
+# Shortest gradient horizon, s, in water and on the ground. Gradients grow a hundredfold in half a
+# second on the ground.
 _SHORTEST_HORIZON, _SHORTEST_ON_GROUND = 1.0, 0.1
+# Fraction of individuals whose gradients do not decay.
 _EXACT = 0.25
 
 # A gradient is cut to this multiple of the mean length of earlier gradients.
@@ -43,7 +44,7 @@ class GradientLengths(NamedTuple):
     """State of `clip_long_gradients`.
 
     Attributes:
-        mean: exponential moving average of the gradients' length; 0 before the first.
+        mean: exponential moving average of the gradients' length, or 0 before the first.
         finite: number of finite gradients.
     """
 
@@ -115,7 +116,7 @@ class GuardedAdam(optimistix.AbstractDescent):
         return _Descended(best, jnp.where(better, f_info.f, state.least), transformed, move)
 
     def step(self, step_size: Array, state: _Descended) -> tuple[Any, optimistix.RESULTS]:
-        """Return the next move; about ``step_size`` where a gradient keeps its sign."""
+        """Return the next move: about ``step_size`` if a gradient keeps its sign."""
         return jax.tree.map(lambda x: step_size * x, state.move), optimistix.RESULTS.successful
 
 
@@ -189,8 +190,8 @@ class Climbed(NamedTuple):
 
     Attributes:
         genes: best genes of each individual.
-        fitness: fitness of these genes; -inf if it was never a number.
-        finite: number of finite gradients of each individual; others count as zero.
+        fitness: fitness of these genes, or -inf if it was never a number.
+        finite: number of finite gradients of each individual. Other gradients count as zero.
     """
 
     genes: Float[np.ndarray, "g n"]
@@ -204,12 +205,12 @@ class Free(NamedTuple):
     Attributes:
         values: initial values of the numbers.
         simulation: function that returns the simulation at other values, which may be traced.
-        rebuild: function that builds the experiment at other values; None if not allowed.
+        rebuild: function that builds the experiment at other values, or None if not allowed.
     """
 
     values: Float[np.ndarray, " k"]
     simulation: Callable[[Float[Array, " k"]], Simulation]
-    rebuild: Callable[[Float[np.ndarray, " k"]], Experiment | None]
+    rebuild: Callable[[Float[np.ndarray, " k"]], ExperimentParts | None]
 
     def at(self, shifts: Any) -> Any:
         """Return the shifted values. Small shifts are relative changes.
@@ -223,7 +224,7 @@ class Free(NamedTuple):
 
 
 def compile_ascent(
-    experiment: Experiment, mesh: Mesh, steps: int, free: Free | None = None
+    experiment: ExperimentParts, mesh: Mesh, steps: int, free: Free | None = None
 ) -> Callable[..., Climbed]:
     """Return a function that runs the ascent of any number of individuals on a mesh.
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 TERM_PREFIX, SCALE_PREFIX = "term.", "scale."
-"""Prefixes of the names of arrays that hold a champion's terms and scales."""
+"""Prefixes of the names of arrays with a champion's terms and scales."""
 
 _HISTORY_PREFIX = "history."
 _STATE_PREFIX = "state."
@@ -27,9 +27,8 @@ class Champion(NamedTuple):
         run: number of the run.
         index: place in the run's population. Run, generation and index select the random numbers
             of the trials.
-        lives: number of re-evaluations with fresh noise; see
-            `evo_cpg.training.reevaluation`.
-        expected: mean fitness of re-evaluations that did not end early; None without any.
+        lives: number of re-evaluations with fresh noise (`evo_cpg.training.reevaluation`).
+        expected: mean fitness of re-evaluations that did not end early, or None without any.
         ended_early: number of re-evaluations that ended by a broken rule or by divergence.
     """
 
@@ -63,9 +62,9 @@ class Checkpoint(NamedTuple):
         genes: populations of the next generation, run by run.
         records: best individual that each run has evaluated so far.
         history: rows of metrics.csv.
-        scales: task's scales in each run; ones before the first generation.
+        scales: task's scales in each run, all 1 before the first generation.
         state: strategy's state, from `state_arrays`.
-        chosen: best individual of each run with fresh noise; empty without noise or before all
+        chosen: best individual of each run with fresh noise. Empty without noise, and before all
             generations are done.
     """
 
@@ -84,7 +83,7 @@ class Checkpoint(NamedTuple):
 
     @property
     def champion(self) -> Champion | None:
-        """Best individual of all runs so far; fewer early ends rank first, then fitness."""
+        """Best individual of all runs so far, by fewest early ends, then by fitness."""
         living = [champion for champion in self.champions if champion is not None]
         return max(living, key=lambda one: (-one.ended_early, one.worth), default=None)
 
@@ -141,7 +140,7 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
 
 
 def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
-    """Read a champion from `champion_arrays`; a missing array raises a KeyError.
+    """Read a champion from `champion_arrays`. A missing array raises a KeyError.
 
     Raises:
         ValueError: the arrays hold something else.
@@ -196,17 +195,17 @@ def checkpoint_arrays(
 
 
 def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
-    """Read a checkpoint from `checkpoint_arrays`; a missing array raises a KeyError.
+    """Read a checkpoint from `checkpoint_arrays`. A missing array raises a KeyError.
 
     Raises:
         ValueError: the arrays hold something else.
     """
     if arrays["genes"].ndim != 2 or not arrays["genes"].size:
-        raise ValueError("it is no checkpoint")
+        raise ValueError("it is not a checkpoint")
     columns = _below(arrays, _HISTORY_PREFIX)
     rows = len(columns["generation"]) if columns else 0
     if any(column.shape != (rows,) or not rows for column in columns.values()):
-        raise ValueError("the columns of its history are empty or not equally long")
+        raise ValueError("the columns of its table of generations are empty or differ in length")
     # Absent from files of versions without several runs.
     runs = int(arrays.get("runs", 1))
     records, chosen = (
@@ -214,7 +213,7 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         for kind in ("champion", "chosen")
     )
     if any(one and len(one.genes) != len(arrays["genes"]) for one in (*records, *chosen)):
-        raise ValueError("a champion has another number of genes than the population")
+        raise ValueError("a champion and the population differ in their number of genes")
     return Checkpoint(
         arrays["generation"].item(),
         arrays["genes"],
@@ -234,7 +233,7 @@ def _champion_or_none(arrays: Mapping[str, np.ndarray]) -> Champion | None:
 
 
 def _prefix(kind: str, run: int) -> str:
-    """Return the prefix of a champion's arrays; the first run has no number."""
+    """Return the prefix of a champion's arrays. The first run has no number."""
     return f"{kind}{run or ''}."
 
 

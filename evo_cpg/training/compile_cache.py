@@ -21,7 +21,7 @@ import jax
 from evo_cpg.fusion.backend.machine import keep_code_in
 from evo_cpg.system import described_by, home_folder, is_writable
 
-# Largest size of the cache, bytes; the oldest programs are deleted. One is 1 to 4 MB.
+# Largest size of the cache, bytes. The oldest programs are deleted. A program has 1 to 4 MB.
 _MOST = 1 << 30
 
 # Programs that compile faster are not kept, s.
@@ -32,7 +32,7 @@ def keep_compiled_programs() -> Path | None:
     """Make JAX keep compiled programs. Call this before JAX runs anything.
 
     Returns:
-        The folder; None if none can be made, the cache is off, or the user has chosen one.
+        The folder, or None if none can be made, the cache is off, or the user has chosen one.
     """
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_SECONDS)
     if not jax.config.values["jax_enable_compilation_cache"]:
@@ -57,7 +57,7 @@ def keep_compiled_programs() -> Path | None:
 
 
 def compiled_folder() -> Path | None:
-    """Return the folder for compiled programs, existing or not; None without a home folder."""
+    """Return the folder for compiled programs, which may be missing. None without a home folder."""
     own = jax.config.values["jax_compilation_cache_dir"]
     if own:
         return Path(own)

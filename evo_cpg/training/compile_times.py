@@ -2,7 +2,7 @@
 
 The times are kept in the folder of the compiled programs. A known animal takes its earlier time
 without LLVM, because its code is kept. Another animal takes the earlier animals' time per operation
-(`evo_cpg.simulation.operations`). Without a measurement there is no estimate.
+(`evo_cpg.simulation.operations`). There is no estimate before the first measurement.
 """
 
 import contextlib
@@ -41,11 +41,11 @@ class _Times(TypedDict):
 
 
 def expected_seconds(operations: float, animal: str | None = None) -> float | None:
-    """Estimate the time to compile an animal's trial, s; None without a measurement.
+    """Estimate the time to compile an animal's trial, s, or None without a measurement.
 
     Args:
         operations: approximate number of operations of the trial.
-        animal: digest of all that the program depends on; None for code that is not kept.
+        animal: digest of all that the program depends on, or None for code that is not kept.
     """
     times = _read()
     known = times["animals"].get(animal or "")

@@ -43,7 +43,7 @@ def use_cores(count: int | None = None) -> int:
     After JAX has run something, the devices can no longer change.
 
     Args:
-        count: number of cores to use; None for all that this process may run on.
+        count: number of cores to use, or None for all that this process may run on.
 
     Returns:
         The number of devices.
@@ -63,7 +63,7 @@ def population_mesh(count: int | None = None) -> Mesh:
     """Return the mesh of devices over which the population is sharded.
 
     Args:
-        count: number of devices; None for all of this process.
+        count: number of devices, or None for all of this process.
     """
     devices = jax.local_devices()[:count]
     return Mesh(np.array(devices), (POPULATION_AXIS,))
@@ -91,21 +91,21 @@ def layout(count: int, mesh: Mesh) -> Layout:
 
     Args:
         count: number of individuals.
-        mesh: the devices. Devices beyond the number of full vectors stay idle: half a vector takes
-            as long as a full one.
+        mesh: the devices. Devices beyond the number of vectors stay idle, because half a vector
+            takes as long as a full vector.
     """
     busy = Mesh(mesh.devices[: -(-count // LANES)], mesh.axis_names)
     return Layout(busy, chunk_width(count, mesh.size))
 
 
 def chunk_width(count: int, devices: int) -> int:
-    """Return the number of individuals in a chunk; chunks are full vectors, equally wide.
+    """Return the number of individuals in a chunk. Chunks are full vectors, equally wide.
 
-    On other devices than CPUs a chunk is the whole part of a device.
+    On devices other than CPUs, a chunk is the whole part of a device.
 
     Args:
         count: number of individuals on all devices.
-        devices: number of devices; idle ones make no difference.
+        devices: number of devices. Idle devices make no difference.
     """
     vectors = -(-count // (devices * LANES))
     chunks = -(-vectors // machine_constants.WIDEST_CHUNK) if jax.default_backend() == "cpu" else 1
@@ -115,7 +115,7 @@ def chunk_width(count: int, devices: int) -> int:
 def sharded(
     function: Callable[..., Tree], mesh: Mesh, ranks: tuple[Any, ...], result_rank: int
 ) -> jax.stages.Wrapped:
-    """Return a function of one block, compiled at its first call; devices never communicate.
+    """Return a function of one block, compiled at its first call. Devices never communicate.
 
     Args:
         function: function of one chunk. Arguments are arrays with the population on the last axis,
@@ -146,7 +146,7 @@ def run_in_blocks(
     Args:
         program: from `sharded`.
         spread: layout of the population.
-        count: number of individuals; the last one fills the rest of the last block.
+        count: number of individuals. The last individual fills the rest of the last block.
         pick: function that returns the program's host arguments for numbered individuals.
 
     Returns:

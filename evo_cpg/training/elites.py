@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from evo_cpg.evolution.archive import Archive, Axis
 from evo_cpg.training.checkpoint import Champion, Checkpoint
-from evo_cpg.training.experiment import Experiment, begin
+from evo_cpg.training.experiment import ExperimentParts, begin
 from evo_cpg.training.strategy_state import StrategyError, state_from
 
 
@@ -17,7 +17,7 @@ class GaitMap(NamedTuple):
 
     Attributes:
         axes: axes of the map.
-        fitness: fitness of the elites, NaN in empty cells; one array axis for each axis.
+        fitness: fitness of the elites, with an array axis for each axis. NaN in empty cells.
         archive: the elites, with cells along the last axis.
     """
 
@@ -26,8 +26,8 @@ class GaitMap(NamedTuple):
     archive: Archive
 
 
-def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMap | None:
-    """Return the map of a run; None if its strategy has none.
+def gait_map(experiment: ExperimentParts, checkpoint: Checkpoint, run: int) -> GaitMap | None:
+    """Return the map of a run, or None if its strategy has none.
 
     Raises:
         StrategyError: the checkpoint comes from another strategy.
@@ -45,7 +45,7 @@ def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMa
 
 
 def elite(
-    experiment: Experiment, checkpoint: Checkpoint, cell: tuple[int, ...], run: int
+    experiment: ExperimentParts, checkpoint: Checkpoint, cell: tuple[int, ...], run: int
 ) -> Champion:
     """Return the individual of a cell, ready to be replayed.
 
@@ -60,17 +60,17 @@ def elite(
     """
     found = gait_map(experiment, checkpoint, run)
     if found is None:
-        raise StrategyError("there is no map: evolution.type is not one that fills cells")
+        raise StrategyError("there is no map: the search of this run fills no cells")
     axes, shape = found.axes, found.fitness.shape
     if len(cell) != len(shape) or not all(0 <= i < n for i, n in zip(cell, shape, strict=True)):
         allowed = ", ".join(f"{axis.name} 0 to {axis.cells - 1}" for axis in axes)
-        raise StrategyError(f"there is no cell {','.join(map(str, cell))}; a cell is {allowed}")
+        raise StrategyError(f"there is no cell {','.join(map(str, cell))}. Allowed: {allowed}")
     number = int(np.ravel_multi_index(cell, shape))
     archive = found.archive
     if not np.isfinite(archive.fitness[number]):
         filled = np.argwhere(np.isfinite(found.fitness))
         near = filled[np.abs(filled - np.array(cell)).sum(1).argmin()] if len(filled) else None
-        hint = "" if near is None else f"; the nearest that is not is {','.join(map(str, near))}"
+        hint = "" if near is None else f". The nearest filled cell is {','.join(map(str, near))}"
         raise StrategyError(f"cell {','.join(map(str, cell))} is empty{hint}")
     terms = archive.descriptors[:, number]
     return Champion(

@@ -32,7 +32,7 @@ _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
 _STRATEGY, _ASKS = 4, 5
 
 
-# Columns of metrics.csv for any strategy; ``run`` only with several runs.
+# Columns of metrics.csv for any strategy. Only several runs have the column ``run``.
 TABLE_COLUMNS = (
     "generation",
     "run",
@@ -48,7 +48,7 @@ TABLE_COLUMNS = (
 
 
 class Learning(NamedTuple):
-    """Settings of the elites' gradient ascent; see `evo_cpg.training.memetic`.
+    """Settings of the elites' gradient ascent (see `evo_cpg.training.memetic`).
 
     Attributes:
         every: number of generations between two ascents.
@@ -61,7 +61,7 @@ class Learning(NamedTuple):
     steps: int
 
 
-class Experiment(NamedTuple):
+class ExperimentParts(NamedTuple):
     """Experiment that a config file describes.
 
     Attributes:
@@ -74,7 +74,7 @@ class Experiment(NamedTuple):
         runs: number of independent populations.
         trials: number of trials of every individual, over which the fitness is averaged: one for
             each situation, or any number of trials of the only situation.
-        learning: settings of the elites' ascent; None for evolution alone.
+        learning: settings of the elites' ascent, or None for evolution alone.
     """
 
     name: str
@@ -92,14 +92,14 @@ class Generation(NamedTuple):
     """Results of one generation of every run.
 
     Attributes:
-        fitness: mean fitness of every individual over its trials; -inf if it diverged in any.
+        fitness: mean fitness of every individual over its trials, or -inf if it diverged in any.
         terms: task's terms, averaged over the trials.
         alive: False where an individual diverged.
         scales: task's scales.
         best: index of the fittest individual in each run.
         best_genes: genome of the fittest individual.
         next_genes: population of the next generation, run by run.
-        state: strategy's state; the first axis of every array is the run.
+        state: strategy's state. The first axis of every array is the run.
         metrics: strategy's metrics, by name.
     """
 
@@ -115,13 +115,13 @@ class Generation(NamedTuple):
 
 
 def begin(
-    experiment: Experiment, start: Float[Array, "g all"] | None = None
+    experiment: ExperimentParts, start: Float[Array, "g all"] | None = None
 ) -> tuple[Float[Array, "g all"], PyTree[Array]]:
     """Return the population of generation 0, run by run, and the strategy's state.
 
     Args:
         experiment: experiment to evolve.
-        start: initial genomes; None for random ones.
+        start: initial genomes, or None for random ones.
     """
     genome, strategy = experiment.simulation.genome, experiment.strategy
     size = (strategy.population,)
@@ -138,19 +138,19 @@ def begin(
     return genes.reshape(len(genes), -1), state
 
 
-def first_population(experiment: Experiment) -> Float[Array, "g all"]:
+def first_population(experiment: ExperimentParts) -> Float[Array, "g all"]:
     """Return the population of generation 0 of every run, see `begin`."""
     return begin(experiment)[0]
 
 
 def trial_keys(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     generation: ArrayLike,
     run: Int[np.ndarray, " n"],
     individual: Int[np.ndarray, " n"],
     trial: Int[np.ndarray, " n"],
 ) -> UInt32[Array, "w n"] | None:
-    """Return raw random keys for the noise of some trials; None without noise.
+    """Return raw random keys for the noise of some trials, or None without noise.
 
     Args:
         experiment: experiment whose seed is used.
@@ -171,27 +171,31 @@ def trial_keys(
     return jax.vmap(of_trial, out_axes=1)(_seeds(experiment)[run], individual, trial)
 
 
-def champion_keys(experiment: Experiment, champion: Champion) -> UInt32[Array, "w trials"] | None:
+def champion_keys(
+    experiment: ExperimentParts, champion: Champion
+) -> UInt32[Array, "w trials"] | None:
     """Return the random keys of an individual's trials, see `trial_keys`."""
     trials = np.arange(experiment.trials)
     run, individual = (np.full_like(trials, i) for i in (champion.run, champion.index))
     return trial_keys(experiment, champion.generation, run, individual, trials)
 
 
-def generation_keys(experiment: Experiment, generation: ArrayLike) -> UInt32[Array, "w n"] | None:
+def generation_keys(
+    experiment: ExperimentParts, generation: ArrayLike
+) -> UInt32[Array, "w n"] | None:
     """Return `trial_keys` of a generation's trials, in the order of the population axis."""
     places = np.indices((experiment.runs, experiment.strategy.population, experiment.trials))
     run, individual, trial = places.reshape(3, -1)
     return trial_keys(experiment, generation, run, individual, trial)
 
 
-def situation_numbers(experiment: Experiment) -> Int[np.ndarray, " trials"] | None:
-    """Return the situation number of each trial; None if there is one situation."""
+def situation_numbers(experiment: ExperimentParts) -> Int[np.ndarray, " trials"] | None:
+    """Return the situation number of each trial, or None if there is one situation."""
     several = len(experiment.simulation.situations) > 1
     return np.arange(experiment.trials) if several else None
 
 
-def placeholder_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
+def placeholder_scales(experiment: ExperimentParts) -> dict[str, tuple[float, ...]]:
     """Return ones as scales of each run, until generation 0 measures them."""
     simulation = experiment.simulation
     shapes = jax.eval_shape(lambda: simulation.task.scales(no_terms(simulation)))
@@ -203,7 +207,7 @@ def compile_trials(
 ) -> Callable[..., Outcome]:
     """Return a function that runs the trials of a population, in chunks on the mesh's devices.
 
-    The host feeds the devices block by block; the devices do not loop over chunks. So their memory
+    The host feeds the devices block by block. The devices do not loop over chunks. So their memory
     and the compiled program do not depend on the size of the population. A device never holds
     more than two chunks.
 
@@ -214,13 +218,13 @@ def compile_trials(
     Args:
         simulation: simulation of a trial.
         mesh: the devices.
-        width: number of individuals in a chunk; None to choose it from the population.
+        width: number of individuals in a chunk, or None to choose it from the population.
         inputs: numbers of the simulation in which individuals differ.
 
     Returns:
         A function of the host arrays that `rollout` takes, compiled at its first call. The next
-        argument is the number of trials of each individual. Keys, numbers and results are then
-        those of trials, with the trials of an individual next to each other. The last argument
+        argument is the number of trials of each individual. Keys, numbers and results have one
+        entry for each trial. The trials of an individual are next to each other. The last argument
         holds the values of the inputs.
     """
 
@@ -254,7 +258,7 @@ def compile_trials(
 
 
 def breed(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     genes: Float[Array, "g n"],
     outcome: Outcome,
     index: Array,
@@ -269,7 +273,7 @@ def breed(
         outcome: outcome of the trials.
         index: number of the generation, from 0. It alone selects the random stream, so a resumed
             run draws the numbers of an uninterrupted run.
-        scales: task's scales; ignored in generation 0, which measures them.
+        scales: task's scales. They are ignored in generation 0, which measures them.
         state: strategy's state.
     """
     simulation, strategy = experiment.simulation, experiment.strategy
@@ -324,7 +328,7 @@ def judge(
 
     Args:
         task: task that defines the fitness.
-        outcome: outcome of all trials; trials of an individual on the last axis.
+        outcome: outcome of all trials, with the trials of an individual on the last axis.
         scales: task's scales.
 
     Returns:
@@ -347,11 +351,11 @@ def judge(
 def judge_each(
     task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]
 ) -> Float[Array, "trials *n"]:
-    """Return the fitness in each trial; -inf if the individual diverged."""
+    """Return the fitness in each trial, or -inf if the individual diverged."""
     return jax.vmap(lambda trial: score(task, trial, scales), in_axes=-1)(outcome)
 
 
-def _seeds(experiment: Experiment) -> Int[Array, " runs"]:
+def _seeds(experiment: ExperimentParts) -> Int[Array, " runs"]:
     return experiment.seed + jnp.arange(experiment.runs)
 
 

@@ -1,11 +1,10 @@
 """Lineage: earlier champions of a run, a genome for every generation that found one.
 
-At most `KEPT` champions of each run are kept, to limit the file. A champion is dropped if it is not
-the champion of a landmark (generation 0, 1, 2, 5, 10, 20, 50, ...) and its neighbours are closest
-together, in ratios of generations. So the champions of all landmarks stay exact however long a run
-lasts, and the resolution stays even. The first and the newest always stay. The choice depends only
-on the generations in which champions were found. So a resumed run has the lineage of an
-uninterrupted one.
+At most `KEPT` champions of each run are kept, to limit the file. The champions of landmarks
+(generation 0, 1, 2, 5, 10, 20, 50, ...) always stay, and so do the first and the newest. Among the
+others, the champion whose neighbours are closest together, in ratios of generations, is dropped. So
+the resolution stays even. The choice depends only on the generations in which champions were found.
+So a resumed run has the lineage of an uninterrupted run.
 """
 
 import itertools
@@ -28,7 +27,7 @@ def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Cha
 
     Args:
         lineage: champions so far.
-        found: new champions; they replace ones of equal run and generation.
+        found: new champions. They replace champions of equal run and generation.
     """
     known = {(each.run, each.generation): each for each in lineage}
     known |= {(each.run, each.generation): each for each in found}
@@ -55,7 +54,7 @@ def until(
 
 
 def champion_at(lineage: Sequence[Champion], generation: int) -> Champion | None:
-    """Return the champion after a generation; None before the first champion.
+    """Return the champion after a generation, or None before the first champion.
 
     Args:
         lineage: lineage of one run.
@@ -120,7 +119,7 @@ def read_lineage(arrays: Mapping[str, np.ndarray]) -> list[Champion]:
     rows = genes.ndim == 2 and all(isinstance(x, list) and len(x) == len(genes) for x in every)
     counted = all(arrays[name].dtype.kind in "iu" for name in _OF_ALL[1:])
     if not rows or not counted:
-        raise ValueError("its arrays are not those of champions")
+        raise ValueError("its arrays do not describe champions")
     return [
         Champion(
             genes[i],
@@ -153,7 +152,7 @@ def _thinned(own: list[Champion]) -> list[Champion]:
 def _least(found: Sequence[int]) -> int:
     """Return the index of the champion to drop, given the generations of all."""
     marks = landmarks(found[-1])
-    # Each is champion from its generation until the generation before the next one's.
+    # Each champion lasts until the generation before the next champion's.
     free = [
         i
         for i in range(1, len(found) - 1)

@@ -16,14 +16,14 @@ BEAT = 2.0
 """Time between two heartbeats, s."""
 
 SILENCE = 18.0
-"""Time without any byte after which the other process counts as dead or stopped, s. It is less than
-the patience of a team, so that the report names the process."""
+"""Time without any byte after which the other process counts as dead or stopped, s. It is shorter
+than the patience of a team, so that the report names the process."""
 
 # Kind and length of a frame.
 _HEAD = struct.Struct("<BQ")
 _DATA, _HEARTBEAT, _LOST, _GOODBYE = range(4)
 
-# Number of bytes that are sent at a time; each piece may take `SILENCE`.
+# Number of bytes that are sent at a time. Each piece may take `SILENCE`.
 _PIECE = 1 << 20
 
 
@@ -51,7 +51,7 @@ class Link:
         self._send(_DATA, content)
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the next frame; None if the other process has left or is lost.
+        """Return the next frame, or None if the other process has left or is lost.
 
         Raises:
             queue.Empty: no frame arrives in time.
@@ -84,7 +84,7 @@ class Link:
         self._frames.put(None)
 
     def _listen(self) -> str | None:
-        """Receive frames until the connection ends. Return the reason; None after a goodbye."""
+        """Receive frames until the connection ends. Return the reason, or None after a goodbye."""
         try:
             while True:
                 kind, length = _HEAD.unpack(self._take(_HEAD.size))

@@ -16,7 +16,7 @@ from jax.sharding import Mesh
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import Experiment, compile_trials
+from evo_cpg.training.experiment import ExperimentParts, compile_trials
 from evo_cpg.training.processes import ALONE, Team
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.running import Running, Trials
@@ -26,21 +26,21 @@ TIMING_COLUMNS = ("seconds", "steps_per_second")
 
 
 def train(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     folder: RunFolder,
     on_generation: Callable[[list[dict[str, float]]], object] = lambda rows: None,
     mesh: Mesh | None = None,
     on_compiled: Callable[[], object] = lambda: None,
     team: Team = ALONE,
 ) -> Checkpoint:
-    """Evolve one experiment; see `train_together`."""
+    """Evolve one experiment (see `train_together`)."""
     return train_together(
         [experiment], [folder], lambda number, rows: on_generation(rows), mesh, on_compiled, team
     )[0]
 
 
 def train_together(
-    experiments: Sequence[Experiment],
+    experiments: Sequence[ExperimentParts],
     folders: Sequence[RunFolder],
     on_generation: Callable[[int, list[dict[str, float]]], object] = lambda number, rows: None,
     mesh: Mesh | None = None,
@@ -56,7 +56,7 @@ def train_together(
         folders: a run folder for each, created before.
         on_generation: called after each generation of an experiment, with its number and its new
             rows of metrics.csv, one for each run.
-        mesh: devices to use; None for all of this process.
+        mesh: devices to use, or None for all of this process.
         on_compiled: called once, after the program of the trials has been compiled and run. It can
             start a thread that compiles later programs.
         team: processes that evolve together. Only the lead reads and writes the folders.

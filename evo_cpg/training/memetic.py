@@ -12,14 +12,14 @@ from jax.sharding import Mesh
 from jaxtyping import Float
 
 from evo_cpg.training.ascent import compile_ascent, draw_settings
-from evo_cpg.training.experiment import Experiment, trial_keys
+from evo_cpg.training.experiment import ExperimentParts, trial_keys
 
 # Tag that keeps these draws apart from others of the same seed.
 _CLIMB = 3
 
 
 def compile_learning(
-    experiment: Experiment, mesh: Mesh
+    experiment: ExperimentParts, mesh: Mesh
 ) -> Callable[..., Float[np.ndarray, "g all"]]:
     """Return a function that runs the elites' gradient ascent on the devices of the mesh.
 
@@ -58,8 +58,8 @@ def compile_learning(
     return learn
 
 
-def _keys(experiment: Experiment, generation: int) -> np.ndarray | None:
-    """Return keys of the trials of all runs' elites, ``(w, trials, n)``; None without noise."""
+def _keys(experiment: ExperimentParts, generation: int) -> np.ndarray | None:
+    """Return random keys of all elites' trials, ``(w, trials, n)``, or None without noise."""
     assert experiment.learning is not None
     shape = experiment.runs, experiment.learning.elites, experiment.trials
     run, individual, trial = np.indices(shape).reshape(3, -1)

@@ -14,7 +14,7 @@ import jax
 
 from evo_cpg.errors import UserError
 from evo_cpg.system import described_by
-from evo_cpg.training.experiment import Experiment, begin
+from evo_cpg.training.experiment import ExperimentParts, begin
 
 # Bytes of everything else, and the largest number of copies of genomes and search state, with a
 # margin.
@@ -30,17 +30,17 @@ _CONTROL_GROUPS = (
 
 
 class TooLargeError(UserError):
-    """Error for a run that needs more memory than the machine has; shown to the user."""
+    """Error for a run that needs more memory than the machine has, shown to the user."""
 
 
-def needed(experiment: Experiment) -> int:
+def needed(experiment: ExperimentParts) -> int:
     """Return an upper bound of the bytes that training needs."""
     genes = experiment.simulation.genome.count
     genomes = _GENE * genes * experiment.runs * experiment.strategy.population
     return _REST + _COPIES * (genomes + remembered(experiment))
 
 
-def remembered(experiment: Experiment) -> int:
+def remembered(experiment: ExperimentParts) -> int:
     """Return the bytes of the search state of all runs, without their populations.
 
     Checkpoints hold this state. Only shapes are evaluated here.
@@ -50,7 +50,7 @@ def remembered(experiment: Experiment) -> int:
 
 
 def available() -> int | None:
-    """Return the bytes of the machine or its container; None if unknown."""
+    """Return the bytes of the machine or its container, or None if unknown."""
     found = []
     for file in _CONTROL_GROUPS:
         # The group may be missing or without a limit.
@@ -61,7 +61,7 @@ def available() -> int | None:
     return min(found, default=None)
 
 
-def require_memory(experiment: Experiment) -> None:
+def require_memory(experiment: ExperimentParts) -> None:
     """Check that a run fits into the memory.
 
     Raises:
@@ -74,18 +74,14 @@ def require_memory(experiment: Experiment) -> None:
     individuals = experiment.runs * experiment.strategy.population
     state = remembered(experiment)
     most = (there - _REST - _COPIES * state) // (_COPIES * _GENE * genes) // experiment.runs
-    beside = (
-        f" and the {state / 2**30:.2g} GiB that their search remembers"
-        if state > _MENTIONED
-        else ""
-    )
+    searched = f" and {state / 2**30:.2g} GiB of search state" if state > _MENTIONED else ""
     smaller = (
-        f"allowed here: {most}"
+        f"Allowed here: {most}"
         if most > 1
-        else "no population is small enough, but a smaller controller may be, or a search that "
-        "remembers less"
+        else "No population fits into the memory. Try a smaller controller, or a search with less "
+        "state"
     )
     raise TooLargeError(
-        f"evolution.population: {individuals} individuals in all, of {genes} genes,{beside} need "
-        f"up to {need / 2**30:.1f} GiB, and there are {there / 2**30:.1f}; {smaller}"
+        f"evolution.population: {individuals} individuals in all, of {genes} genes,{searched} need "
+        f"up to {need / 2**30:.1f} GiB, but this machine has {there / 2**30:.1f} GiB. {smaller}"
     )

@@ -23,13 +23,13 @@ UNSEEING = 0.8
 
 
 class Probe(NamedTuple):
-    """Results of one animal in several situations; arrays have a row for each.
+    """Results of one animal in several situations. Arrays have a row for each situation.
 
     Attributes:
-        situations: initial situations; all have a light.
+        situations: initial situations, all with a light.
         start_distance: initial distance from the light, m.
-        distance: final distance as a fraction of the initial one; NaN if the animal diverged.
-        light: light seen by the best eye, mean over the trial, 0 to 1; NaN if diverged.
+        distance: final distance as a fraction of the initial one, or NaN if the animal diverged.
+        light: light seen by the best eye, 0 to 1, mean over the trial. NaN if diverged.
         alive: False if the animal diverged.
         paths: positions of the root's centre, m, once per control step.
     """
@@ -56,7 +56,7 @@ def probe(
 ) -> Probe:
     """Simulate one animal in several situations at once, without noise.
 
-    The task `ReachLight` measures the distance, whatever the animal evolved for.
+    The task `ReachLight` measures the distance, even if the animal evolved for another task.
 
     Args:
         simulation: simulation that the animal evolved in.
@@ -71,7 +71,7 @@ def probe(
     outcome = compile_trials(simulation, mesh)(alone, None, trial, count)
 
     def follow(genes: Float[Array, "g n"], trial: Int[Array, " n"]) -> Float[Array, "t 3 n"]:
-        # The root is the first body of the tree.
+        # Index 0 is the root, which is the first body.
         recorder = Recorder(len(trial))
         frames = rollout(simulation, genes, None, trial, recorder)
         return frames["position"][:, :, 0]
@@ -110,7 +110,7 @@ def around(
     Args:
         situation: situation with a light.
         bearings: bearings of the light, to the left of straight ahead, rad.
-        distances: distances of the light from the start, m; the present one if empty.
+        distances: distances of the light from the start, m. If empty, the present distance.
     """
     x, y, z = situation.start_position
     distance, _, elevation = seen_from_start(situation)

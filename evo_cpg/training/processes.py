@@ -9,9 +9,9 @@ The lead, process 0, writes the run folder and sends the others the checkpoint. 
 has a connection to the lead, which passes all rows on. A single process is a team of one, whose
 methods return their arguments.
 
-The package has its own connections for two reasons. `jax.distributed` could do the exchange, but on
-a missing, lost or stopped process it ends the others from C++ (JAX 0.10.2): without a message of
-ours, an exit code or a clean-up. `multiprocessing.connection` has no time limits: `accept` waits
+The package has its own connections for two reasons. `jax.distributed` (JAX 0.10.2) could do the
+exchange, but it ends the other processes from C++ if one is missing, lost or stopped. Then there is
+no message, exit code or clean-up. `multiprocessing.connection` has no time limits: `accept` waits
 for ever, and so does a receive after its first byte. Three parts fill the gaps of the operating
 system:
 
@@ -44,8 +44,8 @@ PATIENCE = 20.0
 """Time that a process waits for the others beyond twice its own trials, s."""
 
 COMPILING = 600.0
-"""Least time that a process waits, s, in a generation in which it has compiled: another process may
-have to compile what this one found in its cache."""
+"""Least time that a process waits, s, in a generation in which it has compiled. Another process may
+have to compile a program that this process found in its cache."""
 
 _DIGEST = 8
 
@@ -53,14 +53,14 @@ _COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
 class TeamError(Exception):
-    """Error of a team that cannot continue; the message names the known reason."""
+    """Error of a team that cannot continue. The message names the known reason."""
 
 
 class Team:
     """Team of processes that evolve a population, seen from one of them.
 
     Args:
-        index: number of this process; 0 leads.
+        index: number of this process. Process 0 leads.
         count: number of processes.
         patience: time to wait for the others, s, see `PATIENCE`.
         on_lost: called with a message if the team cannot continue, perhaps in another thread and
@@ -151,7 +151,7 @@ class Team:
         """Return the lead's arrays.
 
         Args:
-            arrays: arrays by name; ignored in all processes but the lead.
+            arrays: arrays by name. Only the lead's arrays are used.
         """
         if self.count == 1:
             return {name: np.asarray(array) for name, array in arrays.items()}
@@ -200,8 +200,8 @@ class Team:
                 content = link.receive(max(start + limit - time.monotonic(), 0.0))
             except queue.Empty:
                 self._lose(
-                    f"process {self.index} has waited {limit:.0f} s for {what}; its own took "
-                    f"{own:.1f} s: another process hangs, or is much slower"
+                    f"process {self.index} has waited {limit:.0f} s for {what} (its own work "
+                    f"took {own:.1f} s). Another process hangs, or is much slower"
                 )
                 content = None
             if content is None:
@@ -227,7 +227,7 @@ class Team:
             self.leave()
             self._fail(
                 f"the population of generation {generation} differs between the processes: "
-                f"{unlike}; processors of different kinds may round differently, so take "
+                f"{unlike}. Processors of different kinds may round differently, so use "
                 "machines of one kind"
             )
 
@@ -287,7 +287,7 @@ def join(
 
 
 def difference(rows: Sequence[bytes]) -> str:
-    """Name the processes with different rows, the lead's group first; empty if all are equal."""
+    """Name the processes with different rows, the lead's group first. Empty if all are equal."""
     groups: dict[bytes, list[int]] = {}
     for index, row in enumerate(rows):
         groups.setdefault(row, []).append(index)

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt32
 
 from evo_cpg.training.checkpoint import Champion, Checkpoint
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 
 CANDIDATES = 16
 """Largest number of candidates of each run."""
@@ -25,11 +25,11 @@ EVALUATIONS = 16
 """Number of evaluations of each remaining candidate that ends the rounds."""
 
 FIRST_ROUND = 2**30
-"""The random numbers of a round are those of this generation and the ones after it, which no run
-comes to."""
+"""Generation number whose random numbers the first round uses. Later rounds use the next numbers.
+No run reaches these generations."""
 
 
-def is_finished(experiment: Experiment, checkpoint: Checkpoint) -> bool:
+def is_finished(experiment: ExperimentParts, checkpoint: Checkpoint) -> bool:
     """Return whether the last generation is done and the champion is known."""
     evolved = checkpoint.generation >= experiment.generations
     return evolved and (experiment.simulation.noise.silent or bool(checkpoint.chosen))
@@ -51,7 +51,7 @@ class Contest:
     """Sequential halving among the candidates of one run.
 
     Args:
-        candidates: individuals; of those with equal genomes the first counts.
+        candidates: individuals. Only the first of equal genomes counts.
         population: number of evaluations in a round.
 
     Attributes:
@@ -78,7 +78,7 @@ class Contest:
         )
 
     def places(self) -> Places:
-        """Return the places of the next round; spare places repeat the last evaluation."""
+        """Return the places of the next round. Spare places repeat the last evaluation."""
         each = self._population // len(self._left)
         candidates = np.repeat(self._left, each)
         draws = np.tile(np.arange(each), len(self._left))
@@ -89,7 +89,7 @@ class Contest:
         """Take the results of a round and drop the worse half.
 
         Args:
-            fitness: fitness in every place; -inf if an evaluation ended early.
+            fitness: fitness in every place, or -inf if an evaluation ended early.
         """
         each = self._population // len(self._left)
         results = fitness[: each * len(self._left)].reshape(len(self._left), each)
@@ -102,7 +102,7 @@ class Contest:
             self._left = self._left[: -(-len(self._left) // 2)]
 
     def chosen(self) -> Champion | None:
-        """Return the best candidate with its results; None without any candidate."""
+        """Return the best candidate with its results, or None without any candidate."""
         if not len(self._left):
             return None
         return self._result(int(self._left[0]))
@@ -127,7 +127,7 @@ class Contest:
         )
 
     def _means(self) -> Float[np.ndarray, " candidates"]:
-        """Return the mean fitness of evaluations that did not end early; -inf if all did."""
+        """Return the mean fitness of evaluations that did not end early, or -inf if all did."""
         completed = self._evaluations - self._failures
         return np.where(completed > 0, self._sum / np.maximum(completed, 1), -np.inf)
 
@@ -155,7 +155,7 @@ class Choice:
         """Return the genomes of the next round.
 
         Args:
-            genes: genomes of the populations; runs with a finished contest keep them.
+            genes: genomes of the populations. Runs with a finished contest keep them.
         """
         population = genes.shape[1] // len(self._contests)
         population_genes = genes.copy()

@@ -1,10 +1,10 @@
 """Refinement of a champion by gradient ascent on its fitness.
 
-In every round the lanes of all cores take some gradient steps, each with its own settings (see
-`evo_cpg.training.ascent`). Each lane starts from one of the best individuals so far, half of them
-with a random kick. The shortest horizons double from round to round. After a round the best are
-evaluated in chunks as wide as those of training. So a refined champion is evaluated, and replays,
-exactly like an evolved one.
+In every round, all cores together move some individuals, called lanes, by gradient steps. Every
+lane has its own settings of the ascent (see `evo_cpg.training.ascent`). It starts from one of the
+best individuals so far. Half of the lanes start with a random kick. The shortest horizons double
+from round to round. After a round the best are evaluated in chunks as wide as in training. So a
+refined champion is evaluated, and replays, exactly like an evolved champion.
 """
 
 import time
@@ -21,7 +21,7 @@ from evo_cpg.training.ascent import Free, compile_ascent, draw_settings, log_uni
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.experiment import (
-    Experiment,
+    ExperimentParts,
     champion_keys,
     compile_trials,
     judge,
@@ -41,7 +41,7 @@ class Refinement(NamedTuple):
     Attributes:
         rounds: number of rounds of ascent and selection.
         steps: number of moves of each lane in a round.
-        lanes: number of simultaneous individuals; None for a full vector of trials per core.
+        lanes: number of simultaneous individuals, or None for a full vector of trials per core.
         seed: seed of the lanes' draws.
     """
 
@@ -61,7 +61,7 @@ class Round(NamedTuple):
         values: free numbers of the champion.
         gain: fitness gain of the round.
         gradients: number of gradients that were computed.
-        finite: number of finite gradients; the others count as zero.
+        finite: number of finite gradients. Other gradients count as zero.
         seconds: duration of the round, s.
     """
 
@@ -88,7 +88,7 @@ class _Parent(NamedTuple):
 
 
 def compile_refinement(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     settings: Refinement,
     mesh: Mesh | None = None,
     devices: int | None = None,
@@ -99,15 +99,15 @@ def compile_refinement(
     Args:
         experiment: experiment in which the champion evolved.
         settings: settings of the refinement.
-        mesh: devices to use; None for all.
-        devices: number of devices in training; None for the number used here.
+        mesh: devices to use, or None for all.
+        devices: number of devices in training, or None for the number used here.
         free: numbers of the experiment that are refined as well. The chosen individual is evaluated
             in an experiment that is rebuilt with them.
 
     Returns:
         A function of a champion and of a callback for the `Round` after every round, compiled at
         its first call. The result is the refined champion or, if nothing better was found, the
-        original. Fitness is compared in this experiment; the recorded fitness is ignored.
+        original. Fitness is compared in this experiment. The recorded fitness is ignored.
     """
     mesh = mesh or population_mesh()
     lanes = settings.lanes or mesh.size * max(1, LANES // experiment.trials)
@@ -161,7 +161,7 @@ def compile_refinement(
 
 
 def compile_evaluation(
-    experiment: Experiment, mesh: Mesh, devices: int
+    experiment: ExperimentParts, mesh: Mesh, devices: int
 ) -> Callable[[Float[np.ndarray, "g n"], Champion], list[Champion]]:
     """Return a function that evaluates genomes with a champion's place, noise and scales.
 
@@ -221,7 +221,10 @@ def _starts(
     return (genes + kick * rng.standard_normal(genes.shape)).astype(np.float32)
 
 
-def _keys_of(experiment: Experiment, champion: Champion, lanes: int) -> np.ndarray | None:
-    """Return the keys of the champion's trials for every lane, ``(w, trials, n)``."""
+def _keys_of(experiment: ExperimentParts, champion: Champion, lanes: int) -> np.ndarray | None:
+    """Return the random keys of the champion's trials, or None without noise.
+
+    Their shape is ``(w, trials, n)``: words of a key, trials, and lanes, which have equal keys.
+    """
     keys = jax.device_get(champion_keys(experiment, champion))
     return None if keys is None else np.repeat(keys[..., None], lanes, -1)

@@ -14,7 +14,7 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import chunk_width
 from evo_cpg.training.experiment import (
-    Experiment,
+    ExperimentParts,
     champion_keys,
     judge,
     placeholder_scales,
@@ -25,11 +25,11 @@ Replayed = tuple[float, dict[str, float], Recording]
 """Fitness, terms and the motion in one trial."""
 
 Frames = tuple[float, dict[str, float], dict[str, Array]]
-"""Fitness, terms and the arrays that a `Recorder` kept of one trial."""
+"""Fitness, terms and the arrays of one trial from a `Recorder`."""
 
 
 def replay_champion(
-    experiment: Experiment, champion: Champion, devices: int, recorded: int = 0
+    experiment: ExperimentParts, champion: Champion, devices: int, recorded: int = 0
 ) -> Replayed:
     """Repeat the champion's trials with their original noise.
 
@@ -46,12 +46,12 @@ def replay_champion(
 
 
 def compile_replay(
-    experiment: Experiment, devices: int, recorded: int = 0
+    experiment: ExperimentParts, devices: int, recorded: int = 0
 ) -> Callable[[Champion], Replayed]:
     """Compile `replay_champion` before there is a champion.
 
-    The program of the training trials cannot serve. It computes a whole trial as one piece of
-    native code that returns only final results, and the frames of all its individuals would take
+    The program of the training trials cannot record. It computes a whole trial as one piece of
+    native code that returns only final results. The frames of all its individuals would take
     hundreds of megabytes. A recording runs a trial step by step.
     """
     program = compile_frames(experiment, devices, recorded)
@@ -66,11 +66,11 @@ def compile_replay(
 
 
 def compile_frames(
-    experiment: Experiment, devices: int, recorded: int = 0, full: bool = False
+    experiment: ExperimentParts, devices: int, recorded: int = 0, full: bool = False
 ) -> Callable[[Champion], Frames]:
     """Compile `replay_champion` with recorded arrays of each control step instead of a motion.
 
-    With ``full`` all quantities are recorded, see `evo_cpg.simulation.recording.Recorder`.
+    If ``full``, record all quantities (see `evo_cpg.simulation.recording.Recorder`).
     """
     simulation, genes = experiment.simulation, experiment.simulation.genome.count
     numbers = situation_numbers(experiment)
@@ -98,7 +98,7 @@ def compile_frames(
 
 
 def replay(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     devices: int,
     genes: Float[Array, " g"],
     keys: UInt32[Array, "w trials"] | None = None,
@@ -106,16 +106,16 @@ def replay(
     recorded: int = 0,
     full: bool = False,
 ) -> tuple[Outcome, dict[str, Array]]:
-    """Run an individual's trials on one device, in chunks as wide as those of training.
+    """Run an individual's trials on one device, in chunks as wide as in training.
 
-    Compiled code may round differently for other array lengths, or if an array is a constant. With
-    the lengths and arguments of training, the numbers are those of training.
+    Compiled code may round differently for other array lengths, or if an array is a constant. Array
+    lengths and arguments are as in training, so the numbers are equal, too.
 
     Args:
         experiment: experiment in which the individual evolved.
         devices: number of devices that shared the population in training.
         genes: genome of the individual.
-        keys: random keys of the trials; None without noise.
+        keys: random keys of the trials, or None without noise.
         numbers: situation numbers of the trials, see `situation_numbers`.
         recorded: number of the trial to record, from 0.
         full: whether to record all quantities, see `evo_cpg.simulation.recording.Recorder`.

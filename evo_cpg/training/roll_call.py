@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from evo_cpg.errors import UserError
 
-# Longest line, bytes. Ours have a few hundred; a longer one comes from another program.
+# Longest line, bytes. Our lines have a few hundred. A longer line comes from another program.
 _LONGEST_LINE = 1 << 14
 
 # Time between two attempts to reach the lead, s.
@@ -30,18 +30,18 @@ _LATER = 30.0
 
 
 class JoinError(UserError):
-    """Error of processes that cannot form a team; the message names the reason."""
+    """Error of processes that cannot form a team. The message names the reason."""
 
 
 class Place(NamedTuple):
     """Place of a process in a team.
 
     Attributes:
-        index: number of the process, from 0; 0 is the lead.
+        index: number of the process, from 0. Process 0 is the lead.
         count: number of processes.
         host: host of the lead.
         port: port at which the lead listens.
-        names: hosts of all processes; empty if unknown.
+        names: hosts of all processes, or empty if unknown.
     """
 
     index: int
@@ -124,7 +124,7 @@ def _follow(place: Place, common: Mapping[str, str], timeout: float) -> socket.s
         if "error" not in answer:
             raise JoinError(
                 f"the program that listens at {place.address} is not process 0, or process 0 "
-                "ended while the processes joined: see its output"
+                "ended while the processes joined. See its output"
             )
         open_connection.pop_all()
     return connection
@@ -139,8 +139,8 @@ def _listen(place: Place) -> socket.socket:
         )
     except OSError as error:
         raise JoinError(
-            f"port {place.port} of this machine cannot be used ({_reason(error)}); the first "
-            "host of --hosts may name another one: HOST:PORT"
+            f"port {place.port} of this machine cannot be used ({_reason(error)}). Choose another "
+            "port with the first host of --hosts: HOST:PORT"
         ) from None
 
 
@@ -154,9 +154,8 @@ def _reach(place: Place, timeout: float) -> socket.socket:
         except OSError as error:
             if time.monotonic() > end:
                 raise JoinError(
-                    f"process 0 did not come within {timeout:g} s: nobody answers at "
-                    f"{place.address} ({_reason(error)}); is it started, and does a "
-                    "firewall let this port through?"
+                    f"process 0 did not answer within {timeout:g} s at {place.address} "
+                    f"({_reason(error)}). Is it running, and does a firewall allow this port?"
                 ) from None
             time.sleep(_PAUSE)
 
@@ -171,8 +170,8 @@ def _missing(place: Place, present: Container[int], timeout: float) -> str:
     named = ", ".join(place.name(i) for i in absent[:5])
     more = f" and {len(absent) - 5} more" if len(absent) > 5 else ""
     return (
-        f"of {place.count} processes {len(absent)} did not come to {place.address} within "
-        f"{timeout:g} s: {named}{more}; --join-timeout allows them longer"
+        f"{len(absent)} of {place.count} processes did not connect to {place.address} within "
+        f"{timeout:g} s: {named}{more}. Allow more time with --join-timeout"
     )
 
 
@@ -187,22 +186,22 @@ def _require_fit(
     Raises:
         JoinError: the process does not fit.
     """
-    index, sender = hello["index"], f"the one of {hello['host']} (process id {hello['id']})"
+    index, sender = hello["index"], f"on host {hello['host']} (process id {hello['id']})"
     for name, value in _common(place, common).items():
         if hello["common"].get(name) != value:
             raise JoinError(
                 f"{name} differs between the processes: {value} in process 0, "
-                f"{hello['common'].get(name)} in process {index}, {sender}"
+                f"{hello['common'].get(name)} in process {index} {sender}"
             )
     if not 0 < index < place.count:
         raise JoinError(
-            f"there is no process {index} among {place.count}, counted from 0: {sender}"
+            f"there is no process {index} among {place.count}, counted from 0. It runs {sender}"
         )
     if index in present:
         other = present[index]
         raise JoinError(
-            f"two processes have the number {index}: {sender} and the one of {other['host']} "
-            f"(process id {other['id']})"
+            f"two processes have the number {index}: one {sender}, and one on host "
+            f"{other['host']} (process id {other['id']})"
         )
 
 
@@ -218,7 +217,7 @@ def _send(connection: socket.socket, message: Mapping[str, Any]) -> None:
 
 
 def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
-    """Return the received line; empty if none arrives in time or the line is not ours.
+    """Return the received line, or empty if none arrives in time or the line is not ours.
 
     No byte after the line is read, as frames may follow.
     """

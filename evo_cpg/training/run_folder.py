@@ -4,13 +4,12 @@
     meta.json        versions, seed, host, devices, times
     metrics.csv      a row per generation and run
     start.npz        initial genomes, if not random
-    checkpoints/     last two generations; `resume` continues from the newest
-    champion.npz     genome, fitness, terms and motion of the best individual of all runs;
-                     checkpoints hold the champions of all runs
+    checkpoints/     last two generations, with the champions of all runs (for `resume`)
+    champion.npz     genome, fitness, terms and motion of the best individual of all runs
     candidates.csv   with noise: results of the candidates for the champion
     lineage.npz      earlier champions, at most 32 of each run, see `evo_cpg.training.lineage`
-    refine.csv       gain of every round of `refine`; champion_before.npz and
-                     config_before.yaml are its initial state
+    refine.csv       gain of every round of `refine`
+    champion_before.npz, config_before.yaml: initial state of `refine`
     videos/, plots/  output of `render` and `plot`
     analysis.html    page of the run, by `analyse`
     watch.png        newest champion, by `watch`
@@ -57,7 +56,7 @@ from evo_cpg.training.checkpoint import (
 from evo_cpg.training.lineage import lineage_arrays, read_lineage
 
 CANDIDATES_FILE = "candidates.csv"
-"""Results of the candidates for the champion, see `evo_cpg.training.reevaluation`."""
+"""File with the results of the candidates for champion (see `evo_cpg.training.reevaluation`)."""
 
 _KEPT_CHECKPOINTS = 2
 # Folders in which files that belong together are written, and wait to be moved.
@@ -70,7 +69,7 @@ _DIGESTS = ("config_sha256", "genes_sha256", "outcome_sha256")
 
 
 class RunFolderError(UserError):
-    """Error of a run folder that cannot be used; the message names reason and remedy."""
+    """Error of a run folder that cannot be used. The message names reason and remedy."""
 
 
 class RunFolder:
@@ -127,7 +126,7 @@ class RunFolder:
         Args:
             config_text: the resolved configuration.
             meta: contents of meta.json.
-            start: initial genomes; None for random ones.
+            start: initial genomes, or None for random ones.
 
         Raises:
             OutputError: the folder cannot be written.
@@ -135,9 +134,9 @@ class RunFolder:
         """
         try:
             if self.path.exists() and not self.path.is_dir():
-                raise RunFolderError(f"{self.path} is a file; choose another --out")
+                raise RunFolderError(f"{self.path} is a file. Choose another --out")
             if self.config.exists():
-                raise RunFolderError(f"{self.path} already holds a run; {self._how_to_continue()}")
+                raise RunFolderError(f"{self.path} already holds a run. {self._how_to_continue()}")
             leftover = (
                 locks.FILE,
                 f".{self.config.name}.",
@@ -148,7 +147,7 @@ class RunFolder:
                 not other.name.startswith(leftover) for other in self.path.iterdir()
             ):
                 raise RunFolderError(
-                    f"{self.path} is not empty and holds no run; choose another --out"
+                    f"{self.path} is not empty and holds no run. Choose another --out"
                 )
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -164,11 +163,11 @@ class RunFolder:
         """Return advice on how to continue the existing run."""
         if self.read_meta().get("replaced"):
             return (
-                "it was begun in Python, and goes on there in another folder only: `evo.train(..., "
-                "start=...)` begins with its genomes"
+                "It began in Python. To continue, start a new run from its genomes in another "
+                "folder: `evo.train(..., start=...)`"
             )
         done = f" ({self.newest} generations are done)" if self.newest else ""
-        return f"go on with `evo-cpg resume {self.path}`{done} or choose another --out"
+        return f"Continue with `evo-cpg resume {self.path}`{done} or choose another --out"
 
     def require(self) -> None:
         """Check that there is a run here, and finish interrupted writes.
@@ -202,25 +201,28 @@ class RunFolder:
             raise cannot_write(self.path, error) from None
 
     def load_start(self) -> Float[np.ndarray, "g all"] | None:
-        """Return the initial genomes of the run; None if random.
+        """Return the initial genomes of the run, or None if random.
 
         Raises:
             RunFolderError: the file is missing, cannot be read, or holds something else.
         """
         if not self.start.is_file():
             if given := self.read_meta().get("start"):
-                raise RunFolderError(f"{self.start} is missing; the run begins {given}")
+                raise RunFolderError(
+                    f"{self.start} is missing. It held the run's initial genomes ({given}). Put "
+                    "it back or start a new run"
+                )
             return None
         try:
             genes = read_arrays(self.start)["genes"]
             if genes.ndim != 2 or not np.isfinite(genes).all():
                 raise ValueError("it holds no genomes")
         except DAMAGED as error:
-            raise RunFolderError(f"{self.start} is damaged ({error}); start a new run") from None
+            raise RunFolderError(f"{self.start} is damaged ({error}). Start a new run") from None
         return genes
 
     def read_meta(self) -> dict[str, Any]:
-        """Return the contents of meta.json; empty if missing or broken."""
+        """Return the contents of meta.json, or empty if missing or broken."""
         try:
             meta = read_json(self.meta, dict[str, Any])
         except (OSError, ValueError):
@@ -234,7 +236,7 @@ class RunFolder:
         self.write_json(self.meta.name, self.read_meta() | values)
 
     def write_json(self, name: str, values: Mapping[str, Any]) -> None:
-        """Write a .json file of the folder; numbers that are not finite become null."""
+        """Write a .json file of the folder. Numbers that are not finite become null."""
         text = json.dumps(_finite(values), indent=2, allow_nan=False)
         write_text(self.path / name, text)
 
@@ -254,7 +256,7 @@ class RunFolder:
             old.unlink(missing_ok=True)
 
     def load(self) -> Checkpoint | None:
-        """Return the newest readable checkpoint; None before the first generation is done.
+        """Return the newest readable checkpoint, or None before the first generation is done.
 
         Raises:
             RunFolderError: there are checkpoints, but none that can be read.
@@ -272,8 +274,8 @@ class RunFolder:
         if wrong:
             # A start at generation 0 would lose generations that may be recoverable.
             raise RunFolderError(
-                f"{self.path / 'checkpoints'}: no checkpoint can be read ({'; '.join(wrong)}); "
-                "make them readable or put copies back, or delete them to begin the run anew"
+                f"{self.path / 'checkpoints'}: no checkpoint can be read ({', '.join(wrong)}). "
+                "Make them readable, put copies back, or delete them to restart the run"
             )
         return None
 
@@ -334,15 +336,15 @@ class RunFolder:
         """
         if not self.lineage.is_file():
             raise RunFolderError(
-                f"{self.path} has no lineage.npz: no champion was found yet, or it evolved with "
-                "a version that kept none on the way"
+                f"{self.path} has no lineage.npz: no champion was found yet, or the run evolved "
+                "with a version that kept no earlier champions"
             )
         try:
             return read_lineage(read_arrays(self.lineage))
         except DAMAGED as error:
             raise RunFolderError(
-                f"{self.lineage} is damaged ({error}); the run can go on, but the champions on "
-                "its way so far are lost"
+                f"{self.lineage} is damaged ({error}). The run can continue, but its earlier "
+                "champions are lost"
             ) from None
 
     def write_table(self, name: str, rows: list[dict[str, float]]) -> None:
@@ -356,7 +358,7 @@ class RunFolder:
             RunFolderError: there is no champion yet, or the file cannot be read.
         """
         if not self.champion.is_file():
-            raise RunFolderError(f"{self.path} has no champion yet; train it first")
+            raise RunFolderError(f"{self.path} has no champion yet. Train it first")
         try:
             arrays = read_arrays(self.champion)
             champion = read_champion(arrays)
@@ -372,7 +374,8 @@ class RunFolder:
             return champion, recording, digests
         except DAMAGED as error:
             raise RunFolderError(
-                f"{self.champion} is damaged ({error}); `evo-cpg resume {self.path}` writes it anew"
+                f"{self.champion} is damaged ({error}). `evo-cpg resume {self.path}` writes it "
+                "again"
             ) from None
 
     def history(self) -> dict[str, np.ndarray]:
@@ -432,7 +435,7 @@ class RunFolder:
 
     @property
     def newest(self) -> int:
-        """Number of finished generations, from the newest checkpoint's name; 0 if there is none.
+        """Number of finished generations, from the newest checkpoint's name. 0 without checkpoints.
 
         The file is not read, so this is quick.
         """
@@ -442,8 +445,8 @@ class RunFolder:
     def write_metrics(self, history: list[dict[str, float]]) -> None:
         """Write metrics.csv."""
         rows, text = self._table
-        # Formatting every row again takes 0.2 s for 3000 generations of 8 runs, half as long as
-        # simulating one of them.
+        # Formatting every row again takes 0.2 s for 3000 generations of 8 runs. Simulating one
+        # generation takes twice as long.
         if not rows or history[: len(rows)] != rows:
             rows, text = [], ""
         added = io.StringIO()
@@ -456,7 +459,7 @@ class RunFolder:
 
 
 def read_checked(path: Path, is_sound: Callable[[Any], bool]) -> Any:
-    """Return the contents of a JSON file; None if there is no file.
+    """Return the contents of a JSON file, or None if there is no file.
 
     Args:
         path: path of the file.
@@ -470,7 +473,7 @@ def read_checked(path: Path, is_sound: Callable[[Any], bool]) -> Any:
     try:
         content = read_json(path, Any)
         if not is_sound(content):
-            raise ValueError("something is of another kind")
+            raise ValueError("a value has the wrong type")
     except (AttributeError, KeyError, OSError, TypeError, ValueError) as error:
         raise RunFolderError(f"{path} is damaged ({error})") from None
     return content

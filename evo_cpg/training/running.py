@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, PyTree, UInt32
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.checkpoint import Champion, Checkpoint, checkpoint_arrays, read_checkpoint
 from evo_cpg.training.experiment import (
-    Experiment,
+    ExperimentParts,
     Generation,
     begin,
     breed,
@@ -34,8 +34,8 @@ class Trials(NamedTuple):
 
     Attributes:
         genes: genome of every individual.
-        keys: random key of every trial; None without noise.
-        numbers: number of the situation of every trial; None if there is only one.
+        keys: random key of every trial, or None without noise.
+        numbers: number of the situation of every trial, or None if there is only one.
     """
 
     genes: Float[np.ndarray, "g individuals"]
@@ -60,7 +60,7 @@ class Evolution(NamedTuple):
 class Running:
     """Run that continues from the newest checkpoint of its folder.
 
-    With noise, rounds of trials follow the last generation to choose the champion
+    Under noise, rounds of trials follow the last generation to choose the champion
     (`evo_cpg.training.reevaluation`). The first round evaluates the final population.
 
     Args:
@@ -79,7 +79,7 @@ class Running:
     checkpoint: Checkpoint
 
     def __init__(
-        self, experiment: Experiment, folder: RunFolder, mesh: Mesh, team: Team = ALONE
+        self, experiment: ExperimentParts, folder: RunFolder, mesh: Mesh, team: Team = ALONE
     ) -> None:
         self._experiment, self._folder, self._team = experiment, folder, team
         self._programs = compile_evolution(experiment)
@@ -106,7 +106,7 @@ class Running:
 
     @property
     def finished(self) -> bool:
-        """Whether the last generation is done and the champion is chosen."""
+        """Return whether the last generation is done and the champion is chosen."""
         return is_finished(self._experiment, self.checkpoint)
 
     def trials(self) -> Trials:
@@ -127,7 +127,7 @@ class Running:
             start: time at which the generation started, by `time.perf_counter`, s.
 
         Returns:
-            The new rows of metrics.csv; none after a round that chooses champions.
+            The new rows of metrics.csv. There are none after a round that chooses champions.
         """
         experiment, before = self._experiment, self.checkpoint
         genes, number = self._genes(), self._number
@@ -207,19 +207,19 @@ class Running:
         return self._choice.genes(self.checkpoint.genes) if self._choice else self.checkpoint.genes
 
     def _keys(self) -> np.ndarray | None:
-        """Return the random keys of all next trials; None without noise."""
+        """Return the random keys of all next trials, or None without noise."""
         keys = jax.device_get(self._programs.keys(np.int32(self._number)))
         return self._choice.keys(keys, self._experiment.trials) if self._choice else keys
 
 
-def compile_evolution(experiment: Experiment) -> Evolution:
+def compile_evolution(experiment: ExperimentParts) -> Evolution:
     """Return the functions that a run needs besides its trials, for any number of generations."""
     functions = begin, generation_keys, breed
     return Evolution(*(jax.jit(functools.partial(one, experiment)) for one in functions))
 
 
 def _load(folder: RunFolder, team: Team) -> Checkpoint | None:
-    """Return the newest checkpoint of the lead's folder; None before the first generation."""
+    """Return the newest checkpoint of the lead's folder, or None before the first generation."""
     checkpoint = folder.load() if team.leads else None
     if team.count == 1:
         return checkpoint
@@ -228,7 +228,7 @@ def _load(folder: RunFolder, team: Team) -> Checkpoint | None:
 
 
 def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
-    """Return the champions up to a checkpoint; only the checkpoint's if the file is lost."""
+    """Return the champions up to a checkpoint, or only the checkpoint's if the file is lost."""
     try:
         lineage = folder.load_lineage()
     except RunFolderError:
@@ -241,7 +241,9 @@ def _float32(scales: dict[str, tuple[float, ...]]) -> dict[str, np.ndarray]:
     return {name: np.array(values, np.float32) for name, values in scales.items()}
 
 
-def _require_finite(experiment: Experiment, genes: Float[np.ndarray, "g all"], done: int) -> None:
+def _require_finite(
+    experiment: ExperimentParts, genes: Float[np.ndarray, "g all"], done: int
+) -> None:
     """Check the genomes of a strategy, unless the strategy disables the check.
 
     Raises:
@@ -250,9 +252,9 @@ def _require_finite(experiment: Experiment, genes: Float[np.ndarray, "g all"], d
     wrong = int((~np.isfinite(genes)).any(0).sum())
     if wrong and experiment.strategy.checks_genes:
         raise StrategyError(
-            f"evolution.type: {type(experiment.strategy).__name__} asked for genomes that are not "
-            f"finite for generation {done} ({wrong} of {genes.shape[1]}); what was done before "
-            "is in the run folder"
+            f"evolution.type: {type(experiment.strategy).__name__} returned genomes that are not "
+            f"finite for generation {done} ({wrong} of {genes.shape[1]}). The run folder holds the "
+            "earlier generations"
         )
 
 
@@ -291,7 +293,7 @@ def _individual(
 
 
 def _metrics(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     generation: int,
     result: Generation,
     run: int,

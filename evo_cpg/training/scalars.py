@@ -16,7 +16,7 @@ from typing import Any, cast
 from evo_cpg.files import cannot_write
 from evo_cpg.installation import command_for
 
-# Names of the folder and of each file; TensorBoard searches for the first part.
+# Names of the folder and of each file. TensorBoard searches for the first part.
 FOLDER, _FILE = "tensorboard", "events.out.tfevents.evo-cpg"
 # Columns with the generation and run of a row.
 _PLACE = ("generation", "run")
@@ -116,6 +116,6 @@ def require_writer() -> None:
         import tensorboardX.proto.event_pb2  # noqa: F401
     except ImportError as error:
         raise MissingWriterError(
-            f"'tensorboardX' is not installed here ({error}); `{command_for('tensorboard')}` "
-            "installs it"
+            f"'tensorboardX' is not installed here ({error}). Install it: "
+            f"`{command_for('tensorboard')}`"
         ) from None

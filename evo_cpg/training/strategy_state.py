@@ -16,13 +16,13 @@ from evo_cpg.errors import UserError
 
 
 class StrategyError(UserError):
-    """Error of a strategy that breaks its contract; the message is for the user."""
+    """Error of a strategy that breaks its contract. The message is for the user."""
 
 
 def state_arrays(state: PyTree) -> dict[str, np.ndarray]:
-    """Return the leaves of a state on the host by path, such as ``archive.genes``.
+    """Return the arrays of a state as NumPy arrays. Names are paths, such as ``archive.genes``.
 
-    If two leaves have equal paths, the later path gets a prime.
+    If two arrays have the same path, the later name ends with an apostrophe.
     """
     leaves, _ = jax.tree.flatten_with_path(jax.device_get(state))
     return {name: _stored(leaf) for name, leaf in _named(leaves).items()}
@@ -32,8 +32,8 @@ def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
     """Return the state from `state_arrays`.
 
     Args:
-        arrays: arrays by path.
-        like: state of equal structure; only its shapes and types are used.
+        arrays: arrays by name.
+        like: state of equal structure. Only its shapes and types are used.
 
     Raises:
         StrategyError: the arrays come from another strategy or from other settings.
@@ -48,8 +48,8 @@ def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
     if kinds(arrays) != kinds(expected):
         found, described = (_described(given) for given in (arrays, expected))
         raise StrategyError(
-            f"the checkpoint holds what another strategy remembers ({found}), and this one "
-            f"{described}: was the section `evolution` changed?"
+            f"the checkpoint holds the state of another strategy ({found}). This strategy needs "
+            f"{described}. Was the section `evolution` changed?"
         )
     return jax.tree.unflatten(
         structure, [_restored(arrays[name], leaf) for name, leaf in named.items()]

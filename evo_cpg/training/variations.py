@@ -21,7 +21,7 @@ from evo_cpg.simulation.judge import Outcome
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.experiment import Experiment, champion_keys, judge, situation_numbers
+from evo_cpg.training.experiment import ExperimentParts, champion_keys, judge, situation_numbers
 
 # Seed of the draws of noise.
 _SEED = 20
@@ -47,8 +47,8 @@ class Varied(NamedTuple):
     """Results of an individual, one for each simulation and draw.
 
     Attributes:
-        displacement: mean over its trials, m; NaN if it diverged.
-        fitness: mean over its trials; -inf if it diverged.
+        displacement: mean over its trials, m, or NaN if it diverged.
+        fitness: mean over its trials, or -inf if it diverged.
         alive: False if it diverged in any trial.
         terms: means of the task's terms and of the measures.
     """
@@ -59,12 +59,14 @@ class Varied(NamedTuple):
     terms: dict[str, Float[np.ndarray, " n"]]
 
     def mean_displacements(self, variation: Variation) -> Float[np.ndarray, " simulations"]:
-        """Return means over the draws of noise, m; a rollout that diverged counts as 0."""
+        """Return means over the draws of noise, m. A rollout that diverged counts as 0."""
         each = np.where(self.alive, np.nan_to_num(self.displacement), 0.0)
         return each.reshape(len(variation.simulations), variation.draws).mean(1)
 
 
-def compile_variation(experiment: Experiment, variation: Variation) -> Callable[[Champion], Varied]:
+def compile_variation(
+    experiment: ExperimentParts, variation: Variation
+) -> Callable[[Champion], Varied]:
     """Compile an individual's trials under other conditions, before there is a champion.
 
     Args:
@@ -78,7 +80,7 @@ def compile_variation(experiment: Experiment, variation: Variation) -> Callable[
     rollouts = len(sims) * variation.draws
     numbers = situation_numbers(experiment)
     numbers = None if numbers is None else np.tile(numbers, rollouts)
-    # The lanes of a simulation are neighbours, and in it those of a draw.
+    # Lanes are ordered by simulation, then by draw, then by trial.
     owners = np.repeat(np.arange(len(sims)), variation.draws * trials)
     dtype = np.float64 if variation.double else np.float32
     gene_count = experiment.simulation.genome.count
@@ -164,7 +166,7 @@ def _program(sims: Sequence[Simulation], owners: np.ndarray) -> Callable[..., Ou
     return lambda genes, keys, numbers: rollout(every, genes, keys, numbers)
 
 
-def _keys(experiment: Experiment, champion: Champion, variation: Variation) -> Array | None:
+def _keys(experiment: ExperimentParts, champion: Champion, variation: Variation) -> Array | None:
     """Return raw keys of all trials: the champion's own, or new ones for several draws."""
     if variation.simulations[0].noise.silent:
         return None

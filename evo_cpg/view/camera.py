@@ -7,9 +7,10 @@ The whole recording is known before the first frame. So the path is smoothed wit
 window, which does not lag. The distance is fixed, and so is the viewing direction, except for the
 circling camera. So everything that moves in the picture moves in the world.
 
-The distance is the smallest at which a sphere around the focus that holds every body fits the
-frame. The sphere fits at every instant if there is a light, and in half of them without one. The
-distance then grows until every body is inside the frame.
+The distance is the smallest at which a sphere around the focus fits the width of the frame, and is
+at most 1.5 times as high as the frame. The sphere holds every body: at every instant if there is a
+light, and in half of the instants without one. The distance then grows until every body is inside
+the frame.
 """
 
 from collections.abc import Callable
@@ -21,8 +22,8 @@ from jaxtyping import Float
 # Half-width of the Gaussian window, s: longer than a tail beat, shorter than a turn.
 SMOOTHING = 0.8
 VIEW_ANGLE = 32.0
-# Fraction of the frame's height that the sphere around the animal may fill. The animal itself is
-# flatter than its sphere and the frame wider than high, so this is still close.
+# Largest angle at which the camera sees the sphere around the animal, in angles of view. The sphere
+# may exceed the frame, because the animal is flatter. The camera is therefore closer.
 _FILL = 1.5
 # The focus lies this fraction of the animal's radius further towards the goal. Without a goal the
 # focus lies further along the path.

@@ -1,4 +1,4 @@
-"""Write the captions of a film: title, time, distance, speed, and headings of moments."""
+"""Write the captions of a film (title, time, distance, speed) and the headings of a sheet."""
 
 from collections.abc import Callable
 
@@ -68,7 +68,7 @@ def captions(
 
 
 def heading(text: str, width: int, height: int) -> np.ndarray:
-    """Return a line of text, dark on white: ``(height, width, 3)`` bytes, bottom row first.
+    """Return a moment's heading, dark on white: ``(height, width, 3)`` bytes, bottom row first.
 
     Args:
         text: words of the line.

@@ -8,7 +8,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording, require_whole
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.view.camera import course
 from evo_cpg.view.clip import Clip
 from evo_cpg.view.look import SHORE, STYLES, Look
@@ -47,7 +47,7 @@ class Panel(NamedTuple):
 
 
 def panel_of(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     recording: Recording,
     title: str,
     signals: Signals | None = None,

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.view.film import picture
 from evo_cpg.view.frames import Film
 from evo_cpg.view.output import save_picture
@@ -21,7 +21,7 @@ _SIZE = (1280, 560)
 
 
 def watch_picture(
-    experiment: Experiment,
+    experiment: ExperimentParts,
     recording: Recording,
     history: Mapping[str, np.ndarray],
     title: str,

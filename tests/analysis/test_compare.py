@@ -1,4 +1,4 @@
-"""Settings that are compared by ranks, beside brute force."""
+"""Comparisons of settings by ranks, against brute force."""
 
 import itertools
 
@@ -8,7 +8,7 @@ import pytest
 from evo_cpg.analysis.compare import compare, holm, spread
 
 
-def test_the_chance_to_win_counts_pairs_and_ties_half():
+def test_the_chance_to_win_counts_ties_half():
     first, second = [1.0, 2.0, 3.0, 3.0], [3.0, 0.5, 2.0]
     (found,) = compare({"a": first, "b": second})
     wins = sum((x > y) + 0.5 * (x == y) for x, y in itertools.product(first, second))
@@ -16,22 +16,22 @@ def test_the_chance_to_win_counts_pairs_and_ties_half():
     assert found.wins == pytest.approx(wins / 12)
 
 
-def test_the_test_is_that_of_all_ways_to_share_out_the_ranks():
-    """Exact: of all ways to choose four of eight, how many are as uneven."""
+def test_p_value_equals_exact_permutation_test():
+    """p is the fraction of all choices of four of eight values that are at least as uneven."""
     first, second = [0.1, 0.2, 0.35, 0.8], [0.3, 0.5, 0.7, 0.9]
     (found,) = compare({"a": first, "b": second})
-    everybody = np.array(first + second)
+    pooled = np.array(first + second)
 
     def lead(chosen):
-        own = everybody[list(chosen)]
-        others = np.delete(everybody, list(chosen))
+        own = pooled[list(chosen)]
+        others = np.delete(pooled, list(chosen))
         return abs(sum(x > y for x, y in itertools.product(own, others)) - 8)
 
-    ways = [lead(chosen) for chosen in itertools.combinations(range(8), 4)]
-    assert found.p_value == pytest.approx(np.mean(np.array(ways) >= lead(range(4))))
+    leads = [lead(chosen) for chosen in itertools.combinations(range(8), 4)]
+    assert found.p_value == pytest.approx(np.mean(np.array(leads) >= lead(range(4))))
 
 
-def test_more_tests_ask_for_more():
+def test_holm_correction_grows_with_the_number_of_tests():
     np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03])), [0.03, 0.06, 0.06])
     np.testing.assert_allclose(holm(np.array([0.5, 0.9])), [1.0, 1.0])
     assert holm(np.array([])).size == 0

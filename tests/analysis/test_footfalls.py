@@ -1,4 +1,4 @@
-"""Feet that touch the ground at known times, slide at known speeds, or never do."""
+"""Footfalls with known times of contact and known speeds of sliding."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ STEP = 1 / 60
 
 
 def square_waves(frequency: float, duty: float, phases: list[float], count: int = 1200):
-    """Feet that are down for a share of every stride, from their phase on."""
+    """Return contacts that last a fraction of every stride, from each foot's phase on."""
     time = (np.arange(count) + 0.5) * STEP
     return np.stack([(frequency * time - phase) % 1.0 < duty for phase in phases], -1)
 
@@ -17,35 +17,35 @@ def square_waves(frequency: float, duty: float, phases: list[float], count: int 
 @pytest.mark.parametrize("duty", [0.3, 0.65])
 @pytest.mark.parametrize("frequency", [0.7, 1.3])
 def test_duty_factors_and_phases_of_square_waves(frequency, duty):
-    """A walk of four feet; what the samples' grid leaves open is one sample of a stride."""
-    wanted = [0.0, 0.5, 0.75, 0.25]
-    touched = square_waves(frequency, duty, wanted)
+    """A walk of four feet. The sampling grid limits the accuracy to one sample."""
+    expected = [0.0, 0.5, 0.75, 0.25]
+    touched = square_waves(frequency, duty, expected)
     np.testing.assert_allclose(footfalls.duty_factors(touched), duty, atol=0.02)
     found = footfalls.phases(touched, STEP)
     assert found.reference == 0
-    np.testing.assert_allclose(found.phase, wanted, atol=STEP * frequency)
+    np.testing.assert_allclose(found.phase, expected, atol=STEP * frequency)
     assert (found.regularity > 0.99).all()
 
 
-def test_touch_downs_and_stances_are_where_they_were_put():
+def test_touch_downs_and_stances_have_known_instants():
     touched = np.zeros(20, bool)
     touched[:3] = touched[5:9] = touched[15:] = True
-    # What stands at the start has not touched down.
+    # An initial stance has no touch-down.
     np.testing.assert_allclose(footfalls.touch_downs(touched, 0.1), [0.5, 1.5])
     np.testing.assert_allclose(
         footfalls.stances(touched, 0.1), [[0.0, 0.3], [0.5, 0.9], [1.5, 2.0]]
     )
 
 
-def test_airborne_share_of_a_hop():
+def test_airborne_fraction_of_a_hop():
     """Both feet are up together for 0.4 of the time."""
     touched = square_waves(1.0, 0.6, [0.0, 0.0])
     assert footfalls.airborne_fraction(touched) == pytest.approx(0.4, abs=0.01)
-    # With half a stride between them one is always down.
+    # Half a stride apart, one foot is always down.
     assert footfalls.airborne_fraction(square_waves(1.0, 0.6, [0.0, 0.5])) == 0.0
 
 
-def test_chatter_is_taken_out_and_what_the_record_cuts_stays():
+def test_chatter_is_removed_except_at_the_edges():
     touched = np.zeros((40, 1), bool)
     touched[0] = touched[10:20] = touched[30] = True
     touched[14] = False
@@ -56,8 +56,8 @@ def test_chatter_is_taken_out_and_what_the_record_cuts_stays():
 
 
 @pytest.mark.parametrize("frequency", [1.0, 4.0, 15.0])
-def test_steps_of_a_fast_animal_are_no_chatter(frequency):
-    """Sampled 240 times a second, with a bounce of a sample after each touch-down."""
+def test_strides_of_a_fast_animal_are_no_chatter(frequency):
+    """The sampling rate is 240 Hz, and each touch-down bounces for one sample."""
     step = 1 / 240
     time = (np.arange(960) + 0.5) * step
     touched = np.stack([(frequency * time - phase) % 1.0 < 0.6 for phase in (0.0, 0.5)], -1)
@@ -68,7 +68,7 @@ def test_steps_of_a_fast_animal_are_no_chatter(frequency):
     assert footfalls.chatter(np.nan) == footfalls.chatter(1.0) == 0.05
 
 
-def test_noise_at_touch_down_costs_regularity_but_no_bias():
+def test_random_touch_downs_lower_regularity_without_bias():
     generator = np.random.default_rng(1)
     touched = np.zeros((6000, 2), bool)
     for stride in range(99):
@@ -81,7 +81,7 @@ def test_noise_at_touch_down_costs_regularity_but_no_bias():
     assert 0.8 < found.regularity[1] < 0.95
 
 
-def test_feet_that_never_touch_or_never_leave_have_no_phase():
+def test_feet_without_touch_down_have_no_phase():
     touched = np.zeros((600, 3), bool)
     touched[:, 1] = True
     duty = footfalls.duty_factors(touched)
@@ -92,13 +92,13 @@ def test_feet_that_never_touch_or_never_leave_have_no_phase():
     assert footfalls.airborne_fraction(touched[:, [0, 2]]) == 1.0
 
 
-def test_a_foot_with_one_stride_is_no_reference_where_another_has_several():
+def test_the_reference_has_at_least_half_the_strides():
     touched = square_waves(1.0, 0.5, [0.3, 0.0])
     touched[150:, 0] = False
     assert footfalls.phases(touched, STEP).reference == 1
 
 
-def test_bodies_touch_where_a_force_acts_on_a_point_of_theirs():
+def test_a_body_touches_if_a_force_acts_on_its_points():
     force = np.zeros((3, 3, 4))
     force[1, 2, 3] = 5.0
     force[2, 0, 0] = -0.1
@@ -107,7 +107,7 @@ def test_bodies_touch_where_a_force_acts_on_a_point_of_theirs():
 
 
 def turned(angle: np.ndarray) -> np.ndarray:
-    """Rotations about y ``(t, 3, 3)``."""
+    """Return rotations about y ``(t, 3, 3)``."""
     matrix = np.zeros((len(angle), 3, 3))
     matrix[:, 1, 1] = 1
     matrix[:, 0, 0] = matrix[:, 2, 2] = np.cos(angle)
@@ -116,7 +116,7 @@ def turned(angle: np.ndarray) -> np.ndarray:
 
 
 def test_a_sliding_foot_slips_and_a_rolling_one_does_not():
-    """Both go at 0.3 m/s; only stance counts, and not how high the foot hops."""
+    """Both move at 0.3 m/s. Only the horizontal speed in stance counts."""
     time, speed, radius = np.arange(600) * STEP, 0.3, 0.05
     place = np.zeros((600, 2, 3))
     place[:, :, 0], place[:, :, 2] = speed * time[:, None], radius
@@ -128,14 +128,14 @@ def test_a_sliding_foot_slips_and_a_rolling_one_does_not():
     place[:, :, 2] += 0.01 * np.sin(40 * time)[:, None]
     slip = footfalls.slip_speeds(place, rotation, lowest, touched, STEP)
     assert slip[0] == pytest.approx(speed, rel=1e-6)
-    # A polygon of 10 sides a radian: second order in the angle of a step.
+    # The error is second order in the angle of a step, a tenth of a radian.
     assert slip[1] < 0.06 * speed
     never = footfalls.slip_speeds(place, rotation, lowest, ~np.ones_like(touched), STEP)
     assert np.isnan(never).all()
 
 
-def test_flight_before_touch_down_and_after_lift_off_is_no_slip():
-    """It stands from the middle of a sample to that of another; one that only taps has no slip."""
+def test_flight_within_a_contact_sample_is_no_slip():
+    """Contact begins and ends in the middle of samples. A foot that only taps has no slip."""
     sample = np.arange(600) % 15
     aloft = np.select([(sample > 4) & (sample < 10), (sample == 4) | (sample == 10)], [0, 0.5], 1)
     place = np.zeros((600, 2, 3))

@@ -1,4 +1,4 @@
-"""The rhythm of made-up joint angles is measured as it was made."""
+"""Rhythms of synthetic joint angles."""
 
 import numpy as np
 import pytest
@@ -33,7 +33,7 @@ def wave(frequency: float, lag_deg: float, joints: int = 6, count: int = 2000) -
 
 @pytest.mark.parametrize(("frequency", "lag"), [(0.317, 36.0), (1.043, -20.0), (2.71, 100.0)])
 def test_frequency_amplitude_and_lag_of_a_travelling_wave(frequency, lag):
-    """Hann's window leaves a pure tone's phase exact; leakage of the mean sets the tolerances."""
+    """A Hann window preserves the phase. Leakage of the mean sets the tolerances."""
     names = tuple(f"segment{i}.z" for i in range(6))
     found = gait(recording(0.2 * wave(frequency, lag), names))
     assert found.axis == "z"
@@ -43,7 +43,7 @@ def test_frequency_amplitude_and_lag_of_a_travelling_wave(frequency, lag):
     assert found.has_wave() == (10 <= lag <= 70)
 
 
-def test_a_wave_needs_one_frequency_and_a_lag_at_every_gap():
+def test_a_wave_needs_one_frequency_and_lags_everywhere():
     names = tuple(f"segment{i}.z" for i in range(6))
     angles = wave(1.0, 30.0)
     angles[:, 3] = wave(1.1, 30.0)[:, 3]
@@ -53,7 +53,7 @@ def test_a_wave_needs_one_frequency_and_a_lag_at_every_gap():
     assert not gait(recording(angles, names)).has_wave()
 
 
-def test_the_bending_axis_moves_most_and_is_no_twist():
+def test_bending_axis_moves_most_except_twist():
     count = np.arange(600)
     swing = np.sin(count / 7.0)
     names = ("a.x", "a.y", "a.z")
@@ -66,13 +66,13 @@ def test_drift_is_no_rhythm():
     time = np.arange(1000) * STEP
     drifting = 5 * time + 0.1 * np.sin(2 * np.pi * 1.5 * time)
     assert dominant_frequency(drifting[:, None], STEP)[0] == pytest.approx(1.5, rel=0.01)
-    # Nor is one that bends, whose own peak lies between one period and two.
-    share = time / time[-1]
-    bent = 16 * share**2 + np.sin(2 * np.pi * 1.5 * time)
+    # A quadratic drift has its peak between one period and two.
+    fraction = time / time[-1]
+    bent = 16 * fraction**2 + np.sin(2 * np.pi * 1.5 * time)
     assert dominant_frequency(bent[:, None], STEP)[0] == pytest.approx(1.5, rel=0.01)
 
 
-def test_lags_around_a_ring_close_it():
+def test_ring_lags_equal_those_of_the_signals():
     names = tuple(f"arm{j}.y" for j in (3, 1, 5, 2, 4))
     phases = np.deg2rad([130.0, 0.0, 300.0, 50.0, 200.0])
     time = 2 * np.pi * 1.3 * STEP * np.arange(1200)[:, None]

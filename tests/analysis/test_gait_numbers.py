@@ -1,4 +1,4 @@
-"""Numbers of animals that were made up, from a recording to the table."""
+"""Gait numbers of synthetic recordings."""
 
 import dataclasses
 
@@ -20,12 +20,12 @@ from evo_cpg.simulation.recording import Recording
 STEP = 1 / 60
 COUNT = 600
 TIME = STEP * np.arange(COUNT)[:, None]
-# Of a wave that runs to the tail, degrees a joint.
+# Lag of a wave from head to tail, degrees per joint.
 LAG = 50.0
 
 
 def snake(mirrored: tuple[str, ...] = ()) -> Creature:
-    """Six boxes in a row, some of whose joints turn about -z."""
+    """Return six boxes in a row. The joints of ``mirrored`` bodies turn about -z."""
     bodies = []
     for body in box_chain(6, "z").bodies:
         joint = body.joint
@@ -36,7 +36,7 @@ def snake(mirrored: tuple[str, ...] = ()) -> Creature:
 
 
 def recording(creature: Creature, place: np.ndarray, angles: np.ndarray) -> Recording:
-    """All bodies are at one place and do not turn, whatever the joints do."""
+    """Return a recording with all bodies at one place and without rotation."""
     count, bodies = len(place), len(creature.bodies)
     still = np.zeros_like(angles)
     return Recording(
@@ -74,8 +74,8 @@ def swims(speed: float = 0.5, height: float = 0.0) -> np.ndarray:
     return np.hstack([speed * TIME, 0 * TIME, 0 * TIME + height])
 
 
-def test_cost_of_transport_is_of_the_steps_that_make_the_way():
-    """10 samples are 9 steps; what is spent in the tenth leads to where it is not seen."""
+def test_cost_of_transport_leaves_out_the_last_step():
+    """10 samples have 9 displacements. The recording ends before the tenth one."""
     creature = snake()
     energy = np.full((10, 1), 2.0)
     energy[-1] = 50.0
@@ -87,8 +87,8 @@ def test_cost_of_transport_is_of_the_steps_that_make_the_way():
 
 
 @pytest.mark.parametrize("speed", [1e-7, 0.1])
-def test_who_lies_still_has_no_stride_length_and_no_relative_slip(speed):
-    """It wriggles on the ground; the tail is on it all the time, and drags at the same speed."""
+def test_a_standing_animal_has_no_stride_length_or_relative_slip(speed):
+    """The animal wriggles, and the tail is always in contact and slides along."""
     creature = snake()
     world = lying(creature)
     force = np.zeros((COUNT, 3, len(world.contact_model.bodies), 1))
@@ -104,14 +104,15 @@ def test_who_lies_still_has_no_stride_length_and_no_relative_slip(speed):
     else:
         assert np.isnan([found.value(key) for key in keys]).all()
         missing = {each.key: each.missing for each in found.quantities}
-        assert [missing[key] for key in keys] == ["it gets nowhere"] * 3
+        words = "its path in the second half of the trial is shorter than 1 % of its length"
+        assert [missing[key] for key in keys] == [words] * 3
     swimmer = numbers_of(creature, in_water(creature), place, wave())
     assert np.isnan(swimmer.value("strouhal")) == (speed < 0.01)
 
 
 @pytest.mark.parametrize("height", [-0.5, 0.04, 0.06, 2.0])
-def test_only_who_is_in_the_water_has_a_strouhal_number(height):
-    """Boxes 0.1 m high reach down by 0.05 m."""
+def test_only_an_animal_in_water_has_a_strouhal_number(height):
+    """Boxes 0.1 m high reach 0.05 m down."""
     creature = snake()
     world = in_water(creature, surface=0.0)
     found = numbers_of(creature, world, swims(height=height), wave())
@@ -126,8 +127,8 @@ def test_only_who_is_in_the_water_has_a_strouhal_number(height):
 
 
 @pytest.mark.parametrize("mirrored", [("b2", "b4"), ("b1",)])
-def test_lags_and_wave_do_not_depend_on_which_way_axes_point(mirrored):
-    """The same motion, told by angles about z and by some about -z."""
+def test_lags_and_wave_do_not_depend_on_axis_signs(mirrored):
+    """Describe one motion by angles about z, and partly about -z."""
     plain, other = snake(), snake(mirrored)
     signs = np.array([-1.0 if body.name in mirrored else 1.0 for body in other.bodies[1:]])
     one = numbers_of(plain, in_water(plain), swims(), wave())
@@ -142,7 +143,7 @@ def test_lags_and_wave_do_not_depend_on_which_way_axes_point(mirrored):
 
 
 def test_signs_of_axes_in_the_neutral_pose():
-    """A limb that is turned over, and one that stands square; a row of one has no sign."""
+    """One limb is turned over and one is perpendicular. A row of one axis has sign 1."""
     over = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
     square = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
     bodies = [*snake(("b3",)).bodies]
@@ -151,9 +152,9 @@ def test_signs_of_axes_in_the_neutral_pose():
         bodies[i] = dataclasses.replace(bodies[i], joint=joint)
     tree = build_tree(Creature("turned", tuple(bodies)))
     rows = [chain.oscillators for chain in chains(tree, CpgSettings())]
-    # What hangs on b2 is turned over with it, and b3 turns about -z besides.
+    # Bodies behind b2 are turned over with it, and b3 also turns about -z.
     np.testing.assert_array_equal(axis_signs(tree, rows), [1, -1, 1, -1, 1])
-    # Arms of a ring hang on a body without an axis: each begins a row.
+    # Each arm on a body without an axis begins a row.
     alone = Creature("alone", (bodies[0], *(_on_the_first(body) for body in bodies[1:])))
     tree = build_tree(alone)
     rows = [chain.oscillators for chain in chains(tree, CpgSettings())]

@@ -1,4 +1,4 @@
-"""Periodic orbits of the oscillators beside plain simulation."""
+"""Periodic orbits of the oscillators against time-stepping simulation."""
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ def drive(network: MatsuokaNetwork, gain: float) -> tuple[np.ndarray, np.ndarray
 
 
 def simulate(network, tonic, gain, seconds, start=None, h=H):
-    """Outputs at every step and the last state, float64."""
+    """Return outputs at every step and the final state, float64."""
     state = initial_state(network, dtype=jnp.float64) if start is None else start
     steps = round(seconds / h)
 
@@ -48,7 +48,7 @@ def simulate(network, tonic, gain, seconds, start=None, h=H):
 
 
 @pytest.mark.parametrize("gain", [pytest.param(1.5, marks=pytest.mark.slow), 4.0, 10.0])
-def test_frequency_and_lag_are_those_of_the_simulation(gain, x64):
+def test_frequency_and_lag_equal_simulation(gain, x64):
     network = chain(9)
     tonic, gains = drive(network, gain)
     cycle = limit_cycle(network, tonic, gains)
@@ -66,10 +66,10 @@ def test_frequency_and_lag_are_those_of_the_simulation(gain, x64):
 @pytest.mark.parametrize(
     ("joints", "gain", "weight"), [(1, 5.0, 2.0), (4, 3.0, 1.07), (9, 4.0, 1.07), (9, 9.0, 1.07)]
 )
-def test_multipliers_foretell_how_a_push_dies_away(joints, gain, weight, x64):
-    """What is left of the slowest push after one period and after two, within 5 %.
+def test_multipliers_predict_the_decay_of_a_perturbation(joints, gain, weight, x64):
+    """Compare the slowest perturbation after one period and after two, within 5 %.
 
-    A push of finite size shifts the phase as well; that part, which never dies away, is left out.
+    A finite perturbation also shifts the phase. That part never decays, and is left out.
     """
     network = chain(joints, pair_weight=weight)
     tonic, gains = drive(network, gain)
@@ -88,18 +88,18 @@ def test_multipliers_foretell_how_a_push_dies_away(joints, gain, weight, x64):
     if values[slowest].imag == 0:
         np.testing.assert_allclose(shrinks, np.abs(cycle.multipliers[0]), rtol=0.05)
         return
-    # Half of a real push lies along each of the two.
+    # The push has equal parts along two conjugate eigenvectors. `along` measures one of them.
     expected = abs(along @ (cycle.monodromy @ push)) / left[0]
     np.testing.assert_allclose(shrinks[0], expected, rtol=0.05)
 
 
-def test_a_pair_that_is_damped_has_no_rhythm(x64):
+def test_a_damped_pair_has_no_rhythm(x64):
     network = chain(1)
     with pytest.raises(NoRhythmError, match="comes to rest"):
         limit_cycle(network, *drive(network, 5.0))
 
 
-def test_axes_that_do_not_meet_are_parts_of_their_own(x64):
+def test_uncoupled_axes_are_separate_parts(x64):
     network = chain(4, "yz")
     assert parts(network) == [(0, 2, 4, 6), (1, 3, 5, 7)]
     alone = limit_cycle(chain(4), *drive(chain(4), 4.0))

@@ -1,4 +1,4 @@
-"""Distances and depths of convex shapes, against closed forms and the planes of their tangents."""
+"""Distances and depths of convex shapes, against closed forms and minimisation."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ OCTAHEDRON, _ = convex_mesh(
         [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
     ),
 )
-# Its centre of mass is at the origin, its corners are not the same to both sides.
+# An asymmetric shape with its centre of mass at the origin.
 WEDGE, _ = convex_mesh(
     0.1 * np.array([[3, 0, 0], [-1, 2, 0], [-1, -1, 1.5], [-1, -1, -1.5]]),
     np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]),
@@ -24,7 +24,7 @@ WEDGE, _ = convex_mesh(
 
 
 def gap(first, second, offset, turn=None):
-    """Of two shapes, the first in the world's frame."""
+    """Return the gap of two shapes, the first in the world's frame."""
     turn = np.eye(3) if turn is None else turn
     (found,) = gaps(
         (first, second),
@@ -43,19 +43,19 @@ def gap(first, second, offset, turn=None):
         (EGG, EGG, (0.0, 0.0, 0.05), -0.01),
         (EGG, Box((0.1, 0.1, 0.1)), (0.0, 0.15, 0.0), 0.02),
         (Capsule(0.05, 0.2), EGG, (0.0, 0.0, 0.1), 0.02),
-        # Along the normal of a face, which is nearer than the corners.
+        # The nearest point is on a face.
         (OCTAHEDRON, Sphere(0.05), (0.1, 0.1, 0.1), np.sqrt(3) * (0.1 - 0.1 / 3) - 0.05),
         (WEDGE, Sphere(0.05), (0.4, 0.0, 0.0), 0.05),
         (WEDGE, Sphere(0.05), (-0.4, 0.0, 0.0), 0.25),
         (OCTAHEDRON, OCTAHEDRON, (0.06, 0.06, 0.06), (0.18 - 0.2) / np.sqrt(3)),
     ],
 )
-def test_known_distances(first, second, offset, expected):
+def test_distances_equal_closed_forms(first, second, offset, expected):
     assert gap(first, second, offset) == pytest.approx(expected, abs=1e-6)
     assert gap(second, first, -np.array(offset)) == pytest.approx(expected, abs=1e-6)
 
 
-def test_ellipsoids_that_are_apart_are_as_far_apart_as_their_nearest_points():
+def test_distance_of_ellipsoids_equals_minimisation():
     rng = np.random.default_rng(4)
     found = 0
     for _ in range(12):
@@ -78,7 +78,7 @@ def test_ellipsoids_that_are_apart_are_as_far_apart_as_their_nearest_points():
     assert found > 5
 
 
-def test_which_shapes_are_their_rounded_boxes():
+def test_shapes_that_fill_their_rounded_boxes():
     fill = (Sphere(0.1), Box((0.1, 0.2, 0.3)), Capsule(0.05, 0.2))
     assert all(shape.fills_rounded_box for shape in fill)
     assert not any(shape.fills_rounded_box for shape in (EGG, OCTAHEDRON))

@@ -1,4 +1,4 @@
-"""Settings for a wanted rhythm, beside plain simulation with those settings."""
+"""Settings for a reference rhythm, against time-stepping simulation."""
 
 import dataclasses
 import functools
@@ -25,7 +25,7 @@ def body(joints: int, axes: str = "z") -> Tree:
 
 
 def simulated(tree: Tree, settings: CpgSettings, gain: float) -> tuple[float, float, float]:
-    """Frequency, mean lag and least swing of a chain, from rest and after a long time."""
+    """Return frequency, mean lag and least swing of a chain after a long time."""
     network = build_network(tree, settings)
     count = network.oscillator_count
     h = network.rise_time / 16
@@ -63,7 +63,7 @@ def is_reached(joints: int, found: Rhythm, frequency: float, lag: float) -> None
 
 
 def within_reach(joints: int, rng: np.random.Generator) -> float:
-    """The lag of some chain within the bounds."""
+    """Return the lag of a random chain within the bounds."""
     while True:
         gain, stronger, ratio = np.exp([rng.uniform(*np.log(x)) for x in (GAINS, STRONGER, RATIOS)])
         weights = {"parent_weight": stronger, "child_weight": stronger * ratio}
@@ -102,14 +102,14 @@ def test_a_frequency_alone_changes_the_time_scale_alone():
 
 
 @pytest.mark.slow
-def test_a_lag_alone_leaves_the_time_scale_and_may_hold_b():
+def test_a_lag_alone_keeps_the_time_scale_and_a_held_b():
     found = solved(3, None, 20.0, hold_gain=True)
     assert found.adaptation_gain == 5.5 and found.settings.time_scale == 1
     is_reached(3, found, found.cycle.frequency, 20.0)
 
 
 @pytest.mark.slow
-def test_what_is_there_already_is_kept():
+def test_the_present_lag_keeps_the_settings():
     tree, settings = body(3), CpgSettings()
     lag = simulated(tree, settings, 5.5)[1]
     found = solved(3, None, lag)
@@ -117,11 +117,13 @@ def test_what_is_there_already_is_kept():
     np.testing.assert_allclose(x, [5.5, 1.0, 0.2], rtol=0.01)
 
 
-def test_what_is_out_of_reach_is_refused_and_what_is_within_named():
-    with pytest.raises(UnreachableRhythmError, match=r"70 degrees is out of reach; from head") as e:
+@pytest.mark.slow
+def test_an_unreachable_lag_raises_with_the_reachable_range():
+    with pytest.raises(UnreachableRhythmError, match=r"70 degrees is out of reach\. Allowed") as e:
         solved(3, 1.0, 70.0)
-    # The largest is at the largest b, and both lie between what simulations there give.
-    low, high = map(float, str(e.value).split("can be ")[1].split(": with")[0].split(" to "))
+    # The largest lag is at the largest b, at one of these corners.
+    reachable = str(e.value).split("head to tail: ")[1].split(" (with")[0]
+    low, high = map(float, reachable.split(" to "))
     corners = [
         simulated(body(3), CpgSettings(parent_weight=s, child_weight=s * r), GAINS[1])[1]
         for s in STRONGER
@@ -131,24 +133,24 @@ def test_what_is_out_of_reach_is_refused_and_what_is_within_named():
     assert 0 < low < min(corners)
     with pytest.raises(UnreachableRhythmError, match="a lag of 0 degrees is out of reach"):
         solved(3, 1.0, 0.0)
-    with pytest.raises(UnreachableRhythmError, match=r"from tail to head .* can be -50\.\d to -"):
+    with pytest.raises(UnreachableRhythmError, match=r"from tail to head .*: -50\.\d to -"):
         solved(3, 1.0, -70.0)
 
 
-def test_what_never_oscillates_is_refused():
+def test_networks_that_never_oscillate_raise():
     tree, settings = body(3), CpgSettings(constants="as_printed")
     chain = chains(tree, settings)[0]
     with pytest.raises(NoRhythmError, match="comes to rest"):
         reference_rhythm(tree, settings, chain, 5.5, frequency=1.0)
-    with pytest.raises(UnreachableRhythmError, match="no steady rhythm at any gain"):
+    with pytest.raises(UnreachableRhythmError, match="no steady rhythm at any of the gains"):
         reference_rhythm(tree, settings, chain, 5.5, lag=30.0)
     pair = chains(body(1), CpgSettings())[0]
-    with pytest.raises(UnreachableRhythmError, match="that one oscillator, so it has no lag"):
+    with pytest.raises(UnreachableRhythmError, match="a single oscillator, so it has no lag"):
         reference_rhythm(body(1), CpgSettings(), pair, 5.5, lag=30.0)
 
 
 @pytest.mark.parametrize(
-    ("wanted", "words"),
+    ("target", "words"),
     [
         ({"frequency": -1.0}, "positive number of Hz, got -1"),
         ({"frequency": np.nan}, "positive number of Hz, got nan"),
@@ -157,13 +159,13 @@ def test_what_never_oscillates_is_refused():
         ({"gain": 0.0}, "adaptation gain must be a positive number, got 0"),
     ],
 )
-def test_targets_that_are_none(wanted, words):
+def test_invalid_targets_raise(target, words):
     tree, settings = body(3), CpgSettings()
     with pytest.raises(ValueError, match=words):
-        reference_rhythm(tree, settings, chains(tree, settings)[0], **{"gain": 5.5} | wanted)
+        reference_rhythm(tree, settings, chains(tree, settings)[0], **{"gain": 5.5} | target)
 
 
-def test_chains_follow_the_axes_and_the_longest_comes_first():
+def test_chains_follow_the_axes_longest_first():
     tree = body(4, "yz")
     found = chains(tree, CpgSettings())
     assert [chain.oscillators for chain in found] == [(0, 2, 4, 6), (1, 3, 5, 7)]
@@ -178,7 +180,7 @@ def test_chains_follow_the_axes_and_the_longest_comes_first():
 
 
 @pytest.mark.slow
-def test_the_lag_leaves_out_that_neighbours_swing_against_each_other():
+def test_lags_of_opposite_neighbours_leave_out_half_a_period():
     tree = body(3)
     plain, turned = CpgSettings(), CpgSettings(opposite=(tree.names[2],))
     lags = [rhythm(tree, s, chains(tree, s)[0], 5.5).lags for s in (plain, turned)]

@@ -1,4 +1,4 @@
-"""Rhythm or rest of networks of many kinds, beside SciPy's plain simulation of eqs. 4-6."""
+"""Rhythm or rest of many networks, against SciPy's integration of eqs. 4-6."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ from evo_cpg.control.matsuoka import (
 from evo_cpg.creature.tree import build_tree
 
 RISE, ADAPTATION = TIME_CONSTANTS["swapped"]
-# Of a pair: it swings where 1 + T_r / T_a < a < 1 + b.
+# Lower bound of the weight a: a pair oscillates if 1 + T_r / T_a < a < 1 + b.
 LEAST = 1 + RISE / ADAPTATION
 
 
@@ -34,7 +34,7 @@ def found(network: MatsuokaNetwork, gain: float, drive: np.ndarray | float = 1.0
 def simulated(
     network: MatsuokaNetwork, gain: float, drive: np.ndarray | float, seconds: float, period: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """States before ``seconds``, over two periods and a quarter, and their times."""
+    """Return the states of the last two and a quarter periods before ``seconds``, and times."""
     count = network.oscillator_count
     other, own = np.maximum(network.matrix, 0.0), np.maximum(-network.matrix, 0.0)
     drive = np.broadcast_to(drive, (2, count)) + network.sensory_feedback
@@ -62,7 +62,7 @@ def outputs(states: np.ndarray) -> np.ndarray:
 def is_what_simulation_shows(
     network: MatsuokaNetwork, gain: float, drive: np.ndarray | float = 1.0
 ) -> str:
-    """Compare, and return the outcome, ``rhythm`` or ``rest``."""
+    """Compare search and simulation, and return the outcome, ``rhythm`` or ``rest``."""
     unit = network.rise_time + network.adaptation_time
     size = float(np.max(np.abs(np.asarray(drive) + network.sensory_feedback)))
     try:
@@ -71,11 +71,11 @@ def is_what_simulation_shows(
         states, _ = simulated(network, gain, drive, 400 * unit, 40 * unit)
         assert np.ptp(states, axis=0).max() < 1e-3 * size / (1 + gain)
         return "rest"
-    # Where the multipliers are unknown, pushes die away within much less than a period.
+    # Unknown multipliers belong to perturbations that decay far within a period.
     fading = np.nan_to_num(-1 / np.log(np.abs(cycle.multipliers[0])))
     seconds = 40 * unit + (10 + 10 * fading) * cycle.period
     states, times = simulated(network, gain, drive, seconds, cycle.period)
-    # After a period it is where it was, and nowhere near at any time before.
+    # The state repeats after a period, and not before.
     swing = np.ptp(states, axis=0).max()
     apart = np.abs(states - states[0]).max(1) / swing
     step = times[1] - times[0]
@@ -93,20 +93,20 @@ def is_what_simulation_shows(
     ("weight", "gain"),
     [(3.0, 4.0), (3.0, 2.5), (4.0, 3.5), (3.0, 2.01), (50.0, 60.0), (1.5, 2.0), (LEAST + 0.02, 4)],
 )
-def test_a_pair_that_swings_is_found(weight, gain):
+def test_a_pair_within_the_bounds_oscillates(weight, gain):
     assert is_what_simulation_shows(chain(pair_weight=weight), gain) == "rhythm"
 
 
 @pytest.mark.parametrize(("weight", "gain"), [(3.0, 1.9), (3.0, 1.99), (LEAST - 0.02, 4.0), (0, 4)])
-def test_a_pair_beyond_the_borders_rests(weight, gain):
+def test_a_pair_outside_the_bounds_rests(weight, gain):
     assert is_what_simulation_shows(chain(pair_weight=weight), gain) == "rest"
 
 
 @pytest.mark.parametrize("constants", ["swapped", "as_printed"])
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 @pytest.mark.parametrize("drive", [1e-30, 1.0, 1e30])
-def test_neither_drive_nor_time_scale_decides(constants, scale, drive):
-    """Frequencies divide by the time scale and amplitudes follow the drive, to rounding."""
+def test_drive_and_time_scale_only_scale_the_rhythm(constants, scale, drive):
+    """The period scales with the time scale, and the amplitude with the drive, to rounding."""
     plain = found(chain(pair_weight=12.0, constants=constants), 20.0)
     settings = {"time_scale": scale, "max_tonic_input": drive}
     cycle = found(chain(pair_weight=12.0, constants=constants, **settings), 20.0, drive)
@@ -115,28 +115,32 @@ def test_neither_drive_nor_time_scale_decides(constants, scale, drive):
     np.testing.assert_allclose(cycle.multipliers, plain.multipliers, atol=1e-8)
 
 
-def test_the_frequency_near_the_lower_border_is_that_of_the_linear_network():
+def test_frequency_at_the_lower_bound_equals_linear_theory():
     """w = sqrt((1 - a + b) / (T_r T_a)) at a = 1 + T_r / T_a, from either side."""
     gain = 4.0
     hertz = np.sqrt((1 - LEAST + gain) / (RISE * ADAPTATION)) / (2 * np.pi)
     assert found(chain(pair_weight=LEAST + 1e-6), gain).frequency == pytest.approx(hertz, rel=1e-4)
-    with pytest.raises(NoRhythmError, match=r"rest: after .* All neurons fire evenly: stronger"):
+    with pytest.raises(
+        NoRhythmError, match=r"rest: after .* All neurons fire evenly\. Try stronger"
+    ):
         found(chain(pair_weight=LEAST - 1e-6), gain)
 
 
-def test_rest_on_one_side_is_told_from_even_rest():
-    with pytest.raises(NoRhythmError, match=r"Some neurons silence others: a smaller pair_weight"):
+def test_one_sided_rest_has_its_own_message():
+    with pytest.raises(
+        NoRhythmError, match=r"Some neurons silence others\. Try a smaller pair_weight"
+    ):
         found(chain(pair_weight=3.0), 1.5)
 
 
 @pytest.mark.parametrize("feedback", [-1.0, -3.0])
-def test_no_drive_is_rest(feedback):
+def test_a_network_without_drive_rests(feedback):
     with pytest.raises(NoRhythmError, match="nothing drives the network, so it comes to rest"):
         found(chain(pair_weight=2.0, sensory_feedback=feedback), 4.0)
 
 
-def test_an_oscillator_may_rest_while_others_swing():
-    """Near the border to rest the tail stops first. Beside it there is no lag."""
+def test_a_resting_oscillator_has_no_lag():
+    """The tail rests while the other oscillators swing. Lags to it are NaN."""
     cycle = found(chain(3), 0.3)
     assert is_what_simulation_shows(chain(3), 0.3) == "rhythm"
     assert cycle.amplitude[2] < 1e-9 * cycle.amplitude[0]
@@ -144,7 +148,7 @@ def test_an_oscillator_may_rest_while_others_swing():
 
 
 def test_series_and_tables_give_the_same_rhythm(monkeypatch):
-    """Large networks go by series."""
+    """Large networks use series."""
     tabulated = found(chain(3), 4.0)
     monkeypatch.setattr("evo_cpg.control.piecewise._TABULATED", 0)
     series = found(chain(3), 4.0)
@@ -152,18 +156,18 @@ def test_series_and_tables_give_the_same_rhythm(monkeypatch):
     np.testing.assert_allclose(series.multipliers, tabulated.multipliers, atol=1e-9)
 
 
-def test_a_search_that_fails_is_no_rest(monkeypatch):
+def test_a_failed_search_is_not_rest(monkeypatch):
     network = chain(pair_weight=2.0)
     monkeypatch.setattr("evo_cpg.analysis.limit_cycle._BUDGET", 50)
     with pytest.raises(RhythmSearchError, match=r"the search failed, so nothing is known") as error:
         found(network, 4.0)
-    assert "try another --gain or other weights" in str(error.value)
+    assert "Try another --gain or other weights" in str(error.value)
     monkeypatch.setattr("evo_cpg.analysis.limit_cycle._BUDGET", 20_000)
     with pytest.raises(RhythmSearchError, match="farther from this border of oscillation"):
         found(chain(pair_weight=LEAST), 4.0)
 
 
-def test_a_rhythm_whose_stability_is_unknown_is_still_a_rhythm(monkeypatch):
+def test_a_rhythm_of_unknown_stability_is_returned(monkeypatch):
     monkeypatch.setattr("evo_cpg.analysis.limit_cycle._NEUTRAL", 0.0)
     cycle = found(chain(pair_weight=3.0), 4.0)
     assert cycle.frequency == pytest.approx(0.425, abs=1e-3)
@@ -171,21 +175,21 @@ def test_a_rhythm_whose_stability_is_unknown_is_still_a_rhythm(monkeypatch):
     assert stability(cycle, " s") == ("unknown", "unknown")
 
 
-def test_the_very_border_is_neither_rest_nor_rhythm():
-    """At a = 1 + b one side rests where the other would begin to fire."""
-    with pytest.raises(RhythmSearchError, match="stands still at the very border between rest"):
+def test_the_border_is_neither_rest_nor_rhythm():
+    """At a = 1 + b, one side rests just as the other would begin to fire."""
+    with pytest.raises(RhythmSearchError, match="stands still at the border between rest"):
         found(chain(pair_weight=5.0), 4.0)
 
 
 @pytest.mark.parametrize(
     ("weight", "gain"), [(2.0, 1e3), pytest.param(1e4, 1.1e4, marks=pytest.mark.slow)]
 )
-def test_large_weights_and_gains(weight, gain):
+def test_large_weights_and_gains_oscillate(weight, gain):
     assert is_what_simulation_shows(chain(pair_weight=weight), gain) == "rhythm"
 
 
 def drawn(seed: int) -> tuple[MatsuokaNetwork, float, np.ndarray]:
-    """A network of any kind."""
+    """Return a random network, b and drive."""
     rng = np.random.default_rng(seed)
 
     def between(low: float, high: float) -> float:
@@ -209,11 +213,11 @@ def drawn(seed: int) -> tuple[MatsuokaNetwork, float, np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", [1, 11, 12, 34, 51])
-def test_a_few_networks_drawn_at_random_do_what_simulation_shows(seed):
+def test_five_random_networks_agree_with_simulation(seed):
     is_what_simulation_shows(*drawn(seed))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(100))
-def test_networks_drawn_at_random_do_what_simulation_shows(seed):
+def test_random_networks_agree_with_simulation(seed):
     is_what_simulation_shows(*drawn(seed))

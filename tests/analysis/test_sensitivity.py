@@ -1,4 +1,4 @@
-"""How a measure depends on parameters: elasticities of known functions, and which are confirmed."""
+"""Elasticities of known functions, and their confirmation by finite differences."""
 
 import dataclasses
 
@@ -20,7 +20,7 @@ VALUES = np.array([3.0, 2.0, 1.0, 0.0, 5.0])
 
 
 def measure(values):
-    """A power law; one parameter below a step, one that is 0, one that does nothing."""
+    """Return a power law with a step, a parameter of 0 and a parameter without effect."""
     squared, inverse, step, zero, _ = values
     return jnp.stack([squared**2 / inverse * (1 + 0.5 * zero) + jnp.where(step > 1.005, 1.0, 0.0)])
 
@@ -44,13 +44,13 @@ def test_elasticities_are_the_exponents_of_a_power_law(found):
     assert by_key["squared"].elasticity == pytest.approx(2.0, rel=1e-12)
     assert by_key["inverse"].elasticity == pytest.approx(-1.0, rel=1e-12)
     assert by_key["idle"].elasticity == 0.0
-    # Of what is 0, per unit.
+    # For a parameter of 0, the elasticity is the relative change per unit of the parameter.
     assert by_key["zero"].elasticity == pytest.approx(0.5, rel=1e-12)
     assert by_key["squared"].finite == pytest.approx(2.0, rel=1e-3)
 
 
-def test_at_the_edge_of_what_is_allowed_the_difference_is_one_sided(x64):
-    """Not below 0, not above 2, and not at all: only the last is in doubt."""
+def test_differences_at_an_edge_are_one_sided(x64):
+    """Bounds: at least 0, at most 2, and no change. The last is not confirmed."""
 
     def allowed(values):
         squared, inverse, _, zero, _ = values
@@ -63,40 +63,40 @@ def test_at_the_edge_of_what_is_allowed_the_difference_is_one_sided(x64):
     assert rows["squared"].elasticity == pytest.approx(2.0, rel=1e-12)
 
 
-def test_of_nothing_there_is_no_per_cent(x64):
+def test_a_measure_of_zero_has_no_elasticity(x64):
     one = np.ones(1)
     ((row,),) = sensitivities(("p",), one, 1e-17 * one, one[None], np.zeros((1, 2, 1)), one)
     assert np.isnan([row.elasticity, row.finite]).all() and not row.confirmed
 
 
-def test_a_step_beside_the_value_is_not_confirmed_and_ranks_by_the_change_found(found):
+def test_a_step_is_not_confirmed_and_ranks_by_its_change(found):
     assert {row.key for row in found if not row.confirmed} == {"step"}
-    # 1 / 4.5 of the measure, for 2 % of the parameter.
+    # The measure changes by 1 / 4.5 for 2 % of the parameter.
     step = next(row for row in found if row.key == "step")
     assert step.elasticity == 0.0 and step.finite == pytest.approx(1 / 4.5 / 0.02)
     assert [row.key for row in found] == ["step", "squared", "inverse", "idle", "zero"]
 
 
 @pytest.mark.parametrize("names", [(), ("speed",)])
-def test_speed_is_no_term_of_the_task_and_no_measure(monkeypatch, names):
+def test_speed_needs_no_term_of_task_or_measures(monkeypatch, names):
     simulation = dataclasses.replace(trials.experiment(steps=91).simulation, task=OneTerm("own"))
     simulation = dataclasses.replace(simulation, measures=gait.measures(*names))
     ground = make_contact_model(trials.swimmer(()), simulation.world.tree, Ground(0.0, 0.6, 0.6))
     world = dataclasses.replace(simulation.world, contact_model=ground)
     start, end = jnp.zeros((3, 1)), jnp.array([[3.0], [4.0], [1.0]])
 
-    def lived(simulation, genes, keys):
+    def fake_rollout(simulation, genes, keys):
         tally = (
             jnp.array([7.0]),
             {name: Displacement(start, end) for name in simulation.measures.names},
         )
         return Outcome(finish_tally(simulation, tally), jnp.array([True]))
 
-    monkeypatch.setattr(sensitivity, "rollout", lived)
-    # In 1.5 s 5 m over ground, where heights do not count, and more through water.
-    for lives, displacement in (
+    monkeypatch.setattr(sensitivity, "rollout", fake_rollout)
+    # In 1.5 s the displacement is 5 m over ground, without height, and more in water.
+    for evaluated, displacement in (
         (simulation, 26**0.5),
         (dataclasses.replace(simulation, world=world), 5),
     ):
-        speed, fitness = measured(lives, jnp.zeros((2, 1)), {})
+        speed, fitness = measured(evaluated, jnp.zeros((2, 1)), {})
         np.testing.assert_allclose([speed[0], fitness[0]], [displacement / 1.5, 7.0], rtol=1e-6)

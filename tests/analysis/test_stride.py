@@ -1,4 +1,4 @@
-"""Strides, speeds and excursions of animals that were made up."""
+"""Strides, speeds and excursions of synthetic motions."""
 
 import math
 
@@ -13,13 +13,13 @@ TIME = np.arange(1200) * STEP
 
 @pytest.mark.parametrize("frequency", [0.31, 1.0, 2.7])
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_the_frequency_of_a_noisy_wave(frequency, noise):
+def test_stride_frequency_of_a_noisy_wave(frequency, noise):
     phase = 2 * np.pi * frequency * TIME[:, None] - np.arange(6)
     signals = np.sin(phase) + noise * np.random.default_rng(0).normal(size=phase.shape)
     assert stride.stride_frequency(signals, STEP) == pytest.approx(frequency, rel=0.01)
 
 
-def test_a_joint_that_swings_twice_in_a_stride_does_not_double_the_frequency():
+def test_a_joint_at_twice_the_frequency_does_not_count():
     beat = 2 * np.pi * 0.8 * TIME
     signals = np.stack([0.4 * np.sin(beat), np.sin(2 * beat), np.sin(2 * beat + 1)], -1)
     assert stride.stride_frequency(signals, STEP) == pytest.approx(0.8, rel=0.01)
@@ -27,8 +27,8 @@ def test_a_joint_that_swings_twice_in_a_stride_does_not_double_the_frequency():
 
 @pytest.mark.parametrize("frequency", [5.3, 8.0, 9.5, 11.0, 17.3, 20.0])
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_fast_beats_are_not_halved_and_their_excursion_is_whole(frequency, noise):
-    """Of a few samples each, of which none need be the outermost one."""
+def test_fast_beats_have_accurate_frequency_and_excursion(frequency, noise):
+    """Errors are at most 1 %. A beat has only a few samples, which may all miss its extremes."""
     beat = 2 * np.pi * frequency * TIME
     signals = np.sin(beat[:, None] - np.arange(6))
     signals += noise * np.random.default_rng(1).normal(size=signals.shape)
@@ -54,17 +54,17 @@ def test_fast_beats_are_not_halved_and_their_excursion_is_whole(frequency, noise
     ],
     ids=["nothing", "still", "no joint", "too slow", "drift", "noise", "too short"],
 )
-def test_what_is_not_repeated_has_no_stride(signals):
+def test_signals_without_repetition_have_no_stride(signals):
     assert math.isnan(stride.stride_frequency(signals, STEP))
 
 
 def test_path_speed_leaves_out_the_sway():
-    """It sways by 5 cm at 2 Hz, at up to 0.63 m/s, across a way of 0.2 m/s."""
+    """The path advances at 0.2 m/s and sways by 5 cm at 2 Hz, at up to 0.63 m/s."""
     path = np.stack([0.2 * TIME, 0.05 * np.sin(4 * np.pi * TIME), 0 * TIME], -1)
     assert stride.path_speed(path, STEP, 2.0) == pytest.approx(0.2, rel=1e-3)
     circle = np.stack([np.cos(0.3 * TIME), np.sin(0.3 * TIME), 0 * TIME], -1)
     assert stride.path_speed(circle, STEP, 2.0) == pytest.approx(0.3, rel=0.01)
-    # Without a stride the way is straight: two strides out of two on a circle's chord.
+    # Without a stride, the path is the straight line from start to end.
     chord = np.linalg.norm(circle[-1] - circle[0]) / (TIME[-1] - TIME[0])
     assert stride.path_speed(circle, STEP, math.nan) == pytest.approx(chord, rel=1e-3)
     assert stride.path_speed(0 * path, STEP, 2.0) == 0.0
@@ -74,12 +74,12 @@ def test_path_speed_leaves_out_the_sway():
 @pytest.mark.parametrize("course", [0.0, 1.1])
 @pytest.mark.parametrize("upright", [False, True], ids=["sideways", "up and down"])
 def test_the_excursion_of_a_tail_and_its_strouhal_number(course, upright):
-    """From side to side twice 0.07 m, while the animal gets ahead at 0.5 m/s."""
+    """The tail swings by 0.07 m to each side, while the animal moves at 0.5 m/s."""
     along = np.array([math.cos(course), math.sin(course), 0.0])
     across = np.array([0.0, 0.0, 1.0]) if upright else np.cross([0.0, 0.0, 1.0], along)
     beat = 2 * np.pi * 1.5 * TIME
     path = 0.5 * TIME[:, None] * along
-    # To and fro along the way it may swing as it likes.
+    # The swing along the path does not count.
     tip = path - along + 0.07 * np.sin(beat)[:, None] * across
     tip = tip + 0.2 * np.cos(2 * beat)[:, None] * along
     found = stride.excursion(tip, path, STEP, 1.5)
@@ -88,7 +88,7 @@ def test_the_excursion_of_a_tail_and_its_strouhal_number(course, upright):
     assert stride.strouhal_number(1.5, found, speed) == pytest.approx(0.42, rel=0.02)
 
 
-def test_nobody_who_stands_still_has_these_numbers():
+def test_a_standing_animal_has_no_gait_numbers():
     still = np.zeros((600, 3))
     assert stride.excursion(still, still, STEP, 1.0) == 0.0
     assert math.isnan(stride.excursion(still, still, STEP, math.nan))

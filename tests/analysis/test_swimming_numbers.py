@@ -1,4 +1,4 @@
-"""What swimming numbers refer to: the water, and where the tail ends."""
+"""References of swimming numbers: displacement by the water, and the tip of the tail."""
 
 import dataclasses
 
@@ -11,12 +11,11 @@ from evo_cpg.simulation.recording import Recording
 from trials import experiment
 
 STEP = 0.1
-# Density and coefficients, which do not matter.
 TIME = STEP * np.arange(50)
 
 
-def test_the_way_through_the_water_is_without_what_the_water_carries():
-    """At rest in it, and in a shear: x' = g y, closed form."""
+def test_drift_is_the_displacement_by_the_flow():
+    """Closed forms for a uniform current and for a shear x' = g y."""
     current = (0.3, -0.1, 0.0)
     carried = TIME[:, None] * current
     drift = gait_numbers._drift(Water(1000.0, streams=(Current(current),)), carried, STEP)
@@ -29,8 +28,8 @@ def test_the_way_through_the_water_is_without_what_the_water_carries():
 
 
 @pytest.mark.parametrize("anchor", [0.03, 0.08, 0.2])
-def test_the_tail_ends_where_its_shape_does(anchor):
-    """However far from it, or how deep in it, the joint is."""
+def test_tail_tip_is_the_end_of_the_shape(anchor):
+    """The position of the joint does not matter."""
     made = experiment(20)
     index = made.creature.body_index("tail")
     tail = made.creature.bodies[index]

@@ -1,4 +1,4 @@
-"""An audit flags what is planted, one exploit for each channel, and lets honest animals pass."""
+"""An audit flags one planted exploit for each check, and passes honest animals."""
 
 import dataclasses
 
@@ -55,16 +55,16 @@ def champion(energy: float = 1.0) -> Champion:
 
 
 def failed(found, **limits) -> set[str]:
-    """Keys of the checks that did not pass."""
+    """Return the keys of the failed checks."""
     made, trials = found
     checks = books(made, champion(), trials, Limits(**limits))
     return {check.key for check in checks if check.passed is False}
 
 
 def walker(slope=0.0, height=0.0, torque_limit=5.0, light=None, short=False):
-    """Three boxes in a row on a plane, the outer two driven by a wave and never kept apart.
+    """Return a row of three boxes on a plane. A wave drives the outer boxes, which may overlap.
 
-    In a short one the outer two touch in the middle of the third.
+    In a short row, the outer boxes touch in the middle of the third box.
     """
     flesh = Material(500.0, 0.0, 0.6, 0.6)
     motor = Actuator(2.0, torque_limit)
@@ -98,20 +98,20 @@ def walker(slope=0.0, height=0.0, torque_limit=5.0, light=None, short=False):
 
 @pytest.fixture(scope="module")
 def honest():
-    """A row that crawls on level ground, under a light."""
+    """Return a row that crawls on level ground, under a light."""
     made = walker(light=(2.0, 0.0, 0.5))
     return made, compile_steps(made)(champion())
 
 
 @pytest.fixture(scope="module")
 def swimming():
-    """The pair of `trials`, in water."""
+    """Return the two-body swimmer of `trials`, in water."""
     made = experiment(steps=60)
     return made, compile_steps(made)(champion())
 
 
-def test_energy_is_mujocos():
-    """Kinetic and potential, of bodies, rotors and springs, up to a constant."""
+def test_energy_equals_mujocos():
+    """Kinetic and potential energy of bodies, rotors and springs agree, up to a constant."""
     with jax.enable_x64(True):
         rng = np.random.default_rng(3)
         creature = random_creature(rng, STRUCTURES[2], axes_seed=2)
@@ -130,8 +130,8 @@ def test_energy_is_mujocos():
 
 
 @pytest.mark.slow
-def test_what_is_left_over_vanishes_with_the_step(swimming):
-    """In float64 by 3 at least where the step is halved twice: the rest of the books is right."""
+def test_unaccounted_energy_vanishes_with_the_step(swimming):
+    """A quarter of the step reduces the unaccounted energy by a factor of 3 or more, in float64."""
     made, _ = swimming
     errors = []
     for times in (1, 4):
@@ -156,21 +156,21 @@ def test_honest_animals_pass(honest, swimming):
     assert failed(swimming) == set()
 
 
-def test_shares_of_energy_are_of_the_motors_work(honest):
+def test_energies_are_relative_to_the_motors_work(honest):
     made, (trial,) = honest
     checks = {check.key: check for check in books(made, champion(), (trial,), Limits())}
     rate = (trial.steps.before.qd + trial.steps.after.qd) / 2
     spent = np.abs((trial.steps.torque * rate).sum(0)).sum() * made.simulation.step_length
     lifted = trial.ledger.push_out.sum()
     assert checks["push_out_energy"].measured == pytest.approx(lifted / spent, rel=1e-4)
-    # Stretches of a quarter of a second.
+    # Each stretch is a quarter of a second.
     gain = np.maximum(np.add.reduceat(trial.ledger.left_over, [0, 60, 120]), 0.0).sum()
     assert checks["simulator_energy"].measured == pytest.approx(gain / spent, rel=1e-4)
 
 
 @pytest.mark.parametrize("cheat", ["energy", "momentum"])
-def test_a_solver_that_gives_is_found(monkeypatch, cheat):
-    """Velocities that grow by themselves, and a push from nowhere."""
+def test_a_solver_that_adds_energy_or_momentum_is_flagged(monkeypatch, cheat):
+    """Two wrong solvers: one lets velocities grow by 5 % a step, one pushes without a force."""
     right = evo_cpg.physics.step.integrate
 
     def wrong(state, root, qdd, h):
@@ -186,29 +186,29 @@ def test_a_solver_that_gives_is_found(monkeypatch, cheat):
 
 @pytest.fixture(scope="module")
 def buried():
-    """A row that starts in the ground, in which its light lies too."""
+    """Return a row that starts in the ground. Its light also lies in the ground."""
     made = walker(height=-0.05, light=(2.0, 0.0, -0.5))
     return made, compile_steps(made)(champion())
 
 
-def test_who_starts_in_the_ground_is_found(buried):
-    """The push-out lifts it: depth, and energy that no motor gave."""
+def test_a_start_in_the_ground_is_flagged(buried):
+    """The push-out lifts the animal: depth, and energy that no motor spent."""
     assert {"penetration", "push_out_energy"} <= failed(buried, push_out_energy=0.01)
 
 
-def test_who_stands_is_not_lifted():
-    """A point that rests presses as hard as the law wants it out, and does not move."""
+def test_the_push_out_does_not_lift_a_standing_animal():
+    """The contact force of a resting point balances its weight, so the point does not move."""
     made = walker()
     still = champion()._replace(genes=np.zeros(2, np.float32))
     (trial,) = compile_steps(made)(still)
     weight = 9.81 * made.creature.mass
     assert trial.steps.contact_force[2].sum(0).mean() == pytest.approx(weight, rel=0.05)
-    # By less than a hundredth of a millimetre in all.
+    # The total lift is less than a hundredth of a millimetre.
     assert 0.0 <= trial.ledger.push_out.sum() < 1e-5 * weight
 
 
 @pytest.mark.parametrize("source", ["limbs", "limits"])
-def test_a_constraint_that_gives_is_found(honest, source):
+def test_a_constraint_that_adds_energy_is_flagged(honest, source):
     made, (trial,) = honest
     (key,) = {"limbs": ["limb_energy"], "limits": ["limit_energy"]}[source]
     assert not {"limb_energy", "limit_energy"} & failed(honest)
@@ -219,7 +219,7 @@ def test_a_constraint_that_gives_is_found(honest, source):
         assert (key in failed((made, (given,)))) == (share > 0)
 
 
-def test_what_goes_by_the_length_is_small_for_small_animals():
+def test_limits_scale_with_the_animals_length():
     large, small, given = Limits().of_length(1.0), Limits().of_length(0.03), Limits(speed=3.0)
     assert (large.penetration, large.overlap) == (0.01, 0.01)
     assert (small.penetration, small.overlap) == pytest.approx((6e-4, 6e-4))
@@ -233,17 +233,17 @@ def test_what_goes_by_the_length_is_small_for_small_animals():
     ("own", "limp_way", "carried", "share"),
     [
         (3.0, 0.6, 0.0, 0.2),
-        # A limp one lags behind the water.
+        # A limp animal lags behind the water.
         (6.0, 0.9, 3.0, 0.0),
         (6.0, 3.6, 3.0, 0.2),
-        # Who is only carried does as well without motors.
+        # An animal that only drifts goes as far without motors.
         (3.0, 2.9, 3.0, 1.0),
-        # Against the current.
+        # The animal swims against the current.
         (1.0, -2.0, -3.0, 0.0),
         (1.0, 1.0, -3.0, 0.25),
     ],
 )
-def test_what_a_current_carries_is_no_way_of_limp_motors(swimming, own, limp_way, carried, share):
+def test_the_limp_motor_check_subtracts_the_current(swimming, own, limp_way, carried, share):
     made, _ = swimming
     one = np.array([own])
     kept = {
@@ -257,11 +257,11 @@ def test_what_a_current_carries_is_no_way_of_limp_motors(swimming, own, limp_way
     assert checks["limp_way"].measured == pytest.approx(share)
 
 
-def test_who_gets_nowhere_in_fresh_draws_does_so_with_motors_limp_or_not(swimming):
+def test_an_animal_that_stays_in_fresh_draws_keeps_no_displacement(swimming):
     made, _ = swimming
     none = np.zeros(2)
     limp_ones = Variation("limp motors", (limp(made.simulation),), 2)
-    fresh = Variation("other draws of chance", (made.simulation,), 2)
+    fresh = Variation("new draws of the noise", (made.simulation,), 2)
     both = Varied(none, none, none == 0, {})
     kept = {"pose": (fresh, both), "limp_way": (limp_ones, both)}
     checks = {c.key: c for c in _kept(3.0, kept, Limits(), made.creature)}
@@ -269,8 +269,8 @@ def test_who_gets_nowhere_in_fresh_draws_does_so_with_motors_limp_or_not(swimmin
 
 
 @pytest.mark.parametrize(("surface", "carried"), [(None, -0.5), (1.0, -0.5), (-1.0, 0.0)])
-def test_what_a_current_carries_is_how_far_it_comes_in_a_trial(swimming, surface, carried):
-    """Away from a light; nowhere, where the animal starts above the water."""
+def test_the_current_carries_an_animal_by_speed_times_duration(swimming, surface, carried):
+    """The current carries an animal away from its light. Above the water it carries nothing."""
     made, (trial,) = swimming
     flow = carried / made.simulation.duration or -1.0
     water = Water(1000.0, surface, (Current((flow, 0.0, 0.0)),))
@@ -282,7 +282,7 @@ def test_what_a_current_carries_is_how_far_it_comes_in_a_trial(swimming, surface
     assert _carried(made, (trial,)) == pytest.approx(carried, abs=1e-6)
 
 
-def test_torque_beyond_the_limit_is_found(honest):
+def test_torque_above_the_limit_is_flagged(honest):
     made, trials = honest
     tree = made.simulation.world.tree
     weaker = dataclasses.replace(tree, torque_limit=0.1 * tree.torque_limit)
@@ -292,12 +292,12 @@ def test_torque_beyond_the_limit_is_found(honest):
 
 
 def judged(made, trials) -> tuple[Trial, ...]:
-    """The same steps, looked at in another simulation."""
+    """Return the trials, with excursions computed in another simulation."""
     found = [(t, excursions(made.simulation, made.creature, t.steps)) for t in trials]
     return tuple(trial._replace(excursions=each) for trial, each in found)
 
 
-def test_energy_above_the_cap_is_found(swimming):
+def test_energy_above_the_cap_is_flagged(swimming):
     made, trials = swimming
     checks = {c.key: c for c in books(made, champion(energy=1.5), trials, Limits())}
     assert checks["free_energy"].passed is False
@@ -305,8 +305,8 @@ def test_energy_above_the_cap_is_found(swimming):
 
 
 @pytest.mark.slow
-def test_a_slide_from_the_start_is_found():
-    """On a slope of 40 degrees motors have no part in the way."""
+def test_limp_motors_slide_down_a_slope_but_not_on_level_ground():
+    """Motors hardly matter on a slope of 40 degrees."""
     made = walker(slope=0.7)
     own, without = (
         compile_variation(made, Variation("", (simulation,)))(champion())
@@ -322,14 +322,14 @@ def test_a_slide_from_the_start_is_found():
 
 
 def folded(made, trial):
-    """The same trial, with the hindmost box turned into the foremost."""
+    """Return the trial with the hindmost box turned into the foremost."""
     after = trial.steps.after
     bent = eqx.tree_at(lambda state: state.q, after, np.full_like(after.q, 2.9))
     return judged(made, (trial._replace(steps=trial.steps._replace(after=bent)),))
 
 
-def test_limbs_in_each_other_are_found(honest):
-    """The hindmost box in the foremost, which nothing keeps apart."""
+def test_overlapping_limbs_are_flagged(honest):
+    """The hindmost box is inside the foremost, because no contact separates them."""
     made, (trial,) = honest
     assert trial.excursions.overlap == 0
     trials = folded(made, trial)
@@ -337,8 +337,8 @@ def test_limbs_in_each_other_are_found(honest):
     assert set(trials[0].excursions.overlapping) == {"head", "b"}
 
 
-def test_ellipsoids_overlap_where_they_do_and_not_where_the_boxes_around_them_do():
-    """Two blades on a hull: at 17 degrees they are 3.2 mm apart, and their boxes 54 mm deep."""
+def test_overlap_uses_ellipsoids_not_the_boxes_around_them():
+    """Two blades on a hull are 3.2 mm apart at 17 degrees, but their boxes overlap by 54 mm."""
     flesh, motor = Material(1000.0, 0.0, 0.6, 0.6), Actuator(1.0)
 
     def blade(name, side):
@@ -370,7 +370,7 @@ def test_ellipsoids_overlap_where_they_do_and_not_where_the_boxes_around_them_do
 
     assert at.shape[1] > 100
     assert overlap(at).overlap == 0.0
-    # Once, with boxes that are less deep, one blade lies across the other.
+    # In one step, one blade lies across the other, although the overlap of the boxes is smaller.
     at[:, 70] = np.radians([-35.0, 0.0])
     found = overlap(at)
     assert found.overlap == pytest.approx(0.0071, abs=1e-4)
@@ -378,11 +378,11 @@ def test_ellipsoids_overlap_where_they_do_and_not_where_the_boxes_around_them_do
 
 
 @pytest.mark.slow
-def test_limbs_that_touch_at_rest_are_named_and_looked_at_where_they_are_kept_apart():
+def test_limbs_that_touch_at_rest_are_checked_only_with_self_collision():
     made = walker(short=True)
     (trial,) = folded(made, *compile_steps(made)(champion()))
     checks = {check.key: check for check in books(made, champion(), (trial,), Limits())}
-    left_out = "not looked at, as they touch in the neutral pose: head and b"
+    left_out = "not checked, because they touch in the neutral pose: head and b"
     assert (checks["overlap"].measured, checks["overlap"].detail) == (0, left_out)
     world = made.simulation.world
     pair = SelfCollision(include=(("head", "b"),))
@@ -395,8 +395,8 @@ def test_limbs_that_touch_at_rest_are_named_and_looked_at_where_they_are_kept_ap
 
 
 @pytest.mark.slow
-def test_who_swims_above_a_floor_does_not_fly():
-    """Water as far as above it all, and a pool that it hangs over."""
+def test_a_swimmer_above_a_floor_is_not_airborne():
+    """A swimmer under water is not airborne. A swimmer above a pool is airborne."""
     for surface, share in ((2.0, 0.0), (-2.0, 1.0)):
         made = walker(height=0.5)
         world = made.simulation.world
@@ -409,28 +409,27 @@ def test_who_swims_above_a_floor_does_not_fly():
         assert found.excursions.airborne_way == pytest.approx(share)
 
 
-def test_light_seen_through_the_ground_is_found(honest, buried):
-    """A light that lies in the ground, and one above it."""
+def test_light_seen_through_the_ground_is_flagged(honest, buried):
+    """One light lies in the ground, and another light above it."""
     for found, share in ((buried, 1.0), (honest, 0.0)):
         (trial,) = found[1]
         assert trial.excursions.seen_through_ground == share
         assert ("seen_through_ground" in failed(found)) == (share > 0)
 
 
-def test_wild_and_flying_gaits_are_found(honest):
-    """A root at 50 m/s, and a way made in the air."""
+def test_fast_and_airborne_gaits_are_flagged(honest):
+    """The root moves at 50 m/s, in the air."""
     made, (trial,) = honest
     after = trial.steps.after
-    way = 50 * np.arange(1, after.q.shape[1] + 1) * made.simulation.step_length
-    place = after.position + way * np.eye(3)[0][:, None]
+    displacement = 50 * np.arange(1, after.q.shape[1] + 1) * made.simulation.step_length
+    place = after.position + displacement * np.eye(3)[0][:, None]
     velocity = after.velocity + 50 * np.eye(6)[3][:, None]
     fast = eqx.tree_at(lambda state: (state.position, state.velocity), after, (place, velocity))
     steps = trial.steps._replace(after=fast, contact_force=0 * trial.steps.contact_force)
     assert {"speed", "airborne_way"} <= failed((made, judged(made, (trial._replace(steps=steps),))))
 
 
-def test_a_trial_step_by_step_is_the_trial(honest, swimming):
-    """Each step begins where the one before ended."""
+def test_each_recorded_step_begins_where_the_previous_ended(honest, swimming):
     for _, (trial,) in (honest, swimming):
         steps = trial.steps
         for one, other in zip(
@@ -441,8 +440,8 @@ def test_a_trial_step_by_step_is_the_trial(honest, swimming):
 
 
 @pytest.mark.slow
-def test_more_friction_and_drag_change_the_way(honest, swimming):
-    """Two simulations that differ in numbers share a program, and each is itself."""
+def test_friction_and_drag_change_the_displacement(honest, swimming):
+    """Two simulations that differ in numbers share a program. Each gives its own result."""
     for (made, _), change in ((honest, with_friction), (swimming, with_drag)):
         sims = tuple(change(made.simulation, factor) for factor in (1.0, 0.5))
         both = compile_variation(made, Variation("", sims))(champion())
@@ -451,8 +450,8 @@ def test_more_friction_and_drag_change_the_way(honest, swimming):
         assert abs(both.displacement[1] / own.displacement[0] - 1) > 1e-3
 
 
-def test_under_chance_ways_are_means_over_the_same_fresh_draws(swimming):
-    """The draws that made a champion are luck in part; all that is compared lives under others."""
+def test_noisy_displacements_are_means_over_equal_fresh_draws(swimming):
+    """A champion was selected partly for its luck, so comparisons use fresh draws of the noise."""
     made = swimming[0]._replace(trials=2)
     noisy = dataclasses.replace(made.simulation, noise=Noise(joint_angle=0.3, push=0.3))
     made = made._replace(simulation=noisy)
@@ -465,22 +464,22 @@ def test_under_chance_ways_are_means_over_the_same_fresh_draws(swimming):
     np.testing.assert_allclose(drawn.displacement[:16], again.displacement, rtol=1e-3, atol=1e-5)
     means = drawn.mean_displacements(place)
     assert means == pytest.approx([drawn.displacement[:16].mean(), drawn.displacement[16:].mean()])
-    # Half of the drag changes ways by much less than chance does, draw by draw.
+    # Halving the drag changes the displacement in each draw by less than the noise does.
     change = drawn.displacement[16:] - drawn.displacement[:16]
     assert change.std() < 0.5 * drawn.displacement[:16].std()
     dead = drawn._replace(alive=np.zeros(32, bool))
     assert dead.mean_displacements(place).tolist() == [0.0, 0.0]
 
 
-def test_changes_that_a_world_does_not_have_are_refused(honest, swimming):
-    with pytest.raises(ValueError, match="no water to drag"):
+def test_changes_of_missing_water_or_ground_are_refused(honest, swimming):
+    with pytest.raises(ValueError, match="no water, so drag cannot be scaled"):
         with_drag(honest[0].simulation, 1.1)
-    with pytest.raises(ValueError, match="no ground to be rough"):
+    with pytest.raises(ValueError, match="no ground, so friction cannot be scaled"):
         with_friction(swimming[0].simulation, 1.1)
 
 
-def test_what_means_nothing_is_not_checked(honest, swimming):
-    """Of who has no ground nothing is said about it, and of who is in water not that it flies."""
+def test_checks_that_do_not_apply_are_left_out(honest, swimming):
+    """There are no ground checks without ground, and no airborne check under water."""
 
     def keys(found, trials):
         return {check.key for check in books(found, champion(), trials, Limits())}
@@ -494,7 +493,7 @@ def test_what_means_nothing_is_not_checked(honest, swimming):
     }
     made, trials = swimming
     assert not of_ground & keys(made, trials)
-    # Of two bodies on a hinge none can meet, and its motors have no limit.
+    # Two bodies on a hinge cannot collide, and these motors have no limit.
     assert not {"limb_energy", "overlap"} & keys(made, trials)
     walking, steps = honest
     on_land = keys(walking, steps)

@@ -1,4 +1,4 @@
-"""Individuals with bodies of their own, and the fitness as a function of a body's numbers."""
+"""Individuals with different bodies, and the fitness as a function of a body's numbers."""
 
 import jax
 import numpy as np
@@ -27,12 +27,12 @@ def genomes(experiment):
 
 @pytest.fixture(scope="module")
 def numbers(experiment):
-    """Of three bodies; the second has those of the configuration."""
+    """Return the numbers of three bodies. The second has the configuration's numbers."""
     own = {DENSITY: 1000.0, LENGTH: experiment.config.creature.bodies[1].shape.size[0]}
     return {key: value * np.array([0.8, 1.0, 1.3]) for key, value in own.items()}
 
 
-def test_each_does_what_it_does_in_an_experiment_with_its_numbers(experiment, genomes, numbers):
+def test_each_body_equals_an_experiment_with_its_numbers(experiment, genomes, numbers):
     together = experiment.evaluate(0, genomes, numbers)
     for i in range(3):
         body = experiment.with_numbers({key: values[i] for key, values in numbers.items()})
@@ -51,8 +51,9 @@ def test_one_program_serves_all_populations(experiment, genomes, numbers):
     assert experiment._bodies.trials({DENSITY: np.full(3, 1000.0)}, 3) is None
 
 
-def test_a_long_limb_covers_other_skin(genomes):
-    """Other points are sheltered in each body; they have no area, at the surface too."""
+@pytest.mark.slow
+def test_a_longer_limb_shelters_other_surface_points(genomes):
+    """Other points are sheltered in each body. They have no area, even at the surface."""
     loaded = evo.load(CONFIG, [*TINY, "simulation.steps=30", "world.water.surface=0.02"])
     loaded = loaded.with_fitness(lambda terms: terms["energy"])
     lengths = number_at(loaded.config, LENGTH) * np.array([1.0, 1.3, 2.5])
@@ -69,8 +70,8 @@ def test_a_long_limb_covers_other_skin(genomes):
         np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
 
 
-def test_bodies_that_do_not_fit_the_plan_are_built_alone(experiment, genomes):
-    """Two limits of one joint are checked together, which no program does."""
+def test_bodies_that_do_not_fit_the_plan_are_built_one_by_one(experiment, genomes):
+    """Two limits of one joint are checked together, which no compiled program can do."""
     middle = experiment.config.creature.bodies[1].joint.limits_deg
     keys = [f"creature.bodies.1.joint.limits_deg.{i}" for i in range(2)]
     numbers = {key: middle[i] * np.array([0.5, 0.8, 1.1]) for i, key in enumerate(keys)}
@@ -84,7 +85,7 @@ def test_bodies_that_do_not_fit_the_plan_are_built_alone(experiment, genomes):
 
 
 @pytest.mark.slow
-def test_limbs_that_meet_others_make_a_new_plan():
+def test_a_new_pair_of_colliding_limbs_makes_a_new_plan():
     hips = [f"creature.bodies.{i}.joint.at.0" for i in (1, 3)]
     loaded = evo.load(WALKER, ["simulation.steps=3"]).with_numbers(dict.fromkeys(hips, 1.2))
     genomes = loaded.random_genomes(0, 2)
@@ -100,8 +101,9 @@ def test_limbs_that_meet_others_make_a_new_plan():
         np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
 
 
-def test_a_kink_stops_a_derivative_alone():
-    """The length of a lower leg: the start's height follows the longest one."""
+@pytest.mark.slow
+def test_a_kink_refuses_the_derivative_but_not_the_value():
+    """The initial height follows the longest lower leg."""
     loaded = evo.load(WALKER, ["simulation.steps=2"])
     key = "creature.bodies.2.shape.size.2"
     genome, length = loaded.random_genomes(0, 1)[0], np.array([number_at(loaded.config, key)])
@@ -111,7 +113,7 @@ def test_a_kink_stops_a_derivative_alone():
         jax.eval_shape(jax.grad(fitness, 1), genome, length)
 
 
-def test_what_is_wrong_is_said(experiment, genomes, numbers):
+def test_wrong_numbers_are_named(experiment, genomes, numbers):
     with pytest.raises(ValueError, match=r"each of the 3 individuals, got the shape \(2,\)"):
         experiment.evaluate(0, genomes, {DENSITY: [1000.0, 900.0]})
     with pytest.raises(evo.ConfigError, match=r"did you mean creature\.materials\.body\.density"):
@@ -129,7 +131,7 @@ def test_what_is_wrong_is_said(experiment, genomes, numbers):
 
 def test_values_that_change_the_layout_are_refused(experiment, genomes):
     fitness = experiment.fitness_function(numbers=["controller.cpg.time_scale"])
-    words = r"time_scale=0\.1 the simulation is laid out differently"
+    words = r"another layout at controller\.cpg\.time_scale=0\.1"
     with pytest.raises(evo.ConfigError, match=words):
         fitness(genomes[0], np.array([0.1]))
     compiled = jax.jit(jax.grad(fitness, 1))
@@ -137,13 +139,14 @@ def test_values_that_change_the_layout_are_refused(experiment, genomes):
         compiled(genomes[0], np.array([0.1])).block_until_ready()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize(
     "overrides",
-    [["creature.bodies.1.repeat=1"], pytest.param([], marks=pytest.mark.slow)],
+    [["creature.bodies.1.repeat=1"], []],
     ids=["two bodies", "three bodies"],
 )
-def test_the_slope_by_a_bodys_numbers_is_that_of_experiments_built_anew(overrides):
+def test_the_gradient_by_body_numbers_equals_finite_differences(overrides):
     loaded = evo.load(CONFIG, [*TINY, *overrides, "simulation.steps=8"])
     experiment = loaded.with_fitness(lambda terms: terms["energy"])
     genome = experiment.random_genomes(0, 1)[0].astype(np.float64)

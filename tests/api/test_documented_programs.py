@@ -1,4 +1,4 @@
-"""The programs of README and docs, run as they stand but for shorter trials of a smaller animal."""
+"""Programs of README and docs run unchanged, except for shorter trials of a smaller animal."""
 
 import re
 import shutil
@@ -18,14 +18,14 @@ ROOT = Path(__file__).parents[2]
 
 
 def programs(page: str) -> list[str]:
-    """The Python blocks of a page, with shorter trials and fewer individuals."""
+    """Return the Python blocks of a page, with shorter trials and fewer individuals."""
     found = re.findall(r"```python\n(.+?)```", (ROOT / page).read_text(), re.S)
     short = [one.replace('"simulation.steps": 300', '"simulation.steps": 10') for one in found]
     return [re.sub(r"\b(32|64)\b", "8", one) for one in short]
 
 
 def configs(page: str) -> list[str]:
-    """The YAML blocks of a page."""
+    """Return the YAML blocks of a page."""
     return re.findall(r"```yaml\n(.+?)```", (ROOT / page).read_text(), re.S)
 
 
@@ -35,7 +35,7 @@ def run(program: str, names: dict) -> None:
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A working folder with the configurations in it, the swimmer of two bodies, not ten."""
+    """Return a working folder with the configurations. The swimmer has two bodies, not ten."""
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
     for name, old, new in (
         ("creatures/swimmer10.yaml", "repeat: 9 ", "repeat: 1 "),
@@ -47,7 +47,7 @@ def here(tmp_path, monkeypatch):
         assert text.count(old) == 1
         path.write_text(text.replace(old, new))
     monkeypatch.chdir(tmp_path)
-    # As a reader of the page has it: nothing is trusted but the working folder.
+    # The reader of a page trusts only the working folder.
     monkeypatch.delenv("EVO_CPG_TRUST")
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setenv("MPLBACKEND", "Agg")
@@ -60,13 +60,13 @@ def test_the_notebook_runs_in_order(here, capsys):
     assert len(first.strip().splitlines()) <= 8 and len(search.strip().splitlines()) <= 12
     names: dict = {}
     run(first, names)
-    # evosax relies on it.
+    # evosax needs rank promotion.
     with jax.numpy_rank_promotion("allow"):
         run(search, {})
     for program in others:
         run(program, names)
     assert (here / "motion.csv").is_file()
-    assert np.isfinite(names["slope"]).all()
+    assert np.isfinite(names["gradient"]).all()
     assert capsys.readouterr().out.count("\n") >= 1 + 10 + 1 + 1
 
 
@@ -76,7 +76,7 @@ def test_the_readme_runs(here, capsys):
     assert len(capsys.readouterr().out.split()) == 2
 
 
-def test_an_animal_of_ones_own_trains(here, monkeypatch):
+def test_a_custom_animal_trains(here, monkeypatch):
     classes, program, *_ = programs("docs/own.md")
     config, *_ = configs("docs/own.md")
     (here / "wriggler.py").write_text(classes)
@@ -87,13 +87,13 @@ def test_an_animal_of_ones_own_trains(here, monkeypatch):
     trained = names["trained"]
     displacement, cost = trained.terms["displacement"], trained.terms["cost"]
     assert cost == pytest.approx(0.01 * trained.terms["energy"], rel=1e-5) and cost > 0
-    # It has to beat standing still, which costs nothing and is worth nothing.
+    # It must beat standing still, which has the fitness 0.
     assert trained.fitness == pytest.approx(displacement - cost, rel=1e-4) and trained.fitness > 0
     assert set(names["experiment"].evaluate(0, trained.genome[None]).descriptors) == {"energy"}
     assert evo.load(trained.folder).gene_count == 3
 
 
-def test_the_documented_sensor_feels_the_motor(here, monkeypatch):
+def test_the_documented_sensor_measures_the_motor(here, monkeypatch):
     classes, _, _, sensor = programs("docs/own.md")
     config, *_ = configs("docs/own.md")
     for name, text in (("wriggler", classes), ("tension", sensor)):
@@ -102,7 +102,7 @@ def test_the_documented_sensor_feels_the_motor(here, monkeypatch):
     line = '{type: "tension:Tension", options: {dofs: [tail1.z], full_scale: 0.5}}'
     assert line in (ROOT / "docs/own.md").read_text()
     (here / "wriggler.yaml").write_text(config.replace("sensors: [", f"sensors: [{line}, "))
-    # The reading that the controller uses comes one place later.
+    # The reading that the controller uses moves by one place.
     wave = (here / "wriggler.py").read_text().replace("custom[1]", "custom[2]")
     (here / "wriggler.py").write_text(wave)
     experiment = evo.load("wriggler.yaml")
@@ -112,11 +112,11 @@ def test_the_documented_sensor_feels_the_motor(here, monkeypatch):
     np.testing.assert_allclose(felt[1:], np.clip(torque[:-1] / 0.5, -1, 1), rtol=1e-6)
 
 
-def test_an_animal_with_limbs_swings_without_a_warning(here, monkeypatch):
-    """All of its oscillators: the couplings of the page are those that it needs."""
+def test_the_documented_rower_has_no_resting_oscillator(here, monkeypatch):
+    """All oscillators swing: the couplings of the page are sufficient."""
     *_, config = configs("docs/own.md")
     (here / "rower.yaml").write_text(config)
-    # As short and as few as a test can afford; the body is that of the page.
+    # The run is short, and the body is the body of the page.
     short = {"simulation.steps": 30, "evolution.generations": 1, "evolution.population": 8}
     experiment = evo.load("rower.yaml", short | {"evolution.elites": 2})
     controller = experiment.parts.simulation.controller
@@ -126,7 +126,7 @@ def test_an_animal_with_limbs_swings_without_a_warning(here, monkeypatch):
     assert np.isfinite(evo.train(experiment, "runs/rower").fitness)
 
 
-def test_an_optimiser_of_ones_own_trains(here, monkeypatch):
+def test_a_custom_optimiser_trains(here, monkeypatch):
     strategy, program = programs("docs/searches.md")
     (here / "climber.py").write_text(strategy)
     monkeypatch.delitem(sys.modules, "climber", raising=False)
@@ -136,7 +136,7 @@ def test_an_optimiser_of_ones_own_trains(here, monkeypatch):
     assert len(names["trained"].history) == 3
 
 
-def test_the_reference_names_all_that_there_is():
+def test_the_api_page_names_every_public_name():
     text = (ROOT / "docs/api.md").read_text()
     for name in evo.__all__:
         assert f"evo.{name}" in text, name

@@ -1,4 +1,4 @@
-"""`import evo_cpg as evo`: what it gives is what the commands and the library give."""
+"""`import evo_cpg as evo` gives the results of the commands and of the library."""
 
 import copy
 import csv
@@ -43,12 +43,12 @@ def evaluation(experiment, genomes):
     return experiment.evaluate(0, genomes)
 
 
-def test_importing_it_imports_neither_jax_nor_anything_of_ours(tmp_path):
+def test_import_loads_neither_jax_nor_submodules(tmp_path):
     code = (
         "import sys, evo_cpg as evo; ours = [m for m in sys.modules if m.startswith('evo_cpg.')]\n"
         "assert not ours and 'jax' not in sys.modules and 'numpy' not in sys.modules, ours\n"
         "assert 'load' in dir(evo) and evo.load.__name__ == 'load' and 'jax' in sys.modules\n"
-        # Refused once anything has run.
+        # JAX refuses this after it has run anything.
         "import jax; jax.config.update('jax_num_cpu_devices', 3)"
     )
     done = subprocess.run(
@@ -57,13 +57,13 @@ def test_importing_it_imports_neither_jax_nor_anything_of_ours(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_every_name_is_there_and_others_are_not():
+def test_every_public_name_exists_and_others_raise():
     assert all(getattr(evo, name) is not None for name in evo.__all__)
     with pytest.raises(AttributeError, match="module 'evo_cpg' has no attribute 'lode'"):
         evo.lode  # noqa: B018  # pyright: ignore
 
 
-def test_fitness_of_a_population_is_that_of_each_alone(experiment, genomes, evaluation):
+def test_fitness_in_a_population_equals_fitness_alone(experiment, genomes, evaluation):
     assert evaluation.fitness.shape == (COUNT,)
     np.testing.assert_array_equal(evaluation.trial_fitness, evaluation.fitness[None])
     assert np.ptp(evaluation.fitness) > 0.01
@@ -84,7 +84,7 @@ def test_fitness_of_a_population_is_that_of_each_alone(experiment, genomes, eval
     np.testing.assert_allclose(evaluation.fitness, expected, rtol=1e-6)
 
 
-def test_zero_genomes_are_none(experiment):
+def test_zero_random_genomes_are_allowed(experiment):
     assert experiment.random_genomes(0, 0).shape == (0, experiment.gene_count)
     assert len(experiment.random_genomes(0)) == experiment.population
 
@@ -100,7 +100,7 @@ def test_a_used_experiment_can_be_pickled(experiment, genomes, evaluation, copie
     assert again.name == experiment.name and again.config == experiment.config
 
 
-def test_everything_that_it_gives_can_be_pickled(experiment, genomes, evaluation):
+def test_results_can_be_pickled(experiment, genomes, evaluation):
     environment = experiment.environment()
     state = environment.reset(jax.random.key(0))
     record, trials = experiment.record(0, genomes[0]), experiment.rollout(0, genomes)
@@ -122,9 +122,9 @@ def test_an_error_can_be_pickled():
 
 
 def shell(*arguments: object) -> object:
-    """Call `evo-cpg` on the devices of this process; its exit code.
+    """Call `evo-cpg` on the devices of this process, and return its exit code.
 
-    What is replaced is no part of any program, so those of other tests serve here as well.
+    The replaced functions belong to no program, so programs of other tests can be shared.
     """
     devices = len(jax.devices())
     with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
@@ -135,7 +135,7 @@ def shell(*arguments: object) -> object:
     return stopped.value.code
 
 
-def test_it_evolves_what_the_command_does(experiment, tmp_path):
+def test_train_equals_the_command(experiment, tmp_path):
     seen = []
     trained = evo.train(experiment, tmp_path / "python", seen.extend)
     assert shell("train", CONFIG, *TINY, "--out", tmp_path / "shell") == 0
@@ -144,12 +144,12 @@ def test_it_evolves_what_the_command_does(experiment, tmp_path):
     assert (trained.fitness, trained.terms) == (champion.fitness, champion.terms)
     assert motion is not None and seen == trained.history and len(seen) == 4
     assert RunFolder(trained.folder).load_champion()[2] == digests
-    # The yardsticks are those of training, and so is the fitness.
+    # Scales are as in training, so the fitness is, too.
     again = evo.load(trained.folder).evaluate(0, trained.genome[None])
     assert float(again.fitness[0]) == pytest.approx(trained.fitness, rel=1e-5)
 
 
-def test_a_run_with_a_fitness_of_its_own_goes_on_in_python_only(tmp_path, capsys, monkeypatch):
+def test_commands_refuse_a_run_with_a_fitness_from_python(tmp_path, capsys, monkeypatch):
     mine = evo.load(CONFIG, (*TINY, "evolution.generations=1"))
     mine = mine.with_fitness(lambda terms: terms["energy"])
     trained = evo.train(mine, tmp_path / "mine")
@@ -157,13 +157,13 @@ def test_a_run_with_a_fitness_of_its_own_goes_on_in_python_only(tmp_path, capsys
     for command in ("resume", "verify", "refine"):
         assert shell(command, trained.folder) == 2
         said = capsys.readouterr().err
-        assert "begun in Python with another task or fitness than its config.yaml" in said
-        assert "In Python `Experiment.evaluate` tries genomes again, and `evo.train(..." in said
-    # What is said there, and how the page of the API does it.
+        assert "began in Python with a task or fitness that its config.yaml does not" in said
+        assert "In Python, `Experiment.evaluate` evaluates genomes, and `evo.train(..." in said
+    # Do this as the message and the API page say.
     again = mine.evaluate(0, trained.genome[None]).fitness
     assert float(again[0]) == pytest.approx(trained.fitness, rel=1e-5)
     with pytest.raises(
-        RunFolderError, match="begun in Python, and goes on there in another folder"
+        RunFolderError, match=r"It began in Python\. To continue, start a new run from its"
     ):
         evo.train(mine, trained.folder)
     (program,) = re.findall(
@@ -176,24 +176,24 @@ def test_a_run_with_a_fitness_of_its_own_goes_on_in_python_only(tmp_path, capsys
     np.testing.assert_array_equal(start, newest.genes)
 
 
-def test_a_fitness_of_terms_that_are_none_is_refused_at_once(experiment):
-    known = r"the task has no term 'distanse'; did you mean 'distance'\? valid here: .*, light"
+def test_a_fitness_of_unknown_terms_is_refused_at_once(experiment):
+    known = r"the task has no term 'distanse': did you mean 'distance'\? valid here: .*, light"
     with pytest.raises(KeyError, match=known):
         experiment.with_fitness(lambda terms: -terms["distanse"])
 
 
-def test_a_fitness_that_is_not_one_number_for_each_is_refused_at_once(experiment):
+def test_a_fitness_of_the_wrong_shape_is_refused_at_once(experiment):
     for wrong, got in (
-        (lambda terms: terms["distance"].sum(), r"shape \(7,\) .*; got float32\[\]"),
-        (lambda terms: jnp.stack([*terms.values()]), r"shape \(7,\) .*; got float32\[3, 7\]"),
-        (lambda terms: terms["distance"] * 1j, r"shape \(7,\) .*; got complex64\[7\]"),
-        (lambda terms: jnp.atleast_1d(terms["distance"]), r"shape \(\) .*; got float32\[1\]"),
+        (lambda terms: terms["distance"].sum(), r"shape \(7,\), got float32\[\]"),
+        (lambda terms: jnp.stack([*terms.values()]), r"shape \(7,\), got float32\[3, 7\]"),
+        (lambda terms: terms["distance"] * 1j, r"shape \(7,\), got complex64\[7\]"),
+        (lambda terms: jnp.atleast_1d(terms["distance"]), r"shape \(\), got float32\[1\]"),
     ):
-        with pytest.raises(ValueError, match="each individual a real number of its own: .*" + got):
+        with pytest.raises(ValueError, match="one real number for each individual: the .*" + got):
             experiment.with_fitness(wrong)
 
 
-def test_a_fitness_may_be_made_of_measures():
+def test_a_fitness_may_use_measures():
     measured = evo.load(CONFIG, (*PAIR, "measures=[speed]", "engine=jax"))
     measured = measured.with_fitness(lambda terms: terms["speed"] - terms["energy"])
     assert measured.scales == {}
@@ -226,7 +226,7 @@ def test_a_record_has_named_columns_and_becomes_a_table(experiment, genomes, tmp
     assert float(rows[7]["head.z [m]"]) == pytest.approx(float(record["head.z"][7]))
 
 
-def test_a_record_holds_what_the_animal_senses_does_and_remembers(experiment, genomes, tmp_path):
+def test_a_record_holds_motion_senses_and_controller_state(experiment, genomes, tmp_path):
     record = experiment.record(0, genomes[0])
     record.to_npz(tmp_path / "motion.npz")
     with np.load(tmp_path / "motion.npz", allow_pickle=False) as file:
@@ -235,7 +235,7 @@ def test_a_record_holds_what_the_animal_senses_does_and_remembers(experiment, ge
     assert units == record.units and set(arrays) == set(record)
     for name, values in record.items():
         np.testing.assert_array_equal(arrays[name], values)
-    # Central differences of the places and angles, of an animal that starts at rest.
+    # Compare rates with central differences of positions and angles.
     dt = record["time"][1] - record["time"][0]
     for place, rate in (
         *(
@@ -247,7 +247,7 @@ def test_a_record_holds_what_the_animal_senses_does_and_remembers(experiment, ge
     ):
         found, slope = record[rate][1:-1], (record[place][2:] - record[place][:-2]) / (2 * dt)
         assert np.abs(found - slope).max() < 0.25 * np.abs(found).max()
-    # An oscillator's signal is the difference of what its two neurons put out.
+    # An oscillator's signal is the difference of the outputs of its two neurons.
     assert record["head.angular_velocity_z"].std() > 0
     pairs = len([name for name in record if name.endswith(".signal")])
     potential = np.stack([record[f"nerve.potential.{k}"] for k in range(2 * pairs)])
@@ -257,11 +257,13 @@ def test_a_record_holds_what_the_animal_senses_does_and_remembers(experiment, ge
     assert 0 < record["sense.light.0"].max() <= 1
 
 
-def test_the_fitness_function_has_the_value_and_a_slope(experiment, genomes, evaluation):
+def test_the_fitness_function_has_the_value_and_its_gradient(experiment, genomes, evaluation):
     value, slope = jax.jit(jax.value_and_grad(experiment.fitness_function()))(genomes[0])
     assert float(value) == pytest.approx(float(evaluation.fitness[0]), rel=1e-5)
-    way = slope / np.linalg.norm(slope)
-    ends = experiment.evaluate(0, np.stack([genomes[0] + h * way for h in (-0.01, 0.01)])).fitness
+    direction = slope / np.linalg.norm(slope)
+    ends = experiment.evaluate(
+        0, np.stack([genomes[0] + h * direction for h in (-0.01, 0.01)])
+    ).fitness
     assert (ends[1] - ends[0]) / 0.02 == pytest.approx(float(np.linalg.norm(slope)), rel=0.1)
 
 
@@ -275,22 +277,22 @@ def test_the_fitness_function_has_the_value_and_a_slope(experiment, genomes, eva
         ("hexapod", math.inf, None, False),
     ],
 )
-def test_slopes_on_the_ground_are_exact_where_that_is_asked(
+def test_the_horizon_selects_decaying_cut_or_exact_gradients(
     monkeypatch, config, horizon, retention, rough
 ):
-    """That exact ones equal differences is shown in `simulation/test_fitness_gradients.py`."""
-    experiment, asked = evo.load(REPOSITORY / "configs" / f"{config}.yaml"), []
-    monkeypatch.setattr(fitness, "rollout", lambda *_, backward: asked.append(backward))
+    """`simulation/test_fitness_gradients.py` compares exact gradients with finite differences."""
+    experiment, budgets = evo.load(REPOSITORY / "configs" / f"{config}.yaml"), []
+    monkeypatch.setattr(fitness, "rollout", lambda *_, backward: budgets.append(backward))
     monkeypatch.setattr(fitness, "judge", lambda *_: [jnp.zeros(())])
     of_genome = fitness.fitness_function(experiment.parts, {}, None, horizon, None, None)
     of_genome(np.zeros(experiment.gene_count))
-    (backward,) = asked
+    (backward,) = budgets
     assert backward.rough is rough
     assert backward.retention == (retention and pytest.approx(retention))
 
 
 def test_rewards_of_an_episode_add_up_to_the_fitness(experiment, genomes):
-    """Played the champion's own commands, the environment moves as in its trial."""
+    """The commands of a trial, given as actions, reproduce its fitness, terms and joint angles."""
     environment = experiment.environment()
     record, outcome = experiment.record(0, genomes[1]), experiment.evaluate(0, genomes[1:2])
     actions = np.stack([record[f"{name}.target_rate"] for name in environment.action_names], 1)
@@ -317,12 +319,12 @@ def test_rewards_of_an_episode_add_up_to_the_fitness(experiment, genomes):
     np.testing.assert_allclose(many.obs, jnp.stack([seen[0]] * 3), rtol=1e-5, atol=1e-6)
 
 
-def test_what_is_wrong_is_said(experiment, genomes):
+def test_wrong_arguments_are_named(experiment, genomes):
     with pytest.raises(
         ValueError, match=r"shape \(n, 135\), one row per individual, got \(135, 5\)"
     ):
         experiment.evaluate(0, genomes.T)
-    with pytest.raises(ValueError, match="individuals come first, so transpose them"):
+    with pytest.raises(ValueError, match="Transpose them: individuals come first"):
         experiment.rollout(0, genomes.T)
     with pytest.raises(ValueError, match="genomes must be numbers, got <U1"):
         experiment.evaluate(0, np.full((2, 135), "x"))
@@ -336,18 +338,18 @@ def test_what_is_wrong_is_said(experiment, genomes):
             call()
     with pytest.raises(ValueError, match="actions must be 'rates' or 'angles', got 'torques'"):
         experiment.environment("torques")
-    with pytest.raises(ValueError, match="needs motors with a stiffness, and none has one"):
+    with pytest.raises(ValueError, match="needs motors with a stiffness, but no motor has one"):
         experiment.environment("angles")
     environment = experiment.environment()
     with pytest.raises(ValueError, match=r"action must have the shape \(6,\), got \(5,\)"):
         environment.step(environment.reset(jax.random.key(0)), jnp.zeros(5))
     with pytest.raises(TypeError, match=r"must be a list of settings, such as \['seed=3'\]"):
         evo.load(CONFIG, "seed=3")
-    with pytest.raises(evo.ConfigError, match=r"world.gravty: unknown key; did you mean 'gravity'"):
+    with pytest.raises(evo.ConfigError, match=r"world.gravty: unknown key: did you mean 'gravity'"):
         evo.load(CONFIG, {"world.gravty": 1.6})
 
 
-def test_overrides_are_those_of_the_command_line():
+def test_overrides_work_as_on_the_command_line():
     given = evo.load(REPOSITORY / "configs" / "hexapod.yaml", {"world.gravity": 1.6, "seed": 4})
     assert (given.world.gravity, given.config.seed) == (1.6, 4)
     contents = given.config.model_dump(mode="json")

@@ -1,4 +1,4 @@
-"""The notebooks of the docs: they run, and are shown with what they printed and drew."""
+"""The notebooks of the docs run, and their pages show their output."""
 
 import json
 import sys
@@ -29,7 +29,7 @@ def printed(notebook) -> str:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_they_are_shown_as_they_ran(path):
+def test_pages_show_notebooks_that_ran_in_order(path):
     notebook = read(path)
     page = notebook_pages.as_markdown(notebook)
     assert page.startswith("# Notebook: ") and "data:image/png;base64," in page
@@ -37,11 +37,11 @@ def test_they_are_shown_as_they_ran(path):
     assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
     for cell in code:
         compile("".join(cell["source"]), path.name, "exec")
-    # Anybody downloads the whole of the docs.
+    # Every reader of the docs downloads the notebooks.
     assert path.stat().st_size < 250_000
 
 
-def test_cells_run_in_order_and_what_they_print_and_draw_is_kept(monkeypatch):
+def test_cells_run_in_order_and_keep_their_output(monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     sources = ["# Notebook: x", "a = 2", "import matplotlib.pyplot as plt\nplt.plot([a])\nprint(a)"]
     kinds = ["markdown", "code", "code"]
@@ -59,11 +59,11 @@ def test_cells_run_in_order_and_what_they_print_and_draw_is_kept(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_they_run(path, monkeypatch):
+def test_notebooks_run_to_the_same_conclusions(path, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     jax.devices()
     made, before = notebook_pages.run(read(path)), printed(read(path))
-    # Numbers differ between machines, and what is said of them does not.
+    # Numbers differ between machines, but conclusions do not.
     assert [line.split()[-1] for line in printed(made).splitlines()[:1]] == [
         line.split()[-1] for line in before.splitlines()[:1]
     ]
@@ -77,7 +77,7 @@ def test_they_run(path, monkeypatch):
         assert float(end) > float(start)
 
 
-def test_the_reference_of_the_api_has_all_that_there_is():
+def test_the_api_reference_has_every_public_name():
     import re
 
     page = (REPOSITORY / "docs/reference/api.md").read_text()

@@ -1,4 +1,4 @@
-"""A force law of the user's own: the lift of a plate, from the page that says how to write one."""
+"""A user's own force law: the lift of a plate, from the page about such laws."""
 
 import dataclasses
 import sys
@@ -35,7 +35,7 @@ AREA, SLOPE, FORM = SPAN * CHORD, 6.283, 1.0
 
 
 class Leash(evo.ForceLaw):
-    """The example of `ForceLaw`."""
+    """Example of `ForceLaw`."""
 
     body: str = eqx.field(static=True)
     stiffness: float = 10.0
@@ -47,7 +47,7 @@ class Leash(evo.ForceLaw):
         return bodies.wrench_on(self.body, turned)
 
 
-# Laws like that of the page, in its module.
+# More laws for the module of the page.
 SWIM = """
 class {name}(PlateLift):
     def wrench(self, bodies):
@@ -57,7 +57,7 @@ class {name}(PlateLift):
 
 @pytest.fixture(scope="module")
 def plate_lift():
-    """The class of the page."""
+    """Return the class of the page."""
     names: dict = {}
     run(programs("docs/own.md")[2], names)
     return names["PlateLift"]
@@ -65,7 +65,7 @@ def plate_lift():
 
 @pytest.fixture
 def plate(plate_lift, x64):
-    """A heavy plate in water, with form drag and lift."""
+    """Return a heavy plate in water, with form drag and lift."""
     shape = Box((CHORD, SPAN, THICKNESS))
     creature = Creature("plate", (Body("wing", shape, Material(DENSITY)),))
     world = in_water(creature, gravity=G, form_drag=FORM, skin_drag=0.0)
@@ -73,7 +73,7 @@ def plate(plate_lift, x64):
 
 
 def acting(world, velocity):
-    """The lift's wrench and derivative at a velocity ``(6, 1, n)`` of the plate."""
+    """Return the lift's wrench and derivative at a velocity ``(6, 1, n)`` of the plate."""
     state = resting_state(world.tree, velocity.shape[2:], jnp.float64)
     bodies = world.bodies(kinematics(world.tree, state), 0.01)
     law = world.forces[-1]
@@ -85,8 +85,8 @@ def acting(world, velocity):
     return map(np.asarray, quick_jit(both)(jnp.asarray(velocity)))
 
 
-def test_lift_is_that_of_a_thin_plate(plate):
-    """1/2 rho A s sin(alpha) v^2, perpendicular to the motion and to the span, at 5 degrees."""
+def test_lift_equals_the_thin_plate_formula(plate):
+    """Lift is 1/2 rho A s sin(alpha) v^2, normal to the motion and to the span, at 5 degrees."""
     speed, angle = 2.0, np.deg2rad(5.0)
     velocity = np.zeros((6, 1, 1))
     velocity[3], velocity[5] = speed * np.cos(angle), -speed * np.sin(angle)
@@ -109,7 +109,7 @@ def test_derivative_of_a_law_equals_finite_differences(plate):
 
 
 def test_a_plate_glides_at_its_closed_form_speed(plate):
-    """Level: lift drives it forward against form drag k_x, and both carry its weight.
+    """Lift drives a level plate forward against form drag k_x. Both carry its weight.
 
     ``a v_z^2 = k_x v_x^2`` and ``w = a v_x |v_z| + k_z v_z^2``, with ``k = rho C_d A_front``.
     """
@@ -123,7 +123,7 @@ def test_a_plate_glides_at_its_closed_form_speed(plate):
 
 
 def test_a_law_with_a_skew_derivative_is_of_second_order(plate):
-    """Half the step, a quarter of the error, though the solver's matrices are symmetric."""
+    """Half the step gives a quarter of the error, although the solver's matrices are symmetric."""
     state = resting_state(plate.tree, dtype=jnp.float64)
     state = dataclasses.replace(state, velocity=jnp.array([0.0, 0, 0, 0.3, 0.0, -0.2]))
     ends = [coast(plate, state, 0.4, 0.4 / n).velocity[-1] for n in (40, 80, 640)]
@@ -132,7 +132,7 @@ def test_a_law_with_a_skew_derivative_is_of_second_order(plate):
 
 
 def test_a_wrench_does_the_work_of_its_force_and_moment(x64):
-    """At the centre of mass, which is not the joint: F . v + M . w, in a current from anywhere."""
+    """Power is F . v + M . w at the centre of mass, which is not the joint, in any current."""
     rng = np.random.default_rng(5)
     current = (0.3, -0.2, 0.1)
     world = in_water(box_chain(3, "yz", Actuator(1.0)), current=current)
@@ -149,14 +149,14 @@ def test_a_wrench_does_the_work_of_its_force_and_moment(x64):
 
 
 def test_a_law_acts_on_a_creature_at_rest(plate):
-    """A leash of 40 N/m from the origin of the world: weight, buoyancy and its pull, at 0.2 m."""
+    """A leash of 40 N/m to the world's origin pulls at 0.2 m, against weight and buoyancy."""
     stiffness = 40.0
     leash = dataclasses.replace(plate, forces=(*plate.forces, Leash("wing", stiffness)))
     base = resting_state(plate.tree, dtype=jnp.float64)
-    way = jnp.array([0.2, 0.0, -0.1, 0.3, 0.0, 0.0])
+    offset = jnp.array([0.2, 0.0, -0.1, 0.3, 0.0, 0.0])
     none = jnp.zeros((3, 0))
     friction = FrictionState(none, none, none, none[0], none)
-    force, _ = quick_jit(lambda x: static_forces(leash, 0.01, base, friction, x))(way)
+    force, _ = quick_jit(lambda x: static_forces(leash, 0.01, base, friction, x))(offset)
     apparent = (DENSITY - WATER) * AREA * THICKNESS * G
     expected = [-stiffness * 0.2, 0.0, stiffness * 0.1 - apparent, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(force, expected, atol=1e-9)
@@ -164,7 +164,7 @@ def test_a_law_acts_on_a_creature_at_rest(plate):
 
 @pytest.fixture
 def glider(here, monkeypatch):
-    """The page's files in the working folder."""
+    """Write the files of the page to the working folder."""
     wriggler, _, plate, _ = programs("docs/own.md")
     (here / "wriggler.py").write_text(wriggler)
     (here / "plate.py").write_text(
@@ -189,8 +189,8 @@ def glider(here, monkeypatch):
         sys.modules.pop(name, None)
 
 
-def test_a_force_law_trains_and_goes_again(glider):
-    """A beating fluke with lift swims otherwise than one without; replay is exact, books close."""
+def test_a_force_law_trains_replays_and_balances_energy(glider):
+    """Lift changes the swimming of a fluke, the replay is exact, and energy is balanced."""
     with_lift = evo.load("glider.yaml")
     trained = evo.train(with_lift, "runs/glider")
     without = evo.load("glider.yaml", {"world.forces": []})
@@ -207,34 +207,35 @@ def test_a_force_law_trains_and_goes_again(glider):
     )
     book = ledger(simulation.world, jax.tree.map(np.asarray, steps), simulation.step_length)
     scale = sum(np.abs(work).sum() for work in book.work.values())
-    # Lift does no work at the centre of mass, up to what the step turns.
+    # Lift does no work at the centre of mass, except for the rotation during a step.
     assert abs(book.left_over.sum()) < 0.02 * scale
     assert np.abs(book.impulse).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_number_of_a_law_has_a_derivative(glider):
-    """The lift's, against a central difference of a rebuilt simulation."""
+    """Compare the derivative with a central difference of rebuilt simulations."""
     source = glider / "glider.yaml"
     config = load_config(source, ["simulation.steps=5"])
     parameters = parametrise(config, source, ["world.forces.0.options.area"])
     genes = jnp.full((3, 1), 1.0)
 
-    def way(values):
+    def displacement(values):
         return rollout(parameters.simulation(values), genes, None).terms["distance"][0]
 
-    slope = quick_jit(jax.grad(way))(jnp.array([0.03]))
-    ends = [quick_jit(way)(jnp.array([area])) for area in (0.029, 0.031)]
+    slope = quick_jit(jax.grad(displacement))(jnp.array([0.03]))
+    ends = [quick_jit(displacement)(jnp.array([area])) for area in (0.029, 0.031)]
     expected = float(ends[1] - ends[0]) / 0.002
     assert abs(expected) > 1e-4 and float(slope[0]) == pytest.approx(expected, rel=0.02)
 
 
-def test_an_exported_model_says_that_a_law_is_left_out(glider, capsys):
+def test_export_reports_omitted_force_laws(glider, capsys):
     export(glider / "glider.yaml", glider / "glider.xml")
     assert "left out: force laws of your own, PlateLift\n" in capsys.readouterr().err
 
 
-def test_a_law_may_hold_a_creature_that_nothing_else_holds(glider):
-    """Neither `validate` nor the search for rest complains of it: it may be a leash."""
+def test_lint_reports_no_falling_if_a_law_may_hold_the_creature(glider):
+    """The law may be a leash, so `validate` does not warn of gravity."""
     held = ["world.water=null", "world.ground=null"]
     falls = [d.key for d in lint(load_config(glider / "glider.yaml", held), "glider.yaml")]
     free = [*held, "world.forces=[]"]
@@ -246,12 +247,12 @@ def test_a_law_may_hold_a_creature_that_nothing_else_holds(glider):
     ("setting", "expected"),
     [
         ({"type": "plate:PlateLift", "options": {"body": "wing", "area": 1}}, "no body 'wing'"),
-        ({"type": "plate:PlateLift"}, "cannot be built with them"),
+        ({"type": "plate:PlateLift"}, "cannot be built with these options"),
         ({"type": "plate:Nobody"}, "cannot be imported"),
         ({"type": "wriggler:Wave"}, "is not a subclass of evo_cpg.physics.force_law:ForceLaw"),
         (
             {"type": "plate:Wrong", "options": {"body": "fluke", "area": 1}},
-            r"Wrong.wrench must return 6 x 2, shape \(6, 2, 7\)",
+            r"Wrong.wrench must return 6 x 2 numbers, shape \(6, 2, 7\)",
         ),
         (
             {"type": "plate:Broken", "options": {"body": "fluke", "area": 1}},

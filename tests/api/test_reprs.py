@@ -1,4 +1,4 @@
-"""What `print` shows of the objects that users hold."""
+"""Text that `print` shows for public objects."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def experiment():
     return evo.load(CONFIG, [*PAIR, "task={type: distance}"])
 
 
-def test_an_experiment_shows_what_it_consists_of(experiment):
+def test_an_experiment_shows_its_parts(experiment):
     assert repr(experiment) == (
         "Experiment('iwadate2010_swimmer', creature=Creature('swimmer10', bodies=2, joints=1, "
         "axes=1, eyes=1), world=World(gravity 9.81 m/s^2, water everywhere, no ground), genes=51, "
@@ -38,7 +38,7 @@ def test_a_world_shows_its_water_and_its_ground(settings, words):
     assert repr(evo.load(CONFIG, [*PAIR, *settings]).world).endswith(words)
 
 
-def test_settings_show_what_is_not_by_default():
+def test_settings_show_values_that_differ_from_defaults():
     assert repr(WorldConfig()) == str(WorldConfig()) == "WorldConfig()"
     world = WorldConfig(gravity=1.6, water=WaterConfig(surface=0.0))
     assert repr(world) == "WorldConfig(gravity=1.6, water=WaterConfig(surface=0.0))"
@@ -51,7 +51,7 @@ def test_long_lists_of_settings_show_their_length(experiment):
     assert "bodies=[6 entries]" in repr(many)
 
 
-def test_an_environment_shows_its_sizes_and_its_state_what_came_of_a_step(experiment):
+def test_an_environment_shows_its_sizes_and_its_state_the_last_step(experiment):
     environment = experiment.environment()
     assert repr(environment) == (
         "Environment(1 actions (rates), 7 observations (light 1, pressure 2, vertical_cosine 1, "

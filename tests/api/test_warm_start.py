@@ -1,4 +1,4 @@
-"""A run that begins where another one ended."""
+"""A run can begin where another run ended."""
 
 import json
 import shutil
@@ -18,7 +18,7 @@ SHORT = (*PAIR, "simulation.steps=20", "evolution.generations=2", "runs=2")
 
 @pytest.fixture(scope="module")
 def earlier(tmp_path_factory):
-    """Two runs of eight, evolved."""
+    """Return two evolved runs, with a population of eight each."""
     folder = tmp_path_factory.mktemp("earlier") / "run"
     return evo.train(evo.load(CONFIG, SHORT), folder)
 
@@ -34,6 +34,7 @@ def checkpoint_of(earlier):
     return found
 
 
+@pytest.mark.slow
 def test_each_run_begins_with_its_own_champion(earlier):
     _, (genes, provenance) = start(earlier, "champion", "seed=7", "world.water.density=900")
     assert genes.shape == (evo.load(CONFIG, SHORT).gene_count, 16)
@@ -41,14 +42,14 @@ def test_each_run_begins_with_its_own_champion(earlier):
         own = genes[:, 8 * run : 8 * run + 8]
         np.testing.assert_array_equal(own[:, 0], champion.genes)
         changed = (own[:, 1:] != champion.genes[:, None]).mean()
-        # At the rate at which genes mutate.
+        # The fraction of changed genes fits the mutation rate.
         assert 0.02 < changed < 0.2
     assert provenance["from"] == str(earlier.folder.resolve())
     assert provenance["what"] == "champion" and provenance["fitness"] == earlier.fitness
 
 
 @pytest.mark.parametrize("size", [4, 8, 12])
-def test_a_population_is_cut_or_filled_up(earlier, size):
+def test_a_population_is_cut_or_filled(earlier, size):
     _, (genes, provenance) = start(earlier, "population", f"evolution.population={size}")
     done = checkpoint_of(earlier)
     kept = min(size, 8)
@@ -59,14 +60,14 @@ def test_a_population_is_cut_or_filled_up(earlier, size):
     assert provenance["generation"] == 2
 
 
-def test_where_there_are_more_runs_all_begin_with_the_best(earlier):
+def test_more_runs_all_begin_with_the_best_champion(earlier):
     _, (genes, _) = start(earlier, "champion", "runs=3")
     for run in range(3):
         np.testing.assert_array_equal(genes[:, 8 * run], earlier.genome)
 
 
-def test_it_is_the_first_population_whatever_happens(earlier, tmp_path):
-    """Also where the run is killed before its first generation is done."""
+def test_the_start_is_the_first_population_even_after_a_kill(earlier, tmp_path):
+    """The run may be killed before its first generation is done."""
     experiment, given = start(earlier, "population", "seed=3")
     folder = RunFolder(tmp_path / "run")
     config = evo.load(CONFIG, (*SHORT, "seed=3"))
@@ -79,28 +80,28 @@ def test_it_is_the_first_population_whatever_happens(earlier, tmp_path):
     resumed = train(experiment, RunFolder(folder.path))
     made = evo.train(config, tmp_path / "again", start=given.genes.T)
     np.testing.assert_array_equal(resumed.champion.genes, made.genome)
-    # Elites are among them, so the first generation is as good as the last one was.
+    # The population has the elites, so the first generation is as good as the last.
     first = max(row["best"] for row in made.history[:2])
     assert first == pytest.approx(earlier.fitness, rel=0.2)
 
 
 def test_another_plan_is_refused(earlier, tmp_path):
     other = evo.load(CONFIG, (*SHORT, "creature.bodies.1.repeat=2")).parts
-    with pytest.raises(RunFolderError, match="another plan evolved there: its bodies"):
+    with pytest.raises(RunFolderError, match=r"animals of another plan\. Its bodies"):
         warm_start(other, earlier.folder, "champion")
     other = evo.load(CONFIG, (*SHORT, "controller.brain.hidden=[5]")).parts
-    with pytest.raises(RunFolderError, match=r"its genes: \d+; asked for: \d+"):
+    with pytest.raises(RunFolderError, match=r"Its genes: \d+\. Requested: \d+"):
         warm_start(other, earlier.folder, "champion")
     with pytest.raises(RunFolderError, match="is not a run folder"):
         warm_start(other, tmp_path, "champion")
 
 
 def test_a_run_without_a_champion_is_refused(earlier, tmp_path):
-    begun = shutil.copytree(earlier.folder, tmp_path / "begun")
-    shutil.rmtree(begun / "checkpoints")
-    (begun / "checkpoints").mkdir()
+    started = shutil.copytree(earlier.folder, tmp_path / "started")
+    shutil.rmtree(started / "checkpoints")
+    (started / "checkpoints").mkdir()
     with pytest.raises(RunFolderError, match="has no champion yet"):
-        warm_start(evo.load(CONFIG, SHORT).parts, begun, "champion")
+        warm_start(evo.load(CONFIG, SHORT).parts, started, "champion")
 
 
 def test_genomes_that_do_not_fit_are_refused(tmp_path):
@@ -113,16 +114,16 @@ def test_genomes_that_do_not_fit_are_refused(tmp_path):
     assert not (tmp_path / "a").exists()
 
 
-def test_a_damaged_start_is_said(earlier, tmp_path):
+def test_a_damaged_start_is_named(earlier, tmp_path):
     _, given = start(earlier, "champion")
     folder = RunFolder(tmp_path / "run")
     folder.create("", {}, given.genes)
     folder.start.write_bytes(folder.start.read_bytes()[:100])
-    with pytest.raises(RunFolderError, match=r"start\.npz is damaged .*; start a new run"):
+    with pytest.raises(RunFolderError, match=r"start\.npz is damaged .*\. Start a new run"):
         folder.load_start()
 
 
-def test_a_start_that_is_missing_or_something_else_is_said(earlier, tmp_path):
+def test_a_missing_or_wrong_start_is_named(earlier, tmp_path):
     _, given = start(earlier, "champion")
     folder = RunFolder(tmp_path / "run")
     folder.create("", {"start": "from the champion of x"}, given.genes)
@@ -131,5 +132,7 @@ def test_a_start_that_is_missing_or_something_else_is_said(earlier, tmp_path):
         with pytest.raises(RunFolderError, match=r"start\.npz is damaged \(it holds no genomes\)"):
             folder.load_start()
     folder.start.unlink()
-    with pytest.raises(RunFolderError, match=r"start\.npz is missing; the run begins from the ch"):
+    with pytest.raises(
+        RunFolderError, match=r"start\.npz is missing\..* genomes \(from the champion"
+    ):
         folder.load_start()

@@ -1,4 +1,4 @@
-"""The figure of accuracy falls with the step as the order of the method lets it."""
+"""Errors fall with the step as the order of the method predicts."""
 
 import functools
 
@@ -24,19 +24,19 @@ from evo_cpg.training.devices import population_mesh
 from tiny_run import TINY
 
 STEPS = 120
-# Of a first-order method, with a sixteenth of the step as the reference.
+# Ratio of the errors with whole and quarter steps, if the method has the first order.
 EXPECTED = (1 - 1 / FINER) / (1 / 4 - 1 / FINER)
 
 
 @pytest.fixture(scope="module")
 def chain():
-    """Two boxes, one of which the wave makes beat."""
+    """Two boxes with one joint, which follows the wave."""
     return Wave(experiment_of("iwadate2010_swimmer", *TINY, "creature.bodies.1.repeat=1"))
 
 
 @pytest.fixture(scope="module")
 def places(chain):
-    """Where either side's animals are, by how finely the step is divided."""
+    """Function of a side and the number of parts of a step: final places of the roots, m."""
 
     @functools.cache
     def found(side, finer):
@@ -48,9 +48,10 @@ def places(chain):
 
 
 def test_the_error_falls_with_the_step(places):
-    """MuJoCo's in the first order, to within a quarter; ours is smaller, and falls as fast.
+    """MuJoCo's error falls by the factor of the first order, to 25 %.
 
-    Of second order it would fall by 17: what motors that jump leave is of first.
+    Ours is smaller and falls at least as fast. A second-order error would fall by a factor of 17.
+    Jumps of the commands leave a first-order error.
     """
     coarse, fine = (
         [typical_distance(places(side, n), places(side, FINER)) for side in ("ours", "MuJoCo")]
@@ -66,7 +67,7 @@ def test_errors_are_in_body_lengths(chain, places):
     mesh = population_mesh()
     program = compile_motion(chain, chain.lanes(full_lanes(LANES, mesh)), mesh)
     twin = typical_distance(places("ours", 1), places("ours", FINER)) / body_length(chain)
-    # Rounding is a tenth of so small an error.
+    # Rounding is about a tenth of this small error.
     assert our_error(chain, program, mesh) == pytest.approx(twin, rel=0.2)
     peer = typical_distance(places("MuJoCo", 1), places("MuJoCo", FINER)) / body_length(chain)
     assert mujoco_error(chain, WET[0], 1) == pytest.approx(peer)
@@ -79,7 +80,7 @@ def test_a_chains_body_length_is_from_centre_to_centre(chain):
 
 
 def test_an_animal_is_measured_at_every_size(chain):
-    """Rows of both parts beside every kind of water, and of how the largest one compares."""
+    """Both parts have a row for every kind of water, and a row for the largest population."""
     animal, plan = Animal("chain", chain, (200, 208), flops=1000), Plan(2, None, 0.01, 2)
     rows = list(measure(animal, plan, 1e11))
     for size in animal.sizes:

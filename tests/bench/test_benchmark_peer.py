@@ -1,4 +1,4 @@
-"""The benchmark's quadruped is the same animal with the same commands on both sides."""
+"""Our animals and MuJoCo's are equal in the benchmark, and get equal commands."""
 
 import dataclasses
 
@@ -42,8 +42,8 @@ def test_the_model_has_the_animals_masses_motors_and_limits(quadruped, model):
     assert model.jnt_limited[1:].all()
 
 
-def test_bodies_touch_the_floor_and_those_that_ours_keep_apart(quadruped, model):
-    """Folded up in the floor: with friction there, without between limbs."""
+def test_bodies_touch_the_floor_and_our_contact_pairs(quadruped, model):
+    """A folded animal in the floor has friction with the floor, and none between limbs."""
     data = mujoco.MjData(model)
     data.qpos[2], data.qpos[7:] = 0.0, 2.5
     mujoco.mj_forward(model, data)
@@ -60,16 +60,16 @@ def test_bodies_touch_the_floor_and_those_that_ours_keep_apart(quadruped, model)
 
 
 def walk(experiment, steps):
-    """The states of MuJoCo's individuals from rest."""
+    """Return the states of MuJoCo's individuals from rest."""
     exercise = Postures(experiment)
     motion = Motion(exercise, DRY[0], exercise.lanes(COUNT), 1)
     return motion.states(motion.rest(), motion.signals(steps))
 
 
-def test_mujoco_takes_the_postures_of_the_controller(quadruped):
-    """In free fall nothing keeps a joint from where its spring pulls: 1/3 s is 17 of k/c.
+def test_mujoco_reaches_the_postures_of_the_controller(quadruped):
+    """In free fall, the springs bring the joints to their angles: 1/3 s is 17 time constants.
 
-    But other limbs, which pass through each other here.
+    Limbs pass through each other here, so that none blocks another.
     """
     aloft = (Situation((0.0, 0.0, 20.0)),)
     ghost = dataclasses.replace(quadruped.simulation.world, pairs=None)
@@ -88,8 +88,8 @@ def test_mujoco_takes_the_postures_of_the_controller(quadruped):
 
 
 def test_individuals_that_diverged_are_counted(quadruped, monkeypatch, tmp_path):
-    """At 1/60 s many do within 7 steps; MuJoCo logs each of them."""
-    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
+    """At 1/60 s, many individuals diverge within 7 steps. MuJoCo logs each of them."""
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log into the working folder
     simulation = dataclasses.replace(quadruped.simulation, substeps=1)
     states, seconds = walk(quadruped._replace(simulation=simulation), 7), 7 / 60
     lost = stopped(states, seconds)
@@ -101,22 +101,22 @@ def test_individuals_that_diverged_are_counted(quadruped, monkeypatch, tmp_path)
 
 
 @pytest.mark.parametrize("kind", ["wave", "postures"])
-def test_both_sides_are_told_the_same(quadruped, kind):
-    """Ours step by step, MuJoCo's all at once, in the order of our degrees of freedom."""
+def test_both_sides_get_equal_commands(quadruped, kind):
+    """Our commands are computed step by step, and MuJoCo's all at once."""
     exercise = Wave(experiment_of("iwadate2010_swimmer")) if kind == "wave" else Postures(quadruped)
     lanes = exercise.lanes(3)
     np.testing.assert_array_equal(lanes, exercise.lanes(50)[:, :3])
     index = np.array([0, 1, 79, 80, 119, 120, 300])
     signals = exercise.signals(lanes, index)
-    told = exercise.prepare(jnp.asarray(lanes))
+    commands = exercise.prepare(jnp.asarray(lanes))
     for place, number in enumerate(index):
-        rate, angle = exercise.command(told, jnp.int32(number))
+        rate, angle = exercise.command(commands, jnp.int32(number))
         ours = rate if angle is None else angle
         np.testing.assert_allclose(ours.T, signals[:, place], atol=1e-5)
     assert np.ptp(signals, axis=0).max() > 0.1
 
 
-def test_the_swimmer_meets_three_kinds_of_water():
+def test_the_swimmer_has_three_kinds_of_water():
     exercise = Wave(experiment_of("iwadate2010_swimmer"))
     models = [peer_model(exercise, kind) for kind in WET]
     assert [model.opt.density for model in models] == [1000, 1000, 0]

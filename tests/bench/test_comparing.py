@@ -1,4 +1,4 @@
-"""Rows are kept whole, and what became slower is found."""
+"""Rows are stored without loss, and slower rows are found."""
 
 import dataclasses
 
@@ -44,7 +44,7 @@ def slower(*now, then=ROWS, tolerance=0.1):
     return [change.row for change in verdict.slower]
 
 
-def test_rows_come_back_from_the_file(tmp_path):
+def test_loaded_rows_equal_the_saved_rows(tmp_path):
     path = tmp_path / "bench.json"
     rows.save(path, MACHINE, ROWS)
     assert rows.load(path) == (MACHINE, ROWS)
@@ -54,26 +54,26 @@ def test_equal_rows_are_not_slower():
     assert slower(*ROWS) == []
 
 
-def test_a_row_beside_a_peer_is_judged_by_its_ratio():
-    """A machine at half its speed is no regression; half the ratio is one."""
+def test_a_row_with_a_peer_is_compared_by_its_ratio():
+    """A machine at half its speed is no regression. A lower ratio is one."""
     assert slower(changed(BESIDE, rate=1.25e6, peer_rate=2.5e4)) == []
     worse = changed(BESIDE, ratio=44.0)
     assert slower(worse) == [worse]
     assert slower(worse, tolerance=0.15) == []
 
 
-def test_a_row_alone_is_judged_by_its_rate():
+def test_a_row_without_a_ratio_is_compared_by_its_rate():
     worse = [changed(ALONE, rate=8.9e6), changed(TIMED, rate=22.5), changed(ABSENT, rate=5.0)]
     assert slower(*worse) == worse
     assert slower(changed(ALONE, rate=9.1e6), changed(TIMED, rate=10.0)) == []
 
 
-def test_what_cannot_be_compared_is_said():
+def test_differences_between_the_runs_are_remarked():
     other = {**MACHINE, "processor": "slide rule", "quick": True}
     new = changed(ALONE, size=15)
     verdict = compare((other, ROWS), (MACHINE, [BESIDE, new]), 0.1)
     assert [change.row for change in verdict.changes] == [BESIDE]
-    text = "; ".join(verdict.remarks)
+    text = "\n".join(verdict.remarks)
     assert "1 of 2 rows have no counterpart" in text
     assert "another processor: slide rule" in text
     assert "one run was quick" in text
@@ -91,11 +91,11 @@ def test_the_tables_hold_every_row():
     [
         (None, "cannot be read"),
         ("nonsense", "is no JSON file"),
-        ("[]", "is no benchmark of this program"),
-        ('{"format": 1}', "its format is 1, not 2"),
-        ('{"format": 2, "machine": {}, "rows": [{}]}', "rows are not those"),
-        ('{"format": 2, "machine": {}}', "rows are not those"),
-        ('{"format": 2, "machine": {}, "rows": [{"x": 1}]}', "rows are not those"),
+        ("[]", "has the format None, not 2"),
+        ('{"format": 1}', "has the format 1, not 2"),
+        ('{"format": 2, "machine": {}, "rows": [{}]}', "holds no rows of"),
+        ('{"format": 2, "machine": {}}', "holds no rows of"),
+        ('{"format": 2, "machine": {}, "rows": [{"x": 1}]}', "holds no rows of"),
     ],
 )
 def test_other_files_are_refused(tmp_path, text, words):
@@ -106,14 +106,14 @@ def test_other_files_are_refused(tmp_path, text, words):
         rows.load(path)
 
 
-def test_a_number_that_json_lacks_is_not_written(tmp_path):
+def test_numbers_that_json_lacks_are_not_written(tmp_path):
     assert rows.finite(float("nan")) is None
     with pytest.raises(ValueError, match="JSON"):
         rows.save(tmp_path / "bench.json", MACHINE, [changed(ALONE, rate=float("nan"))])
 
 
-def test_a_page_has_what_is_known():
-    """Ours once for all its peers; why a peer gave no rate; nothing of columns that are empty."""
+def test_page_tables_leave_out_empty_columns():
+    """Our rate has one row for all peers. A peer without a rate shows the reason."""
     where = {"float32_peak": 2.5e11, "versions": {"jax": "1.2", "mujoco": "4.5", "brax": None}}
     other = changed(BESIDE, peer="Brax", peer_rate=None, peer_error=None, ratio=None,
                     ratio_spread=None, note="not installed")  # fmt: skip

@@ -1,11 +1,11 @@
-"""What a run of the tests says that they cost."""
+"""The summary of a test run's cost."""
 
 from collections import Counter
 
 from costs import Costs, processor_seconds, unit
 
 
-def test_costs_are_added_up_and_the_dearest_come_first():
+def test_costs_are_summed_and_sorted():
     costs = object.__new__(Costs)
     costs.tests = {
         "cheap": Counter(processor=1.0, compilations=2, compiling=0.5),

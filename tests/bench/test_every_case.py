@@ -1,4 +1,4 @@
-"""Every case measures something; the picture and the tables take what it gives."""
+"""Every case yields valid rows, which the picture and the tables accept."""
 
 import math
 import subprocess
@@ -16,7 +16,7 @@ from tiny_run import REPOSITORY
 
 PEAK = 1e11
 MACHINE = {"processor": "abacus", "cores": 2, "float32_peak": PEAK}
-# The others compile for long.
+# The other cases compile for long.
 FAST = {"cpg", "brain", "ga"}
 TIMES = {"time", "first ever", "again"}
 PLAN = Plan(2, call_seconds=0.01, repeats=2, quick=True)
@@ -30,8 +30,8 @@ def test_fast_cases_are_cases():
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_case_measures(name, monkeypatch, tmp_path):
-    # Other packages have other warnings; they take part when the suite is run.
+def test_a_case_yields_valid_rows(name, monkeypatch, tmp_path):
+    # Warnings of the peers' packages would fail the test, so the peers are left out.
     monkeypatch.setattr(jax_peers, "_MODULES", {"mjx": "no_such_mjx", "brax": "no_such_brax"})
     monkeypatch.setattr(breeding, "_MODULE", "no_such_evosax")
     sizes = (2,) if suite.CASES[name].sized else None
@@ -52,7 +52,7 @@ def test_a_case_measures(name, monkeypatch, tmp_path):
             assert row.flops == pytest.approx(row.peak_share * PEAK)
     measured = [row for row in rows if row.error is not None]
     assert bool(measured) == (name in {"cpg", "brain", *suite.ANIMALS})
-    # Float32 costs the brain its last digits; a step costs the others more.
+    # The brain's error is rounding. The other errors come from the step, and are larger.
     assert all(row.error < (1e-5 if name == "brain" else 1) for row in measured)
     assert len({row.key for row in rows}) == len(rows)
     assert all((row.unit == SECONDS) == (row.part in TIMES) for row in rows)
@@ -66,19 +66,19 @@ def test_a_case_measures(name, monkeypatch, tmp_path):
     assert bars == (name in suite.ANIMALS)
 
 
-def test_the_peak_is_that_of_a_matrix_product():
-    """No processor that runs JAX does fewer, and none more, on as few cores."""
+def test_the_peak_of_a_matrix_product_is_plausible():
+    """The bounds, 1/s, hold for every processor that runs JAX."""
     assert 1e9 < machine.matrix_product_rate() < 2e12
 
 
-def test_the_peak_memory_grows_with_what_is_held():
-    # In a process of its own: this one may have held more before.
+def test_the_peak_memory_grows_with_allocations():
+    # This process may have had a higher peak before, so a new process measures.
     program = (
         "import numpy as np; from benchmarks.machine import peak_memory; before = peak_memory(); "
         "held = np.ones(2**26 // 8); print(before, peak_memory())"
     )
-    said = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", program], cwd=REPOSITORY, capture_output=True, text=True, check=True
     )
-    before, after = map(int, said.stdout.split())
+    before, after = map(int, done.stdout.split())
     assert before < after < before + 2**28

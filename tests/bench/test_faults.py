@@ -1,4 +1,4 @@
-"""The faults of `benchmarks/faults.py` are faults, and whoever slips is noticed."""
+"""`benchmarks/faults.py` makes real faults, and notices mistakes of the program."""
 
 import random
 
@@ -12,7 +12,7 @@ from tiny_run import CONFIG, REPOSITORY
 
 
 @pytest.mark.parametrize("number", range(20))
-def test_odd_values_and_odd_text_change_a_configuration(number):
+def test_mistakes_change_a_configuration(number):
     chance = random.Random(number)
     data = yaml.safe_load(CONFIG.read_text())
     before = yaml.safe_dump(data)
@@ -22,19 +22,19 @@ def test_odd_values_and_odd_text_change_a_configuration(number):
     assert faults.with_odd_text(text, chance) != text
 
 
-def test_a_configuration_with_mistakes_is_taken_or_refused(tmp_path):
+def test_wrong_configurations_are_taken_or_refused(tmp_path):
     folder = tmp_path / "configs"
     folder.mkdir()
     creature = (REPOSITORY / "configs" / "creatures" / "swimmer10.yaml").read_text()
     (folder / "creatures").mkdir()
     (folder / "creatures" / "swimmer10.yaml").write_text(creature)
     (folder / CONFIG.name).write_text(CONFIG.read_text())
-    told = {faults.build_odd(folder, number) for number in range(12)}
-    assert told <= {"taken", "refused"} and "refused" in told
+    outcomes = {faults.build_odd(folder, number) for number in range(12)}
+    assert outcomes <= {"taken", "refused"} and "refused" in outcomes
     assert not list(folder.glob("odd_*"))
 
 
-def test_a_fault_of_ours_is_not_taken_for_the_users(tmp_path, monkeypatch):
+def test_errors_of_the_program_are_raised(tmp_path, monkeypatch):
     (tmp_path / CONFIG.name).write_text("name: x\ncreature: {}\n")
 
     def broken(path):
@@ -45,7 +45,7 @@ def test_a_fault_of_ours_is_not_taken_for_the_users(tmp_path, monkeypatch):
         faults.build_odd(tmp_path, 0)
 
 
-def test_damage_is_done_to_files_of_the_run(tmp_path):
+def test_damage_changes_only_the_named_files(tmp_path):
     run = RunFolder(tmp_path / "run")
     run.create("name: x\n", {"devices": 1})
     (run.path / "metrics.csv").write_text("a,b\n1,2\n")

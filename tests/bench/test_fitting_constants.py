@@ -1,4 +1,4 @@
-"""Candidates of a constant are timed in turn, each with its own value in place."""
+"""Candidates of a constant are timed in turn, each with its own value set."""
 
 import time
 
@@ -8,7 +8,7 @@ from benchmarks.fit_constants import CONSTANTS, Constant, compare
 from evo_cpg.fusion import machine_constants
 
 
-def test_what_takes_twice_as_long_is_found_to(monkeypatch):
+def test_twice_the_time_is_measured(monkeypatch):
     monkeypatch.setattr(machine_constants, "LANES", 20)
     seen = []
 
@@ -30,5 +30,5 @@ def test_what_takes_twice_as_long_is_found_to(monkeypatch):
     assert machine_constants.LANES == 20
 
 
-def test_fitted_constants_are_there():
+def test_fitted_constants_exist():
     assert all(hasattr(machine_constants, name) for name in CONSTANTS)

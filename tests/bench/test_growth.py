@@ -1,4 +1,4 @@
-"""Costs of creatures of many bodies: their table, their exponents, their watched compilers."""
+"""Costs of creatures of many bodies: tables, exponents, and the memory of compilers."""
 
 import dataclasses
 import subprocess
@@ -24,11 +24,11 @@ def row(bodies, compile_seconds, native=True, **fields):
     return dataclasses.replace(made, memory=2**29, **fields)
 
 
-# A power of 1.5 up to 40 bodies; those that fall back would make it steeper.
+# A power of 1.5 up to 40 bodies. The creature on plain JAX would increase the exponent.
 ROWS = [row(10, 1.0), row(20, 2**1.5), row(40, 8.0), row(60, 1000.0, False, note=REASON)]
 
 
-def test_exponent_is_that_of_a_power():
+def test_the_exponent_of_a_power_is_found():
     assert growth.exponent([1, 10, 100], [3.0, 3 * 10**0.7, 3 * 10**1.4]) == pytest.approx(0.7)
 
 
@@ -54,7 +54,7 @@ def test_tables_have_costs_and_exponents():
     assert exponents.rows == [["chains", "64", "10 to 40", "1.00", "1.50", "0.00"]]
 
 
-def test_other_rows_have_no_such_tables():
+def test_other_rows_have_no_tables_of_growth():
     other = Row("brain", "network", 64, 5e5, "steps/s", "a test")
     assert growth.tables([other]) == []
     assert len(tables([other], MACHINE)) == 2
@@ -62,32 +62,32 @@ def test_other_rows_have_no_such_tables():
     assert growth.tables(ROWS[:1])[1].rows == []
 
 
-def test_fallback_is_told_with_its_reason():
+def test_a_fallback_shows_its_reason():
     assert notes(ROWS) == [f"large-creatures, 64, chain, 60 bodies: {REASON}"]
 
 
-def test_rows_are_kept(tmp_path):
+def test_loaded_rows_equal_the_saved_rows(tmp_path):
     save(tmp_path / "bench.json", MACHINE, ROWS)
     assert load(tmp_path / "bench.json") == (MACHINE, ROWS)
 
 
-def test_process_that_dies_leaves_a_row(monkeypatch):
+def test_a_process_that_dies_leaves_a_row(monkeypatch):
     def dies(worker, limit):
-        raise WorkerError("ended with code -11: no word")
+        raise WorkerError("ended with code -11: no message")
 
     monkeypatch.setattr("benchmarks.worker.Worker.answer", dies)
     monkeypatch.setattr("benchmarks.worker.Worker.__init__", lambda *_: None)
     monkeypatch.setattr("benchmarks.worker.Worker.stop", lambda _: None)
     rows = list(large_creatures.measure(Plan(2, quick=True)))
     assert [each.build.bodies for each in rows] == [5, 9]
-    assert all(each.rate == 0 and each.note == "ended with code -11: no word" for each in rows)
+    assert all(each.rate == 0 and each.note == "ended with code -11: no message" for each in rows)
     assert line(rows[0]) == "large-creatures, capsules, 2 legs, 64: none"
     costs, exponents = growth.tables(rows)
     assert costs.rows[0][-2:] == ["", "none"] and exponents.rows == []
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell")
-def test_memory_of_children_is_seen():
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not report it")
+def test_the_memory_of_children_is_measured():
     program = "held = bytearray(b'1') * 2**27; import time; time.sleep(0.3)"
     with children_watched() as peak:
         assert peak() is None

@@ -1,4 +1,4 @@
-"""The mistakes that `make test-mutants` makes are still there to be made."""
+"""Every mutant of `make test-mutants` still fits the code."""
 
 from pathlib import Path
 
@@ -17,13 +17,14 @@ def test_a_mutant_applies_and_its_tests_exist(mutant):
         assert (ROOT / "tests" / name).is_file()
 
 
-def test_what_is_there_no_more_is_told():
+def test_a_mutant_of_missing_code_is_refused():
     gone = Mutant("physics/step.py", "right", "wrong", "physics/test_water.py")
-    with pytest.raises(ValueError, match=r"physics/step.py has 0 times 'right'; mend the mutant"):
+    words = r"physics/step.py has 0 times 'right'. Correct the mutant"
+    with pytest.raises(ValueError, match=words):
         mutated(gone, "")
 
 
-def test_every_layer_with_mathematics_has_some_and_there_are_sixty_at_least():
+def test_every_layer_with_mathematics_has_mutants():
     layers = {Path(mutant.file).parts[0] for mutant in MUTANTS}
     assert layers == {
         "analysis",

@@ -1,4 +1,4 @@
-"""Peers in processes of their own: none can hang, crash or outgrow the suite."""
+"""Benchmarks in processes of their own. A peer or measurement cannot hang or crash the others."""
 
 import importlib.util
 
@@ -11,7 +11,7 @@ from benchmarks.plan import Plan, experiment_of
 from benchmarks.worker import WorkerError, started
 
 
-def test_one_that_takes_too_long_is_given_up():
+def test_a_slow_worker_is_given_up():
     with (
         started("gradient", "16", "1") as worker,
         pytest.raises(WorkerError, match=r"did not finish compiling in 0\.1 s"),
@@ -19,7 +19,7 @@ def test_one_that_takes_too_long_is_given_up():
         worker.answer(0.1)
 
 
-def test_one_that_fails_says_why():
+def test_a_failed_worker_reports_its_error():
     with (
         started("memory", "unicorn", "1") as worker,
         pytest.raises(WorkerError, match="KeyError: 'unicorn'"),
@@ -27,7 +27,7 @@ def test_one_that_fails_says_why():
         worker.answer(60)
 
 
-def test_one_that_ends_leaves_its_last_words():
+def test_an_ended_worker_reports_its_last_line():
     with started("memory") as worker:
         with pytest.raises(WorkerError, match=r"ended with code 1: ValueError: not enough values"):
             worker.answer(60)
@@ -35,7 +35,7 @@ def test_one_that_ends_leaves_its_last_words():
             worker.ask("anything", 1)
 
 
-def test_a_gradient_that_does_not_compile_is_a_row():
+def test_an_uncompiled_gradient_gives_a_row():
     rows = list(gradient.measure(Plan(1, limit=0.01)))
     assert [row.size for row in rows] == list(gradient.SIZES)
     for row in rows:
@@ -43,7 +43,7 @@ def test_a_gradient_that_does_not_compile_is_a_row():
         assert row.peer_rate is None and row.rate == 0
 
 
-def test_peers_that_are_not_installed_are_entered_as_such(monkeypatch):
+def test_missing_peers_are_noted(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     exercise = Wave(experiment_of("iwadate2010_swimmer"))
     with entered(WET, exercise, 1, Plan(1)) as entries:

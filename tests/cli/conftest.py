@@ -1,4 +1,4 @@
-"""The program in this process for what is quick, in its own where the process matters."""
+"""Fixtures that run `evo-cpg`: in this process, or in a process of its own if that matters."""
 
 import contextlib
 import io
@@ -25,22 +25,25 @@ Called = tuple[int, str, str]
 
 @pytest.fixture(scope="session")
 def cli() -> Callable[..., Called]:
-    """Call `evo-cpg` in this process: exit code, what it printed, what it complained of."""
+    """Return a function that calls `evo-cpg` in this process."""
     return called
 
 
 def called(*arguments: object, folder: Path | None = None) -> Called:
-    """Call `evo-cpg` in this process, where JAX has its two devices already.
+    """Call `evo-cpg` in this process, where JAX already has its two devices.
 
     Args:
-        arguments: of the command line.
+        arguments: arguments of the command line.
         folder: working folder.
+
+    Returns:
+        Exit code, standard output and standard error.
     """
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
         for module in (champions, devices):
             patch.setattr(module, "use_cores", lambda count=None: 2)
-        # How long anything takes on a busy machine says nothing.
+        # Durations on a busy machine mean nothing, so print none.
         patch.setattr(display, "FIRST", math.inf)
         patch.setattr(display, "BETWEEN", math.inf)
         patch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
@@ -59,7 +62,7 @@ def called(*arguments: object, folder: Path | None = None) -> Called:
 
 @pytest.fixture(scope="session")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder that the workers of this session have in common."""
+    """Return a folder that the workers of this session share."""
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
     folder.mkdir(exist_ok=True)
@@ -68,13 +71,13 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def compiled(shared: Path) -> Path:
-    """Where the processes of this session keep what they compile."""
+    """Return the folder for the compiled code of the processes of this session."""
     return shared / "compiled"
 
 
 @pytest.fixture(scope="session")
 def start(compiled: Path):
-    """Start `evo-cpg` as a process, which does not outlive the test."""
+    """Return a context that runs `evo-cpg` as a process, and kills the process at its end."""
 
     @contextlib.contextmanager
     def started(*arguments: object, folder: Path | None = None) -> Iterator:
@@ -89,12 +92,12 @@ def start(compiled: Path):
 
 @pytest.fixture(scope="session")
 def finish(start) -> Callable[..., Called]:
-    """Run `evo-cpg` as a process to its end."""
+    """Return a function that runs `evo-cpg` as a process to its end."""
 
     def run(*arguments: object, folder: Path | None = None) -> Called:
         with start(*arguments, folder=folder) as process:
             out, err = process.communicate()
-        # How long anything takes on a busy machine says nothing.
+        # Durations on a busy machine mean nothing, so drop their lines.
         lines = [line for line in err.splitlines(True) if not line.endswith(" s so far\n")]
         return process.returncode, out, "".join(lines)
 
@@ -103,7 +106,7 @@ def finish(start) -> Callable[..., Called]:
 
 @pytest.fixture(scope="session")
 def finished_run(shared: Path, finish) -> Path:
-    """A run that went through; tests only read it, or copy it first."""
+    """Return the folder of an uninterrupted run. Tests may read or copy it, but not change it."""
     folder, done = shared / "finished", shared / "done"
     try:
         folder.mkdir()

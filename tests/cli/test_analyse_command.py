@@ -1,4 +1,4 @@
-"""`evo-cpg analyse`: the numbers of its page, what it refuses, and the page in a browser."""
+"""`evo-cpg analyse`: the numbers on its page, errors, and the page in a browser."""
 
 import html
 import json
@@ -23,7 +23,7 @@ from evo_cpg.view.page import origin
 from evo_cpg.view.page.subject import Subject
 from tiny_run import CONFIG, REPOSITORY, TINY
 
-CHANGED = "config.yaml is not the one that the champion was evolved with"
+CHANGED = "config.yaml has changed since the champion evolved"
 WALKER = REPOSITORY / "configs" / "fukui2003_model2.yaml"
 MEASURES = ("speed", "power", "cost_of_transport", "duty_factor", "airborne")
 SMALL_WALK = (
@@ -43,7 +43,7 @@ browsing = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def swimmer(cli, tmp_path_factory) -> Path:
-    """A run of three bodies that swim for two seconds, with its page."""
+    """Make a run of three bodies that swim for two seconds, with its page."""
     run = tmp_path_factory.mktemp("swimmer") / "run"
     settings = (*TINY, "simulation.steps=240", "evolution.generations=2")
     code, _, complaint = cli("train", CONFIG, *settings, "--out", run)
@@ -56,7 +56,7 @@ def swimmer(cli, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def walker(cli, tmp_path_factory) -> Path:
-    """A run of a torso with one leg, on postures, with its page."""
+    """Make a run of a torso with one leg and the posture controller, with its page."""
     folder = tmp_path_factory.mktemp("walker")
     config = load_config(WALKER, SMALL_WALK)
     creature = config.creature.model_copy(update={"bodies": config.creature.bodies[:3]})
@@ -72,7 +72,7 @@ def walker(cli, tmp_path_factory) -> Path:
 
 
 @pytest.mark.slow
-def test_from_python_it_is_the_same_page(swimmer, tmp_path):
+def test_python_and_the_command_write_the_same_page(swimmer, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(swimmer, run)
     first = page_of(run)
@@ -98,15 +98,15 @@ def page_of(run: Path) -> str:
 
 
 def rows_of(page: str, section: str) -> dict[str, list[str]]:
-    """Cells of the tables of a section, by the first of each row."""
+    """Return the cells of the tables of a section, by the first cell of each row."""
     part = page.split(f'id="{section}"')[1].split("</section>")[0]
     rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", part)]
     return {row[0]: row[1:] for row in rows if row}
 
 
 @pytest.mark.slow
-def test_the_numbers_are_those_that_the_trial_measured(walker):
-    """The page's come from a replay's frames, the terms from the trial as it was lived."""
+def test_numbers_on_the_page_equal_the_measured_terms(walker):
+    """The page uses the frames of a replay. The terms come from the trial in training."""
     terms = RunFolder(walker).load_champion()[0].terms
     shown = rows_of(page_of(walker), "numbers")
     names = {
@@ -116,34 +116,35 @@ def test_the_numbers_are_those_that_the_trial_measured(walker):
         "cost_of_transport": "cost of transport",
     }
     for key, name in names.items():
-        # Positions are those at the beginning of each control step: a step less of the way.
+        # Positions are from the beginning of each control step, so the path is one step shorter.
         assert float(shown[name][0]) == pytest.approx(terms[key], rel=0.03), key
-    # Shares of the physics steps there; here of the control steps in which none of them touches, so
-    # that of the others all but one physics step may be in the air.
-    whole, substeps = float(shown["airborne share"][0]), load_config(WALKER).simulation.substeps
+    # The term is a fraction of physics steps. The page counts control steps without any contact. In
+    # each other control step, all physics steps but one may be in the air.
+    whole, substeps = float(shown["airborne fraction"][0]), load_config(WALKER).simulation.substeps
     most = whole + (1 - whole) * (substeps - 1) / substeps
     assert 0.1 < whole <= terms["airborne"] + 1e-3 and terms["airborne"] <= most
 
 
-def test_a_walker_has_footfalls_and_a_swimmer_a_tail(walker, swimmer):
+@pytest.mark.slow
+def test_only_a_walker_has_footfalls(walker, swimmer):
     on_land, in_water = page_of(walker), page_of(swimmer)
     assert "Footfalls" in on_land and "Strouhal" not in on_land
     assert "Footfalls" not in in_water
     assert "CPG output" in in_water and "angle of the posture" in on_land
 
 
-def test_nothing_is_asked_of_the_network_and_the_page_is_small(swimmer, walker):
+def test_the_page_is_small_and_requests_nothing_from_the_network(swimmer, walker):
     for run in (swimmer, walker):
         page = page_of(run)
         assert len(page) < 5e6
-        # But for names of XML's namespaces, which nobody fetches.
+        # Names of XML namespaces are addresses that a browser does not fetch.
         addresses = set(re.findall(r"(?:src|href|url\()=?[\"']?(?!#|data:)[^\s\"'>)]+", page))
         assert not {a for a in addresses if "://" in a and "www.w3.org" not in a}
         assert "default-src 'none'" in html.unescape(page)
 
 
-def test_what_strangers_write_stays_text(cli, swimmer, tmp_path):
-    """In the name, in the notes of the run, in an audit, in the configuration."""
+def test_html_in_the_files_of_a_run_is_escaped(cli, swimmer, tmp_path):
+    """The HTML is in the name, the notes of the run, an audit and the configuration."""
     run = tmp_path / "run"
     shutil.copytree(swimmer, run)
     evil = "</script><script>window.broken=1</script><img src=x onerror=window.broken=1>"
@@ -158,17 +159,17 @@ def test_what_strangers_write_stays_text(cli, swimmer, tmp_path):
     (run / "audit.json").write_text(json.dumps(audit))
     code, _, complaint = cli("analyse", run)
     if code == 2:
-        # A name like that is refused before anything is made of it.
+        # Such a name is refused before the page is written.
         assert "name" in complaint
         (run / "config.yaml").write_text(f"# {evil}\n" + (swimmer / "config.yaml").read_text())
         code, _, complaint = cli("analyse", run)
     assert code == 0, complaint
     page = page_of(run)
-    # The digest is that of the file.
+    # The file of the configuration has another digest.
     assert complaint == f"evo-cpg: warning: {run}: {CHANGED}\n" and CHANGED in page
     assert "window.broken" in page
     assert evil not in page and "<img src=x" not in page
-    # Two scripts that run, and the data.
+    # Two scripts that run, and one with the data.
     assert len(re.findall("<script", page)) == 3
     assert "another champion" in page
     if chromium.found():
@@ -178,7 +179,7 @@ def test_what_strangers_write_stays_text(cli, swimmer, tmp_path):
             assert not tab.complaints
 
 
-def test_from_python_a_changed_configuration_is_warned_of(swimmer, tmp_path, monkeypatch):
+def test_python_warns_of_a_changed_configuration(swimmer, tmp_path, monkeypatch):
     run = tmp_path / "run"
     shutil.copytree(swimmer, run)
     monkeypatch.setattr(analysing, "page", lambda *given: "a page")
@@ -190,7 +191,7 @@ def test_from_python_a_changed_configuration_is_warned_of(swimmer, tmp_path, mon
 
 
 @pytest.mark.slow
-def test_the_audit_is_told(cli, walker, tmp_path):
+def test_the_page_shows_the_audit(cli, walker, tmp_path):
     assert "It was not audited" in page_of(walker)
     run = tmp_path / "run"
     shutil.copytree(walker, run)
@@ -201,10 +202,10 @@ def test_the_audit_is_told(cli, walker, tmp_path):
         {"question": "speed", "measured": None, "limit": None, "least": False, "unit": "m/s",
          "passed": None},
     ]  # fmt: skip
-    told = {"passed": False, "reasons": ["way kept: 30 %"], "checks": checks, "made": "today",
-            "run": champion.run, "generation": champion.generation,
-            "fitness": champion.fitness}  # fmt: skip
-    (run / "audit.json").write_text(json.dumps(told))
+    audit = {"passed": False, "reasons": ["way kept: 30 %"], "checks": checks, "made": "today",
+             "run": champion.run, "generation": champion.generation,
+             "fitness": champion.fitness}  # fmt: skip
+    (run / "audit.json").write_text(json.dumps(audit))
     (run / "analysis.html").unlink()
     code, _, complaint = cli("analyse", run)
     assert code == 0, complaint
@@ -216,20 +217,20 @@ def test_the_audit_is_told(cli, walker, tmp_path):
 
 
 @pytest.mark.slow
-def test_what_is_kept_at_half_the_step_is_told_of_this_champion_alone(walker, tmp_path):
+def test_the_half_step_result_is_shown_for_its_champion_only(walker, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(walker, run)
     genes = RunFolder(run).load_champion()[0].genes
-    for digest, told in ((genes_digest(genes), True), (genes_digest(genes + 1), False)):
+    for digest, expected in ((genes_digest(genes), True), (genes_digest(genes + 1), False)):
         kept = {"measured": 0.87, "least": 0.9, "passed": False, "genes_sha256": digest}
         RunFolder(run).update_meta(half_step=kept)
         (run / "analysis.html").unlink()
         page = evo.analyse(run).read_text(encoding="utf-8")
-        assert ("At half the physics step it keeps 87 %" in page) == told
+        assert ("At half the physics step it keeps 87 %" in page) == expected
 
 
-def test_departures_are_those_of_the_run(walker):
-    """From the shipped configuration, and what that says of the thesis."""
+def test_the_page_lists_differences_from_the_paper(walker):
+    """The run differs from the shipped configuration, whose comments name the paper's values."""
     page = page_of(walker)
     row = "<tr><td><code>simulation.steps</code></td><td>1200</td><td>{}</td>"
     assert row.format("120") in page and row.format("paper") in page
@@ -244,7 +245,7 @@ def test_departures_are_those_of_the_run(walker):
     assert not any(each.key.startswith("creature.bodies") for each in found.differences)
 
 
-def test_notes_are_read_as_they_stand():
+def test_notes_are_read_from_comments_of_a_configuration():
     text = """# A head.
 steps: 2000  # paper
 world:
@@ -265,7 +266,7 @@ population: 400  # paper: 200; ours: more seeds find a way
     assert notes(text)[1].text == "C_d; ours, as nobody says"
 
 
-def test_a_name_that_nothing_shipped_has_departs_from_nothing(walker, monkeypatch):
+def test_a_configuration_without_a_shipped_name_has_no_differences(walker, monkeypatch):
     config = load_config(walker / "config.yaml")
     assert paper_differences(config.model_copy(update={"name": "mine"})) is None
     assert paper_differences(config.model_copy(update={"name": "../configs/hexapod"})) is None
@@ -277,14 +278,14 @@ def test_a_name_that_nothing_shipped_has_departs_from_nothing(walker, monkeypatc
     ("arguments", "words"),
     [
         (("--out", "page.txt"), "the name ends in '.txt'. Use .html or .htm"),
-        (("--out", "nowhere/page.html"), "there is no folder nowhere; create it first"),
-        (("--out", "folder.html"), "is a folder; give the name of a file"),
-        (("--out", "there.html"), "there.html exists already; --overwrite replaces it"),
-        (("--trial", "3"), "has 1 trial(s), counted from 0"),
-        (("--run", "3"), "holds 1 run(s), counted from 0"),
+        (("--out", "nowhere/page.html"), "there is no folder nowhere. Create it first"),
+        (("--out", "folder.html"), "is a folder. Give the name of a file"),
+        (("--out", "there.html"), "there.html exists. Choose another name, or replace it with"),
+        (("--trial", "3"), "has 1 trial(s) per individual, counted from 0"),
+        (("--run", "3"), "has 1 run(s), counted from 0"),
     ],
 )
-def test_what_cannot_be_made_is_refused(cli, swimmer, tmp_path, arguments, words):
+def test_wrong_options_are_refused(cli, swimmer, tmp_path, arguments, words):
     (tmp_path / "folder.html").mkdir()
     (tmp_path / "there.html").write_text("mine")
     code, _, complaint = cli("analyse", swimmer, *arguments, folder=tmp_path)
@@ -297,7 +298,7 @@ def test_a_folder_without_a_run_is_refused(cli, tmp_path):
     assert code == 2 and "is not a run folder" in complaint
 
 
-def test_a_page_goes_where_it_is_asked_for(cli, swimmer, tmp_path):
+def test_out_names_the_page(cli, swimmer, tmp_path):
     (tmp_path / "there.html").write_text("mine")
     code, out, complaint = cli(
         "analyse", swimmer, "--out", "there.html", "--overwrite", folder=tmp_path
@@ -328,7 +329,7 @@ def test_the_page_plays_and_scrubs_in_a_browser_without_a_network(request, tmp_p
         assert value == pytest.approx(0.5 * most, abs=0.02)
         middle = seen(tab, tmp_path)
         assert differs(start, middle)
-        # Back again, it is the same picture.
+        # The first instant has the same picture as before.
         tab.run(f"{scrub}(0)")
         assert not differs(start, seen(tab, tmp_path))
 
@@ -359,26 +360,26 @@ def test_the_page_plays_and_scrubs_in_a_browser_without_a_network(request, tmp_p
         assert now == pytest.approx(0.75 * box[2], abs=0.1)
 
         assert not tab.complaints
-        asked = [address for address in tab.requests if not address.startswith("data:")]
-        assert asked == [(run / "analysis.html").resolve().as_uri()]
+        requested = [address for address in tab.requests if not address.startswith("data:")]
+        assert requested == [(run / "analysis.html").resolve().as_uri()]
         assert tab.paper().startswith(b"%PDF")
 
 
 def seen(tab: chromium.Page, folder: Path) -> np.ndarray:
-    """What the screen shows of the animal."""
+    """Return the pixels of the animal on the screen."""
     place = folder / "seen.png"
     place.write_bytes(tab.picture("#animal canvas"))
     with Image.open(place) as picture:
-        # Below is the caption, which changes anyway.
+        # Cut off the caption below, which always changes.
         return np.array(picture.convert("RGB")).astype(int)[: int(picture.height * 0.88)]
 
 
 def differs(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether more than a thousandth of the picture is another."""
+    """Return whether more than a thousandth of the pixels differ."""
     return float((np.abs(one - other).max(-1) > 12).mean()) > 1e-3
 
 
-def test_numbers_are_written_with_three_digits():
+def test_numbers_have_three_digits():
     from evo_cpg.view.page.words import number
 
     assert number(0.12345) == "0.123" and number(11120.0) == "11120"
@@ -386,8 +387,8 @@ def test_numbers_are_written_with_three_digits():
 
 
 @pytest.mark.parametrize("refined", [None, "2026-11-26", [{"from": 2.5, "to": 3.0}, {}]])
-def test_what_refine_did_is_part_of_how_to_repeat_it(refined):
-    """Also of a run folder that an older program wrote, or somebody else."""
+def test_the_page_says_how_to_repeat_a_refinement(refined):
+    """Entries of an unexpected form, as older programs wrote them, are ignored."""
     done = {
         "finished": "2026-11-26T12:00:00+0000",
         "command": ["refine", "/home/me/runs/eel", "--rounds", "2"],
@@ -396,8 +397,8 @@ def test_what_refine_did_is_part_of_how_to_repeat_it(refined):
     if isinstance(refined, list):
         meta["refined"] = [done | refined[0], *refined[1:]]
     nothing = Subject._make([None] * len(Subject._fields))
-    told = nothing._replace(folder="eel", meta=meta, config="name: eel")
-    shown = origin.repetition(told)
+    subject = nothing._replace(folder="eel", meta=meta, config="name: eel")
+    shown = origin.repetition(subject)
     assert ("repeat only the evolution" in shown) == isinstance(refined, list)
     assert ("evo-cpg refine eel --rounds 2" in shown) == isinstance(refined, list)
     assert ("2.5 to 3" in shown) == isinstance(refined, list)

@@ -1,4 +1,4 @@
-"""`evo-cpg audit`: what it prints, writes and refuses."""
+"""`evo-cpg audit`: its output, its files and its errors."""
 
 import json
 import shutil
@@ -25,16 +25,16 @@ from tiny_run import CONFIG, PAIR
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ("half_stp=0.5", "there is no limit 'half_stp'; did you mean half_step?"),
-        ("xyz=1", "there is no limit 'xyz'; allowed: half_step, "),
+        ("half_stp=0.5", "there is no limit 'half_stp'. Did you mean half_step?"),
+        ("xyz=1", "there is no limit 'xyz'. Allowed: half_step, "),
         ("way=1", "there is no limit 'way'"),
-        ("half_step=", "'' is no limit; allowed: a number of at least 0"),
+        ("half_step=", "'' is no limit. Allowed: a number of at least 0"),
         ("half_step=-1", "'-1' is no limit"),
         ("half_step=nan", "'nan' is no limit"),
         ("half_step=1_0", "'1_0' is no limit"),
     ],
 )
-def test_wrong_limits_are_refused_before_anything_is_done(cli, tmp_path, setting, words):
+def test_wrong_limits_are_refused_first(cli, tmp_path, setting, words):
     code, _, complaint = cli("audit", tmp_path, setting)
     assert code == 2 and words in complaint
 
@@ -44,13 +44,13 @@ def test_a_folder_without_a_run_is_refused(cli, tmp_path):
     assert code == 2 and "is not a run folder" in complaint
 
 
-def test_limits_are_changed_one_by_one():
+def test_one_limit_changes_and_the_others_stay():
     assert limits_from(["half_step=0.8"]) == Limits(half_step=0.8)
     assert limits_from([]) == Limits()
 
 
-def test_a_verdict_says_why():
-    """Shares at least and at most, what is only reported, and what diverged."""
+def test_a_verdict_has_its_reasons():
+    """The checks have a least value, a largest value, no limit, and no finite value."""
     checks = (
         Check("half_step", "way kept: half the step", 0.5, 0.9, True, "%"),
         Check("penetration", "penetration", 0.002, 0.01, False, "m"),
@@ -67,9 +67,9 @@ def test_a_verdict_says_why():
     assert shown(None) == ""
 
 
-def test_train_takes_a_first_look_at_its_champion(cli, tmp_path, monkeypatch):
-    """Its result for half the step equals that of a variation; a limit out of reach warns."""
-    # Two bodies on a hinge get nowhere much.
+def test_train_tests_its_champion_at_half_the_step(cli, tmp_path, monkeypatch):
+    """The result equals the half-step variation of an audit. An unreachable limit warns."""
+    # Two bodies on a hinge have a short displacement.
     monkeypatch.setattr(audit, "_LEAST_DISPLACEMENT", 1e-9)
     run = tmp_path / "run"
     settings = (
@@ -78,25 +78,25 @@ def test_train_takes_a_first_look_at_its_champion(cli, tmp_path, monkeypatch):
         "task={type: distance}",
         "evolution.generations=1",
     )
-    code, _, said = cli("train", CONFIG, *settings, "audit.half_step=1.5", "--out", run)
+    code, _, err = cli("train", CONFIG, *settings, "audit.half_step=1.5", "--out", run)
     assert code == 0
-    assert "warning: at half the physics step it keeps" in said and "evo-cpg audit" in said
-    told = RunFolder(run).read_meta()["half_step"]
-    assert told["passed"] is False and told["least"] == 1.5
-    assert told["genes_sha256"] == genes_digest(RunFolder(run).load_champion()[0].genes)
+    assert "warning: at half the physics step it keeps" in err and "evo-cpg audit" in err
+    kept = RunFolder(run).read_meta()["half_step"]
+    assert kept["passed"] is False and kept["least"] == 1.5
+    assert kept["genes_sha256"] == genes_digest(RunFolder(run).load_champion()[0].genes)
     experiment = build_experiment(load_config(run / "config.yaml"), run)
     champion = RunFolder(run).load_champion()[0]
     own = experiment.simulation
-    way, half = (
+    whole, half = (
         compile_variation(experiment, Variation("", (each,)))(champion).displacement[0]
         for each in (own, finer(own, 2))
     )
-    assert way > 0
-    assert told["measured"] == np.clip(half / way, 0.0, 1.0)
+    assert whole > 0
+    assert kept["measured"] == np.clip(half / whole, 0.0, 1.0)
 
 
 @pytest.mark.slow
-def test_runs_without_a_champion_are_passed_over(cli, finished_run, tmp_path, monkeypatch):
+def test_runs_without_a_champion_are_skipped(cli, finished_run, tmp_path, monkeypatch):
     run = RunFolder(tmp_path / "run")
     shutil.copytree(finished_run, run.path)
     done = run.load()
@@ -112,35 +112,35 @@ def test_runs_without_a_champion_are_passed_over(cli, finished_run, tmp_path, mo
     code, _, complaint = cli("audit", run.path, "--all")
     assert code == 2 and complaint.endswith("evo-cpg: enough\n")
     for number in (0, 2):
-        assert f"{run.path}: run {number}: every individual diverged: it has no ch" in complaint
+        assert f"{run.path}: run {number} has no champion to audit: every ind" in complaint
     assert [champion.fitness for champion in audited] == [done.records[0].fitness]
     run.save(done._replace(records=(None, None), chosen=()))
     code, _, complaint = cli("audit", run.path, "--all")
     assert code == 2
-    assert complaint == f"evo-cpg: --all: the checkpoints of {run.path} hold no champion\n"
+    assert complaint == f"evo-cpg: --all: {run.path} has no champion in its checkpoints\n"
 
 
 Called = tuple[int, str, str]
 
 
 class Audited(NamedTuple):
-    """A run folder after `evo-cpg audit RUN` and `evo-cpg audit RUN --all`."""
+    """Run folder after `evo-cpg audit RUN` and `evo-cpg audit RUN --all`."""
 
     run: Path
     one: Called
     every: Called
 
-    def told(self, name: str = "audit") -> dict:
+    def result(self, name: str = "audit") -> dict:
         return json.loads((self.run / f"{name}.json").read_text())
 
 
 @pytest.fixture(scope="module")
 def audited(cli, finished_run, tmp_path_factory) -> Audited:
-    """Audit a run's champion, and then all champions, of which the run has one."""
+    """Audit the champion of a run, and then all its champions, which is the same one."""
     run = tmp_path_factory.mktemp("audited") / "run"
     shutil.copytree(finished_run, run)
     with pytest.MonkeyPatch.context() as patch:
-        # Two bodies on a hinge get nowhere much.
+        # Two bodies on a hinge have a short displacement.
         patch.setattr(audit, "_LEAST_DISPLACEMENT", -1e9)
         one = cli("audit", run, "half_step=0", "quarter_step=0")
         return Audited(run, one, cli("audit", run, "--all"))
@@ -149,20 +149,20 @@ def audited(cli, finished_run, tmp_path_factory) -> Audited:
 @pytest.mark.slow
 def test_exit_code_is_the_verdict(audited):
     code, _, complaint = audited.one
-    assert code == (0 if audited.told()["passed"] else 3), complaint
-    assert audited.every[0] == (0 if audited.told("audit_run0")["passed"] else 3)
+    assert code == (0 if audited.result()["passed"] else 3), complaint
+    assert audited.every[0] == (0 if audited.result("audit_run0")["passed"] else 3)
 
 
 @pytest.mark.slow
 def test_audit_file_has_every_check(audited):
-    keys = {check["key"] for check in audited.told()["checks"]}
+    keys = {check["key"] for check in audited.result()["checks"]}
     assert {"replay", "drag", "pose", "precision", "simulator_energy", "free_energy"} <= keys
-    assert audited.told()["second_opinion"][1]["program"] == "MuJoCo"
+    assert audited.result()["second_opinion"][1]["program"] == "MuJoCo"
 
 
 @pytest.mark.slow
 def test_audit_file_balances_energy(audited):
-    energy = audited.told()["energy"][0]
+    energy = audited.result()["energy"][0]
     work = sum(value for name, value in energy.items() if name not in ("stored", "left_over"))
     assert energy["stored"] == pytest.approx(work + energy["left_over"])
 
@@ -175,29 +175,32 @@ def test_audit_prints_tables_and_draws_a_picture(audited):
 
 
 @pytest.mark.slow
-def test_all_champions_are_audited_as_one_is(audited):
+def test_a_champion_has_the_same_audit_alone_and_among_all(audited):
     _, out, _ = audited.every
     assert "of 1 champions pass" not in out
     assert "quarter %" in out and "MuJoCo: way" in out
-    alone, told = audited.told("audit_run0"), audited.told()
-    assert [x["measured"] for x in alone["checks"]] == [x["measured"] for x in told["checks"]]
+    every, one = audited.result("audit_run0"), audited.result()
+    assert [x["measured"] for x in every["checks"]] == [x["measured"] for x in one["checks"]]
 
 
 @pytest.mark.parametrize("other", [("--run", 0), ("--cell", "0,0")])
-def test_all_and_one_champion_are_refused(cli, tmp_path, other):
+def test_all_and_a_choice_of_champion_exclude_each_other(cli, tmp_path, other):
     code, _, complaint = cli("audit", tmp_path, "--all", *other)
-    assert code == 2 and f"--all and {other[0]}: give one of them" in complaint
+    assert code == 2 and f"--all and {other[0]} exclude each other" in complaint
 
 
 def judged(*checks: Check) -> Audit:
     return Audit(Verdict(checks), (), 1.0)
 
 
-def test_who_does_without_its_eyes_is_told(capsys):
+def test_the_verdict_names_unused_eyes_and_short_displacements(capsys):
     champion = Champion(np.zeros(1), 0.0, 0, {}, {})
     sees, blind, still = (
-        judged(Check("way", "", way), *(Check(key, "", share) for key, share in shares.items()))
-        for way, shares in (
+        judged(
+            Check("way", "", displacement),
+            *(Check(key, "", kept) for key, kept in fractions.items()),
+        )
+        for displacement, fractions in (
             (2.0, {"half_step": 1.0, "blind": 0.3}),
             (2.0, {"half_step": 1.0, "blind": 0.83}),
             (0.004, {}),
@@ -207,9 +210,9 @@ def test_who_does_without_its_eyes_is_told(capsys):
     assert capsys.readouterr() == ("run: the champion passes its audit\n", "")
     say_verdict(Path("run"), [champion], [blind], "the champion")
     assert capsys.readouterr().err == (
-        "run: note: the champion does not use its eyes: blind it keeps 83% of its displacement\n"
+        "run: note: the champion does not use its eyes: blinded, it keeps 83% of its displacement\n"
     )
     say_verdict(Path("run"), [champion, champion._replace(run=1)], [sees, still], "")
     assert capsys.readouterr().err == (
-        "run: run 1: displacement 0.004 m: too little to try what is kept of it\n"
+        "run: run 1: displacement 0.004 m: too short to compare variations with\n"
     )

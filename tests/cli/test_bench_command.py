@@ -1,4 +1,4 @@
-"""`evo-cpg bench`: what it takes, and what it answers to the rest."""
+"""`evo-cpg bench`: its arguments, its errors and its files."""
 
 import json
 
@@ -14,14 +14,14 @@ QUICK = ("bench", "brain", "--quick", "--sizes", "3,17")
 
 @pytest.fixture(autouse=True)
 def two_devices(monkeypatch):
-    # JAX has its two devices already, and other tests need what it keeps.
+    # JAX already has its two devices, and other tests need its compiled programs.
     monkeypatch.setattr(suite, "use_cores", lambda: 2)
 
 
 def test_help_names_every_case():
     command = typer.main.get_command(app).commands["bench"]
     text = next(parameter.help for parameter in command.params if parameter.name == "cases")
-    words = text.removesuffix("; all by default.").replace(" or ", ", ").split(", ")
+    words = text.removesuffix(" (default: all).").replace(" or ", ", ").split(", ")
     assert words == list(suite.CASES)
 
 
@@ -29,16 +29,16 @@ def test_help_names_every_case():
     ("arguments", "words"),
     [
         (["swimer"], ["there is no case 'swimer'", "did you mean 'swimmer'?", "startup"]),
-        (["brain", "--sizes", "1,x"], ["--sizes: 'x' is no number", "1,15,200"]),
-        (["brain", "--sizes", "0"], ["'0' is no number", "from 1 to 1000000"]),
-        (["brain", "--sizes", "-5"], ["'-5' is no number"]),
-        (["ga", "--sizes", "15"], ["--sizes: ga has a size of its own"]),
+        (["brain", "--sizes", "1,x"], ["--sizes: 'x' is not a number", "1,15,200"]),
+        (["brain", "--sizes", "0"], ["'0' is not a number", "from 1 to 1000000"]),
+        (["brain", "--sizes", "-5"], ["'-5' is not a number"]),
+        (["ga", "--sizes", "15"], ["--sizes: ga has a fixed number of individuals"]),
         (["brain", "--compare", "nowhere.json"], ["--compare: nowhere.json cannot be read"]),
         (["brain", "--plot", "bench.txt"], ["bench.txt", "'.txt'", ".png"]),
         (["brain", "--json", "/proc/bench.json"], ["--json: /proc/bench.json cannot be written"]),
     ],
 )
-def test_wrong_input_is_answered_in_a_line(cli, monkeypatch, tmp_path, arguments, words):
+def test_an_error_is_one_line(cli, monkeypatch, tmp_path, arguments, words):
     monkeypatch.chdir(tmp_path)
     code, out, complaint = cli("bench", *arguments)
     assert (code, out) == (2, "")
@@ -46,16 +46,16 @@ def test_wrong_input_is_answered_in_a_line(cli, monkeypatch, tmp_path, arguments
     assert all(word in complaint for word in words), complaint
 
 
-def test_a_file_that_is_no_benchmark_is_refused(cli, tmp_path):
+def test_a_file_without_a_benchmark_is_refused(cli, tmp_path):
     other = tmp_path / "other.json"
     other.write_text("{}")
     code, _, complaint = cli(*QUICK, "--compare", other)
     assert code == 2
-    assert f"--compare: {other} is no benchmark of this program" in complaint
+    assert f"--compare: {other} has the format None, not 2" in complaint
 
 
-def test_what_was_measured_is_kept_where_the_next_case_fails(cli, monkeypatch, tmp_path):
-    """Row by row: told on standard error, and in the file."""
+def test_measured_rows_are_kept_if_the_next_case_fails(cli, monkeypatch, tmp_path):
+    """Each row is printed to standard error and written to the file at once."""
     kept, seen = tmp_path / "bench.json", []
 
     def measure(plan, peak):
@@ -71,12 +71,12 @@ def test_what_was_measured_is_kept_where_the_next_case_fails(cli, monkeypatch, t
     assert seen == [[1], [1, 2]]
     assert [row.size for row in rows.load(kept)[1]] == [1, 2]
     assert "cpg, oscillators, 1: 5 M steps/s\n" in err
-    assert "cpg, oscillators, 2: 8 M steps/s; 2x MuJoCo\n" in err
+    assert "cpg, oscillators, 2: 8 M steps/s, 2x MuJoCo\n" in err
     assert [path.name for path in tmp_path.iterdir()] == ["bench.json"]
 
 
-def test_a_run_is_kept_and_compared(cli, tmp_path):
-    """A tenth of the rate is slower; a tenfold one is not."""
+def test_rates_are_written_and_compared(cli, tmp_path):
+    """A hundredth of the earlier rate is slower, and a hundredfold rate is not."""
     kept, drawn = tmp_path / "new" / "bench.json", tmp_path / "bench.png"
     code, out, complaint = cli(*QUICK, "--json", kept, "--plot", drawn)
     assert code == 0, complaint

@@ -1,4 +1,4 @@
-"""Anybody on a map of gaits is filmed and audited by the number of his cell."""
+"""`--cell`: film and audit the elite of any cell of a map of gaits."""
 
 import json
 
@@ -26,7 +26,7 @@ MAPPED = (
 
 @pytest.fixture(scope="module")
 def mapped(cli, tmp_path_factory):
-    """A run with a map, and the cell of somebody on it."""
+    """Make a run with a map, and return a cell that has an elite."""
     run = tmp_path_factory.mktemp("mapped") / "run"
     code, _, complaint = cli("train", CONFIG, *MAPPED, "--out", run)
     assert code == 0, complaint
@@ -40,13 +40,13 @@ def built(run):
     return build_experiment(load_config(run / "config.yaml"), run / "config.yaml")
 
 
-def test_terms_are_told_with_their_units():
+def test_terms_are_shown_with_their_units():
     assert terms_text({"speed": 0.3141, "duty_factor": 0.5, "power": 12.0}) == (
         "speed 0.314 m/s, duty factor 0.5, power 12 W"
     )
 
 
-def test_a_film_says_whose_cell_it_is(cli, mapped, monkeypatch):
+def test_a_film_is_captioned_with_its_cell(cli, mapped, monkeypatch):
     run, cell, found = mapped
     shown = []
     monkeypatch.setattr(film, "side_by_side", lambda *given, **_: shown.extend(given[0]) or "made")
@@ -61,13 +61,13 @@ def test_a_film_says_whose_cell_it_is(cli, mapped, monkeypatch):
     assert (shown[-1].title, shown[-1].note) == ("iwadate2010_swimmer", "")
 
 
-def test_an_elite_is_audited_and_not_the_champion(cli, mapped, monkeypatch):
+def test_cell_selects_the_elite_to_audit(cli, mapped, monkeypatch):
     run, cell, found = mapped
     name = ",".join(map(str, cell))
-    asked = []
+    audited = []
 
     def audits(experiment, champions, *_):
-        asked.extend(champions)
+        audited.extend(champions)
         check = Check("half_step", "way kept: half the step", 0.5, 0.9, True, "%")
         return [Audit(Verdict((check,)), (), 0.01, missing="a test")]
 
@@ -76,25 +76,25 @@ def test_an_elite_is_audited_and_not_the_champion(cli, mapped, monkeypatch):
     code, out, err = cli("audit", run, "--cell", name)
     assert code == 3 and f"the elite of cell {name} does not pass its audit" in out, err
     place = np.ravel_multi_index(cell, found.fitness.shape)
-    np.testing.assert_array_equal(asked[0].genes, found.archive.genes[:, place])
+    np.testing.assert_array_equal(audited[0].genes, found.archive.genes[:, place])
     kept = json.loads((run / f"audit_cell_{'_'.join(map(str, cell))}.json").read_text())
-    assert kept["fitness"] == asked[0].fitness and kept["passed"] is False
+    assert kept["fitness"] == audited[0].fitness and kept["passed"] is False
     assert not (run / "audit.json").exists()
     code, _, complaint = cli("audit", run, "--cell", name, "--all")
-    assert code == 2 and "--all and --cell: give one of them" in complaint
+    assert code == 2 and "--all and --cell exclude each other" in complaint
     code, _, complaint = cli("audit", run, "--cell", "9,9")
-    assert code == 2 and "there is no cell 9,9; a cell is speed 0 to 2" in complaint
+    assert code == 2 and "there is no cell 9,9. Allowed: speed 0 to 2" in complaint
 
 
 def test_an_elite_is_audited_with_all_its_terms(mapped):
-    """Its map keeps those of the axes; the most energy that is free goes by another."""
+    """The map keeps only the terms of its axes. The limit of free energy needs another term."""
     run = mapped[0]
     experiment, folder = built(run), RunFolder(run)
     checkpoint = folder.load()
     assert checkpoint is not None and checkpoint.champion is not None
     champion = checkpoint.champion
-    lived = compile_variation(experiment, Variation("", (experiment.simulation,)))(champion)
+    outcome = compile_variation(experiment, Variation("", (experiment.simulation,)))(champion)
     only = {name: champion.terms[name] for name in ("speed", "frequency")}
-    whole = audit._complete(champion._replace(terms=only), lived)
+    whole = audit._complete(champion._replace(terms=only), outcome)
     assert set(whole.terms) == set(champion.terms) > set(only)
     assert whole.terms == pytest.approx(champion.terms, rel=1e-5)

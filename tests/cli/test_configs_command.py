@@ -1,4 +1,4 @@
-"""`evo-cpg configs`, what goes by a name, and what a shell completes."""
+"""`evo-cpg configs`, names of shipped configurations, and completions for a shell."""
 
 import json
 import subprocess
@@ -25,11 +25,11 @@ def test_the_list_has_every_name_with_its_study(cli, monkeypatch):
         assert (shipped(name).study or "ours") in line
 
 
-def test_a_program_without_its_files_says_so(cli, monkeypatch):
+def test_missing_configurations_are_an_error(cli, monkeypatch):
     monkeypatch.setattr(module, "shipped_folder", lambda: None)
     code, _, err = cli("configs")
     assert code == 2 and err == (
-        "evo-cpg: configs: there are none beside the program; install it anew\n"
+        "evo-cpg: configs: the installation has no configurations. Reinstall evo-cpg\n"
     )
 
 
@@ -48,7 +48,7 @@ def test_a_copy_goes_to_the_working_folder_or_another(cli, tmp_path):
     assert code == 0 and out.startswith("mine/hexapod.yaml: 13 bodies")
 
 
-def test_what_cannot_be_copied_is_said_in_a_line(cli, tmp_path):
+def test_a_failed_copy_is_one_line(cli, tmp_path):
     (tmp_path / "file").touch()
     code, out, err = cli("configs", "copy", "hexapod", "file", folder=tmp_path)
     assert (code, out) == (2, "")
@@ -56,12 +56,12 @@ def test_what_cannot_be_copied_is_said_in_a_line(cli, tmp_path):
     (tmp_path / "hexapod.yaml").write_text("mine")
     code, out, err = cli("configs", "copy", "hexapod", folder=tmp_path)
     assert (code, out) == (2, "")
-    assert err.startswith("evo-cpg: hexapod.yaml: exists already, and is not that of hexapod")
+    assert err.startswith("evo-cpg: hexapod.yaml: already exists and is not the file of hexapod")
     code, _, err = cli("configs", "copy", "hexapot", folder=tmp_path)
     assert code == 2 and "did you mean 'hexapod'?" in err
 
 
-def test_a_run_by_name_says_which_it_was(cli, tmp_path):
+def test_a_run_records_the_name_of_its_shipped_configuration(cli, tmp_path):
     settings = (*PAIR, "evolution.generations=1")
     code, out, err = cli("train", NAME, *settings, folder=tmp_path)
     assert (code, out) == (0, f"runs/{NAME}\n"), err
@@ -70,7 +70,7 @@ def test_a_run_by_name_says_which_it_was(cli, tmp_path):
     assert meta["config"] == str(REPOSITORY / "configs" / f"{NAME}.yaml")
 
 
-def test_a_copy_is_not_what_is_shipped(cli, tmp_path):
+def test_a_run_of_a_copy_records_no_shipped_name(cli, tmp_path):
     cli("configs", "copy", NAME, folder=tmp_path)
     settings = (*PAIR, "evolution.generations=1")
     code, out, err = cli("train", f"{NAME}.yaml", *settings, folder=tmp_path)
@@ -87,7 +87,7 @@ def test_a_copy_is_not_what_is_shipped(cli, tmp_path):
         (("export", "hexapod", "hexapod.xml"), "hexapod.xml"),
     ],
 )
-def test_commands_take_names(cli, tmp_path, arguments, made):
+def test_commands_accept_names_of_shipped_configurations(cli, tmp_path, arguments, made):
     code, out, err = cli(*arguments, folder=tmp_path)
     assert code == 0, err
     assert made in out
@@ -96,7 +96,7 @@ def test_commands_take_names(cli, tmp_path, arguments, made):
 @pytest.mark.parametrize(
     "command", ["train", "preview", "validate", "cpg", "sweep", "export", "fit"]
 )
-def test_an_unknown_name_is_answered_by_every_command(cli, tmp_path, command):
+def test_every_command_suggests_the_nearest_name(cli, tmp_path, command):
     more = {"sweep": ["--grid", "seed=1,2"], "export": ["x.xml"], "fit": ["x.csv", "a.b"]}
     code, out, err = cli(command, "hexapodd", *more.get(command, []), folder=tmp_path)
     assert (code, out) == (2, "")
@@ -104,7 +104,7 @@ def test_an_unknown_name_is_answered_by_every_command(cli, tmp_path, command):
     assert "did you mean 'hexapod'?" in err
 
 
-def test_what_a_shell_completes(tmp_path, monkeypatch):
+def test_completions_are_names_files_and_folders(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for folder in ("runs/one", "runs/two", ".hidden", "hex"):
         (tmp_path / folder).mkdir(parents=True)
@@ -122,10 +122,10 @@ def test_what_a_shell_completes(tmp_path, monkeypatch):
     assert complete_folder("nowhere/") == []
 
 
-def test_bash_is_answered_and_jax_is_not_started(tmp_path):
-    """As a shell asks: what is typed is in the environment, what fits is printed."""
+def test_bash_completion_does_not_import_jax(tmp_path):
+    """The shell passes the typed words in the environment, and reads completions from stdout."""
     words = {"COMP_WORDS": f"evo-cpg train {NAME[:8]}", "COMP_CWORD": "2"}
-    asked = subprocess.run(
+    completed = subprocess.run(
         [
             sys.executable,
             "-c",
@@ -141,5 +141,6 @@ def test_bash_is_answered_and_jax_is_not_started(tmp_path):
         text=True,
         check=True,
     )
-    assert asked.stdout.split() == [name for name in shipped_names() if name.startswith("iwadate")]
-    assert asked.stderr == "False\n"
+    names = [name for name in shipped_names() if name.startswith("iwadate")]
+    assert completed.stdout.split() == names
+    assert completed.stderr == "False\n"

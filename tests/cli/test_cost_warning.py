@@ -1,4 +1,4 @@
-"""An animal that costs much is told so, with what causes it and what to change."""
+"""Warnings of high costs: they name the main cause and the keys to change."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,8 +17,8 @@ _SMALL = Operations(3000.0, 2000.0, 0.0, 1000.0, 0.0, 100.0, 0.0)
 
 
 @pytest.fixture
-def said(monkeypatch, capsys):
-    """What is said of an animal."""
+def warning(monkeypatch, capsys):
+    """Return a function from numbers of operations to the printed warning."""
 
     def of(operations: Operations, measured: float | None = None, name: EngineName = "auto") -> str:
         monkeypatch.setattr(advice, "estimate_operations", lambda simulation: operations)
@@ -30,15 +30,15 @@ def said(monkeypatch, capsys):
     return of
 
 
-def test_a_small_animal_is_not_mentioned(said):
-    assert said(_SMALL) == ""
+def test_a_small_animal_has_no_warning(warning):
+    assert warning(_SMALL) == ""
 
 
-def test_a_large_animal_is_told_its_main_cause(said):
-    assert said(_SMALL._replace(pairs=240_000.0)) == (
-        "evo-cpg: warning: a.yaml: a trial has about 250,000 operations, 14 times those of "
-        "iwadate2010_swimmer; 98% of them are for bodies that may touch each other; to lower that: "
-        "more pairs in creature.self_collision.exclude, or creature.self_collision=false\n"
+def test_the_warning_names_the_main_cause(warning):
+    assert warning(_SMALL._replace(pairs=240_000.0)) == (
+        "evo-cpg: warning: a.yaml: a trial has about 250,000 operations, 14 times as many as "
+        "iwadate2010_swimmer. 98% of them are for bodies that may touch each other. To lower the "
+        "cost: more pairs in creature.self_collision.exclude, or creature.self_collision=false\n"
     )
 
 
@@ -53,26 +53,26 @@ def test_a_large_animal_is_told_its_main_cause(said):
         ("noise", "fewer keys in noise"),
     ],
 )
-def test_every_cause_has_its_cure(said, part, cure):
-    assert cure in said(_SMALL._replace(**{part: 300_000.0}))
+def test_every_cause_has_its_cure(warning, part, cure):
+    assert cure in warning(_SMALL._replace(**{part: 300_000.0}))
 
 
-def test_the_time_is_said_where_it_was_measured(said):
+def test_the_time_to_compile_is_shown_if_it_was_measured(warning):
     large = _SMALL._replace(bodies=300_000.0)
-    assert "on this machine they take about 71 s to compile" in said(large, 71.3)
-    assert "compile" not in said(large)
+    assert "On this machine they take about 71 s to compile" in warning(large, 71.3)
+    assert "compile" not in warning(large)
 
 
-def test_the_limit_of_native_code_is_said(said):
+def test_the_warning_names_the_limit_of_native_code(warning):
     near, beyond = (_SMALL._replace(bodies=count) for count in (550_000.0, 720_000.0))
-    limit = "native code ends at 600,000, and plain JAX"
-    assert f"{limit} may have to compute it, many times more slowly" in said(near, 71.3)
-    assert f"{limit} will compute it, many times more slowly" in said(beyond, 71.3)
-    assert said(beyond, name="jax") == ""
+    limit = "Native code is limited to 600,000, so plain JAX"
+    assert f"{limit} may have to compute the trial, many times" in warning(near, 71.3)
+    assert f"{limit} will compute the trial, many times more slowly" in warning(beyond, 71.3)
+    assert warning(beyond, name="jax") == ""
 
 
 def test_the_same_animal_has_the_same_digest():
-    """The search makes no difference to the code, the body does."""
+    """The digest depends on the body, and not on the search."""
 
     def digest(*overrides: str) -> str:
         return animal_digest(load_config(CONFIG, [*PAIR, *overrides]))

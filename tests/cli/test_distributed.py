@@ -1,4 +1,4 @@
-"""`--distributed`: several processes are one run; a lost one costs no more than a generation."""
+"""`--distributed`: several processes evolve one run, and a lost process costs one generation."""
 
 import csv
 import json
@@ -21,15 +21,16 @@ from evo_cpg.training.run_folder import RunFolder
 from loopback import free_port, loopback
 from tiny_run import CONFIG, PAIR, environment
 
-# Three vectors: two processes have parts of different sizes, and of four one has none.
+# The population fills three vectors. Two processes have parts of different sizes, and one of four
+# processes has no part.
 MANY = (*PAIR, "evolution.population=40")
 
-# Long enough to lose a process in the middle of.
+# Long enough to lose a process during the run.
 ENDLESS = (*MANY, "simulation.steps=3000", "evolution.generations=5000")
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
-    """metrics.csv as text, without the columns that tell the time."""
+    """Return the rows of metrics.csv as text, without the columns of durations."""
     with (folder / "metrics.csv").open() as file:
         return [
             {name: value for name, value in row.items() if name not in TIMING_COLUMNS}
@@ -38,7 +39,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 
 def assert_same_run(folder: Path, other: Path) -> None:
-    """Same history, last population, champion and motion, to the last bit."""
+    """Compare history, last population, champion and motion of two runs, bit for bit."""
     assert rows(folder) == rows(other)
     last, other_last = RunFolder(folder).load(), RunFolder(other).load()
     assert last is not None and other_last is not None
@@ -55,7 +56,7 @@ def assert_same_run(folder: Path, other: Path) -> None:
 
 @pytest.fixture(scope="module")
 def alone(finish, tmp_path_factory) -> Path:
-    """The run of one process."""
+    """Make the run with one process."""
     folder = tmp_path_factory.mktemp("alone") / "run"
     code, _, err = finish("train", CONFIG, *MANY, "--out", folder, "--cores", 1)
     assert code == 0, err
@@ -79,18 +80,18 @@ def resume(finish, folder: Path, processes: int) -> None:
 
 
 def generations_done(folder: Path) -> int:
-    """So far; -1 before the run begins."""
+    """Return the number of generations so far, or -1 before the run starts."""
     if not (folder / "meta.json").exists():
         return -1
     return len(rows(folder)) if (folder / "metrics.csv").exists() else 0
 
 
-# Generations, and that the oscillators of so short an animal rest.
-_TOLD = re.compile(r" *\d+/\d+ generations|evo-cpg: warning: .* at rest ")
+# Progress lines, and the warning that the oscillators of this short animal rest.
+_NO_ERROR = re.compile(r" *\d+/\d+ generations|evo-cpg: warning: .* at rest ")
 
 
 class Hosts:
-    """Processes that were started one by one, as on hosts."""
+    """Processes that are started separately, as on several hosts."""
 
     def __init__(self, compiled: Path, logs: Path, *arguments: object, count: int = 2):
         hosts = loopback(count)
@@ -118,17 +119,17 @@ class Hosts:
             process.kill()
             process.wait()
 
-    def said(self, index: int) -> str:
-        """What a process complained of; what the lead says of the run is left out."""
+    def errors(self, index: int) -> str:
+        """Return the errors of a process, without the progress of the lead."""
         lines = (self._logs / f"{index}.err").read_text().splitlines(True)
-        return "".join(line for line in lines if not _TOLD.match(line))
+        return "".join(line for line in lines if not _NO_ERROR.match(line))
 
     def ends(self, *which: int, within: float = 30.0) -> list[tuple[int, str]]:
-        """Exit codes of processes, and what they complained of, where they end in time."""
+        """Wait for processes to end in time, and return their exit codes and errors."""
         end = time.monotonic() + within
         for index in which:
             self.processes[index].wait(max(0.0, end - time.monotonic()))
-        return [(self.processes[index].returncode, self.said(index)) for index in which]
+        return [(self.processes[index].returncode, self.errors(index)) for index in which]
 
 
 def lose(
@@ -140,41 +141,41 @@ def lose(
     generations: int = 3,
     count: int = 3,
 ) -> list[tuple[int, str]]:
-    """Lose one of some processes once so many generations are done: how the others end."""
+    """Lose a process after some generations, and return how the other processes end."""
     run = folder / "run"
     command = ("train", CONFIG, *ENDLESS, "--out", run, *options)
     with Hosts(compiled, folder, *command, count=count) as hosts:
         while generations_done(run) < generations:
-            assert all(process.poll() is None for process in hosts.processes), hosts.said(0)
+            assert all(process.poll() is None for process in hosts.processes), hosts.errors(0)
             time.sleep(0.01)
         hosts.processes[which].send_signal(how)
         return hosts.ends(*(index for index in range(count) if index != which))
 
 
 def assert_lost(ends: list[tuple[int, str]], run: Path, words: str) -> None:
-    """Each said it in one line."""
-    for code, said in ends:
-        assert code == ExitCode.LOST, said
-        assert said.startswith("evo-cpg: process "), said
-        assert words in said
-        advice = f"; go on with `evo-cpg resume {run}`, on any number of processes\n"
-        assert said.endswith(advice) and said.count("\n") == 1, said
+    """Check that each process printed one line about the loss."""
+    for code, err in ends:
+        assert code == ExitCode.LOST, err
+        assert err.startswith("evo-cpg: process "), err
+        assert words in err
+        advice = f". Continue with `evo-cpg resume {run}`, on any number of processes\n"
+        assert err.endswith(advice) and err.count("\n") == 1, err
 
 
-def test_two_processes_are_one_run(alone, finish, tmp_path):
+def test_two_processes_equal_one_process(alone, finish, tmp_path):
     train(finish, tmp_path / "run", 2)
     assert_same_run(tmp_path / "run", alone)
 
 
 @pytest.mark.slow
-def test_four_processes_are_one_run(alone, finish, tmp_path):
+def test_four_processes_equal_one_process(alone, finish, tmp_path):
     train(finish, tmp_path / "run", 4)
     assert_same_run(tmp_path / "run", alone)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("first", "then"), [(1, 2), (2, 1), (4, 1), (1, 4), (2, 4), (4, 2)])
-def test_checkpoints_move_between_numbers_of_processes(first, then, alone, finish, tmp_path):
+def test_a_run_may_continue_on_another_number_of_processes(first, then, alone, finish, tmp_path):
     folder = tmp_path / "run"
     if first == 1:
         code, _, err = finish(
@@ -188,7 +189,7 @@ def test_checkpoints_move_between_numbers_of_processes(first, then, alone, finis
 
 
 @pytest.mark.slow
-def test_several_runs_with_noise_trials_and_learning_by_three_processes(finish, tmp_path):
+def test_three_processes_equal_one_with_noise_and_learning(finish, tmp_path):
     settings = (
         "runs=2",
         "evolution.population=17",
@@ -204,6 +205,7 @@ def test_several_runs_with_noise_trials_and_learning_by_three_processes(finish, 
     assert_same_run(tmp_path / "three", tmp_path / "one")
 
 
+@pytest.mark.slow
 def test_a_killed_worker_ends_the_job(compiled, tmp_path):
     ends = lose(compiled, tmp_path, 1, signal.SIGKILL, count=2)
     assert_lost(ends, tmp_path / "run", "process 0 of 2: process 1 (localhost) is gone")
@@ -212,16 +214,16 @@ def test_a_killed_worker_ends_the_job(compiled, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_stopped_worker_is_not_waited_for_longer_than_allowed(compiled, tmp_path):
+def test_a_stopped_worker_ends_the_job_after_the_patience(compiled, tmp_path):
     ends = lose(compiled, tmp_path, 1, signal.SIGSTOP, "--patience", 1, count=2)
     assert_lost(ends, tmp_path / "run", "has waited 1 s for the others' results of generation ")
 
 
 @pytest.mark.slow
-def test_a_run_that_lost_a_process_goes_on_with_fewer(compiled, cli, tmp_path):
+def test_a_run_that_lost_a_process_continues_with_fewer(compiled, cli, tmp_path):
     run = tmp_path / "run"
     assert_lost(
-        lose(compiled, tmp_path, 1, signal.SIGKILL), run, ": process 1 (localhost) is gone;"
+        lose(compiled, tmp_path, 1, signal.SIGKILL), run, ": process 1 (localhost) is gone."
     )
     done = RunFolder(run).load()
     assert done is not None
@@ -233,7 +235,7 @@ def test_a_run_that_lost_a_process_goes_on_with_fewer(compiled, cli, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 1])
-def test_who_is_stopped_ends_the_job_within_half_a_minute(which, compiled, tmp_path):
+def test_a_stopped_process_ends_the_job_within_30_s(which, compiled, tmp_path):
     ends = lose(compiled, tmp_path, which, signal.SIGSTOP)
     words = f"process {which} (localhost) is dead or stopped: no heartbeat for 18 s"
     assert_lost(ends, tmp_path / "run", words)
@@ -241,8 +243,8 @@ def test_who_is_stopped_ends_the_job_within_half_a_minute(which, compiled, tmp_p
 
 @pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 1])
-def test_who_is_stopped_while_all_compile_ends_the_job_within_half_a_minute(which, tmp_path):
-    # Nothing is compiled before, so it takes a while.
+def test_a_process_stopped_during_compilation_ends_the_job_within_30_s(which, tmp_path):
+    # The cache is empty, so the compilation takes long.
     (tmp_path / "logs").mkdir()
     ends = lose(tmp_path / "compiled", tmp_path, which, signal.SIGSTOP, generations=0)
     assert_lost(ends, tmp_path / "run", f"process {which} (localhost) is dead or stopped")
@@ -251,18 +253,18 @@ def test_who_is_stopped_while_all_compile_ends_the_job_within_half_a_minute(whic
 @pytest.mark.slow
 def test_a_killed_lead_ends_the_job(compiled, tmp_path):
     ends = lose(compiled, tmp_path, 0, signal.SIGKILL)
-    assert_lost(ends, tmp_path / "run", ": process 0 (localhost) is gone;")
+    assert_lost(ends, tmp_path / "run", ": process 0 (localhost) is gone.")
 
 
 @pytest.mark.slow
-def test_an_interrupted_lead_says_how_to_go_on(compiled, tmp_path):
+def test_an_interrupted_lead_prints_how_to_continue(compiled, tmp_path):
     run = tmp_path / "run"
     with Hosts(compiled, tmp_path, "train", CONFIG, *ENDLESS, "--out", run) as hosts:
         while generations_done(run) < 1:
             time.sleep(0.01)
         hosts.processes[0].send_signal(signal.SIGINT)
         lead, worker = hosts.ends(0, 1)
-    assert lead == (130, f"interrupted; go on with `evo-cpg resume {run}`\n")
+    assert lead == (130, f"interrupted. Continue with `evo-cpg resume {run}`\n")
     assert_lost([worker], run, "process 1 of 2: process 0 (localhost) is gone")
 
 
@@ -277,7 +279,7 @@ def test_local_processes_are_interrupted_and_ended_together(start, tmp_path):
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=30)
     assert process.returncode == 130
-    assert f"interrupted; go on with `evo-cpg resume {run}`\n" in err
+    assert f"interrupted. Continue with `evo-cpg resume {run}`\n" in err
     assert "Traceback" not in err
 
 
@@ -301,7 +303,8 @@ def test_a_stopped_local_process_is_ended_with_the_others(start, tmp_path):
         os.kill(worker, 0)
 
 
-def test_configurations_that_differ(compiled, tmp_path):
+@pytest.mark.slow
+def test_processes_with_different_configurations_are_refused(compiled, tmp_path):
     hosts = loopback(2)
     started = []
     for index in range(2):
@@ -317,35 +320,35 @@ def test_configurations_that_differ(compiled, tmp_path):
                 text=True,
             )
         )
-    told = "evo-cpg: the configuration differs between the processes: process 0 unlike 1"
+    message = "evo-cpg: the configuration differs between the processes: process 0 unlike 1"
     lead, other = [process.communicate(timeout=60)[1] for process in started]
     assert [process.returncode for process in started] == [2, 2], (lead, other)
-    assert lead == f"{told}\n"
-    assert other == f"{told}; process 1 differs from process 0 in evolution.elites\n"
-    # Nothing was begun.
+    assert lead == f"{message}\n"
+    assert other == f"{message}. Process 1 differs from process 0 in evolution.elites\n"
+    # No run was started.
     assert not (tmp_path / "run").exists()
 
 
-def test_a_process_that_never_comes(cli, tmp_path):
+def test_a_process_that_never_joins_is_an_error(cli, tmp_path):
     command = ("train", CONFIG, *MANY, "--out", tmp_path / "run", "--distributed")
     several = ("--hosts", loopback(2), "--process", 0, "--join-timeout", 0.5)
     code, _, err = cli(*command, *several)
     assert code == 2
-    assert "of 2 processes 1 did not come to localhost:" in err
-    assert "within 0.5 s: process 1 (localhost); --join-timeout allows them longer" in err
+    assert "1 of 2 processes did not connect to localhost:" in err
+    assert "within 0.5 s: process 1 (localhost). Allow more time with --join-timeout" in err
     assert not (tmp_path / "run").exists()
 
 
-def test_wrong_options(cli, tmp_path, monkeypatch):
+def test_contradictory_options_are_refused(cli, tmp_path, monkeypatch):
     for name in list(os.environ):
         if name.startswith(("SLURM_", "OMPI_", "JAX_COORDINATOR")):
             monkeypatch.delenv(name)
     for options, words in (
-        (("--hosts", "a,b"), "--hosts goes with --distributed"),
-        (("--local", 2), "--local goes with --distributed"),
-        (("--process", 1), "--process goes with --distributed"),
-        (("--distributed", "--process", 1), "--process goes with --hosts: it is a place in that"),
-        (("--distributed", "--local", 2, "--hosts", "a,b"), "--local starts processes on this"),
+        (("--hosts", "a,b"), "--hosts needs --distributed"),
+        (("--local", 2), "--local needs --distributed"),
+        (("--process", 1), "--process needs --distributed"),
+        (("--distributed", "--process", 1), "--process needs --hosts, because it is a place in"),
+        (("--distributed", "--local", 2, "--hosts", "a,b"), "--local and --hosts exclude each"),
         (("--distributed",), "--distributed: no scheduler that JAX knows (SLURM, Open MPI) has"),
     ):
         for command in (("train", CONFIG, *MANY, "--out", tmp_path / "x"), ("resume", tmp_path)):
@@ -379,7 +382,7 @@ def test_wrong_options(cli, tmp_path, monkeypatch):
     ],
     ids=["SLURM", "Open MPI"],
 )
-def test_schedulers_that_jax_knows(environment, address, monkeypatch):
+def test_schedulers_determine_the_place_of_a_process(environment, address, monkeypatch):
     for name in list(os.environ):
         if name.startswith(("SLURM_", "OMPI_", "JAX_COORDINATOR")):
             monkeypatch.delenv(name)
@@ -389,7 +392,7 @@ def test_schedulers_that_jax_knows(environment, address, monkeypatch):
     assert (place.index, place.count, place.address) == (2, 5, address)
 
 
-def test_a_wrong_configuration_is_complained_of_once(cli, tmp_path):
+def test_a_wrong_configuration_is_reported_once(cli, tmp_path):
     several = ("--distributed", "--local", 4)
     code, _, err = cli("train", CONFIG, "evolution.elites=x", *several)
     assert code == 2
@@ -399,8 +402,8 @@ def test_a_wrong_configuration_is_complained_of_once(cli, tmp_path):
     assert err == f"evo-cpg: {tmp_path} is not a run folder (it has no config.yaml)\n"
 
 
-def test_one_that_fails_ends_all_while_the_first_one_lives(tmp_path, monkeypatch):
-    """The lead would wait for the others as long as they are patient."""
+def test_a_failed_process_ends_the_lead(tmp_path, monkeypatch):
+    """Otherwise the lead would wait for the failed process until its patience ends."""
     program = tmp_path / "process"
     lines = "#!/bin/sh", "for last; do :; done", '[ "$last" = 1 ] && exit 2', "exec sleep 60", ""
     program.write_text("\n".join(lines))
@@ -412,7 +415,7 @@ def test_one_that_fails_ends_all_while_the_first_one_lives(tmp_path, monkeypatch
     assert time.monotonic() - began < 20
 
 
-def test_arguments_of_local_processes():
+def test_local_processes_get_the_arguments_without_local_and_cores():
     words = ["--trust", "train", "a.yaml", "--local", "4", "--cores=8", "x=1", "--distributed"]
     assert local._without_local(words) == ["--trust", "train", "a.yaml", "x=1", "--distributed"]
     assert local._without_local(["--local=4", "--cores", "8", "x"]) == ["x"]
@@ -422,15 +425,15 @@ def test_arguments_of_local_processes():
     ("codes", "code"),
     [([0, 0], 0), ([2, 4], 2), ([-9, 4], 4), ([4, -9], 4), ([0, -9], 137), ([-15, 0], 143)],
 )
-def test_exit_code_of_local_processes(codes, code):
+def test_the_exit_code_comes_from_the_process_that_failed(codes, code):
     assert local._code(codes) == code
 
 
-def test_meta_tells_of_one_process(alone):
+def test_meta_records_one_process(alone):
     assert json.loads((alone / "meta.json").read_text())["processes"] == 1
 
 
-def test_a_port_in_use(cli, tmp_path):
+def test_a_port_in_use_is_refused(cli, tmp_path):
     with socket.create_server(("", free_port())) as server:
         port = server.getsockname()[1]
         several = ("--distributed", "--hosts", f"localhost:{port},localhost", "--process", 0)

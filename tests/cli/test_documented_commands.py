@@ -1,4 +1,4 @@
-"""The commands of README, docs and configs: every one parses, and the README's session is run."""
+"""Commands in README, docs and configs: all of them parse, and the README's session runs."""
 
 import re
 import shlex
@@ -14,15 +14,15 @@ from tiny_run import PAIR
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *(p for p in (ROOT / "docs").rglob("*.md") if "_build" not in p.parts)]
-# As they stand in a ```console block, and at the top of a config.
+# Commands in a ```console block, and at the top of a configuration.
 PROMPTS = (r"^\$ (.+)$", r"^# {3}((?:evo-cpg|make) .+)$")
 
-# What a run of the README's session is cut down to.
+# Settings that shorten the README's session.
 SMALL = (*PAIR, "evolution.generations=2")
 
 
 def commands() -> list[tuple[str, list[str]]]:
-    """Where each command stands, and its words."""
+    """Return the page and the words of each command."""
     found = []
     for page in (*PAGES, *(ROOT / "configs").glob("*.yaml")):
         for pattern in PROMPTS:
@@ -35,18 +35,18 @@ def commands() -> list[tuple[str, list[str]]]:
 OURS = [(page, words) for page, words in commands() if words[0] == "evo-cpg"]
 
 
-def test_the_commands_are_found():
+def test_commands_are_found_in_the_pages():
     pages = {page for page, _ in OURS}
     assert {"README.md", "docs/getting-started.md", "configs/iwadate2010_swimmer.yaml"} <= pages
     assert len(OURS) > 30
 
 
 @pytest.mark.parametrize(("page", "words"), OURS, ids=lambda x: x if isinstance(x, str) else x[1])
-def test_every_command_is_one_that_the_program_takes(page, words):
+def test_the_program_accepts_every_command(page, words):
     _, name, *arguments = words
     program = typer.main.get_command(app)
     assert name in program.commands, page
-    # Complains of unknown options, missing arguments and values out of range.
+    # This raises for unknown options, missing arguments and values out of range.
     program.commands[name].make_context(name, list(arguments))
     for word in arguments:
         if word.startswith("configs/") and name != "import":
@@ -59,15 +59,15 @@ def test_every_make_target_exists():
     assert made and set(made) <= set(targets)
 
 
-def test_every_study_and_part_that_is_named_exists():
+def test_every_named_study_and_part_exists():
     names = r"evo-cpg reproduce ([a-z0-9_]+(?: [a-z0-9_][a-z0-9_-]*)*)"
-    asked = [words.split() for page in PAGES for words in re.findall(names, page.read_text())]
-    assert len(asked) > 5
-    for name, *parts in asked:
+    named = [words.split() for page in PAGES for words in re.findall(names, page.read_text())]
+    assert len(named) > 5
+    for name, *parts in named:
         assert set(parts) <= set(study(name).parts), name
 
 
-def test_every_picture_is_there():
+def test_every_picture_exists():
     for page in PAGES:
         for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page.read_text()):
             assert (page.parent / picture).is_file(), (page, picture)
@@ -83,7 +83,7 @@ def test_the_session_of_the_readme_runs(cli, tmp_path):
     for line in block[1].splitlines():
         _, name, *arguments = shlex.split(line.removeprefix("$ "))
         if name == "train" and "configs/iwadate2010_swimmer.yaml" not in arguments:
-            # Other animals take the same way through the program, and long to compile.
+            # Other animals run the same code but take long to compile.
             name, arguments = "validate", arguments[:1]
         extra = {"train": SMALL, "render": ("--size", "64x36", "--seconds", "0.1")}.get(name, ())
         code, _, complaint = cli(name, *arguments, *extra, folder=tmp_path)

@@ -1,4 +1,4 @@
-"""`evo-cpg export` and `evo-cpg import`: files that load, and nothing overwritten."""
+"""`evo-cpg export` and `evo-cpg import`: their files load, and they overwrite no file."""
 
 import csv
 import shutil
@@ -21,7 +21,7 @@ from tiny_run import CONFIG, REPOSITORY
 WALKER = REPOSITORY / "configs" / "hexapod.yaml"
 
 
-def test_a_config_goes_out_and_its_animal_comes_back(cli, tmp_path):
+def test_an_exported_animal_is_imported_unchanged(cli, tmp_path):
     model, animal = tmp_path / "hexapod.xml", tmp_path / "animal.yaml"
     code, out, err = cli("export", WALKER, model)
     assert (code, out, err) == (0, f"{model}\n", "")
@@ -39,8 +39,8 @@ def test_a_config_goes_out_and_its_animal_comes_back(cli, tmp_path):
     assert code == 0 and "13 bodies, 12 joint axes" in out
 
 
-def test_a_settled_start_goes_out_as_a_keyframe(cli, tmp_path, monkeypatch):
-    """Leaning and bent as `simulation.start_pose` leaves it, and every body where ours has it."""
+def test_a_settled_start_is_exported_as_a_keyframe(cli, tmp_path, monkeypatch):
+    """The root leans and the joints are bent. All bodies have the same positions in MuJoCo."""
     built, lean = building.build, Rotation.from_euler("xyz", (0.1, -0.2, 0.7))
     orientation = tuple(lean.as_quat(scalar_first=True).tolist())
     angles = tuple(np.linspace(-0.3, 0.3, 12).tolist())
@@ -63,14 +63,14 @@ def test_a_settled_start_goes_out_as_a_keyframe(cli, tmp_path, monkeypatch):
     np.testing.assert_allclose(theirs, centres, rtol=0, atol=1e-6)
 
 
-def test_a_run_goes_out_and_says_what_stays(cli, tmp_path):
+def test_export_of_a_run_names_the_parts_left_out(cli, tmp_path):
     run, model = tmp_path / "run", tmp_path / "swimmer.xml"
     run.mkdir()
     config = yaml.safe_load(CONFIG.read_text())
     config["creature"] = str(REPOSITORY / "configs" / config["creature"])
     (run / "config.yaml").write_text(yaml.safe_dump(config))
     code, out, err = cli("export", run, model)
-    assert (code, out, err) == (0, f"{model}\n", "left out: the water, all of it but buoyancy\n")
+    assert (code, out, err) == (0, f"{model}\n", "left out: the water, except buoyancy\n")
     assert mujoco.MjModel.from_xml_path(str(model)).body_gravcomp[1:].tolist() == [1.0] * 10
     shutil.rmtree(run)
     run.mkdir()
@@ -80,7 +80,7 @@ def test_a_run_goes_out_and_says_what_stays(cli, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["export", "import"])
-def test_a_file_is_replaced_only_when_told(cli, tmp_path, command):
+def test_a_file_is_replaced_only_with_overwrite(cli, tmp_path, command):
     name = "out.xml" if command == "export" else "out.yaml"
     model, used = tmp_path / "in.xml", tmp_path / name
     assert cli("export", WALKER, model)[0] == 0
@@ -89,7 +89,7 @@ def test_a_file_is_replaced_only_when_told(cli, tmp_path, command):
     assert cli(command, source, used) == (
         2,
         "",
-        f"evo-cpg: {used} exists already; --overwrite replaces it\n",
+        f"evo-cpg: {used} exists. Choose another name, or replace it with --overwrite\n",
     )
     assert used.read_text() == "years of work"
     assert cli(command, source, used, "--overwrite")[0] == 0
@@ -97,8 +97,8 @@ def test_a_file_is_replaced_only_when_told(cli, tmp_path, command):
     code, out, err = cli(command, source, tmp_path / "no" / name)
     assert (code, out) == (2, "")
     assert err == (
-        f"evo-cpg: cannot write {tmp_path / 'no' / name}: there is no folder {tmp_path / 'no'}; "
-        "create it first\n"
+        f"evo-cpg: cannot write {tmp_path / 'no' / name}: there is no folder {tmp_path / 'no'}. "
+        "Create it first\n"
     )
 
 
@@ -115,7 +115,7 @@ def test_a_name_that_no_file_can_have_is_refused(cli, tmp_path, command):
     assert err.endswith(f"{source.suffix}: cannot be read (File name too long)\n")
 
 
-def test_what_cannot_come_in_is_refused_and_nothing_written(cli, tmp_path):
+def test_a_refused_import_writes_nothing(cli, tmp_path):
     model, animal = tmp_path / "model.xml", tmp_path / "animal.yaml"
     model.write_text(
         '<mujoco><worldbody><body name="b"><geom size="1"/></body></worldbody></mujoco>'
@@ -123,7 +123,7 @@ def test_what_cannot_come_in_is_refused_and_nothing_written(cli, tmp_path):
     code, out, err = cli("import", model, animal)
     assert (code, out) == (2, "")
     assert err == (
-        f"evo-cpg: {model}: body 'b': the root does not float freely; allowed: a freejoint\n"
+        f"evo-cpg: {model}: body 'b': the root does not float freely. Allowed: a freejoint\n"
     )
     code, out, err = cli("import", model, animal, "--motor-gain", 0)
     assert (code, err) == (2, "evo-cpg: --motor-gain: must be greater than 0, got 0\n")
@@ -135,7 +135,7 @@ def test_what_cannot_come_in_is_refused_and_nothing_written(cli, tmp_path):
 
 @pytest.fixture(scope="module")
 def exported(cli, finished_run, tmp_path_factory):
-    """What a run's motion goes out as, by suffix."""
+    """Export the motion of a run to a file of each suffix."""
     place = tmp_path_factory.mktemp("exported")
     for name in ("motion.csv", "motion.npz", "motion.glb"):
         code, out, err = cli("export", finished_run, place / name)
@@ -143,7 +143,8 @@ def exported(cli, finished_run, tmp_path_factory):
     return place
 
 
-def test_the_motion_of_a_run_goes_out_with_names_and_units(finished_run, exported):
+@pytest.mark.slow
+def test_an_exported_motion_has_names_and_units(finished_run, exported):
     _, motion, _ = RunFolder(finished_run).load_champion()
     with (exported / "motion.csv").open() as file:
         names = next(csv.reader(file))
@@ -155,16 +156,16 @@ def test_the_motion_of_a_run_goes_out_with_names_and_units(finished_run, exporte
     assert names == [f"{name} [{units[name]}]" for name in columns]
     for name, column in zip(columns, table.T, strict=True):
         np.testing.assert_allclose(column, arrays[name], rtol=1e-6, atol=1e-12)
-    # That of the film.
+    # The film shows this motion.
     np.testing.assert_allclose(arrays["head.y"], motion.position[:, 0, 1], atol=1e-6)
     assert (units["head.y"], units["segment1.z.rate"]) == ("m", "rad/s")
-    # And of the scene, which holds single precision.
+    # The scene shows the same bodies.
     scene = trimesh.load_scene(exported / "motion.glb")
     assert {"head", "segment1"} <= set(scene.geometry)
 
 
 def test_an_exported_table_is_a_measured_motion(exported):
-    """As `fit` reads it: attitudes are those of the rotation, yaw, then pitch, then roll."""
+    """`fit` reads the attitude of an exported rotation as yaw, then pitch, then roll."""
     with np.load(exported / "motion.npz") as file:
         arrays = dict(file)
     measured = read_motion(exported / "motion.csv")
@@ -195,20 +196,20 @@ def test_an_exported_table_is_a_measured_motion(exported):
             (),
             "cannot write {out}: the name has no suffix. Use .xml, .glb, .csv or .npz",
         ),
-        (WALKER, "a.glb", (), f"{WALKER} is no run folder: only a run has a motion for a.glb"),
-        (WALKER, "a.xml", ("--trial", 1), "{out}: has no motion; leave out --run, --trial, --cell"),
+        (WALKER, "a.glb", (), f"{WALKER} is not a run folder: only a run has a motion for a.glb"),
+        (WALKER, "a.xml", ("--trial", 1), "{out}: has no motion. Leave out --run, --trial and"),
     ],
 )
-def test_what_cannot_go_out_is_refused(cli, tmp_path, source, name, options, words):
+def test_impossible_exports_are_refused(cli, tmp_path, source, name, options, words):
     code, out, err = cli("export", source, tmp_path / name, *options)
     assert (code, out) == (2, "")
     assert words.format(out=tmp_path / name) in err
     assert not (tmp_path / name).exists()
 
 
-def test_only_trials_that_there_are_go_out(cli, finished_run, tmp_path):
+def test_a_missing_trial_is_not_exported(cli, finished_run, tmp_path):
     for name in ("a.csv", "a.glb"):
         code, _, err = cli("export", finished_run, tmp_path / name, "--trial", 1)
-        assert code == 2 and "has 1 trial(s), counted from 0" in err
+        assert code == 2 and "has 1 trial(s) per individual, counted from 0" in err
     code, _, err = cli("export", finished_run, tmp_path / "none" / "a.csv")
     assert code == 2 and "cannot write" in err

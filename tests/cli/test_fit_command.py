@@ -1,4 +1,4 @@
-"""`evo-cpg fit`: a recorded motion in, estimates out; and what is refused."""
+"""`evo-cpg fit`: estimates from a recorded motion, and errors."""
 
 import csv
 import dataclasses
@@ -64,7 +64,7 @@ def config(tmp_path):
     return path
 
 
-def test_units_in_brackets_are_heeded(tmp_path):
+def test_units_in_brackets_are_converted(tmp_path):
     table = tmp_path / "data.csv"
     write(
         table,
@@ -77,7 +77,7 @@ def test_units_in_brackets_are_heeded(tmp_path):
     np.testing.assert_allclose(found.targets["tail.y"], [np.pi, 0])
 
 
-def test_units_of_an_exported_motion_are_heeded_where_a_column_is_taken(tmp_path):
+def test_units_of_used_columns_of_an_exported_motion_are_converted(tmp_path):
     table = tmp_path / "data.csv"
     rotation = [f"head.rotation_{row}{column} [1]" for row in "xyz" for column in "xyz"]
     heads = ["time [s]", "head.x [cm]", "head.y [m]", "head.z [m]", *rotation]
@@ -89,12 +89,12 @@ def test_units_of_an_exported_motion_are_heeded_where_a_column_is_taken(tmp_path
     np.testing.assert_allclose(found.targets["tail.y"], [4])
     heads[heads.index("head.x [cm]")] = "head.x [ft]"
     write(table, heads, [[0, 50, 2, 3, *np.eye(3).ravel(), 180, 4, 5]])
-    with pytest.raises(UsageError, match=r"head.x \[ft\]: cannot be in that unit"):
+    with pytest.raises(UsageError, match=r"head.x cannot be in the unit \[ft\]"):
         read_motion(table)
 
 
-def test_a_body_without_joints_is_commanded_in_native_code(tmp_path):
-    """A warning, which is an error here, would say that it runs on plain JAX."""
+def test_a_body_without_joints_runs_in_native_code(tmp_path):
+    """On plain JAX, a warning would fail this test."""
     creature = FALL["creature"] | {"bodies": FALL["creature"]["bodies"][:1]}
     path = tmp_path / "ball.yaml"
     path.write_text(yaml.safe_dump(FALL | {"creature": creature}))
@@ -106,7 +106,7 @@ def test_a_body_without_joints_is_commanded_in_native_code(tmp_path):
 
 
 @pytest.mark.parametrize("form", ["{:.15g}", "{:.9g}", "{:.6f}", "{:.3f}"])
-def test_rounded_stamps_are_those_of_their_control_steps(config, tmp_path, form):
+def test_rounded_time_stamps_belong_to_their_control_steps(config, tmp_path, form):
     simulation = parametrise(load_config(config), config, ()).experiment.simulation
     table, steps = tmp_path / "data.csv", np.arange(20)
     rates = np.arange(20) + 1.0
@@ -120,8 +120,8 @@ def test_rounded_stamps_are_those_of_their_control_steps(config, tmp_path, form)
 
 
 @pytest.mark.slow
-def test_drag_and_speed_come_out_of_a_recorded_coast(cli, config, tmp_path):
-    """The tail beats as commanded; noise of 0.1 mm; the estimates hold the truth."""
+def test_drag_and_initial_speed_are_recovered(cli, config, tmp_path):
+    """The tail follows recorded commands, and the data have a noise of 0.1 mm."""
     with jax.enable_x64(True):
         parameters = parametrise(check_config(FALL, config), config, ["world.water.form_drag"])
         simulation = parameters.experiment.simulation
@@ -143,24 +143,24 @@ def test_drag_and_speed_come_out_of_a_recorded_coast(cli, config, tmp_path):
     write(table, header, rows)
     fitted, picture = tmp_path / "fitted.yaml", tmp_path / "fitted.png"
     keys = ("world.water.form_drag=0.5", "initial.velocity.x=1.0")
-    code, said, complaint = cli("fit", config, table, *keys, "-o", fitted, "--plot", picture)
+    code, out, complaint = cli("fit", config, table, *keys, "-o", fitted, "--plot", picture)
     assert code == 0, complaint
-    assert "beware" not in said
+    assert "warning" not in out
     after, whole = (load_config(path).model_dump() for path in (fitted, config))
     assert after["world"]["water"].pop("form_drag") == pytest.approx(0.8, rel=0.02)
     # Nothing else of the configuration changed.
     del whole["world"]["water"]["form_drag"]
     assert after == whole
     assert 0.01 < ink(picture) < 0.5
-    line = next(line for line in said.splitlines() if "initial.velocity.x" in line)
+    line = next(line for line in out.splitlines() if "initial.velocity.x" in line)
     low, high = (float(line.split()[i]) for i in (-3, -1))
     assert low < 1.3 < high and high - low < 0.02
     code, _, complaint = cli("fit", config, table, *keys, "-o", fitted)
-    assert code == 2 and "exists already; --overwrite" in complaint
+    assert code == 2 and "or replace it with --overwrite" in complaint
 
 
 @pytest.mark.slow
-def test_a_constant_of_the_cord_comes_out_of_a_champions_motion(finished_run, cli, tmp_path):
+def test_a_constant_of_the_cpg_is_recovered(finished_run, cli, tmp_path):
     key, truth = "controller.cpg.time_scale", 0.8
     folder = RunFolder(finished_run)
     config = load_config(folder.config)
@@ -175,23 +175,23 @@ def test_a_constant_of_the_cord_comes_out_of_a_champions_motion(finished_run, cl
     data = np.asarray(exact) + 1e-4 * np.random.default_rng(1).normal(size=exact.shape)
     table = tmp_path / "data.csv"
     write(table, ("time", *columns), np.column_stack([times, data]))
-    code, said, complaint = cli("fit", folder.config, table, key, "--run", folder.path)
+    code, out, complaint = cli("fit", folder.config, table, key, "--run", folder.path)
     assert code == 0, complaint
-    line = next(line for line in said.splitlines() if key in line)
+    line = next(line for line in out.splitlines() if key in line)
     low, high = (float(line.split()[i]) for i in (-3, -1))
     assert low < truth * value < high and high - low < 0.02 * value
 
 
 @pytest.mark.slow
-def test_an_estimate_that_is_not_allowed_is_told(cli, config, tmp_path):
-    """A joint without damping that speeds up as it swings asks for less than none."""
+def test_a_forbidden_estimate_is_an_error(cli, config, tmp_path):
+    """A joint that speeds up without a motor needs a negative damping."""
     times = np.linspace(0.0, 0.3, 19)
     table = tmp_path / "data.csv"
     write(table, ["time", "tail.y"], np.column_stack([times, 0.5 * np.expm1(4.0 * times)]))
     key = "creature.bodies.1.joint.damping"
     settings = ("--set", "initial.rate.tail.y=2", "--set", "creature.bodies.1.joint.actuator=null")
     code, _, complaint = cli("fit", config, table, key, *settings)
-    assert code == 2 and f"the data ask for {key}=-" in complaint and "not allowed" in complaint
+    assert code == 2 and f"the best fit is {key}=-" in complaint and "not allowed" in complaint
 
 
 @pytest.mark.parametrize(
@@ -199,29 +199,29 @@ def test_an_estimate_that_is_not_allowed_is_told(cli, config, tmp_path):
     [
         (["x"], [[1]], "has no column time"),
         (["time", "x"], [], "has no numbers"),
-        (["time"], [[0.1]], "nothing was measured"),
-        (["time", "x", "x"], [[0, 1, 2]], "the column 'x' is there twice"),
+        (["time"], [[0.1]], "has no measured column"),
+        (["time", "x", "x"], [[0, 1, 2]], "the column 'x' occurs twice"),
         (["time", "x"], [[0, "long"]], "line 2, x: 'long' is not a number"),
         (["time", "x"], [[0, 1], [], [1, "inf"]], "line 4, x: 'inf' is not a number"),
         (["time", "x"], [[0, "x" * 200_000]], "cannot be read"),
-        (["time", "x"], [[0, 1], [0, 2]], "time must grow"),
+        (["time", "x"], [[0, 1], [0, 2]], "time must begin at 0 or later and increase"),
         (["time", "x"], [[0, 1, 2]], "line 2 has 3 cells, not 2"),
         (["time", "x", "target.tail.y"], [[0.1, 1, ""]], "target.tail.y must be a number"),
-        (["time", "w"], [[0.1, 1]], "nothing called w; "),
-        (["time", "x", "target.tail.z"], [[0.1, 1, 1]], "nothing called target.tail.z; did you"),
+        (["time", "w"], [[0.1, 1]], "unknown column w: "),
+        (["time", "x", "target.tail.z"], [[0.1, 1, 1]], "unknown column target.tail.z: did you"),
         (["time", "x"], [[0.1, 1]], "1 numbers cannot determine 1 parameters"),
-        (["time", "x [kg]"], [[0, 1]], "x [kg]: cannot be in that unit; choose m or cm or mm"),
-        (["time [min]", "x"], [[0, 1]], "time [min]: cannot be in that unit; choose s or ms"),
-        (["time", "tail.y [m]"], [[0, 1]], "tail.y [m]: cannot be in that unit; choose rad or"),
+        (["time", "x [kg]"], [[0, 1]], "x cannot be in the unit [kg]. Allowed: m or cm or mm"),
+        (["time [min]", "x"], [[0, 1]], "time cannot be in the unit [min]. Allowed: s or ms"),
+        (["time", "tail.y [m]"], [[0, 1]], "tail.y cannot be in the unit [m]. Allowed: rad or"),
         (
             ["time", "x", "yaw"],
             [[0.1, 1, 1], *([i, 1, ""] for i in range(1, 9))],
-            "1 number(s) of kind attitude are too few to tell how noisy they are, beside 1 "
-            "parameter(s) 6 are needed; give --noise position=.. --noise attitude=..",
+            "1 number(s) of kind attitude are too few to estimate their noise. With 1 "
+            "parameter(s), at least 6 are needed. Give --noise position=.. --noise attitude=..",
         ),
     ],
 )
-def test_what_is_no_recording_is_refused(cli, config, tmp_path, header, rows, words):
+def test_wrong_recordings_are_refused(cli, config, tmp_path, header, rows, words):
     table = tmp_path / "data.csv"
     write(table, header, rows)
     code, _, complaint = cli("fit", config, table, "world.water.form_drag")
@@ -240,10 +240,10 @@ def test_what_is_no_recording_is_refused(cli, config, tmp_path, header, rows, wo
         (["controller.cpg.time_scale"], "controller.cpg.time_scale: does not exist"),
         (["world.water.form_drag", "--out", "nowhere/fit.yaml"], "there is no folder nowhere"),
         (["world.water.form_drag", "--plot", "fit.txt"], "the name ends in '.txt'"),
-        (["initial.velocity.w"], "initial.velocity.w: does not exist; did you mean 'velocity."),
-        (["world.water.form_drag", "--noise", "place=1"], "--noise: place=1; give position="),
-        (["world.water.form_drag", "--noise", "angle=1"], "also give that of position"),
-        (["world.water.form_drag=2", "--set", "world.water.form_drag=1"], "searched for and set"),
+        (["initial.velocity.w"], "initial.velocity.w: does not exist: did you mean 'velocity."),
+        (["world.water.form_drag", "--noise", "place=1"], "place=1 is wrong. Allowed: position="),
+        (["world.water.form_drag", "--noise", "angle=1"], "--noise: is missing for position"),
+        (["world.water.form_drag=2", "--set", "world.water.form_drag=1"], "both estimated and set"),
     ],
 )
 def test_wrong_keys_and_options_are_refused(cli, config, tmp_path, arguments, words):
@@ -253,11 +253,11 @@ def test_wrong_keys_and_options_are_refused(cli, config, tmp_path, arguments, wo
     assert code == 2 and words in complaint
 
 
-def test_the_controllers_numbers_take_a_champion(cli, tmp_path):
+def test_numbers_of_the_controller_need_a_champion(cli, tmp_path):
     table = tmp_path / "data.csv"
     write(table, ["time", "x"], [[0.1, 1], [0.2, 1], [0.3, 1]])
     code, _, complaint = cli("fit", CONFIG, table, "controller.cpg.time_scale")
-    assert code == 2 and "--run RUN takes a champion's" in complaint
+    assert code == 2 and "Add --run RUN to let the controller of a champion" in complaint
 
 
 def test_the_champion_of_another_animal_is_refused(cli, finished_run, tmp_path):
@@ -271,9 +271,9 @@ def test_the_champion_of_another_animal_is_refused(cli, finished_run, tmp_path):
     assert f"--run: the champion of {finished_run} does not fit {land}: " in complaint
 
 
-def test_an_export_without_all_of_its_columns_is_named(cli, config, tmp_path):
+def test_an_export_with_missing_columns_is_refused(cli, config, tmp_path):
     table = tmp_path / "data.csv"
     write(table, ["time", "head.rotation_xx"], np.column_stack([np.arange(3.0), np.ones(3)]))
     code, _, complaint = cli("fit", config, table, "creature.bodies.1.joint.damping")
     assert code == 2
-    assert f"{table}: head.rotation_yx is missing, which an exported motion has" in complaint
+    assert f"{table}: an exported motion must have the column head.rotation_yx" in complaint

@@ -1,4 +1,4 @@
-"""Lists of hosts, right and wrong."""
+"""Lists of hosts for `--hosts`."""
 
 import re
 import socket
@@ -16,11 +16,11 @@ def test_a_process_finds_itself_by_name_and_by_address():
     assert (place.index, place.count) == (1, 3)
     assert (place.host, place.port) == ("nowhere.invalid", DEFAULT_PORT)
     assert place.address == f"nowhere.invalid:{DEFAULT_PORT}"
-    # Of addresses for documentation no machine has one.
+    # No machine has this address, which is reserved for documentation.
     assert place_in("192.0.2.7:4000,127.0.0.1").index == 1
 
 
-def test_a_file_of_hosts(tmp_path):
+def test_a_file_of_hosts_has_one_on_each_line(tmp_path):
     file = tmp_path / "hosts"
     file.write_text("first:5000  # leads\n\n# a comment\nsecond\n third \n")
     place = place_in(str(file), 2)
@@ -37,41 +37,41 @@ def test_a_file_of_hosts(tmp_path):
         ("fe80::1,b", "fe80::1", DEFAULT_PORT),
     ],
 )
-def test_addresses_of_ipv6(text, host, port):
+def test_only_ipv6_addresses_in_brackets_have_a_port(text, host, port):
     assert place_in(text, 0)[2:4] == (host, port)
 
 
 @pytest.mark.parametrize(
     ("text", "process", "words"),
     [
-        ("a,,b", 0, "--hosts a,,b: there is nothing between two commas, or at an end; write"),
-        ("a,b,", 0, "there is nothing between two commas, or at an end"),
+        ("a,,b", 0, "--hosts a,,b: a name is missing before or after a comma. Write HOST"),
+        ("a,b,", 0, "a name is missing before or after a comma"),
         ("a:0,b", 0, "--hosts: a:0: the port must be from 1 to 65535"),
         ("a:65536,b", 0, "the port must be from 1 to 65535"),
         ("a:http,b", 0, "the port must be from 1 to 65535"),
         ("a:,b", 0, "the port must be from 1 to 65535"),
-        ("[::1,b", 0, "--hosts: [::1: an address in brackets is written [HOST]:PORT"),
-        ("[::1]5,b", 0, "an address in brackets is written [HOST]:PORT"),
+        ("[::1,b", 0, "--hosts: [::1: write an address in brackets as [HOST]:PORT"),
+        ("[::1]5,b", 0, "write an address in brackets as [HOST]:PORT"),
         ("a,b:5000", 0, "--hosts: b:5000: only the first host, the lead, may have a port"),
-        ("a,b c", 0, "--hosts: host 2 is 'b c', which is no name of a host"),
-        (":5000,b", 0, "--hosts: host 1 is '', which is no name of a host"),
+        ("a,b c", 0, "--hosts: host 2 is 'b c', which is not the name of a host"),
+        (":5000,b", 0, "--hosts: host 1 is '', which is not the name of a host"),
         ("a,b", 2, "--process 2: --hosts names 2 process(es), counted from 0"),
-        ("localhost,127.0.0.1", None, "--hosts: 2 of them are this machine, localhost, 127.0.0.1;"),
+        ("localhost,127.0.0.1", None, "--hosts: 2 of them are this machine, localhost, 127.0.0.1."),
         (
             "a.invalid,b.invalid",
             None,
-            f"--hosts: none of a.invalid, b.invalid is this machine, {HERE}; say which of them it "
-            "is: --process I, counted from 0",
+            f"--hosts: none of a.invalid, b.invalid is this machine, {HERE}. Give the place of "
+            "this process with --process I, counted from 0",
         ),
     ],
 )
-def test_what_is_wrong_with_a_list_is_said(text, process, words):
+def test_wrong_lists_are_refused(text, process, words):
     with pytest.raises(UsageError, match=re.escape(words)):
         place_in(text, process)
 
 
-def test_an_empty_file(tmp_path):
+def test_a_file_without_hosts_is_refused(tmp_path):
     file = tmp_path / "hosts"
-    file.write_text("# nobody\n")
-    with pytest.raises(UsageError, match="names no host; write one on each line"):
+    file.write_text("# none\n")
+    with pytest.raises(UsageError, match=r"names no host\. Write one on each line"):
         place_in(str(file))

@@ -1,4 +1,4 @@
-"""Control-C at moments at which Python would lose it, or die of it."""
+"""Control-C at moments at which Python would lose the interrupt or crash."""
 
 import signal
 import sys
@@ -10,19 +10,19 @@ import pytest
 from evo_cpg.cli import interrupts, main
 from evo_cpg.cli.interrupts import interrupts_delivered
 
-LONG = 20.0  # s; an interrupt comes in a hundredth of one
+LONG = 20.0  # s. An interrupt takes 0.01 s.
 
 
 @pytest.fixture(autouse=True)
 def python_as_it_starts():
-    """A shell that runs the tests in the background has them ignore control-C."""
+    """Restore Python's handler, because tests in the background of a shell ignore control-C."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
 
 
 def assert_interrupted_afterwards(key):
-    """Not while the key is hashed, but soon after."""
+    """Check that an interrupt does not come while a key is hashed, but soon after."""
     known = {}
     with interrupts_delivered(), pytest.raises(KeyboardInterrupt):
         known[key] = "there"
@@ -30,7 +30,7 @@ def assert_interrupted_afterwards(key):
     assert list(known.values()) == ["there"]
 
 
-def test_it_waits_until_a_key_is_hashed():
+def test_an_interrupt_waits_until_a_key_is_hashed():
     class Key:
         def __hash__(self):
             signal.raise_signal(signal.SIGINT)
@@ -43,8 +43,8 @@ def test_it_waits_until_a_key_is_hashed():
     assert_interrupted_afterwards(Key())
 
 
-def test_it_waits_longer_than_a_moment(monkeypatch):
-    """Each try comes while the thread of the one before has not ended, as on a busy machine."""
+def test_an_interrupt_is_repeated_until_it_is_delivered(monkeypatch):
+    """Each try starts before the thread of the earlier try ends, as on a busy machine."""
     tried, kill, end = [], signal.pthread_kill, time.monotonic() + LONG
 
     def slowly(thread, number):
@@ -64,7 +64,7 @@ def test_it_waits_longer_than_a_moment(monkeypatch):
     assert_interrupted_afterwards(Key())
 
 
-def test_one_that_was_forgotten_comes_again():
+def test_a_dropped_interrupt_is_sent_again():
     class Dying:
         def __del__(self):
             raise KeyboardInterrupt
@@ -78,9 +78,9 @@ def test_one_that_was_forgotten_comes_again():
     assert passed
 
 
-def test_another_error_that_cannot_be_raised_is_told_as_before(monkeypatch):
-    told = []
-    monkeypatch.setattr(sys, "unraisablehook", told.append)
+def test_other_unraisable_errors_reach_the_earlier_hook(monkeypatch):
+    reported = []
+    monkeypatch.setattr(sys, "unraisablehook", reported.append)
 
     class Dying:
         def __del__(self):
@@ -89,10 +89,10 @@ def test_another_error_that_cannot_be_raised_is_told_as_before(monkeypatch):
     with interrupts_delivered():
         dying = Dying()
         del dying
-    assert [str(each.exc_value) for each in told] == ["an error of theirs"]
+    assert [str(each.exc_value) for each in reported] == ["an error of theirs"]
 
 
-def test_afterwards_all_is_as_before(monkeypatch):
+def test_hook_and_handler_are_restored(monkeypatch):
     hook = sys.unraisablehook
     with interrupts_delivered():
         assert sys.unraisablehook is not hook
@@ -102,14 +102,14 @@ def test_afterwards_all_is_as_before(monkeypatch):
         signal.raise_signal(signal.SIGINT)
 
 
-def test_who_ignores_it_goes_on_ignoring_it():
+def test_ignored_interrupts_stay_ignored():
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with interrupts_delivered():
         signal.raise_signal(signal.SIGINT)
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
-def test_in_a_thread_nothing_is_installed():
+def test_a_thread_installs_no_handler():
     found = []
 
     def look():
@@ -123,8 +123,8 @@ def test_in_a_thread_nothing_is_installed():
 
 
 @pytest.mark.parametrize(("waits", "code"), [(True, None), (False, 0)])
-def test_a_process_leaves_threads_alone_once_told(monkeypatch, waits, code):
-    """Who skips what still compiles does not wait for it at the end."""
+def test_a_process_can_end_without_waiting_for_threads(monkeypatch, waits, code):
+    """A skipped compilation does not delay the end of the process."""
 
     def end():
         raise SystemExit(0)

@@ -1,4 +1,4 @@
-"""Walkers with many legs train as native code, with nothing compiled before and a usual stack."""
+"""Walkers with many legs train in native code, with an empty cache and a usual stack."""
 
 import os
 import subprocess
@@ -10,9 +10,9 @@ from benchmarks.large_bodies import walker
 from evo_cpg.config.yaml_text import to_yaml
 from tiny_run import REPOSITORY
 
-# Size of the stack that Linux gives a program unless the shell says otherwise, KiB.
+# Default size of a program's stack on Linux, KiB.
 STACK = 8192
-# What the tests set for themselves.
+# Variables that the test session sets.
 OWN = ("JAX_COMPILATION_CACHE_DIR", "JAX_ENABLE_COMPILATION_CACHE", "NPROC", "XLA_FLAGS")
 
 

@@ -1,4 +1,4 @@
-"""While a process writes into a run folder, other commands leave the folder as it is."""
+"""While a process writes to a run folder, other commands do not change the folder."""
 
 import os
 import shutil
@@ -24,7 +24,7 @@ def run(finished_run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("command", "way_out"),
+    ("command", "option"),
     [
         (("resume", "--generations", 90), ""),
         (("refine", "--rounds", 1), ""),
@@ -36,39 +36,39 @@ def run(finished_run, tmp_path):
         (("audit",), ""),
     ],
 )
-def test_a_command_that_writes_is_refused(cli, run, command, way_out):
+def test_a_command_that_writes_is_refused(cli, run, command, option):
     with RunFolder(run).locked():
         before = contents(run)
         code, out, err = cli(command[0], run, *command[1:])
         assert contents(run) == before
     assert (code, out) == (2, "")
     assert err.startswith(f"evo-cpg: {run} is in use by process {os.getpid()} on ")
-    end = f", or write elsewhere with {way_out}\n" if way_out else ", or end it\n"
+    end = f", or write elsewhere with {option}\n" if option else ", or end it\n"
     assert err.endswith(end) and err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
     "command", [("resume", "--distributed", "--local", 2), ("render", "-o", "{run}/videos/x.mp4")]
 )
-def test_options_do_not_open_a_locked_run(cli, run, command):
+def test_no_option_opens_a_locked_run(cli, run, command):
     given = [str(word).format(run=run) for word in command[1:]]
     with RunFolder(run).locked():
         code, _, err = cli(command[0], run, *given)
     assert code == 2 and f"{run} is in use by process" in err
 
 
-def test_a_command_that_only_reads_is_not_kept_off(cli, run, tmp_path):
+def test_a_command_that_only_reads_is_allowed(cli, run, tmp_path):
     with RunFolder(run).locked():
         before = contents(run)
         assert cli("watch", run, "--once", "--no-picture")[0] == 0
         assert cli("export", run, tmp_path / "model.xml")[0] == 0
         assert cli("analyse", run, "--out", tmp_path / "x.html", "--trial", 7)[2].startswith(
-            "evo-cpg: --trial: an individual of"
+            f"evo-cpg: --trial: {run} has 1 trial(s)"
         )
         assert contents(run) == before
 
 
-def test_a_new_run_is_refused_where_one_begins(cli, tmp_path):
+def test_two_runs_cannot_start_in_one_folder(cli, tmp_path):
     folder = tmp_path / "run"
     with RunFolder(folder).locked(new=True):
         code, _, err = cli("train", CONFIG, *PAIR, "--out", folder)
@@ -78,7 +78,7 @@ def test_a_new_run_is_refused_where_one_begins(cli, tmp_path):
         assert [path.name for path in folder.iterdir()] == [".lock"]
 
 
-def test_what_was_interrupted_is_left_to_who_works_there(run):
+def test_the_holder_of_the_lock_finishes_an_interrupted_write(run):
     decided = run / ".decided"
     decided.mkdir()
     (decided / "config.yaml").write_text("name: new\n")
@@ -87,7 +87,7 @@ def test_what_was_interrupted_is_left_to_who_works_there(run):
         assert not decided.exists() and (run / "config.yaml").read_text() == "name: new\n"
 
 
-def test_what_another_process_has_decided_stays(run, monkeypatch):
+def test_an_interrupted_write_of_another_process_is_left_alone(run, monkeypatch):
     (run / ".decided").mkdir()
     (run / ".decided" / "config.yaml").write_text("name: new\n")
     monkeypatch.setattr("evo_cpg.locks.holds", lambda folder: False)
@@ -99,7 +99,7 @@ def test_what_another_process_has_decided_stays(run, monkeypatch):
     assert not (run / ".decided").exists()
 
 
-def test_a_sweep_is_refused_while_another_is_at_work(cli, tmp_path):
+def test_a_sweep_is_refused_while_another_command_runs_it(cli, tmp_path):
     folder = tmp_path / "sweep"
     words = (CONFIG, *PAIR, "--grid", "seed=1,2", "--out", folder)
     with claimed(folder, None):
@@ -108,7 +108,7 @@ def test_a_sweep_is_refused_while_another_is_at_work(cli, tmp_path):
         assert [path.name for path in folder.iterdir()] == [".lock"]
 
 
-def test_a_sweep_leaves_a_setting_that_is_resumed(cli, tmp_path):
+def test_a_sweep_is_refused_while_one_of_its_runs_is_in_use(cli, tmp_path):
     folder = tmp_path / "sweep"
     settings = [Setting(f"seed={seed}", {"seed": seed}) for seed in (1, 2)]
     claim(folder, new_plan(CONFIG, PAIR, settings))

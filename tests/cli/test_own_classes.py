@@ -1,4 +1,4 @@
-"""A user's own task and controller, in a module beside the config, train without a fork."""
+"""A user's own task and controller, in a module next to the configuration, can be trained."""
 
 import hashlib
 import importlib
@@ -13,7 +13,7 @@ import yaml
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, REPOSITORY
 
-# The controller's example in the documentation of `Controller`, and a race along x.
+# The example in the documentation of `Controller`, and a race along x.
 MODULE = """
 import equinox as eqx
 import jax
@@ -62,10 +62,10 @@ class Variometer(Sensor):
     def sense(self, snapshot, forces):
         return snapshot.state.velocity[5:6] * SCALE
 
-class Slopeless(GoForward):
+class NoGradient(GoForward):
     def fitness(self, terms, scales):
         distance = super().fitness(terms, scales)
-        # The slope of a root at 0 is infinite, and 0 times that is no number.
+        # The derivative of a root at 0 is infinite, and 0 times infinity is not a number.
         return distance + jnp.sqrt(0 * distance)
 """
 
@@ -82,7 +82,7 @@ SETTINGS = (
 
 
 def race(folder: Path, task: dict[str, Any]) -> Path:
-    """A configuration with the module beside it."""
+    """Write a configuration and, next to it, the module."""
     config = yaml.safe_load(CONFIG.read_text())
     config["creature"] = str(REPOSITORY / "configs" / config["creature"])
     config["controller"] = {"type": "my_animal:SineController"}
@@ -97,8 +97,8 @@ def race(folder: Path, task: dict[str, Any]) -> Path:
 
 
 @pytest.fixture
-def anew(cli) -> Callable:
-    """Call `evo-cpg` in this process, which imports modules beside the config each time anew."""
+def fresh_cli(cli) -> Callable:
+    """Return a function that calls `evo-cpg` and imports the user's modules again each time."""
 
     def call(*arguments: object):
         path = list(sys.path)
@@ -113,7 +113,7 @@ def anew(cli) -> Callable:
     return call
 
 
-def test_a_task_and_a_controller_of_ones_own_train_and_verify(finish, tmp_path):
+def test_an_own_task_and_controller_train_and_verify(finish, tmp_path):
     race(tmp_path, {"type": "my_animal:GoForward", "options": {"bonus": 5.0}})
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
     elsewhere.mkdir()
@@ -127,33 +127,33 @@ def test_a_task_and_a_controller_of_ones_own_train_and_verify(finish, tmp_path):
     assert abs(champion.fitness - champion.terms["distance"] - 5.0) < 1e-6
     code, out, err = finish("verify", run, folder=elsewhere)
     assert code == 0, err
-    assert out.endswith("comes out as recorded (exactly)\n")
+    assert out.endswith("is as recorded (exactly)\n")
 
 
 @pytest.mark.slow
-def test_a_fitness_without_slopes_is_not_refined_in_silence(anew, tmp_path):
-    config = race(tmp_path, {"type": "my_animal:Slopeless", "options": {"bonus": 0.0}})
+def test_refine_reports_a_fitness_without_gradient(fresh_cli, tmp_path):
+    config = race(tmp_path, {"type": "my_animal:NoGradient", "options": {"bonus": 0.0}})
     run = tmp_path / "run"
-    code, _, err = anew("train", config, *SETTINGS, "--out", run, "--cores", 1)
+    code, _, err = fresh_cli("train", config, *SETTINGS, "--out", run, "--cores", 1)
     assert code == 0, err
     folder = RunFolder(run)
     changed = folder.config.read_text().replace("bonus: 0.0", "bonus: 1.0")
     folder.config.write_text(changed)
     recorded = folder.load_champion()[0].fitness
-    code, out, err = anew("refine", run, "--rounds", 1, "--steps", 2, "--cores", 1)
+    code, out, err = fresh_cli("refine", run, "--rounds", 1, "--steps", 2, "--cores", 1)
     assert (code, out) == (0, f"{run}\n")
-    # 48 on each of the two devices of this process.
-    assert "96 slopes, 96 not finite" in err
-    assert "no slope was finite" in err
-    # It tells as well that somebody made the world an easier one since.
+    # Each of the two devices of this process computes 48 gradients.
+    assert "96 gradients, 96 not finite" in err
+    assert "no gradient was finite" in err
+    # The changed configuration gives another fitness, which is reported, too.
     assert f"fitness is {recorded + 1:.4f} here, not {recorded:.4f} as recorded" in err
 
 
-def test_resume_says_what_changed_since_the_run_began(anew, tmp_path):
+def test_resume_names_changes_of_configuration_and_code(fresh_cli, tmp_path):
     config = race(tmp_path, {"type": "my_animal:GoForward", "options": {"bonus": 0.0}})
     sensors = "creature.sensors=[{type: 'my_animal:Variometer'}]"
     run = tmp_path / "run"
-    code, _, err = anew("train", config, *SETTINGS, sensors, "--out", run, "--cores", 1)
+    code, _, err = fresh_cli("train", config, *SETTINGS, sensors, "--out", run, "--cores", 1)
     assert code == 0, err
     folder = RunFolder(run)
     kept = folder.read_meta()["fingerprint"]
@@ -162,15 +162,15 @@ def test_resume_says_what_changed_since_the_run_began(anew, tmp_path):
         path.stem: hashlib.sha256(path.read_bytes()).hexdigest()
         for path in (scale, scale.with_name("my_animal.py"))
     }
-    code, _, err = anew("resume", run, "--generations", 3)
+    code, _, err = fresh_cli("resume", run, "--generations", 3)
     assert code == 0 and "warning" not in err, err
     folder.config.write_text(folder.config.read_text().replace("bonus: 0.0", "bonus: 1.0"))
     scale.write_text("SCALE = 0.25\n")
-    code, _, err = anew("resume", run, "--generations", 4)
+    code, _, err = fresh_cli("resume", run, "--generations", 4)
     assert code == 0, err
     assert err.startswith(
         f"evo-cpg: warning: {run}: changed since the run was last started: task.options, the "
-        "source of my_scale; "
+        "source of my_scale. The run continues with the changes\n"
     )
-    code, _, err = anew("resume", run, "--generations", 4)
+    code, _, err = fresh_cli("resume", run, "--generations", 4)
     assert code == 0 and "warning" not in err, err

@@ -1,4 +1,4 @@
-"""`evo-cpg probe` on a tiny run: its table, its picture, and what it refuses."""
+"""`evo-cpg probe` on a tiny run: its table, its picture, and its errors."""
 
 import csv
 import shutil
@@ -30,22 +30,22 @@ def probed(finished_run, cli, tmp_path_factory):
     return folder, out
 
 
-def test_it_prints_a_table_a_summary_and_its_files(probed):
+def test_probe_prints_a_table_a_summary_and_its_files(probed):
     folder, out = probed
     found = rows(folder / "probe.csv")
     *table, summary, file, picture = out.splitlines()
     assert (file, picture) == (str(folder / "probe.csv"), str(folder / "probe.png"))
     reached = sum(row["reached"] for row in found)
-    assert summary.startswith(f"{reached:.0f} of 6 lights reached ({reached / 6:.0%}): at most")
+    assert summary.startswith(f"{reached:.0f} of 6 lights reached ({reached / 6:.0%}), with at")
     assert all(f"{row['distance']:.1%}" in "\n".join(table) for row in found)
     assert 0.01 < ink(folder / "probe.png") < 0.5
 
 
-def test_the_table_says_what_was_asked_and_what_came_of_it(probed):
+def test_the_table_has_the_requested_lights_and_the_results(probed):
     found = rows(probed[0] / "probe.csv")
     lights = [(row["bearing_deg"], row["start_distance"]) for row in found]
-    asked = [(b, d) for d in (3, 5) for b in (-60, 0, 60)]
-    np.testing.assert_allclose(lights, asked, atol=1e-9)
+    requested = [(b, d) for d in (3, 5) for b in (-60, 0, 60)]
+    np.testing.assert_allclose(lights, requested, atol=1e-9)
     for row in found:
         assert row["distance_left"] == pytest.approx(row["distance"] * row["start_distance"])
         assert row["reached"] == (row["distance"] <= 0.97)
@@ -53,7 +53,7 @@ def test_the_table_says_what_was_asked_and_what_came_of_it(probed):
     assert len({row["light"] for row in found}) == 6
 
 
-def test_a_row_is_that_of_a_probe_of_its_light_alone(finished_run, cli, probed, tmp_path):
+def test_a_light_has_the_same_result_alone_and_among_others(finished_run, cli, probed, tmp_path):
     alone = ("--bearings", "60", "--distances", "5", "--reach", "0.97")
     code, _, err = cli("probe", finished_run, *alone, "--out", tmp_path)
     assert code == 0, err
@@ -61,7 +61,7 @@ def test_a_row_is_that_of_a_probe_of_its_light_alone(finished_run, cli, probed, 
     assert row == pytest.approx(rows(probed[0] / "probe.csv")[-1], rel=1e-5)
 
 
-def test_its_own_trials_come_out_as_in_training(finished_run, cli, tmp_path):
+def test_trials_of_the_configuration_give_the_terms_of_training(finished_run, cli, tmp_path):
     code, _, err = cli("probe", finished_run, "--trials", "--out", tmp_path)
     assert code == 0, err
     missed = (
@@ -75,10 +75,10 @@ def test_its_own_trials_come_out_as_in_training(finished_run, cli, tmp_path):
     assert row["light"] == pytest.approx(champion.terms["light"], rel=1e-4)
 
 
-def test_the_blind_see_nothing_and_have_files_of_their_own(finished_run, cli, probed, tmp_path):
+def test_a_blind_probe_has_its_own_files_and_sees_no_light(finished_run, cli, probed, tmp_path):
     code, out, err = cli("probe", finished_run, *LIGHTS, "--blind", "--out", tmp_path)
     assert code == 0, err
-    assert f"warning: {finished_run}: the champion: it " in err or "blind it keeps" in out
+    assert f"warning: {finished_run}: the champion: it " in err or "blinded, it keeps" in out
     found = rows(tmp_path / "probe_blind.csv")
     assert out.splitlines()[-1] == str(tmp_path / "probe_blind.png")
     assert all(row["light"] == 0 for row in found)
@@ -90,7 +90,7 @@ def test_the_blind_see_nothing_and_have_files_of_their_own(finished_run, cli, pr
 
 
 def made_of(bearings: list[float], left: list[float]) -> Probe:
-    """Lights 5 m away, and the share of the distance that is left of each."""
+    """Return a probe of lights at 5 m, with the given fractions of the distance left."""
     start = Situation((0.0, 0.0, 0.0), 0.0, (5.0, 0.0, 0.0))
     situations = around(start, np.deg2rad(bearings))
     count = len(left)
@@ -111,25 +111,25 @@ def made_of(bearings: list[float], left: list[float]) -> Probe:
         ([0.9, 0.9, 0.9, np.nan], "it misses most lights: it reaches 0 of 4"),
     ],
 )
-def test_who_misses_most_lights_is_told(left, words):
+def test_missing_most_lights_is_a_warning(left, words):
     assert missed(made_of([-60, -20, 20, 60], left), 0.2) == words
 
 
 @pytest.mark.parametrize(
     ("left", "words"),
     [
-        ([0.25, 0.25], "it does not use its eyes: blind it keeps 83% of its displacement"),
-        ([0.1, 0.1], "it does not use its eyes: blind it keeps 100% of its displacement"),
+        ([0.25, 0.25], "it does not use its eyes: blinded, it keeps 83% of its displacement"),
+        ([0.1, 0.1], "it does not use its eyes: blinded, it keeps 100% of its displacement"),
         ([0.9, 0.3], ""),
         ([2.0, np.nan], ""),
     ],
 )
-def test_who_does_without_its_eyes_is_told(left, words):
+def test_unused_eyes_are_a_warning(left, words):
     found = unseeing(made_of([-30, 30], [0.1, 0.1]), made_of([-30, 30], left))
     assert found.startswith(words) and bool(found) == bool(words)
 
 
-def test_who_gets_nowhere_cannot_be_compared():
+def test_an_animal_without_displacement_cannot_be_compared():
     lost = made_of([-30, 30], [1.0, 1.1])
     assert "nothing to compare" in unseeing(lost, lost)
 
@@ -139,20 +139,20 @@ def test_who_gets_nowhere_cannot_be_compared():
     [
         (["--bearings", "left"], "--bearings: 'left' is neither START:STOP:COUNT, such as -75:75"),
         (["--bearings", "0:90"], "--bearings: '0:90' is neither START:STOP:COUNT"),
-        (["--bearings", "0:90:0"], "nor a list, such as -60,0,60; at most 10000 numbers"),
+        (["--bearings", "0:90:0"], "a list, such as -60,0,60. Allowed: at most 10000 numbers"),
         (["--bearings", "0:90:20000"], "--bearings: '0:90:20000' is neither"),
-        (["--bearings", "0:90:10000000000000"], "nor a list, such as -60,0,60; at most 10000"),
-        (["--bearings", "0:9:200", "--distances", "1:9:100"], "20000 lights; allowed: up to 10000"),
+        (["--bearings", "0:90:10000000000000"], "such as -60,0,60. Allowed: at most 10000"),
+        (["--bearings", "0:9:200", "--distances", "1:9:100"], "20000 lights. Allowed: up to 10000"),
         (["--distances", ""], "--distances: '' is neither START:STOP:COUNT"),
         (["--distances", "nan"], "--distances: 'nan' is neither START:STOP:COUNT"),
         (["--distances", "3,-2"], "--distances: must be greater than 0, got -2"),
         (["--distances", "1e9"], "--bearings, --distances: -75 degrees, 1e+09 m: the light at"),
-        (["--trials", "--bearings", "0"], "leave out --bearings and --distances, or it"),
-        (["--run", "3"], "holds 1 run(s), counted from 0"),
+        (["--trials", "--bearings", "0"], "Leave out --bearings and --distances, or --trials"),
+        (["--run", "3"], "has 1 run(s), counted from 0"),
         (["--out", "/proc/no/where"], "cannot write /proc/no/where ("),
     ],
 )
-def test_what_makes_no_sense_is_refused(finished_run, cli, options, words):
+def test_wrong_options_are_refused(finished_run, cli, options, words):
     code, out, err = cli("probe", finished_run, *options)
     assert (code, out) == (2, "") and words in err and err.count("\n") == 1
 
@@ -165,4 +165,4 @@ def test_a_task_without_a_light_cannot_be_probed(finished_run, cli, tmp_path):
     (copy / "config.yaml").write_text(yaml.safe_dump(config))
     code, out, err = cli("probe", copy)
     assert (code, out) == (2, "")
-    assert err == f"evo-cpg: {copy}: its task has no light, so there is none to look for\n"
+    assert err == f"evo-cpg: {copy}: its task has no light, so there is nothing to probe\n"

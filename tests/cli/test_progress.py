@@ -1,4 +1,4 @@
-"""Nobody waits in silence: what is said when, by a clock that the test turns."""
+"""Progress lines: their texts and times, with a clock that the test sets."""
 
 import io
 import itertools
@@ -15,13 +15,13 @@ from evo_cpg.api.display import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
 
 @pytest.fixture
 def impatient(monkeypatch):
-    """Lines come soon."""
+    """Print lines soon."""
     monkeypatch.setattr(module, "_LOOK", 0.001)
     monkeypatch.setattr(module, "FIRST", 0.25)
 
 
 class Clock:
-    """A clock that the test sets."""
+    """Clock that the test sets."""
 
     def __init__(self, now: float = 0.0):
         self.now = now
@@ -31,7 +31,7 @@ class Clock:
 
 
 class Timed(Heartbeat):
-    """A heartbeat by a clock that the test sets."""
+    """Heartbeat with a clock that the test sets."""
 
     def __init__(self, what: str, now: float = 0.0, **given: Any):
         self.clock = Clock(now)
@@ -43,34 +43,34 @@ class Timed(Heartbeat):
 
 
 def lines_of(heartbeat: Timed, seconds: float, step: float = 0.25) -> list[tuple[float, str]]:
-    """What is said, and when, by who looks at the clock every ``step``."""
+    """Return the times and texts of all lines, if the heartbeat is checked every ``step``."""
     instants = [tick * step for tick in range(int(seconds / step) + 1)]
-    said = [(instant, heartbeat.due_at(instant)) for instant in instants]
-    return [(instant, line) for instant, line in said if line is not None]
+    lines = [(instant, heartbeat.due_at(instant)) for instant in instants]
+    return [(instant, line) for instant, line in lines if line is not None]
 
 
-def test_short_work_says_nothing():
+def test_short_work_prints_nothing():
     assert lines_of(Timed("compiling"), FIRST - 0.3) == []
 
 
-def test_long_work_is_never_silent_for_longer_than_that():
-    """The thread may come late by as much as lies between the two limits."""
-    said = lines_of(Timed("compiling"), 100.0)
-    instants = [0.0, *(instant for instant, _ in said), 100.0]
+def test_long_work_prints_a_line_within_the_longest_silence():
+    """The difference of the two limits allows for a late thread."""
+    lines = lines_of(Timed("compiling"), 100.0)
+    instants = [0.0, *(instant for instant, _ in lines), 100.0]
     assert max(b - a for a, b in itertools.pairwise(instants)) <= BETWEEN + 0.25
     assert BETWEEN + 0.25 < LONGEST_SILENCE
-    assert len(said) <= 1 + 100 / BETWEEN
-    assert said[0][1] == "compiling: 5 s so far"
-    assert said[1][1] == "compiling: 13 s so far"
+    assert len(lines) <= 1 + 100 / BETWEEN
+    assert lines[0][1] == "compiling: 5 s so far"
+    assert lines[1][1] == "compiling: 13 s so far"
 
 
-def test_work_that_follows_other_work_adds_to_its_silence():
-    """What was said last counts, not when this work began."""
+def test_silence_is_counted_from_the_last_line():
+    """The start of this work does not count if an earlier line was printed."""
     assert Timed("b", 7.0, printed=1.0).due_at(1.0 + BETWEEN) == f"b: {BETWEEN - 6:.0f} s so far"
     assert Timed("b", 7.0, printed=6.0).due_at(7.0 + FIRST - 0.1) is None
 
 
-def test_a_line_says_how_far_it_is_and_how_long_it_will_take():
+def test_a_line_has_the_progress_and_the_remaining_time():
     heartbeat = Timed("rendering")
     heartbeat.reached(50, 200)
     assert heartbeat.due_at(20.0) == "rendering: 50/200, 20 s, about 60 s to go"
@@ -83,8 +83,8 @@ def test_a_line_says_how_far_it_is_and_how_long_it_will_take():
     assert heartbeat.due_at(80.0) == "writing: 15 s so far"
 
 
-def test_a_line_says_how_long_is_left_where_it_was_measured():
-    """Beyond what was expected nothing is promised any more."""
+def test_a_line_has_the_remaining_time_if_one_is_expected():
+    """After the expected time, a line has no remaining time."""
     heartbeat = Timed("compiling", expected=30.0)
     assert heartbeat.due_at(10.0) == "compiling: 10 s, about 20 s to go"
     assert heartbeat.due_at(29.5) == "compiling: 30 s so far"
@@ -96,8 +96,8 @@ def test_a_line_says_how_long_is_left_where_it_was_measured():
     assert heartbeat.due_at(70.0) == "drawing: 10 s so far"
 
 
-def test_what_somebody_else_says_counts():
-    """A generation that was reported is no silence, and the next one begins with it."""
+def test_other_lines_end_the_silence():
+    """The silence of a generation starts at the report of the earlier generation."""
     heartbeat = Timed("generation 1")
     heartbeat.clock.now = 4.9
     heartbeat.say("generation 1")
@@ -107,35 +107,35 @@ def test_what_somebody_else_says_counts():
     assert heartbeat.due_at(4.9 + BETWEEN) == f"generation 2: {BETWEEN:.0f} s so far"
 
 
-def test_the_thread_says_what_is_due_and_ends_with_the_work(impatient):
-    """By a clock that runs a hundred times as fast."""
-    start, said = time.monotonic(), []
+def test_the_thread_prints_due_lines_and_ends_with_the_work(impatient):
+    """The clock runs a hundred times as fast."""
+    start, lines = time.monotonic(), []
 
     def clock() -> float:
         return 100 * (time.monotonic() - start)
 
-    spoken = threading.Event()
+    printed = threading.Event()
 
-    def say(line: str) -> None:
-        said.append(line)
-        spoken.set()
+    def write(line: str) -> None:
+        lines.append(line)
+        printed.set()
 
-    with Heartbeat("compiling", clock=clock).beating(say):
-        assert spoken.wait(10)
-    assert said[0].startswith("compiling: ")
-    count = len(said)
+    with Heartbeat("compiling", clock=clock).beating(write):
+        assert printed.wait(10)
+    assert lines[0].startswith("compiling: ")
+    count = len(lines)
     time.sleep(0.2)
-    assert len(said) == count
+    assert len(lines) == count
     assert "heartbeat" not in {thread.name for thread in threading.enumerate()}
 
 
-def test_the_thread_ends_where_the_work_fails():
+def test_the_thread_ends_if_the_work_fails():
     with pytest.raises(ValueError, match="no"), Heartbeat("x").beating(print):
         raise ValueError("no")
     assert "heartbeat" not in {thread.name for thread in threading.enumerate()}
 
 
-def test_work_in_a_pipe_is_lines_on_standard_error(impatient, capsys):
+def test_work_in_a_pipe_prints_lines_to_standard_error(impatient, capsys):
     with module.working("rendering", counted=True) as work:
         work.reached(3, 4)
         time.sleep(0.8)
@@ -144,7 +144,7 @@ def test_work_in_a_pipe_is_lines_on_standard_error(impatient, capsys):
     assert err == "rendering: 3/4, 0 s, about 0 s to go\n"
 
 
-def test_steps_in_a_pipe_are_lines_with_what_comes_first(impatient, capsys):
+def test_steps_in_a_pipe_print_lines(impatient, capsys):
     with module.progress("generations", 3, 1, "compiling") as show:
         time.sleep(0.8)
         show("best 2", 0.5)
@@ -154,8 +154,8 @@ def test_steps_in_a_pipe_are_lines_with_what_comes_first(impatient, capsys):
     )
 
 
-def test_on_a_terminal_it_is_one_line_that_moves(monkeypatch):
-    """It shows what is done with its brackets, and goes when the work is done."""
+def test_a_terminal_shows_one_moving_line(monkeypatch):
+    """The line keeps brackets in the name of the work, and disappears after the work."""
     screen = io.StringIO()
 
     def terminal(**_):

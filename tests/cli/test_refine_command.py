@@ -1,4 +1,4 @@
-"""`refine` leaves a run whose champion is better and verified like any other."""
+"""`evo-cpg refine`: the champion is better and can be verified."""
 
 import csv
 import shutil
@@ -34,10 +34,10 @@ def test_the_champion_is_better_and_verified(refined, finished_run, cli):
     assert "   1/1 rounds  fitness" in err
     code, out, err = cli("verify", folder.path)
     assert (code, err) == (0, "")
-    assert out.endswith("comes out as recorded (exactly)\n")
+    assert out.endswith("is as recorded (exactly)\n")
 
 
-def test_the_folder_tells_what_was_gained_and_what_was_there_before(refined, finished_run):
+def test_the_folder_records_the_gain_and_keeps_the_earlier_champion(refined, finished_run):
     folder, _ = refined
     with (folder.path / "refine.csv").open() as file:
         (row,) = csv.DictReader(file)
@@ -50,13 +50,13 @@ def test_the_folder_tells_what_was_gained_and_what_was_there_before(refined, fin
         assert set(kept) == set(began)
         for name in kept:
             np.testing.assert_array_equal(kept[name], began[name])
-    (told,) = refinements(folder.read_meta())
+    (done,) = refinements(folder.read_meta())
     began = RunFolder(finished_run).load_champion()[0]
-    assert (told["from"], told["to"]) == (pytest.approx(began.fitness), champion.fitness)
-    assert told["command"][0] == "refine" and str(folder.path) in told["command"]
+    assert (done["from"], done["to"]) == (pytest.approx(began.fitness), champion.fitness)
+    assert done["command"][0] == "refine" and str(folder.path) in done["command"]
 
 
-def test_evolution_goes_on_from_it(refined, cli, tmp_path):
+def test_evolution_continues_from_the_refined_champion(refined, cli, tmp_path):
     folder = RunFolder(shutil.copytree(refined[0].path, tmp_path / "run"))
     done = folder.load()
     assert done is not None
@@ -90,7 +90,7 @@ def test_numbers_of_the_configuration_are_refined_with_the_genes(finished_run, c
     assert out.endswith("(exactly)\n")
 
 
-def test_a_world_that_is_not_allowed_is_none():
+def test_a_forbidden_number_gives_no_experiment():
     key = "world.water.form_drag"
     config = load_config(CONFIG, TINY)
     free = _free(parametrise(config, CONFIG, [key]))
@@ -106,14 +106,14 @@ def test_an_unknown_number_is_named(finished_run, cli):
     assert "time_scal" in err and "time_scale" in err and "Traceback" not in err
 
 
-def test_what_is_no_run_is_refused(cli, tmp_path):
+def test_a_folder_without_a_run_is_refused(cli, tmp_path):
     code, out, err = cli("refine", tmp_path)
     assert (code, out) == (2, "")
     assert "is not a run folder" in err and "Traceback" not in err
 
 
 @pytest.mark.slow  # 4 min: the backward pass of a walker on the ground
-def test_postures_are_graded_from_then_on(cli, tmp_path):
+def test_refined_postures_stay_graded(cli, tmp_path):
     folder = RunFolder(tmp_path / "run")
     config = REPOSITORY / "configs" / "fukui2003_model1.yaml"
     settings = "simulation.steps=120", "evolution.generations=3"

@@ -1,4 +1,4 @@
-"""`evo-cpg render`: cameras, signals, the lineage of a run, runs beside each other."""
+"""`evo-cpg render`: cameras, signals, the lineage of a run, and runs side by side."""
 
 import shutil
 
@@ -15,7 +15,7 @@ SMALL = ("--size", "96x54", "--seconds", "0.2")
 
 @pytest.fixture(scope="module")
 def film(cli, tmp_path_factory):
-    """Make a picture: its size, and what was said."""
+    """Return a function that makes a picture and returns its size and the messages."""
     place = tmp_path_factory.mktemp("pictures") / "a.png"
 
     def made(*arguments):
@@ -38,7 +38,7 @@ def two_runs(cli, tmp_path_factory):
 
 @pytest.fixture
 def refuse(cli):
-    """What is complained of in a line."""
+    """Return a function that checks for an error and returns its message."""
 
     def refused(*arguments):
         code, out, err = cli("render", *arguments)
@@ -56,7 +56,7 @@ def test_the_lineage_of_a_run_is_in_its_folder(two_runs):
         own = [each for each in lineage if each.run == run]
         rows = [row for row in checkpoint.history if row["run"] == run]
         assert own[0].generation == 0
-        # A champion for every generation that found a better one, and nobody else.
+        # The lineage has one champion for each generation that found a better one.
         best = [row["champion"] for row in rows]
         better = [0] + [g for g in range(1, len(best)) if best[g] > best[g - 1]]
         assert [each.generation for each in own] == better
@@ -65,7 +65,7 @@ def test_the_lineage_of_a_run_is_in_its_folder(two_runs):
 
 
 @pytest.mark.slow
-def test_champions_on_the_way_stand_side_by_side(film, two_runs):
+def test_a_lineage_is_shown_side_by_side(film, two_runs):
     lineage = RunFolder(two_runs).load_lineage()
     count = {run: sum(each.run == run for each in lineage) for run in (0, 1)}
     size, err = film(two_runs, "--lineage", "0", "--run", 1)
@@ -74,13 +74,13 @@ def test_champions_on_the_way_stand_side_by_side(film, two_runs):
     size, err = film(two_runs, "--lineage", "auto")
     columns = {1: 1, 2: 2, 3: 3}.get(count[best], 2)
     assert size[0] == 100 * columns - 4 and err == ""
-    # Nobody is shown twice.
+    # No champion is shown twice.
     last = [each.generation for each in lineage if each.run == best][-1]
     size, _ = film(two_runs, "--lineage", f"{last},{last},4", "--signals", "--size", "160x110")
     assert size == (160, 110)
 
 
-def test_champions_of_several_generations_are_asked_for_by_their_numbers(film, two_runs):
+def test_lineage_selects_generations_by_number(film, two_runs):
     lineage = RunFolder(two_runs).load_lineage()
     own = {run: [each.generation for each in lineage if each.run == run] for run in (0, 1)}
     run, found = max(own.items(), key=lambda item: len(item[1]))
@@ -89,7 +89,8 @@ def test_champions_of_several_generations_are_asked_for_by_their_numbers(film, t
     assert size == (196, 54)
 
 
-def test_runs_stand_beside_each_other(film, two_runs, finished_run):
+@pytest.mark.slow
+def test_several_runs_are_shown_side_by_side(film, two_runs, finished_run):
     size, _ = film(two_runs, "--beside", finished_run, "--beside", two_runs, "--camera", "orbit")
     assert size == (296, 54)
     named, _ = film(two_runs, "--beside", finished_run, "--title", "small", "--title", "long")
@@ -97,7 +98,7 @@ def test_runs_stand_beside_each_other(film, two_runs, finished_run):
 
 
 @pytest.mark.slow
-def test_names_tell_what_a_film_shows(cli, finished_run, tmp_path):
+def test_the_name_of_a_film_contains_its_options(cli, finished_run, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(finished_run, run)
     for options, name in (
@@ -109,43 +110,45 @@ def test_names_tell_what_a_film_shows(cli, finished_run, tmp_path):
         assert (code, out) == (0, f"{run / 'videos' / name}\n"), err
 
 
-def test_what_changed_since_is_told(film, two_runs, tmp_path):
+def test_a_replay_with_another_fitness_is_a_warning(film, two_runs, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(two_runs, run)
     lineage = RunFolder(run).load_lineage()
     RunFolder(run).save_lineage([each._replace(fitness=each.fitness + 1) for each in lineage])
     _, err = film(run, "--lineage", "0")
-    assert "the champion of generation 0 comes to" in err and "as recorded" in err
+    assert "the champion of generation 0 replays with" in err and "as recorded" in err
 
 
 def test_wrong_lineages_are_refused(refuse, two_runs, tmp_path):
     assert refuse(two_runs, "--lineage", "first") == (
-        "--lineage: 'first' is not auto and no list of generations, such as 0,5,20,49"
+        "--lineage: 'first' is neither auto nor a list of generations, such as 0,5,20,49"
     )
-    assert "10 generations are too many; 9 have room" in refuse(
+    assert "10 generations are too many. Allowed: up to 9" in refuse(
         two_runs, "--lineage", "0,1,2,3,4,5,6,7,8,9"
     )
-    assert "leave --cell out" in refuse(two_runs, "--lineage", "auto", "--cell", "0")
-    assert "leave --beside out" in refuse(two_runs, "--lineage", "auto", "--beside", two_runs)
+    exclude = "--lineage and {} exclude each other. Leave out one of them"
+    cell, beside = ("--cell", "0"), ("--beside", two_runs)
+    assert refuse(two_runs, "--lineage", "auto", *cell) == exclude.format("--cell")
+    assert refuse(two_runs, "--lineage", "auto", *beside) == exclude.format("--beside")
     assert refuse(two_runs, "--lineage", "5") == (
-        f"--lineage: {two_runs} has done 5 generations; 4 is the last"
+        f"--lineage: {two_runs} has 5 generations. The last is 4"
     )
     assert refuse(two_runs, "--title", "a", "--title", "b") == (
-        "--title: 2 for 1 animals; give one for each"
+        "--title: 2 for 1 animals. Give one for each"
     )
-    assert "of a lineage every one has its generation" in refuse(
+    assert "animals of --lineage are captioned with generation and fitness" in refuse(
         two_runs, "--lineage", "auto", "--title", "a"
     )
-    assert "10 runs are too many; 9 have room" in refuse(two_runs, *["--beside", two_runs] * 9)
+    assert "10 runs are too many. Allowed: up to 9" in refuse(two_runs, *["--beside", two_runs] * 9)
     run = tmp_path / "run"
     shutil.copytree(two_runs, run)
     folder = RunFolder(run)
     lineage = folder.load_lineage()
     folder.save_lineage([each._replace(generation=3) for each in lineage[:1]])
     assert refuse(run, "--lineage", "2", "--run", 0) == (
-        f"--lineage: the first champion that {run} knows is that of generation 3"
+        f"--lineage: the first recorded champion of {run} is from generation 3"
     )
-    assert "knows no champion of run 1" in refuse(run, "--lineage", "auto", "--run", 1)
+    assert "has no champion of run 1" in refuse(run, "--lineage", "auto", "--run", 1)
     other = lineage[0]._replace(genes=lineage[0].genes[1:])
     np.savez(folder.lineage, **lineage_arrays([other]))
     assert "lineage.npz: generation 0: the genome has" in refuse(run, "--lineage", "0", "--run", 0)
@@ -155,7 +158,7 @@ def test_wrong_lineages_are_refused(refuse, two_runs, tmp_path):
     assert "has no lineage.npz" in refuse(run, "--lineage", "auto")
 
 
-def test_signals_have_limits(refuse, two_runs):
+def test_signals_need_a_least_size(refuse, two_runs):
     assert refuse(two_runs, "--signals", "--size", "100x90") == (
         "size is 100 x 90 pixels, but the smallest with signals is 160 x 110"
     )

@@ -1,4 +1,4 @@
-"""`evo-cpg reproduce`: a study's parts, made, stopped, gone on with, and told from one another."""
+"""`evo-cpg reproduce`: make the parts of a study, interrupt them and continue."""
 
 import contextlib
 import json
@@ -26,7 +26,7 @@ CONFIG = "iwadate2010_swimmer"
 
 
 def report(shop: Workshop) -> list[Table]:
-    """A table of what the runs came to, and a picture."""
+    """Return a table of the results of the runs, and draw a picture."""
     from evo_cpg.view.search_plots import generations_figure
 
     best = {name: shop.column(name, "best_distance") for name in ("few", "many")}
@@ -42,34 +42,35 @@ TWIN = Study(
         "few": Runs(CONFIG, SHORT, 2),
         "many": Runs(CONFIG, (*SHORT, "evolution.mutation_rate=0.5"), 2),
     },
-    {"ends": Part("what they come to", ("few", "many"), report)},
+    {"ends": Part("results of the runs", ("few", "many"), report)},
 )
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """The twin, made."""
+    """Make the study `TWIN`, and return its folder."""
     folder = tmp_path_factory.mktemp("twin")
     make(TWIN, ["ends"], folder, False, False, 2)
     return folder
 
 
-def test_a_part_leaves_a_table_a_picture_and_how_they_were_made(made):
+def test_a_part_has_a_table_a_picture_and_its_provenance(made):
     text = (made / "ends.md").read_text()
     assert text.startswith("Ends:\n\n|  | fitness |\n| --- | --- |\n| few | ")
-    told = provenance.read(made)["ends"]
-    assert set(told["files"]) == {"ends.md", "ends_best.png"}
+    record = provenance.read(made)["ends"]
+    assert set(record["files"]) == {"ends.md", "ends_best.png"}
     assert provenance.problems(made) == []
-    assert provenance.caption("twin", "ends", told) in text
+    assert provenance.caption("twin", "ends", record) in text
     assert "Made by `evo-cpg reproduce twin ends` with evo-cpg " in text
     assert "Quick" not in text
-    assert told["quick"] is False and told["devices"] == 2
-    assert told["runs"]["many"]["seeds"] == [0, 1] and told["runs"]["many"]["generations"] == 3
-    assert told["runs"]["few"]["config_sha256"] == RunFolder(made / "runs" / "few").config_digest()
-    assert told["run_commits"] == [told["commit"]]
+    assert record["quick"] is False and record["devices"] == 2
+    runs = record["runs"]
+    assert runs["many"]["seeds"] == [0, 1] and runs["many"]["generations"] == 3
+    assert runs["few"]["config_sha256"] == RunFolder(made / "runs" / "few").config_digest()
+    assert record["run_commits"] == [record["commit"]]
 
 
-def test_what_is_finished_is_not_evolved_again(made, tmp_path, monkeypatch):
+def test_finished_runs_are_not_evolved_again(made, tmp_path, monkeypatch):
     folder = tmp_path / "again"
     shutil.copytree(made, folder)
     before = RunFolder(folder / "runs" / "few").load()
@@ -79,7 +80,7 @@ def test_what_is_finished_is_not_evolved_again(made, tmp_path, monkeypatch):
     after = RunFolder(folder / "runs" / "few").load()
     assert before is not None and after is not None
     np.testing.assert_array_equal(before.genes, after.genes)
-    # The runs are those of another commit, and the table says so.
+    # The table names the earlier commit that evolved the runs.
     first = provenance.read(made)["ends"]["commit"]
     assert f"at commit 0ther of runs evolved at {first} on" in (folder / "ends.md").read_text()
 
@@ -87,12 +88,12 @@ def test_what_is_finished_is_not_evolved_again(made, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("quick", "fresh", "words"),
     [
-        (False, False, "interrupted; the same command goes on\n"),
-        (False, True, "interrupted; `evo-cpg reproduce twin ends --out {}` goes on\n"),
-        (True, True, "interrupted; `evo-cpg reproduce twin ends --out {} --quick` goes on\n"),
+        (False, False, "interrupted. Continue with the same command\n"),
+        (False, True, "interrupted. Continue with `evo-cpg reproduce twin ends --out {}`\n"),
+        (True, True, "interrupted. Continue with `evo-cpg reproduce twin ends --out {} --quick`\n"),
     ],
 )
-def test_who_interrupts_is_told_what_goes_on_without_throwing_away_what_is_done(
+def test_an_interrupt_prints_a_command_that_keeps_finished_runs(
     tmp_path, monkeypatch, capsys, quick, fresh, words
 ):
     def stop(*arguments):
@@ -104,7 +105,8 @@ def test_who_interrupts_is_told_what_goes_on_without_throwing_away_what_is_done(
     assert capsys.readouterr().err.endswith(words.format(tmp_path / "twin"))
 
 
-def test_what_was_stopped_goes_on_to_the_same_bits(made, tmp_path, monkeypatch, capsys):
+@pytest.mark.slow
+def test_a_continued_study_equals_an_uninterrupted_one(made, tmp_path, monkeypatch, capsys):
     folder, group = tmp_path / "stopped", sweep.run_group
 
     def stopping(members, devices, tell, warn):
@@ -118,7 +120,7 @@ def test_what_was_stopped_goes_on_to_the_same_bits(made, tmp_path, monkeypatch, 
     monkeypatch.setattr(sweep, "run_group", stopping)
     with pytest.raises(KeyboardInterrupt):
         make(TWIN, ["ends"], folder, False, False, 2)
-    assert "the same command goes on" in capsys.readouterr().err
+    assert "Continue with the same command" in capsys.readouterr().err
     assert not (folder / "ends.md").exists()
     monkeypatch.setattr(sweep, "run_group", group)
     make(TWIN, ["ends"], folder, False, False, 2)
@@ -130,8 +132,8 @@ def test_what_was_stopped_goes_on_to_the_same_bits(made, tmp_path, monkeypatch, 
     assert first.splitlines()[:5] == second.splitlines()[:5]
 
 
-def test_runs_of_other_limits_of_the_audit_are_taken_but_not_of_other_rules(made, tmp_path):
-    """A limit is asked afterwards; the one that is a rule has a say in who evolves."""
+def test_runs_with_other_rules_are_refused_and_other_limits_are_not(made, tmp_path):
+    """A limit of the audit does not affect the evolution, unless it is a rule."""
     folder = tmp_path / "other"
     shutil.copytree(made, folder)
     for changes, taken in ((["audit.overlap=0.02"], True), (["audit.disqualify=[speed]"], False)):
@@ -140,7 +142,7 @@ def test_runs_of_other_limits_of_the_audit_are_taken_but_not_of_other_rules(made
             make(TWIN._replace(runs=runs), ["ends"], folder, False, False, 2)
 
 
-def test_runs_of_another_configuration_are_not_taken(made, tmp_path):
+def test_runs_of_another_configuration_are_refused(made, tmp_path):
     folder = tmp_path / "other"
     shutil.copytree(made, folder)
     runs = {**TWIN.runs, "few": Runs(CONFIG, (*SHORT, "seed=7"), 2)}
@@ -152,25 +154,24 @@ def test_runs_of_another_configuration_are_not_taken(made, tmp_path):
     assert (folder / "ends.md").read_text() != (made / "ends.md").read_text()
 
 
-def test_quick_results_say_so_and_stay_apart(made, tmp_path):
-    with pytest.raises(RunFolderError, match=r"holds full results \(ends\); choose another --out"):
+def test_quick_results_are_marked_and_kept_apart(made, tmp_path):
+    with pytest.raises(RunFolderError, match=r"holds full results of part 'ends'\. Choose another"):
         make(TWIN, ["ends"], made, True, False, 2)
     folder = tmp_path / "quick"
     make(TWIN, ["ends"], folder, True, False, 2)
     assert (
-        "**Quick: scaled down, a test of the program and no result.**"
-        in (folder / "ends.md").read_text()
+        "**Quick: a small test of the program, not a result.**" in (folder / "ends.md").read_text()
     )
-    told = provenance.read(folder)["ends"]
-    assert told["quick"] is True
-    assert told["runs"]["few"]["generations"] == 2
+    record = provenance.read(folder)["ends"]
+    assert record["quick"] is True
+    assert record["runs"]["few"]["generations"] == 2
     with pytest.raises(RunFolderError, match="holds quick results"):
         make(TWIN, ["ends"], folder, False, False, 2)
 
 
 @pytest.mark.slow
 def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
-    """A row for each run, in the picture and in the table; nobody where nobody lives."""
+    """Picture and table have a row for each run, without numbers if a run has no champion."""
     folder = tmp_path / "drawn"
     shutil.copytree(made, folder)
 
@@ -178,10 +179,10 @@ def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
     drawn = TWIN._replace(parts={"pictures": pictures})
     monkeypatch.setattr("evo_cpg.studies.stills._SIZE", (64, 36))
     make(drawn, ["pictures"], folder, False, False, 2)
-    told = provenance.read(folder)["pictures"]
-    assert set(told["files"]) == {"pictures.md", "pictures.png", "pictures_few.png"}
+    record = provenance.read(folder)["pictures"]
+    assert set(record["files"]) == {"pictures.md", "pictures.png", "pictures_few.png"}
     with Image.open(folder / "pictures.png") as picture:
-        # With a heading above each moment.
+        # The picture has a heading above each moment.
         assert picture.size == (3 * 64 + 2 * 24, 2 * 36 + 4 + 40)
     best = RunFolder(folder / "runs" / "few").load().champion
     row = f"| a few | {best.run} | {best.generation} | {best.fitness:.3f} | "
@@ -192,12 +193,10 @@ def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
     shop = Workshop(drawn, folder, False, 2)
     dead = shop.checkpoint("few")._replace(records=(None, None))
     monkeypatch.setattr(Workshop, "checkpoint", lambda self, name: dead)
-    assert stills(shop, {"x": "few"}).rows == [["x", "nobody lives", "", "", "", ""]]
+    assert stills(shop, {"x": "few"}).rows == [["x", "no champion", "", "", "", ""]]
 
 
-def test_what_was_measured_is_kept_until_champions_or_the_program_change(
-    made, tmp_path, monkeypatch
-):
+def test_measurements_are_kept_until_champions_or_the_program_change(made, tmp_path, monkeypatch):
     monkeypatch.setattr(workshop, "program_commit", lambda: "abc")
     folder = tmp_path / "kept"
     shutil.copytree(made, folder)
@@ -210,19 +209,19 @@ def test_what_was_measured_is_kept_until_champions_or_the_program_change(
     assert shop.kept("one", ["many"], lambda: 6) == 5
     monkeypatch.setattr(workshop, "program_commit", lambda: "abd")
     assert shop.kept("one", ["many"], lambda: 6) == 6
-    # What was changed since a commit may have been changed again.
+    # Uncommitted changes may have changed again, so an earlier measurement is not used again.
     monkeypatch.setattr(workshop, "program_commit", lambda: "abd-dirty")
     assert shop.kept("one", ["many"], lambda: 7) == 7
     assert shop.kept("one", ["many"], lambda: 8) == 8
 
 
-def test_wrong_studies_and_parts_are_named_with_the_nearest(tmp_path):
+def test_errors_suggest_the_nearest_study_or_part(tmp_path):
     def call(name, parts=(), listed=False):
         reproduce.reproduce(name, parts, tmp_path, True, listed, False, 2)
 
-    with pytest.raises(UsageError, match=r"there is no study 'fukui'; did you mean 'fukui2003'"):
+    with pytest.raises(UsageError, match=r"there is no study 'fukui': did you mean 'fukui2003'"):
         call("fukui")
-    with pytest.raises(UsageError, match="starfish has no part 'lag'; did you mean 'lags'"):
+    with pytest.raises(UsageError, match="starfish has no part 'lag': did you mean 'lags'"):
         call("starfish", ["lag"])
     with pytest.raises(UsageError, match="name a study: iwadate2010, fukui2003"):
         call(None)
@@ -233,7 +232,7 @@ def test_wrong_studies_and_parts_are_named_with_the_nearest(tmp_path):
         Workshop(TWIN, tmp_path, False, 2).checkpoint("few")
 
 
-def test_the_list_tells_how_each_part_was_made(capsys):
+def test_the_list_has_all_studies_and_parts(capsys):
     reproduce.reproduce(None, [], None, False, True, False, None)
     shown = capsys.readouterr().out
     assert all(name in shown for name in NAMES)
@@ -241,7 +240,7 @@ def test_the_list_tells_how_each_part_was_made(capsys):
         assert part in shown
 
 
-def test_files_go_beside_the_pages_of_a_clone(monkeypatch, tmp_path):
+def test_files_go_next_to_the_pages_of_a_clone(monkeypatch, tmp_path):
     monkeypatch.setattr(version, "checkout", lambda: tmp_path)
     assert default_folder("starfish", False) == tmp_path / "docs" / "reproduction" / "starfish"
     assert default_folder("starfish", True).parts == ("reproduction", "starfish_quick")
@@ -249,13 +248,13 @@ def test_files_go_beside_the_pages_of_a_clone(monkeypatch, tmp_path):
     assert default_folder("starfish", False).parts == ("reproduction", "starfish")
 
 
-def test_words_of_tables():
+def test_cells_of_tables():
     assert percent(0.0345) == "3.5 %"
     assert middle([3.0, 1.0, float("nan"), 2.0], 1) == "2.0 (1.0 to 3.0)"
     assert middle([float("nan")]) == "none"
     assert in_order([2, 1], 1) == "1.0, 2.0"
     words = beside({"a": [1, 2, 3, 4], "b": [5, 6, 7, 8], "c": [1, 2, 3, 5]}, "a")
-    # Exactly 2 of 70 orders are as far apart; Holm takes it twice.
+    # Exactly 2 of 70 orders are as extreme. Holm doubles this p value.
     assert words["a"] == "" and words["b"] == "in 100% of pairs, p = 0.057"
     assert words["c"].startswith("in 53% of pairs, p = 1")
 
@@ -265,7 +264,7 @@ def test_words_of_tables():
     ("name", "part"), [(name, part) for name in NAMES for part in study(name).parts]
 )
 def test_every_part_of_every_study_runs(name, part, tmp_path_factory):
-    # Parts of a study share runs.
+    # The parts of a study share runs, so they share a folder.
     folder = tmp_path_factory.getbasetemp() / f"quick_{name}"
     make(study(name), [part], folder, True, False, 2)
     assert provenance.problems(folder) == []

@@ -1,7 +1,7 @@
-"""A run that was stopped and resumed is the run that went through, bit for bit.
+"""A run that was stopped and resumed equals an uninterrupted run, bit for bit.
 
-What is stopped is a process. One of those who go on is another; the others are this one, which
-compiles once for all.
+The stopped run is a process. One test resumes the run in another process. The other tests resume in
+this process, which compiles once for all of them.
 """
 
 import csv
@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 import yaml
 
 from evo_cpg.training.loop import TIMING_COLUMNS
@@ -19,7 +20,7 @@ from tiny_run import CONFIG, GENERATIONS, LONG
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
-    """metrics.csv as text, without the columns that tell the time."""
+    """Return the rows of metrics.csv as text, without the columns of durations."""
     with (folder / "metrics.csv").open() as file:
         return [
             {k: v for k, v in row.items() if k not in TIMING_COLUMNS}
@@ -28,7 +29,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 
 def assert_same_run(folder: Path, other: Path) -> None:
-    """Same history, last population and champion, to the last bit."""
+    """Compare history, last population and champion of two runs, bit for bit."""
     assert len(rows(folder)) == GENERATIONS
     assert rows(folder) == rows(other)
     last, other_last = RunFolder(folder).load(), RunFolder(other).load()
@@ -47,7 +48,7 @@ def assert_same_run(folder: Path, other: Path) -> None:
 
 
 def stop(start, folder: Path, how: signal.Signals) -> tuple[int, str]:
-    """Begin the run and send a signal once two generations are done."""
+    """Start the run, and send a signal after two generations."""
     with start(
         "train",
         CONFIG,
@@ -67,24 +68,25 @@ def stop(start, folder: Path, how: signal.Signals) -> tuple[int, str]:
     return process.returncode, err
 
 
-def test_an_interrupted_run_says_how_to_go_on_and_does(finished_run, start, cli, tmp_path):
+@pytest.mark.slow
+def test_an_interrupted_run_continues_to_the_same_bits(finished_run, start, cli, tmp_path):
     folder = tmp_path / "run"
     code, err = stop(start, folder, signal.SIGINT)
     assert code == 130
-    assert err.endswith(f"interrupted; go on with `evo-cpg resume {folder}`\n")
+    assert err.endswith(f"interrupted. Continue with `evo-cpg resume {folder}`\n")
     assert "Traceback" not in err
     code, out, err = cli("resume", folder)
     assert (code, out) == (0, f"{folder}\n"), err
-    # Said when it began, and not again.
+    # The warning was printed at the start of the run, and is not repeated.
     assert "oscillator" not in err
     assert_same_run(folder, finished_run)
 
 
-def test_a_killed_run_goes_on(finished_run, start, finish, tmp_path):
+def test_a_killed_run_continues_to_the_same_bits(finished_run, start, finish, tmp_path):
     folder = tmp_path / "run"
     code, _ = stop(start, folder, signal.SIGKILL)
     assert code == -signal.SIGKILL
-    # A crash of the machine may have cost the newest checkpoint and left half-written files.
+    # A crash of the machine may damage the newest checkpoint and leave half-written files.
     newest = max((folder / "checkpoints").iterdir())
     newest.write_bytes(newest.read_bytes()[:100])
     (folder / ".metrics.csv.x").write_text("generation,")
@@ -93,7 +95,7 @@ def test_a_killed_run_goes_on(finished_run, start, finish, tmp_path):
     assert_same_run(folder, finished_run)
 
 
-def test_a_run_killed_before_its_first_checkpoint_begins_anew(finished_run, cli, tmp_path):
+def test_a_run_killed_before_its_first_checkpoint_restarts(finished_run, cli, tmp_path):
     folder = tmp_path / "run"
     folder.mkdir()
     shutil.copy(finished_run / "config.yaml", folder)
@@ -102,7 +104,7 @@ def test_a_run_killed_before_its_first_checkpoint_begins_anew(finished_run, cli,
     assert_same_run(folder, finished_run)
 
 
-def test_what_a_kill_at_the_very_end_cost_is_written_anew(finished_run, cli, tmp_path):
+def test_resume_restores_files_lost_at_the_end(finished_run, cli, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(finished_run, folder)
     for lost in ("champion.npz", "metrics.csv", "meta.json"):
@@ -112,7 +114,7 @@ def test_what_a_kill_at_the_very_end_cost_is_written_anew(finished_run, cli, tmp
     assert_same_run(folder, finished_run)
 
 
-def test_a_finished_run_says_so_and_how_to_go_on(finished_run, cli, tmp_path):
+def test_resume_of_a_finished_run_prints_how_to_continue(finished_run, cli, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(finished_run, folder)
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -120,7 +122,7 @@ def test_a_finished_run_says_so_and_how_to_go_on(finished_run, cli, tmp_path):
     assert (code, out) == (0, f"{folder}\n")
     assert err == (
         f"{folder} is finished: all {GENERATIONS} generations are done, and the champion is in "
-        f"{folder / 'champion.npz'}; to go on, ask for more than that in all, such as "
+        f"{folder / 'champion.npz'}. To continue, give a larger total, such as "
         f"`evo-cpg resume {folder} --generations {2 * GENERATIONS}`\n"
     )
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
@@ -131,14 +133,14 @@ def test_a_finished_run_says_so_and_how_to_go_on(finished_run, cli, tmp_path):
     assert code == 0 and len(rows(folder)) == GENERATIONS + 1
 
 
-def test_resume_refuses_what_it_cannot_go_on_with(finished_run, cli, tmp_path):
+def test_resume_refuses_fewer_generations_and_another_population(finished_run, cli, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(finished_run, folder)
     code, _, err = cli("resume", folder, "--generations", 3)
     assert code == 2
     assert err == (
-        f"evo-cpg: {folder}: {GENERATIONS} generations are done already, "
-        "--generations 3 would take some back\n"
+        f"evo-cpg: {folder}: already has {GENERATIONS} generations, more than --generations 3. "
+        f"Give at least {GENERATIONS}\n"
     )
     config = folder / "config.yaml"
     written = config.read_text()
@@ -146,24 +148,22 @@ def test_resume_refuses_what_it_cannot_go_on_with(finished_run, cli, tmp_path):
     code, _, err = cli("resume", folder)
     warning, err = err.splitlines()
     assert code == 2 and "warning" in warning and "changed since the run" in warning
-    assert "config.yaml was changed: it asks for" in err
-    assert "12 individuals" in err and "start a new run instead" in err
+    assert "config.yaml was changed: it now has" in err
+    assert "12 individuals" in err and "Start a new run instead" in err
     assert config.read_text() == written.replace("population: 8", "population: 12")
 
 
-def test_resume_refuses_more_generations_than_a_file_may_ask_for(finished_run, cli):
-    """And writes nothing, for no command would read such a file."""
+def test_resume_refuses_more_generations_than_a_configuration_allows(finished_run, cli):
+    """The configuration does not change, because no command could read it."""
     config = finished_run / "config.yaml"
     before = config.read_text()
     code, _, err = cli("resume", finished_run, "--generations", 10**14)
     assert code == 2
-    assert "evolution.generations: 100000000000000: input should be less than or equal to" in err
+    assert "evolution.generations: 100000000000000: must be less than or equal to" in err
     assert config.read_text() == before
 
 
-def test_resume_refuses_what_would_have_other_columns_and_loses_nothing(
-    finished_run, cli, tmp_path
-):
+def test_resume_refuses_changes_of_the_columns_of_metrics(finished_run, cli, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(finished_run, folder)
     config = folder / "config.yaml"
@@ -179,11 +179,11 @@ def test_resume_refuses_what_would_have_other_columns_and_loses_nothing(
         before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
         code, _, err = cli("resume", folder, "--generations", GENERATIONS + 1)
         assert code == 2 and "Traceback" not in err
-        assert f"metrics.csv would {words}, but all its rows have the same columns; put" in err
+        assert f"metrics.csv would {words}, but all its rows must have" in err
         assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
 
-def test_resume_refuses_to_drop_what_a_strategy_told_of_itself(finished_run, cli, tmp_path):
+def test_resume_refuses_to_drop_a_metric_of_a_strategy(finished_run, cli, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(finished_run, folder)
     done = RunFolder(folder).load()
@@ -191,4 +191,4 @@ def test_resume_refuses_to_drop_what_a_strategy_told_of_itself(finished_run, cli
     history = [row | {"spread": 0.5} for row in done.history]
     RunFolder(folder).save(done._replace(history=history))
     code, _, err = cli("resume", folder, "--generations", GENERATIONS + 1)
-    assert code == 2 and "metrics.csv would drop spread, but all its rows have" in err
+    assert code == 2 and "metrics.csv would drop spread, but all its rows must have" in err

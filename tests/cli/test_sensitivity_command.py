@@ -1,4 +1,4 @@
-"""`evo-cpg sensitivity` on a tiny run: its table and picture, and what it refuses."""
+"""`evo-cpg sensitivity` on a tiny run: its table, its picture, and its errors."""
 
 import csv
 import dataclasses
@@ -14,7 +14,7 @@ KEYS = ("world.water.form_drag", "world.water.current.0", "genes")
 
 
 @pytest.mark.slow
-def test_it_ranks_what_it_was_asked_for(finished_run, cli, tmp_path):
+def test_the_table_ranks_the_requested_keys(finished_run, cli, tmp_path):
     folder = tmp_path / "made"
     arguments = ("--seconds", 1, "--out", folder)
     code, out, err = cli("sensitivity", finished_run, *KEYS, *arguments)
@@ -25,12 +25,12 @@ def test_it_ranks_what_it_was_asked_for(finished_run, cli, tmp_path):
     with (folder / "sensitivity.csv").open() as file:
         rows = {row["key"]: row for row in csv.DictReader(file)}
     assert set(rows) == set(KEYS)
-    # What is 0 has no relative change, and stands last.
+    # A value of 0 has no relative change, so its row is the last.
     assert list(rows)[-1] == "world.water.current.0"
     assert rows["world.water.current.0"]["relative"] == "0"
     drag = rows["world.water.form_drag"]
     assert drag["speed_confirmed"] == "1"
-    # Curvature leaves 1 % of the difference.
+    # The curvature causes a difference of 1 %.
     assert float(drag["speed_elasticity"]) == pytest.approx(float(drag["speed_found"]), rel=0.05)
 
 
@@ -39,10 +39,10 @@ def test_it_ranks_what_it_was_asked_for(finished_run, cli, tmp_path):
     [
         (["world.water.form_darg"], "did you mean world.water.form_drag"),
         (["simulation.steps"], "is a whole number"),
-        (["--seconds", 99], "--seconds: 99; a trial"),
-        (["--seconds", 0.02], "0.0333 s at least are needed"),
+        (["--seconds", 99], "--seconds: 99 s is not allowed"),
+        (["--seconds", 0.02], "Allowed: 0.0333 to "),
         (["--seconds", "nan"], "--seconds"),
-        (["--seconds", "inf"], "--seconds: inf; a trial"),
+        (["--seconds", "inf"], "--seconds: inf s is not allowed"),
     ],
 )
 def test_wrong_keys_and_times_are_refused(finished_run, cli, arguments, words):
@@ -51,7 +51,7 @@ def test_wrong_keys_and_times_are_refused(finished_run, cli, arguments, words):
 
 
 def test_bits_have_no_sensitivity(finished_run, cli, monkeypatch):
-    """1 % more of a bit is the same bit, which is no reason to call the genes unimportant."""
+    """A bit cannot change by 1 %, so a table with 0 would call the genes unimportant."""
     open_champion = champions.open_champion
 
     def with_postures(run, which):
@@ -62,10 +62,10 @@ def test_bits_have_no_sensitivity(finished_run, cli, monkeypatch):
     monkeypatch.setattr(champions, "open_champion", with_postures)
     code, _, complaint = cli("sensitivity", finished_run, "genes")
     assert code == 2
-    assert "genes: bits count as 0 or 1" in complaint and "controller.graded: true" in complaint
+    assert "genes: bits are 0 or 1" in complaint and "controller.graded: true" in complaint
 
 
-def test_of_nothing_the_table_has_a_dash():
+def test_an_infinite_change_is_a_dash_in_the_table():
     speed = Sensitivity("p", 2.0, 3.0, 0.12, 0.04, 6.0)
     nothing = Sensitivity("p", 2.0, 1e-17, 0.0, 0.04, 1e-17)
     cells = sensitivity._cells(sensitivity._row(speed, nothing))

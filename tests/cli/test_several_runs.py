@@ -1,4 +1,4 @@
-"""Several noisy runs at once, from the command line to the films."""
+"""Several noisy runs side by side: training, verification, plots and films."""
 
 import csv
 import shutil
@@ -29,7 +29,7 @@ def noisy_run(cli, tmp_path_factory):
     assert code == 0, err
     assert "   2/2 generations  best of 2 runs" in err and "  median" in err
     assert "champion of generation" in err and " of run " in err
-    assert " in its own trials, " in err and " fresh draws (" in err
+    assert " in training, mean " in err and " new draws (" in err
     return folder
 
 
@@ -40,15 +40,13 @@ def test_every_generation_has_a_row_for_each_run(noisy_run):
     assert rows == [("0", "0"), ("0", "1"), ("1", "0"), ("1", "1")]
 
 
-def test_the_best_of_all_comes_out_exactly_noise_included(noisy_run, cli):
+def test_the_best_champion_is_verified_exactly_under_noise(noisy_run, cli):
     code, out, err = cli("verify", noisy_run)
     assert (code, err) == (0, "")
-    assert out.endswith("comes out as recorded (exactly)\n")
+    assert out.endswith("is as recorded (exactly)\n")
 
 
-def test_a_run_that_was_stopped_before_its_champion_was_chosen_is_not_finished(
-    noisy_run, cli, tmp_path
-):
+def test_resume_chooses_a_champion_that_is_not_yet_chosen(noisy_run, cli, tmp_path):
     code, _, err = cli("resume", noisy_run)
     assert code == 0 and f"{noisy_run} is finished: all 2 generations are done" in err
     folder = RunFolder(tmp_path / "run")
@@ -57,7 +55,7 @@ def test_a_run_that_was_stopped_before_its_champion_was_chosen_is_not_finished(
     assert done is not None
     folder.save(done._replace(chosen=()))
     code, _, err = cli("resume", folder.path)
-    assert code == 0 and " fresh draws (" in err
+    assert code == 0 and " new draws (" in err
     again = folder.load()
     assert again is not None
     assert [one and one.expected for one in again.chosen] == [
@@ -77,22 +75,23 @@ def test_the_champion_of_any_run_is_filmed(noisy_run, cli, tmp_path):
 def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path, monkeypatch):
     kept, _, _ = RunFolder(noisy_run).load_champion()
     other = 1 - kept.run
-    whose = []
+    runs = []
 
     def seen(run, which):
         opened, recording = champion_motion(run, which)
-        whose.append(opened.champion.run)
+        runs.append(opened.champion.run)
         return opened, recording
 
     monkeypatch.setattr(champions, "champion_motion", seen)
     code, out, err = cli("plot", noisy_run, "--run", other, "-o", tmp_path)
     drawn = [f"joint_signals_run{other}.png", f"path_run{other}.png"]
-    assert code == 0 and whose == [other], err
+    assert code == 0 and runs == [other], err
     assert out.splitlines() == [str(tmp_path / name) for name in ("fitness.png", *drawn)]
     code, _, err = cli("plot", noisy_run, "--run", 2, "-o", tmp_path)
-    assert code == 2 and f"--run: {noisy_run} holds 2 run(s), counted from 0" in err
+    assert code == 2 and f"--run: {noisy_run} has 2 run(s), counted from 0" in err
 
 
+@pytest.mark.slow
 def test_the_lineage_of_a_noisy_run_ends_with_its_champion(noisy_run, cli, tmp_path):
     picture = tmp_path / "lineage.png"
     options = ("--lineage", "auto", "--size", "64x48", "--seconds", "0.2", "-o", picture)
@@ -100,10 +99,10 @@ def test_the_lineage_of_a_noisy_run_ends_with_its_champion(noisy_run, cli, tmp_p
     assert (code, out) == (0, f"{picture}\n"), err
 
 
-def test_a_run_that_is_not_there_is_refused(noisy_run, cli):
+def test_a_missing_run_is_refused(noisy_run, cli):
     code, out, err = cli("render", noisy_run, "--run", 2)
     assert (code, out) == (2, "")
-    assert err == f"evo-cpg: --run: {noisy_run} holds 2 run(s), counted from 0\n"
+    assert err == f"evo-cpg: --run: {noisy_run} has 2 run(s), counted from 0\n"
 
 
 def test_resume_refuses_another_number_of_runs(noisy_run, cli, tmp_path):
@@ -111,9 +110,10 @@ def test_resume_refuses_another_number_of_runs(noisy_run, cli, tmp_path):
     shutil.copytree(noisy_run, folder)
     config = folder / "config.yaml"
     written = config.read_text()
-    # As many individuals as before, but in one run.
+    # The total number of individuals is unchanged, but they are in one run.
     changed = written.replace("runs: 2", "runs: 1").replace("population: 8", "population: 16")
     config.write_text(changed)
     code, _, err = cli("resume", folder)
     assert code == 2
-    assert "16 individuals in 1 run(s), the checkpoint has" in err and ", 16 and 2; start" in err
+    assert "16 individuals in 1 run(s), but the checkpoint has" in err
+    assert ", 16 and 2. Start" in err

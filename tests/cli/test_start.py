@@ -1,10 +1,12 @@
-"""What starting the program costs and what importing it does."""
+"""Cost of starting the program, and side effects of importing it."""
 
 import resource
 import statistics
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 import evo_cpg
 from tiny_run import CONFIG, LONG, REPOSITORY, environment
@@ -13,6 +15,8 @@ IMPORT_EVERYTHING = """
 import importlib, pkgutil, jax
 
 before = dict(jax.config.values)
+import pytest
+
 import evo_cpg
 
 for module in pkgutil.walk_packages(evo_cpg.__path__, "evo_cpg."):
@@ -20,7 +24,7 @@ for module in pkgutil.walk_packages(evo_cpg.__path__, "evo_cpg."):
 changed = {k for k, v in jax.config.values.items() if before.get(k, v) != v}
 assert not changed, changed
 
-# Refused once anything has run.
+# JAX refuses this after its first computation.
 jax.config.update("jax_num_cpu_devices", 3)
 print(*(name for name in sys.modules if name.startswith("evo_cpg.")))
 """
@@ -38,7 +42,7 @@ print(*sys.modules)
 
 
 def python(code: str, *arguments: object, compiled: Path) -> str:
-    """What a program prints."""
+    """Run a Python program in a process, and return its output."""
     done = subprocess.run(
         [sys.executable, "-c", f"import sys\n{code}", *map(str, arguments)],
         env=environment(compiled),
@@ -54,8 +58,8 @@ def processor_time_of_children():
     return used.ru_utime + used.ru_stime
 
 
-def test_help_answers_at_once():
-    """In processor time: how long it takes on a busy machine says nothing."""
+def test_help_takes_less_than_half_a_second():
+    """The test measures processor time, because durations on a busy machine mean nothing."""
     seconds = []
     for arguments in (["--help"], ["train", "--help"], ["render", "--help"]):
         start = processor_time_of_children()
@@ -70,14 +74,15 @@ def test_help_answers_at_once():
     assert statistics.median(seconds) < 0.5
 
 
-def test_importing_changes_nothing_about_jax_and_starts_nothing(compiled):
+def test_importing_does_not_configure_or_start_jax(compiled):
     loaded = python(IMPORT_EVERYTHING, compiled=compiled).split()
     files = Path(evo_cpg.__file__).parent.rglob("*.py")
     assert len(loaded) == sum(1 for _ in files) - 1
 
 
+@pytest.mark.slow
 def test_training_never_loads_vtk(finished_run, compiled, tmp_path):
-    del finished_run  # It has compiled what this one needs.
+    del finished_run  # Its training has filled the cache of compiled code.
     loaded = python(
         TRAIN,
         "train",

@@ -1,4 +1,4 @@
-"""`evo-cpg sweep`: settings side by side, in turn, stopped and gone on with."""
+"""`evo-cpg sweep`: evolve several settings, interrupt and continue them, and compare them."""
 
 import csv
 import json
@@ -29,7 +29,7 @@ GRID = ("evolution.mutation_rate=0.02,0.3",)
 
 @pytest.fixture(autouse=True, scope="module")
 def two_devices():
-    """JAX has them already."""
+    """Use the two devices that JAX already has."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(devices, "use_cores", lambda count=None: 2)
         patch.setattr(champions, "use_cores", lambda count=None: 2)
@@ -63,7 +63,7 @@ def swept(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_each_setting_comes_to_what_it_comes_to_alone(swept, tmp_path):
+def test_a_setting_has_the_same_result_alone_and_in_a_sweep(swept, tmp_path):
     for name, changes in (
         ("plain", {}),
         ("random", {"evolution": {"type": "random", "generations": 2, "population": 6}}),
@@ -76,7 +76,7 @@ def test_each_setting_comes_to_what_it_comes_to_alone(swept, tmp_path):
         np.testing.assert_array_equal(together.champion.genes, alone.genome)
 
 
-def test_what_shares_a_trial_shares_a_program(swept):
+def test_settings_with_the_same_trial_share_a_program(swept):
     members = sweeps.members_of(swept, sweeps.read_plan(swept))
     names = [[member.setting.name for member in group] for group in sweeps.groups(members)]
     assert names == [["plain", "random"], ["heavy"]]
@@ -86,8 +86,8 @@ def test_what_shares_a_trial_shares_a_program(swept):
     ("rule", "groups"),
     [("speed", [["speed=1"], ["speed=2"]]), ("overlap", [["speed=1", "speed=2"]])],
 )
-def test_rules_with_other_limits_take_a_program_of_their_own(tmp_path, rule, groups):
-    """Who is out for one of them may live for the other."""
+def test_rules_with_other_limits_need_another_program(tmp_path, rule, groups):
+    """An individual that breaks one of the rules may obey the other."""
     given = (*SHORT, f"audit.disqualify=[{rule}]")
     plan = new_plan(CONFIG, given, combine({"audit.speed": [1.0, 2.0]}, {}))
     found = sweeps.groups(sweeps.members_of(tmp_path, plan))
@@ -112,16 +112,16 @@ def test_tables_and_figure(swept):
     assert 0.01 < ink(swept / "sweep.png") < 0.5
 
 
-def test_under_noise_figure_and_tables_show_what_champions_are_worth(swept, tmp_path, monkeypatch):
-    """And not the luckiest score, of which the history tells."""
+def test_under_noise_tables_and_figure_show_expected_fitness(swept, tmp_path, monkeypatch):
+    """The history holds the best single evaluation instead."""
     load, drawn = RunFolder.load, []
 
-    def chosen_in_fresh_draws(folder):
+    def with_expected_fitness(folder):
         found = load(folder)
         chosen = tuple(one._replace(lives=16, expected=one.fitness - 5.0) for one in found.records)
         return found._replace(chosen=chosen)
 
-    monkeypatch.setattr(RunFolder, "load", chosen_in_fresh_draws)
+    monkeypatch.setattr(RunFolder, "load", with_expected_fitness)
     figure = search_plots.sweep_figure
 
     def seen(curves, title):
@@ -131,15 +131,15 @@ def test_under_noise_figure_and_tables_show_what_champions_are_worth(swept, tmp_
     monkeypatch.setattr(search_plots, "sweep_figure", seen)
     sweeps.summarise(tmp_path, sweeps.members_of(swept, sweeps.read_plan(swept)))
     for curve in drawn:
-        told = [row["fitness"] for row in table(tmp_path / "runs.csv")
-                if row["setting"] == curve.name]  # fmt: skip
-        np.testing.assert_array_equal(curve.final, np.array(told, float))
+        listed = [row["fitness"] for row in table(tmp_path / "runs.csv")
+                  if row["setting"] == curve.name]  # fmt: skip
+        np.testing.assert_array_equal(curve.final, np.array(listed, float))
         np.testing.assert_allclose(curve.final, curve.best[:, -1] - 5.0)
     assert len(drawn) == 3
 
 
-def test_a_stopped_sweep_goes_on_to_the_same_bits(tmp_path, monkeypatch):
-    """Killed between the checkpoints of two settings, so that one is ahead."""
+def test_a_continued_sweep_equals_an_uninterrupted_one(tmp_path, monkeypatch):
+    """The sweep stops between the checkpoints of two settings, so one setting is ahead."""
     sweep(tmp_path / "whole")
     counted = []
 
@@ -168,15 +168,15 @@ def test_a_stopped_sweep_goes_on_to_the_same_bits(tmp_path, monkeypatch):
         whole, again = (RunFolder(tmp_path / which / name).load() for which in ("whole", "stopped"))
         np.testing.assert_array_equal(whole.genes, again.genes)
         assert untimed(whole.history) == untimed(again.history)
-    # Of what was never written as of what was.
+    # The lost file is written again with all its entries.
     assert {"seed", "devices", "fingerprint", "config"} <= json.loads(lost.read_text()).keys()
-    # Once more there is nothing left to do.
+    # A third run has nothing left to do.
     before = (tmp_path / "stopped" / "runs.csv").read_text()
     run_sweep(tmp_path / "stopped")
     assert (tmp_path / "stopped" / "runs.csv").read_text() == before
 
 
-def test_the_runs_are_run_folders_like_others(swept, capsys):
+def test_a_run_of_a_sweep_can_be_verified(swept, capsys):
     verify(swept / "heavy")
     assert "(exactly)" in capsys.readouterr().out
     meta = json.loads((swept / "random" / "meta.json").read_text())
@@ -186,42 +186,42 @@ def test_the_runs_are_run_folders_like_others(swept, capsys):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"grid": ()}, "nothing is varied; name keys and values"),
+        ({"grid": ()}, r"nothing is varied\. Name keys and values"),
         ({"grid": ("seed",)}, "'seed' is not KEY=VALUE,VALUE"),
         ({"grid": ("seed=[1",)}, "is not a list of values"),
         ({"grid": ("name=!!int x",)}, "'!!int x' is not a list of values"),
         ({"grid": ("seed=1,1",)}, "two settings would be called 'seed=1'"),
-        ({"only": ("there",)}, "no setting 'there'; there are mutation_rate=0.02, mutation_rate"),
+        ({"only": ("there",)}, r"no setting 'there'\. Allowed: mutation_rate=0.02, mutation_rate"),
     ],
 )
-def test_what_cannot_be_swept_is_said(tmp_path, given, words):
+def test_wrong_options_are_refused(tmp_path, given, words):
     with pytest.raises(UsageError, match=words):
         sweep(tmp_path / "sweep", **given)
 
 
-def test_a_wrong_setting_is_said_before_anything_runs(tmp_path):
+def test_a_wrong_setting_is_refused_before_any_run(tmp_path):
     with pytest.raises(evo.ConfigError, match=r"evolution\.mutation_rate: .*less than or equal"):
         sweep(tmp_path / "sweep", grid=("evolution.mutation_rate=0.5,1.5",))
     assert not (tmp_path / "sweep").exists()
 
 
-def test_values_that_are_no_settings_are_refused(tmp_path):
-    with pytest.raises(evo.ConfigError, match=r"seed: .*allowed: numbers, texts, lists"):
+def test_values_of_a_wrong_type_are_refused(tmp_path):
+    with pytest.raises(evo.ConfigError, match=r"seed: .*Allowed: numbers, texts, lists"):
         sweep(tmp_path / "sweep", grid=("seed=!!binary aGVsbG8=",))
     assert not (tmp_path / "sweep").exists()
 
 
 def test_another_sweep_or_a_used_folder_is_refused(swept, tmp_path):
-    with pytest.raises(RunFolderError, match=r"holds another sweep \(its settings differ\)"):
+    with pytest.raises(RunFolderError, match="holds a sweep with other `settings`"):
         sweep(swept)
-    with pytest.raises(UsageError, match="is a sweep, which is gone on with as it is"):
+    with pytest.raises(UsageError, match="is a sweep, which can only be continued unchanged"):
         run_sweep(swept, grid=GRID)
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(RunFolderError, match="is not empty and holds no sweep"):
         sweep(tmp_path)
 
 
-def test_a_changed_configuration_is_said(tmp_path):
+def test_a_changed_configuration_is_refused(tmp_path):
     own = shutil.copytree(CONFIG.parent, tmp_path / "configs") / CONFIG.name
     run_sweep(own, SHORT, GRID, out=tmp_path / "sweep", only=["mutation_rate=0.02"])
     own.write_text(own.read_text().replace("seed: 0", "seed: 5"))
@@ -232,16 +232,16 @@ def test_a_changed_configuration_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"config": 3}, "of another kind"),
-        ({"overrides": [3]}, "of another kind"),
-        ({"settings": {"a": []}}, "of another kind"),
+        ({"config": 3}, "wrong type"),
+        ({"overrides": [3]}, "wrong type"),
+        ({"settings": {"a": []}}, "wrong type"),
         *(
-            ({"settings": {name: {}}}, "is no name of a setting")
+            ({"settings": {name: {}}}, "is not allowed as the name of a setting")
             for name in ("../../x", "/tmp/x", "..", "", "a/b", "a\0")
         ),
     ],
 )
-def test_a_damaged_plan_is_said(tmp_path, change, words):
+def test_a_damaged_plan_is_refused(tmp_path, change, words):
     folder = tmp_path / "sweep"
     folder.mkdir()
     plan = new_plan(CONFIG, (), combine({"evolution.mutation_rate": [0.02, 0.3]}, {}))

@@ -1,4 +1,4 @@
-"""`evo-cpg sweep --jobs`: what shares no program as jobs of submitit, here and with SLURM."""
+"""`evo-cpg sweep --jobs`: settings that share no program as local jobs and as jobs of SLURM."""
 
 import json
 import os
@@ -25,7 +25,7 @@ from tiny_run import CONFIG, PAIR, environment, program
 pytest.importorskip("submitit")
 
 SHORT = (*PAIR, "simulation.steps=20", "evolution.generations=3")
-# Enough for one job to begin before another has ended.
+# Enough for a job to start before another job has ended.
 GENERATIONS = 600
 LONG = (*PAIR, f"evolution.generations={GENERATIONS}")
 GRID = ("world.water.density=1000,1200",)
@@ -34,13 +34,13 @@ NAMES = ("density=1000", "density=1200")
 
 @pytest.fixture(autouse=True)
 def devices(monkeypatch):
-    """JAX has its two already."""
+    """Use the two devices that JAX already has."""
     monkeypatch.setattr("evo_cpg.training.devices.use_cores", lambda count=None: 2)
 
 
 @pytest.fixture
 def quick(monkeypatch, compiled):
-    """Jobs inherit the environment."""
+    """Set the environment of quick programs, which jobs inherit."""
     for name, value in environment(compiled).items():
         monkeypatch.setenv(name, value)
 
@@ -49,7 +49,7 @@ def sweep(folder, jobs=None, options=(), *, given=SHORT, grid=GRID):
     return succeeded(CONFIG, given, grid, out=folder, jobs=jobs, job_option=options)
 
 
-def go_on(folder, jobs=None):
+def resume(folder, jobs=None):
     return succeeded(folder, jobs=jobs)
 
 
@@ -63,13 +63,13 @@ def succeeded(*arguments, **options):
 
 
 def sweep_of(folder):
-    """A sweep that nothing has been done of."""
+    """Make the folder of a sweep without any run."""
     settings = [Setting(name, {"world.water.density": int(name[8:])}) for name in NAMES]
     claim(folder, new_plan(CONFIG, SHORT, settings))
 
 
 def until(reached, process=None):
-    """Wait for something, as long as a process lives."""
+    """Wait until a condition holds. Fail if the process ends before."""
     end = time.monotonic() + 240
     while not reached():
         assert time.monotonic() < end
@@ -82,9 +82,9 @@ def untimed(rows):
 
 
 @pytest.mark.slow
-def test_jobs_come_to_what_comes_of_them_in_turn(tmp_path, quick, capfd):
+def test_jobs_have_the_results_of_a_sweep_without_jobs(tmp_path, quick, capfd):
     assert sweep(tmp_path / "jobs", "2")
-    said = capfd.readouterr().err
+    err = capfd.readouterr().err
     assert sweep(tmp_path / "turn")
     for name in NAMES:
         job, turn = (RunFolder(tmp_path / which / name).load() for which in ("jobs", "turn"))
@@ -92,58 +92,57 @@ def test_jobs_come_to_what_comes_of_them_in_turn(tmp_path, quick, capfd):
         assert untimed(job.history) == untimed(turn.history)
         meta = json.loads((tmp_path / "jobs" / name / "meta.json").read_text())
         assert meta["devices"] == max(1, available_cores() // 2)
-        assert f": {name}\n" in said
+        assert f": {name}\n" in err
     assert (tmp_path / "jobs" / "settings.csv").is_file()
-    # What the jobs said is of no use any more.
+    # The logs of successful jobs are deleted.
     assert not list((tmp_path / "jobs" / ".jobs").iterdir())
     assert not (tmp_path / "jobs" / ".lock").exists()
 
 
 @pytest.mark.slow
-def test_a_job_that_fails_is_said_and_the_others_go_on(tmp_path, quick, capfd):
+def test_a_failed_job_is_reported_and_the_others_continue(tmp_path, quick, capfd):
     folder = tmp_path / "sweep"
     sweep_of(folder)
-    in_the_way = folder / NAMES[1] / "notes.txt"
-    in_the_way.parent.mkdir()
-    in_the_way.write_text("mine")
-    assert not go_on(folder, "1")
-    said = capfd.readouterr().err
-    assert f"failed ({NAMES[1]}); {folder.resolve() / '.jobs'}" in said
-    assert "RunFolderError: " in said and "is not empty" in said
-    assert f"1 of 2 settings did not come to their ends: {NAMES[1]}; go on with" in said
+    obstacle = folder / NAMES[1] / "notes.txt"
+    obstacle.parent.mkdir()
+    obstacle.write_text("mine")
+    assert not resume(folder, "1")
+    err = capfd.readouterr().err
+    assert f"failed ({NAMES[1]}). {folder.resolve() / '.jobs'}" in err
+    assert "RunFolderError: " in err and "is not empty" in err
+    assert f"1 of 2 settings did not finish: {NAMES[1]}. Continue with" in err
     assert RunFolder(folder / NAMES[0]).newest == 3
-    # What failed is gone on with, and nothing else.
-    in_the_way.unlink()
-    assert go_on(folder, "1")
+    # Only the failed setting is continued.
+    obstacle.unlink()
+    assert resume(folder, "1")
     assert NAMES[0] not in capfd.readouterr().err
     assert RunFolder(folder / NAMES[1]).newest == 3
 
 
-def test_two_do_not_work_on_a_sweep_at_once(tmp_path):
+def test_two_commands_cannot_run_one_sweep(tmp_path):
     folder = tmp_path / "sweep"
     sweep_of(folder)
     with (
         sweep_jobs.claimed(folder, None),
-        pytest.raises(LockedError, match=rf"is in use by process {os.getpid()} on .*; a job that"),
+        pytest.raises(LockedError, match=rf"is in use by process {os.getpid()} on .*\. A job that"),
     ):
-        go_on(folder)
-    # Of a lock nothing is left, whoever held it.
+        resume(folder)
+    # The lock is free again.
     with sweep_jobs.claimed(folder, None):
         pass
 
 
-def test_without_slurm_it_says_so(tmp_path, compiled):
+def test_a_host_without_slurm_is_an_error(tmp_path, compiled):
     path = os.environ["PATH"]
     os.environ["PATH"] = str(tmp_path)
     try:
         started = program("sweep", CONFIG, "--grid", GRID[0], "--jobs", "slurm", compiled=compiled)
     finally:
         os.environ["PATH"] = path
-    _, said = started.communicate(timeout=120)
+    _, err = started.communicate(timeout=120)
     assert started.returncode == 2
-    assert (
-        said.startswith("evo-cpg: --jobs slurm: there is no sbatch here") and said.count("\n") == 1
-    )
+    assert err.startswith("evo-cpg: --jobs slurm: this host has no sbatch")
+    assert err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -151,23 +150,23 @@ def test_without_slurm_it_says_so(tmp_path, compiled):
     [
         ("0", (), "'0' is neither a number of processes nor slurm"),
         ("SLURM", (), "'SLURM' is neither a number"),
-        ("2", ("mem_gb=4",), "--job-option: is for --jobs slurm"),
-        (None, ("mem_gb=4",), "--job-option: is for --jobs slurm"),
+        ("2", ("mem_gb=4",), "--job-option: needs --jobs slurm"),
+        (None, ("mem_gb=4",), "--job-option: needs --jobs slurm"),
         ("slurm", ("mem_gb",), "'mem_gb' is not KEY=VALUE"),
     ],
 )
-def test_what_is_no_such_thing_is_said(jobs, options, words):
+def test_wrong_options_are_refused(jobs, options, words):
     with pytest.raises(UsageError, match=words):
         sweep_jobs.read_jobs(jobs, options)
 
 
-def test_without_submitit_it_says_how_to_get_it(monkeypatch):
+def test_the_error_without_submitit_has_the_command_to_install_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "submitit", None)
     with pytest.raises(UsageError, match=r"'submitit' is not installed here.*\[jobs\]"):
         sweep_jobs.read_jobs("2", ())
 
 
-def test_values_of_options_are_as_in_json_or_words(tmp_path, monkeypatch):
+def test_values_of_options_are_json_or_words(tmp_path, monkeypatch):
     fake_slurm(tmp_path, monkeypatch)
     given = ("timeout_min=600", "mem_gb=0.5", "slurm_time=1:00:00", 'slurm_setup=["a", "b"]')
     assert sweep_jobs.read_jobs("slurm", given).options == {
@@ -179,14 +178,15 @@ def test_values_of_options_are_as_in_json_or_words(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_interrupt_ends_local_jobs_which_go_on_to_the_same_bits(tmp_path, compiled):
+def test_interrupted_local_jobs_continue_to_the_same_bits(tmp_path, compiled):
     folder = tmp_path / "sweep"
     words = ("sweep", CONFIG, *LONG, "--grid", GRID[0], "--out", folder, "--cores", 2)
     started = program(*words, "--jobs", 2, compiled=compiled)
     until(lambda: all(RunFolder(folder / name).newest >= 3 for name in NAMES), started)
     started.send_signal(signal.SIGINT)
-    _, said = started.communicate(timeout=60)
-    assert started.returncode == 130 and f"interrupted; go on with `evo-cpg sweep {folder}" in said
+    _, err = started.communicate(timeout=60)
+    assert started.returncode == 130
+    assert f"interrupted. Continue with `evo-cpg sweep {folder}" in err
     stopped = [RunFolder(folder / name).newest for name in NAMES]
     time.sleep(2)
     assert (
@@ -194,11 +194,11 @@ def test_an_interrupt_ends_local_jobs_which_go_on_to_the_same_bits(tmp_path, com
         and max(stopped) < GENERATIONS
     )
     again = program("sweep", folder, "--jobs", 2, "--cores", 2, compiled=compiled)
-    _, said = again.communicate(timeout=200)
-    assert again.returncode == 0, said
+    _, err = again.communicate(timeout=200)
+    assert again.returncode == 0, err
     whole = program(*words[:-4], "--out", tmp_path / "whole", "--cores", 1, compiled=compiled)
-    _, said = whole.communicate(timeout=200)
-    assert whole.returncode == 0, said
+    _, err = whole.communicate(timeout=200)
+    assert whole.returncode == 0, err
     for name in NAMES:
         one, other = (RunFolder(tmp_path / which / name).load() for which in ("sweep", "whole"))
         np.testing.assert_array_equal(one.genes, other.genes)
@@ -206,7 +206,7 @@ def test_an_interrupt_ends_local_jobs_which_go_on_to_the_same_bits(tmp_path, com
 
 
 @pytest.mark.slow
-def test_a_job_whose_command_was_killed_keeps_others_off_until_it_ends(tmp_path, compiled):
+def test_a_job_keeps_the_lock_after_its_command_was_killed(tmp_path, compiled):
     folder = tmp_path / "sweep"
     words = ("sweep", CONFIG, *LONG, "--grid", GRID[0], "--out", folder, "--cores", 1)
     started = program(*words, "--jobs", 1, compiled=compiled)
@@ -214,11 +214,11 @@ def test_a_job_whose_command_was_killed_keeps_others_off_until_it_ends(tmp_path,
     started.kill()
     started.wait()
     with (
-        pytest.raises(LockedError, match="a job that it has started may be at work, too"),
+        pytest.raises(LockedError, match="A job that it has started may be running, too"),
         sweep_jobs.claimed(folder, None),
     ):
         pass
-    # Its standard output and error are the command's, and end with it.
+    # The job inherits the output streams of the command, so they close when the job ends.
     started.communicate(timeout=200)
     assert RunFolder(folder / NAMES[0]).newest == GENERATIONS
     assert RunFolder(folder / NAMES[1]).newest == 0
@@ -265,7 +265,7 @@ for number in sys.argv[sys.argv.index("-j") + 1 :: 2]:
 
 
 def fake_slurm(tmp_path, monkeypatch):
-    """What submitit calls, on this machine alone."""
+    """Install the programs that submitit calls, which run jobs on this machine."""
     home = tmp_path / "slurm"
     home.mkdir()
     for name, text in (("sbatch", SBATCH), ("srun", SRUN), ("sacct", SACCT)):
@@ -278,7 +278,7 @@ def fake_slurm(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_jobs_of_slurm_are_left_and_looked_at_again(tmp_path, monkeypatch, quick, compiled):
+def test_jobs_of_slurm_continue_without_the_command(tmp_path, monkeypatch, quick, compiled):
     home = fake_slurm(tmp_path, monkeypatch)
     folder = tmp_path / "sweep"
     options = ("--job-option", "slurm_partition=long", "--job-option", "mem_gb=2")
@@ -288,24 +288,24 @@ def test_jobs_of_slurm_are_left_and_looked_at_again(tmp_path, monkeypatch, quick
     )  # fmt: skip
     until(lambda: all(RunFolder(folder / name).newest >= 1 for name in NAMES), started)
     started.send_signal(signal.SIGINT)
-    _, said = started.communicate(timeout=60)
+    _, err = started.communicate(timeout=60)
     assert started.returncode == 130
-    assert f"jobs 101, 102 go on; look at them with `evo-cpg sweep {folder} --jobs slurm`" in said
-    assert "scancel 101 102" in said and "interrupted; go on" not in said
+    assert f"jobs 101, 102 continue. Follow them with `evo-cpg sweep {folder} --jobs slurm`" in err
+    assert "scancel 101 102" in err and "interrupted" not in err
     script = (home / "101.sh").read_text()
     for words in ("partition=long", "mem=2GB", "cpus-per-task=1", "job-name=evo-cpg-sweep"):
         assert f"#SBATCH --{words}" in script
-    with pytest.raises(RunFolderError, match=r"jobs of it are with SLURM \(101, 102\)"):
-        go_on(folder)
-    assert go_on(folder, "slurm")
+    with pytest.raises(RunFolderError, match=r"SLURM has jobs of this sweep \(101, 102\)"):
+        resume(folder)
+    assert resume(folder, "slurm")
     assert [RunFolder(folder / name).newest for name in NAMES] == [GENERATIONS] * 2
-    # Nobody was given anything twice, and no job is left on the list.
+    # No setting was submitted twice, and no job is left on the list.
     assert not (home / "103.sh").exists()
     assert json.loads((folder / ".jobs" / "slurm.json").read_text()) == []
-    assert go_on(folder)
+    assert resume(folder)
 
 
-def test_a_parameter_that_submitit_does_not_know_is_said(tmp_path, monkeypatch):
+def test_unknown_parameters_of_submitit_are_refused(tmp_path, monkeypatch):
     fake_slurm(tmp_path, monkeypatch)
     for option, words in (
         ("partitoin=long", "--job-option: Parameter 'partitoin' need to be prefixed"),
@@ -316,15 +316,15 @@ def test_a_parameter_that_submitit_does_not_know_is_said(tmp_path, monkeypatch):
             sweep(tmp_path / "sweep", "slurm", (option,))
 
 
-def test_a_damaged_list_of_jobs_is_said(tmp_path):
+def test_a_damaged_list_of_jobs_is_refused(tmp_path):
     sweep_of(tmp_path)
     (tmp_path / ".jobs").mkdir(exist_ok=True)
     (tmp_path / ".jobs" / "slurm.json").write_text('[{"id": 3}]')
     with pytest.raises(RunFolderError, match=r"slurm\.json is damaged"):
-        go_on(tmp_path)
+        resume(tmp_path)
 
 
-def test_a_job_that_slurm_refuses_is_said(tmp_path, monkeypatch):
+def test_a_job_that_slurm_refuses_is_an_error(tmp_path, monkeypatch):
     home = fake_slurm(tmp_path, monkeypatch)
     (home / "sbatch").write_text("#!/bin/sh\necho sbatch: error: invalid partition >&2\nexit 1\n")
     with pytest.raises(UsageError, match=r"sbatch refuses the job: .*invalid partition"):
@@ -332,8 +332,8 @@ def test_a_job_that_slurm_refuses_is_said(tmp_path, monkeypatch):
     assert not list((tmp_path / "sweep" / ".jobs").iterdir())
 
 
-def test_a_setting_is_not_given_to_two_jobs(tmp_path, monkeypatch):
-    """One that a job has together with others, of which this command is not asked."""
+def test_a_setting_is_not_submitted_twice(tmp_path, monkeypatch):
+    """An existing job evolves the setting together with another setting."""
     fake_slurm(tmp_path, monkeypatch)
     folder = tmp_path / "sweep"
     sweep_of(folder)
@@ -342,13 +342,13 @@ def test_a_setting_is_not_given_to_two_jobs(tmp_path, monkeypatch):
     (folder / ".jobs" / "slurm.json").write_text(json.dumps([entry]))
     monkeypatch.setattr(sweep_jobs, "_of_slurm", lambda entry: Alive())
     with pytest.raises(
-        UsageError, match=f"job 7 evolves {NAMES[0]} already, with others; .*scancel 7"
+        UsageError, match=f"job 7 already evolves {NAMES[0]}, with other settings.*scancel 7"
     ):
         run_sweep(folder, only=[NAMES[0]], jobs="slurm")
 
 
 class Alive:
-    """A job that goes on."""
+    """Job that continues."""
 
     job_id = "7"
 

@@ -1,4 +1,4 @@
-"""`train --tensorboard`: scalars by the names of metrics.csv, gone on with by `resume`."""
+"""`train --tensorboard`: scalars with the names of metrics.csv, which `resume` continues."""
 
 import csv
 import shutil
@@ -13,7 +13,7 @@ pytest.importorskip("tensorboardX")
 
 @pytest.fixture(scope="module")
 def run(cli, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("told") / "run"
+    folder = tmp_path_factory.mktemp("scalars") / "run"
     code, _, complaint = cli(
         "train", CONFIG, *PAIR, "evolution.generations=2", "--tensorboard", "--out", folder
     )
@@ -41,17 +41,17 @@ def table(run) -> list[dict[str, float]]:
 
 
 def agrees(run, generations: int) -> None:
-    told, written = scalars(run), table(run)
-    assert len(told) == len(written) == generations
-    for one, other in zip(told, written, strict=True):
+    found, written = scalars(run), table(run)
+    assert len(found) == len(written) == generations
+    for one, other in zip(found, written, strict=True):
         assert one == pytest.approx(other, rel=1e-6)
 
 
-def test_scalars_are_the_table(run):
+def test_scalars_equal_the_table(run):
     agrees(run, 2)
 
 
-def test_resume_goes_on_in_the_same_file(cli, run, tmp_path):
+def test_resume_continues_the_same_file(cli, run, tmp_path):
     again = tmp_path / "run"
     shutil.copytree(run, again)
     code, _, complaint = cli("resume", again, "--generations", 4)
@@ -60,7 +60,7 @@ def test_resume_goes_on_in_the_same_file(cli, run, tmp_path):
     assert len(list((again / "tensorboard").iterdir())) == 1
 
 
-def test_resume_begins_one_where_it_is_asked_for(cli, run, tmp_path):
+def test_resume_starts_a_file_only_with_the_option(cli, run, tmp_path):
     again = tmp_path / "run"
     shutil.copytree(run, again)
     shutil.rmtree(again / "tensorboard")
@@ -72,7 +72,7 @@ def test_resume_begins_one_where_it_is_asked_for(cli, run, tmp_path):
     agrees(again, 4)
 
 
-def test_without_the_package_it_is_refused_before_anything(cli, run, tmp_path, monkeypatch):
+def test_a_missing_package_is_an_error_before_training(cli, run, tmp_path, monkeypatch):
     before = scalars(run)
     monkeypatch.setitem(sys.modules, "tensorboardX.proto.event_pb2", None)
     code, _, complaint = cli("train", CONFIG, *PAIR, "--tensorboard", "--out", tmp_path / "new")
@@ -81,6 +81,6 @@ def test_without_the_package_it_is_refused_before_anything(cli, run, tmp_path, m
     again = tmp_path / "run"
     shutil.copytree(run, again)
     code, _, complaint = cli("resume", again, "--generations", 3)
-    assert code == 0 and "no more scalars for TensorBoard" in complaint
+    assert code == 0 and "writing no more scalars for TensorBoard" in complaint
     monkeypatch.undo()
     assert scalars(again) == before

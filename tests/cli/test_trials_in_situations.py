@@ -1,4 +1,4 @@
-"""A run of three situations, from the command line to films and plots of any of them."""
+"""A run with three situations: training, verification, plots and films of any of them."""
 
 import numpy as np
 import pytest
@@ -28,15 +28,16 @@ def situated_run(cli, tmp_path_factory):
     return folder
 
 
-def test_the_champion_comes_out_exactly(situated_run, cli):
+def test_the_champion_is_verified_exactly(situated_run, cli):
     code, out, err = cli("verify", situated_run)
     assert (code, err) == (0, "")
-    assert out.endswith("comes out as recorded (exactly)\n")
+    assert out.endswith("is as recorded (exactly)\n")
     written = yaml.safe_load((situated_run / "config.yaml").read_text())
     assert written["simulation"]["trials"] == yaml.safe_load(TRIALS)
 
 
-def test_pictures_are_made_of_any_trial(situated_run, cli, tmp_path):
+@pytest.mark.slow
+def test_any_trial_can_be_plotted_and_filmed(situated_run, cli, tmp_path):
     code, out, err = cli("plot", situated_run, "--trial", 2, "-o", tmp_path)
     assert code == 0, err
     names = ["fitness.png", "joint_signals_trial2.png", "path_trial2.png"]
@@ -47,7 +48,7 @@ def test_pictures_are_made_of_any_trial(situated_run, cli, tmp_path):
     assert (code, out) == (0, f"{picture}\n"), err
 
 
-def test_films_from_other_sides_have_files_of_their_own(situated_run, cli):
+def test_each_camera_has_its_own_file(situated_run, cli):
     assert tuple(View) == CAMERAS
     small = ("--size", "64x48", "--seconds", "0.1")
     code, out, err = cli("render", situated_run, "--camera", "top", "--trial", 1, *small)
@@ -57,41 +58,39 @@ def test_films_from_other_sides_have_files_of_their_own(situated_run, cli):
     assert "'front' is not one of 'follow', 'side', 'top'" in " ".join(err.split())
 
 
-def test_the_first_trial_is_shown_from_the_folder_and_others_are_replayed(
-    situated_run, tmp_path, monkeypatch
-):
+def test_only_trials_after_the_first_are_replayed(situated_run, tmp_path, monkeypatch):
     champion, kept, _ = RunFolder(situated_run).load_champion()
     assert kept is not None
     assert kept.goal == pytest.approx((4, -8 * np.sin(np.pi / 3), 0))
-    asked = []
+    replayed = []
 
     def replay(experiment, individual, devices, recorded):
-        asked.append((individual.fitness, recorded))
+        replayed.append((individual.fitness, recorded))
         return champion.fitness, champion.terms, kept
 
     monkeypatch.setattr(replay_module, "replay_champion", replay)
     monkeypatch.setattr(champions, "use_cores", lambda count=None: 2)
     for trial in (0, 2):
         plot(situated_run, tmp_path, Which(trial=trial))
-    assert asked == [(champion.fitness, 2)]
+    assert replayed == [(champion.fitness, 2)]
 
 
 @pytest.mark.parametrize("command", ["render", "plot"])
-def test_a_trial_that_is_not_there_is_refused(situated_run, cli, command):
+def test_a_missing_trial_is_refused(situated_run, cli, command):
     code, out, err = cli(command, situated_run, "--trial", 3)
     assert (code, out) == (2, "")
-    allowed = "has 3 trial(s), counted from 0"
-    assert err == f"evo-cpg: --trial: an individual of {situated_run} {allowed}\n"
+    allowed = "has 3 trial(s) per individual, counted from 0"
+    assert err == f"evo-cpg: --trial: {situated_run} {allowed}\n"
     code, _, err = cli(command, situated_run, "--trial", -1)
     assert code == 2 and "--trial" in err
 
 
 @pytest.mark.slow
 def test_a_run_over_uneven_ground_trains_and_verifies(cli, finish, tmp_path):
-    """Its start and its light are looked at before training, which must not fix the cores."""
+    """Checks of the start and the light precede training, and must not fix the number of cores."""
     folder, floor = tmp_path / "run", "{type: plane, slope_deg: 5, height: -3}"
     overrides = (*PAIR, "evolution.generations=1", f"world.ground.floor={floor}")
     code, _, err = finish("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     assert code == 0, err
     code, out, err = cli("verify", folder)
-    assert code == 0 and out.endswith("comes out as recorded (exactly)\n"), err
+    assert code == 0 and out.endswith("is as recorded (exactly)\n"), err

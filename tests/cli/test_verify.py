@@ -1,4 +1,4 @@
-"""`verify` succeeds on what was recorded and tells what was altered."""
+"""`evo-cpg verify`: it accepts an unchanged run, and names every change."""
 
 import shutil
 from pathlib import Path
@@ -15,13 +15,13 @@ from tiny_run import GENERATIONS
 
 @pytest.fixture
 def copied_run(finished_run, tmp_path) -> RunFolder:
-    """A finished run to alter."""
+    """Return a copy of a finished run."""
     return RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
 
 
 @pytest.fixture
 def without_replay(finished_run, monkeypatch):
-    """Let a replay tell what the untouched run recorded, for a test that is not about it."""
+    """Make each replay return the record of the unchanged run, for tests without a replay."""
     champion, motion, _ = RunFolder(finished_run).load_champion()
     monkeypatch.setattr(
         replay, "replay_champion", lambda *_: (champion.fitness, champion.terms, motion)
@@ -36,35 +36,34 @@ def alter(folder: RunFolder, **arrays: object) -> None:
 
 
 def complaints(err: str, folder: Path) -> list[str]:
-    """Each difference is one line that names the run."""
+    """Check that each difference is one line with the run, and return the differences."""
     lines = err.splitlines()
     start = f"evo-cpg: {folder}: "
     assert all(line.startswith(start) for line in lines)
     return [line.removeprefix(start) for line in lines]
 
 
-def test_a_fresh_run_comes_out_exactly_as_recorded(finished_run, cli):
+def test_an_unchanged_run_is_verified_exactly(finished_run, cli):
     champion, _, _ = RunFolder(finished_run).load_champion()
     code, out, err = cli("verify", finished_run)
     assert (code, err) == (0, "")
     assert out == (
-        f"{finished_run}: the champion's fitness {champion.fitness:.6f} comes out as recorded "
-        "(exactly)\n"
+        f"{finished_run}: the champion's fitness {champion.fitness:.6f} is as recorded (exactly)\n"
     )
 
 
-def test_an_altered_config_is_found_by_digest_and_by_replay(copied_run, cli):
+def test_a_changed_config_is_found_by_digest_and_by_replay(copied_run, cli):
     config = yaml.safe_load(copied_run.config.read_text())
     config["world"]["water"]["density"] *= 0.8
     copied_run.config.write_text(yaml.safe_dump(config))
     code, out, err = cli("verify", copied_run.path)
     assert (code, out) == (3, "")
     found = complaints(err, copied_run.path)
-    assert found[0] == "config.yaml is not the one that the champion was evolved with"
+    assert found[0] == "config.yaml has changed since the champion evolved"
     assert any(line.startswith("energy: recorded 0.") and "replayed 0." in line for line in found)
 
 
-def test_genes_altered_with_all_digests_are_found_by_replay(copied_run, cli):
+def test_genes_changed_with_all_digests_are_found_by_replay(copied_run, cli):
     champion, _, _ = copied_run.load_champion()
     genes = -champion.genes
     alter(copied_run, genes=genes, genes_sha256=genes_digest(genes))
@@ -76,7 +75,7 @@ def test_genes_altered_with_all_digests_are_found_by_replay(copied_run, cli):
     assert not any("champion.npz" in line for line in found)
 
 
-def test_one_altered_gene_is_found(copied_run, cli, without_replay):
+def test_one_changed_gene_is_found(copied_run, cli, without_replay):
     champion, _, _ = copied_run.load_champion()
     genes = champion.genes.copy()
     genes[3] = np.nextafter(genes[3], np.float32(9))
@@ -84,20 +83,20 @@ def test_one_altered_gene_is_found(copied_run, cli, without_replay):
     code, _, err = cli("verify", copied_run.path)
     assert code == 3
     assert complaints(err, copied_run.path) == [
-        "champion.npz: the genome is not the one that was evolved",
-        "champion.npz: the genome is not that of the newest checkpoint",
+        "champion.npz: the genome differs from the evolved genome",
+        "champion.npz: the genome differs from the newest checkpoint",
     ]
     alter(copied_run, genes_sha256=genes_digest(genes))
     code, _, err = cli("verify", copied_run.path)
     assert code == 3
     assert complaints(err, copied_run.path) == [
-        "champion.npz: the genome is not that of the newest checkpoint"
+        "champion.npz: the genome differs from the newest checkpoint"
     ]
 
 
 @pytest.mark.parametrize("name", ["fitness", "term.energy", "term.distance"])
 @pytest.mark.parametrize("digest", [False, True])
-def test_altered_figures_are_found(copied_run, cli, without_replay, name, digest):
+def test_changed_fitness_and_terms_are_found(copied_run, cli, without_replay, name, digest):
     champion, _, _ = copied_run.load_champion()
     value = {"fitness": champion.fitness, **champion.terms}[name.removeprefix("term.")]
     alter(copied_run, **{name: 0.9 * value})
@@ -106,8 +105,8 @@ def test_altered_figures_are_found(copied_run, cli, without_replay, name, digest
     code, _, err = cli("verify", copied_run.path)
     assert code == 3
     found = complaints(err, copied_run.path)
-    assert ("fitness or terms are not those that were recorded" in found[0]) == (not digest)
-    assert "champion.npz: the newest checkpoint records other fitness or terms" in found
+    assert ("fitness or terms differ from the recorded values" in found[0]) == (not digest)
+    assert "champion.npz: fitness or terms differ from the newest checkpoint" in found
     short = name.removeprefix("term.")
     assert found[-1] == f"{short}: recorded {0.9 * value:.6g}, replayed {value:.6g}"
 
@@ -123,23 +122,23 @@ def test_a_genome_of_another_size_cannot_be_replayed(copied_run, cli):
     assert "config.yaml was changed after training: the genome has 3 genes, not" in err
 
 
-def test_a_damaged_champion_is_named_with_the_way_out(copied_run, cli):
+def test_the_error_for_a_damaged_champion_names_the_cure(copied_run, cli):
     copied_run.champion.write_bytes(copied_run.champion.read_bytes()[:500])
     for command in ("verify", "render", "plot"):
         code, out, err = cli(command, copied_run.path)
         assert (code, out) == (2, "") and err.count("\n") == 1
         assert f"{copied_run.champion} is damaged" in err
-        assert f"`evo-cpg resume {copied_run.path}` writes it anew" in err
+        assert f"`evo-cpg resume {copied_run.path}` writes it again" in err
 
 
-def test_a_run_in_which_nobody_lived_says_so(copied_run, cli, monkeypatch):
+def test_a_run_without_finite_fitness_is_an_error(copied_run, cli, monkeypatch):
     dead = Checkpoint(20, np.zeros((1, 8), np.float32), (None,), [], {})
     monkeypatch.setattr(loop, "train", lambda *_, **__: dead)
     code, out, err = cli("resume", copied_run.path, "--generations", GENERATIONS + 1)
     assert (code, out) == (2, "") and err.count("\n") == 1
-    assert "every individual of every generation diverged, so there is no champion; try" in err
+    assert "every individual of every generation diverged, so there is no champion. Try" in err
     row = {"generation": 0, "diverged": 7}
     monkeypatch.setattr(loop, "train", lambda *_, **__: dead._replace(history=[row]))
     code, out, err = cli("resume", copied_run.path, "--generations", GENERATIONS + 2)
     assert (code, out) == (2, "") and err.count("\n") == 1
-    assert "of those that did not diverge nobody has a fitness that is a finite number" in err
+    assert "no individual has a finite fitness, so there is no champion. Check" in err

@@ -1,4 +1,4 @@
-"""`evo-cpg watch`: what it tells of a run, and that it leaves the run alone."""
+"""`evo-cpg watch`: its display of a run, which it does not change."""
 
 import io
 import math
@@ -28,7 +28,7 @@ def run(cli, tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def polite(monkeypatch):
-    """This process stays as it is."""
+    """Keep the priority and the devices of this process."""
     monkeypatch.setattr(watch, "lower_priority", lambda: None)
     monkeypatch.setattr(devices, "use_cores", lambda count=None: 2)
 
@@ -42,8 +42,8 @@ def contents(folder) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_a_run_that_is_done_is_told_and_drawn(cli, run, tmp_path):
-    """It ends by itself, and of the folder it changes nothing but its own picture."""
+def test_a_finished_run_is_printed_and_drawn(cli, run, tmp_path):
+    """The command ends, and writes only its own picture to the folder."""
     folder = tmp_path / "run"
     shutil.copytree(run, folder)
     before = contents(folder)
@@ -64,7 +64,7 @@ def test_a_run_that_is_done_is_told_and_drawn(cli, run, tmp_path):
         assert len(np.unique(np.array(picture.convert("RGB")).reshape(-1, 3), axis=0)) > 1000
 
 
-def test_once_without_a_picture(cli, run, tmp_path):
+def test_once_prints_all_generations_without_a_picture(cli, run, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(run, folder)
     code, out, _ = cli("watch", folder, "--once", "--no-picture")
@@ -72,12 +72,12 @@ def test_once_without_a_picture(cli, run, tmp_path):
     assert not (folder / "watch.png").exists()
 
 
-def test_before_the_first_generation_there_is_nothing_to_tell(cli, run, tmp_path):
+def test_a_run_without_a_finished_generation_is_reported(cli, run, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(run, folder)
     shutil.rmtree(folder / "checkpoints")
     code, out, _ = cli("watch", folder, "--once")
-    assert code == 0 and out == f"{folder}: not one generation is finished\n"
+    assert code == 0 and out == f"{folder}: no generation is finished yet\n"
 
 
 def test_a_folder_without_a_run_is_refused(cli, tmp_path):
@@ -85,8 +85,8 @@ def test_a_folder_without_a_run_is_refused(cli, tmp_path):
     assert code == 2 and "is not a run folder (it has no config.yaml)" in complaint
 
 
-def test_what_was_interrupted_is_left_to_the_trainer(run, tmp_path):
-    """`require`, which others call, would move what waits in a folder of its own."""
+def test_watch_leaves_an_interrupted_write_to_the_trainer(run, tmp_path):
+    """`require`, which other commands call, would finish the write."""
     folder = tmp_path / "run"
     shutil.copytree(run, folder)
     (folder / ".decided").mkdir()
@@ -95,24 +95,25 @@ def test_what_was_interrupted_is_left_to_the_trainer(run, tmp_path):
     assert (folder / ".decided" / "config.yaml").is_file()
 
 
-def test_a_terminal_sees_numbers_and_curves(run):
+def test_a_terminal_shows_numbers_and_curves(run):
     folder = RunFolder(run)
     seen = watch.standing(folder)
     assert seen.finished and watch.standing(folder, seen) is seen
     screen = Console(file=io.StringIO(), width=100, force_terminal=False)
     screen.print(panel(folder, seen, 100))
-    told = screen.file.getvalue()
+    shown = screen.file.getvalue()
     champion = RunFolder(run).load_champion()[0]
     for words in ("3/3 generations", "finished", f"champion {champion.fitness:.4f}", "diverged"):
-        assert words in told
+        assert words in shown
     # Braille dots.
-    assert any(0x2800 < ord(letter) < 0x2900 for letter in told)
+    assert any(0x2800 < ord(letter) < 0x2900 for letter in shown)
     waiting = seen._replace(generations=100, changed=time.time() - 7200)
     screen.print(panel(folder, waiting, 100))
-    assert "nothing new for 2.0 h" in screen.file.getvalue() or "120 min" in screen.file.getvalue()
+    shown = screen.file.getvalue()
+    assert "no new generation for 2.0 h" in shown or "120 min" in shown
 
 
-def test_of_several_runs_the_best_counts():
+def test_curves_show_the_best_champion_of_several_runs():
     history = [
         {"generation": g, "run": r, "champion": c, "mean": m}
         for g, r, c, m in ((0, 0, 1.0, 0.0), (0, 1, 3.0, 2.0), (1, 0, math.nan, 1.0),
@@ -122,8 +123,9 @@ def test_of_several_runs_the_best_counts():
     assert found["champion"].tolist() == [3.0, 4.0] and found["mean"].tolist() == [1.0, 2.0]
 
 
-def test_it_looks_on_while_a_run_evolves_and_ends_at_control_c(start, tmp_path):
-    """Lines come while the trainer works, which has more to do than the test waits for."""
+@pytest.mark.slow
+def test_watch_follows_a_run_until_control_c(start, tmp_path):
+    """Each new generation prints a line. The trainer has more generations than the test needs."""
     folder = tmp_path / "run"
     with start("train", CONFIG, *LONG, "evolution.generations=50000", "--out", folder) as trainer:
         until = time.monotonic() + 120
@@ -144,7 +146,7 @@ def test_it_looks_on_while_a_run_evolves_and_ends_at_control_c(start, tmp_path):
 
 
 def dots(lines: list[str]) -> list[tuple[int, int]]:
-    """Row and column of every dot that is set."""
+    """Return row and column of every dot."""
     bits = {0x01: (0, 0), 0x02: (1, 0), 0x04: (2, 0), 0x40: (3, 0), 0x08: (0, 1), 0x10: (1, 1),
             0x20: (2, 1), 0x80: (3, 1)}  # fmt: skip
     return sorted(
@@ -156,11 +158,11 @@ def dots(lines: list[str]) -> list[tuple[int, int]]:
     )
 
 
-def test_a_curve_goes_from_its_lowest_to_its_highest():
+def test_a_curve_spans_its_lowest_and_highest_value():
     assert dots(curve([0.0, 1.0, 2.0, 3.0], 2, 1)) == [
         (0, 3), (1, 2), (1, 3), (2, 1), (2, 2), (3, 0), (3, 1)
     ]  # fmt: skip
-    # Level, a single value, none, and a gap.
+    # These are a level curve, a single value, no value, and a gap.
     assert dots(curve([2.0, 2.0], 1, 1)) == [(3, 0), (3, 1)]
     assert dots(curve([5.0], 2, 1)) == [(3, 0), (3, 1), (3, 2), (3, 3)]
     assert dots(curve([math.nan], 2, 1)) == [] == dots(curve([], 2, 1))

@@ -1,4 +1,4 @@
-"""Whatever a user gets wrong: one or two lines, exit code 2, nothing written, nothing lost."""
+"""Wrong input of every kind: one or two lines, exit code 2, and no file is changed."""
 
 import re
 import shutil
@@ -105,13 +105,13 @@ class Stiff(Controller):
 
 
 def contents(folder: Path) -> dict[Path, bytes | None]:
-    """Everything below a folder, to the byte."""
+    """Return the bytes of every file below a folder."""
     return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
 @pytest.fixture
 def refused(cli, tmp_path, monkeypatch):
-    """Call the program and return what it complained of, having checked how."""
+    """Return a function that runs the program, checks the form of its error and returns it."""
     monkeypatch.chdir(tmp_path)
 
     def call(*arguments: object) -> str:
@@ -127,11 +127,11 @@ def refused(cli, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("command", ["train", "validate", "preview"])
-def test_a_wrong_config_is_refused_by_every_command(refused, tmp_path, command):
+def test_every_command_rejects_an_invalid_config(refused, tmp_path, command):
     path = tmp_path / "x.yaml"
     path.write_text("name: x\ncreature: {name: y, bodies: [}\n")
     assert refused(command, path).startswith(f"{path}: line 2, column ")
-    assert "no such file; did you mean 'x.yaml'?" in refused(command, tmp_path / "y.yaml")
+    assert "no such file: did you mean 'x.yaml'?" in refused(command, tmp_path / "y.yaml")
     assert "cannot be read (Is a directory)" in refused(command, tmp_path)
 
 
@@ -139,31 +139,31 @@ def test_a_wrong_config_is_refused_by_every_command(refused, tmp_path, command):
     ("override", "expected"),
     [
         ("seed", "command line: 'seed' is not of the form key.path=value"),
-        ("controller.cpg.pair_wait=1", "controller.cpg.pair_wait: unknown key; did you mean"),
-        ("creature.materials.body.density=-1", "body.density: -1: input should be greater than 0"),
-        ("creature.bodies.1.repeat=0", "repeat: 0: input should be greater than or equal to 1"),
-        ("creature.bodies.1.joint.parent=hed", "'hed' does not exist; did you mean 'head'?"),
+        ("controller.cpg.pair_wait=1", "controller.cpg.pair_wait: unknown key: did you mean"),
+        ("creature.materials.body.density=-1", "body.density: -1: must be greater than 0"),
+        ("creature.bodies.1.repeat=0", "repeat: 0: must be greater than or equal to 1"),
+        ("creature.bodies.1.joint.parent=hed", "'hed' does not exist: did you mean 'head'?"),
         ("evolution.population=8", "elites: must be fewer than the population of 8, got 20"),
         (
             "evolution={elites: 400}",
             ": evolution: elites: must be fewer than the population of 200",
         ),
-        ("creature.bodies.0.shape.size=[0.1, 0.2]", "size: [0.1, 0.2]: 3 values are needed"),
+        ("creature.bodies.0.shape.size=[0.1, 0.2]", "size: [0.1, 0.2]: must have 3 values"),
         ("simulation.start=[0, 0, -3]", "start: [0, 0, -3]: must have at most 2, has 3"),
         ("creature.bodies.0.name=''", "bodies.0.name: '': must not be empty"),
         ('creature.bodies.0.name="a\\nb"', r"bodies.0.name: 'a\nb': must be on one line"),
         ('creature.bodies.0.name="a\\e[1m"', r"bodies.0.name: 'a\x1b[1m': must be on one line"),
         ("creature.bodies.².repeat=5", "creature.bodies has no ²"),
         ('name="a\\0b"', "name: 'a\\x00b': "),
-        ("task.light_weight=2", "eq. 10 asks for"),
-        ("world.gravity=.nan", "world.gravity: nan: input should be a finite number"),
+        ("task.light_weight=2", "eq. 10 requires"),
+        ("world.gravity=.nan", "world.gravity: nan: must be a finite number"),
     ],
 )
-def test_a_wrong_setting_is_refused_before_anything_is_written(refused, override, expected):
+def test_invalid_setting_is_rejected_before_any_output(refused, override, expected):
     assert expected in refused("train", CONFIG, override, "--out", "run")
 
 
-def test_a_setting_longer_than_a_file_name_is_a_setting(refused):
+def test_a_long_setting_is_not_read_as_a_file_name(refused):
     for long in ("1" * 400, f"[{', '.join(['{type: blok, size: [1, 1, 1]}'] * 9)}]"):
         assert "world.ground" in refused("validate", CONFIG, f"world.ground={long}")
 
@@ -172,13 +172,13 @@ def test_a_setting_longer_than_a_file_name_is_a_setting(refused):
     ("mesh", "scale", "expected"),
     [
         (lambda: trimesh.creation.annulus(0.05, 0.1, 0.1), 1, "it is not convex"),
-        (lambda: trimesh.creation.box((300, 200, 100)), 1, "it needs scale: 0.001"),
+        (lambda: trimesh.creation.box((300, 200, 100)), 1, "set scale: 0.001"),
         (whisker, 1, "triangles are lower than"),
-        (lambda: trimesh.creation.box(), 10**20, "input should be less than 1000000000"),
+        (lambda: trimesh.creation.box(), 10**20, "must be less than 1000000000"),
     ],
     ids=["annulus", "millimetres", "whisker", "scale"],
 )
-def test_a_mesh_that_cannot_be_a_body_is_refused(refused, tmp_path, mesh, scale, expected):
+def test_invalid_mesh_is_rejected(refused, tmp_path, mesh, scale, expected):
     file = tmp_path / "part.stl"
     mesh().export(file)
     shape = f"creature.bodies.0.shape={{type: mesh, file: {file}, scale: {scale}}}"
@@ -187,41 +187,41 @@ def test_a_mesh_that_cannot_be_a_body_is_refused(refused, tmp_path, mesh, scale,
     assert expected in message and "\n" not in message
 
 
-def test_legs_that_cannot_reach_their_postures_are_refused(refused):
+def test_postures_beyond_the_limits_are_rejected(refused):
     walker = REPOSITORY / "configs" / "fukui2003_model1.yaml"
     narrow = "creature.bodies.2.joint.limits_deg=[-75, 60]"
     assert refused("train", walker, narrow, "--out", "run") == (
-        f"{walker}: controller: the postures turn joint front_left_lower.y from -70 to 70 degrees, "
-        "counted from the neutral pose; its limits_deg allow -75 to 60"
+        f"{walker}: controller: the postures turn joint front_left_lower.y from -70 to 70 degrees "
+        "(neutral pose: 0), but its limits_deg allow -75 to 60"
     )
 
 
-def test_a_place_that_cannot_take_a_run_is_refused(refused, tmp_path):
+def test_invalid_output_folder_is_rejected(refused, tmp_path):
     used = tmp_path / "used"
     used.mkdir()
     (used / "config.yaml").write_text("name: mine\n")
     message = refused("train", CONFIG, *TINY, "--out", used)
     assert message == (
-        f"{used} already holds a run; go on with `evo-cpg resume {used}` or choose another --out"
+        f"{used} already holds a run. Continue with `evo-cpg resume {used}` or choose another --out"
     )
     other = tmp_path / "other"
     other.mkdir()
     (other / "thesis.tex").write_text("years of work")
     assert "is not empty and holds no run" in refused("train", CONFIG, *TINY, "--out", other)
     file = other / "thesis.tex"
-    assert "is a file; choose another --out" in refused("train", CONFIG, *TINY, "--out", file)
+    assert "is a file. Choose another --out" in refused("train", CONFIG, *TINY, "--out", file)
     assert "cannot write" in refused("train", CONFIG, *TINY, "--out", file / "run")
     for place in ("/proc/run", "/sys/run", f"/{'x' * 300}"):
         assert f"cannot write {place} (" in refused("train", CONFIG, *TINY, "--out", place)
 
 
 @pytest.mark.parametrize("command", ["resume", "verify", "render", "plot"])
-def test_a_folder_that_is_no_run_is_refused(refused, tmp_path, command):
+def test_folder_without_a_run_is_rejected(refused, tmp_path, command):
     for place in (tmp_path, tmp_path / "nowhere", CONFIG):
         assert "is not a run folder (it has no config.yaml)" in refused(command, place)
 
 
-def test_a_run_with_a_broken_config_or_no_champion_is_refused(refused, tmp_path):
+def test_run_with_a_broken_config_or_no_champion_is_rejected(refused, tmp_path):
     run = tmp_path / "run"
     run.mkdir()
     (run / "config.yaml").write_text("name: [")
@@ -231,12 +231,12 @@ def test_a_run_with_a_broken_config_or_no_champion_is_refused(refused, tmp_path)
     config["creature"] = str(REPOSITORY / "configs" / config["creature"])
     (run / "config.yaml").write_text(yaml.safe_dump(config))
     for command in ("verify", "render", "plot"):
-        assert refused(command, run) == "run has no champion yet; train it first".replace(
+        assert refused(command, run) == "run has no champion yet. Train it first".replace(
             "run", str(run), 1
         )
 
 
-def test_a_film_of_unknown_kind_or_size_is_refused(refused, finished_run, tmp_path):
+def test_film_of_unknown_format_or_size_is_rejected(refused, finished_run, tmp_path):
     assert "the name ends in '.avi'" in refused("render", finished_run, "-o", "film.avi")
     assert "there is no folder" in refused("render", finished_run, "-o", "no/film.mp4")
     message = refused("render", finished_run, "--size", "big")
@@ -255,7 +255,7 @@ def test_a_film_of_unknown_kind_or_size_is_refused(refused, finished_run, tmp_pa
     assert message == "speed is inf, but must be positive and finite"
 
 
-def test_a_preview_that_cannot_be_is_refused(refused):
+def test_preview_of_invalid_size_or_place_is_rejected(refused):
     message = refused("preview", CONFIG, "--size", "12x12", "-o", "body.png")
     assert message == "size is 12 x 12 pixels, but the smallest is 16 x 16"
     message = refused("preview", CONFIG, "--size", "9999x720", "-o", "body.png")
@@ -271,28 +271,28 @@ def test_a_preview_that_cannot_be_is_refused(refused):
         ("broken_tasks:Jump", {}, "task.type: 'broken_tasks:Jump' cannot be imported (SyntaxErr"),
         ("..my_tasks:Jump", {}, "task.type: '..my_tasks:Jump' cannot be imported (TypeError"),
         ("my_tasks:NotATask", {}, "is not a subclass of evo_cpg.simulation.task:Task"),
-        ("my_tasks:Unfinished", {}, "task.options: my_tasks:Unfinished cannot be built with them"),
-        ("my_tasks:Jump", {"height": 101}, "be built with them (KeyError: 'tail101.z')"),
-        ("my_tasks:Jump", {"hieght": 2}, "cannot be built with them (Jump.__init__() got an unexp"),
+        ("my_tasks:Unfinished", {}, "task.options: my_tasks:Unfinished cannot be built with these"),
+        ("my_tasks:Jump", {"height": 101}, "be built with these options (KeyError: 'tail101.z')"),
+        ("my_tasks:Jump", {"hieght": 2}, "cannot be built with these options (Jump.__init__()"),
         ("my_tasks:Jump", {"height": -2}, "height must not be negative, got -2"),
         ("my tasks:Jump", {}, "task.type: 'my tasks:Jump': must be a module and a class"),
         (
             "my_tasks:Forgets",
             {},
-            "task.type: Forgets.update must return the tally with the same structure, shapes and "
-            "types as it began with, float32[7]; got float32[1, 7]",
+            "task.type: Forgets.update must return the tally with unchanged structure, shapes and "
+            "types, float32[7], got float32[1, 7]",
         ),
         ("my_tasks:Nameless", {}, "task.type: Nameless.terms must return a dict by name, not"),
         (
             "my_tasks:Wholesale",
             {},
-            "task.type: Wholesale.fitness must return one number, shape (7,), the last axis being "
-            "individuals (7 here); got float32[]",
+            "task.type: Wholesale.fitness must return one number, shape (7,) with 7 individuals on "
+            "the last axis, got float32[]",
         ),
         (
             "my_tasks:Unreal",
             {},
-            "task.type: Unreal.fitness must return real numbers; got complex64[7]",
+            "task.type: Unreal.fitness must return real numbers, got complex64[7]",
         ),
         ("my_tasks:Ranked", {}, "task.type: Ranked.fitness fails at line 51 of my_tasks.py ("),
         ("my_tasks:Listed", {}, "Listed.descriptors must return a dict by name, not ['float32[7]"),
@@ -304,22 +304,22 @@ def test_a_preview_that_cannot_be_is_refused(refused):
         (
             "my_tasks:Worded",
             {},
-            "Worded.descriptors must return one number for the descriptor 'jump', shape (7,), the "
-            "last axis being individuals (7 here); got 'high'",
+            "Worded.descriptors must return one number for the descriptor 'jump', shape (7,) with "
+            "7 individuals on the last axis, got 'high'",
         ),
         ("my_tasks:Measured", {}, "Measured.scales must return a dict by name, not float32[]"),
         (
             "my_tasks:Lost",
             {},
             "task.type: Lost.update fails at line 71 of my_tasks.py (ValueError: there is no body "
-            "'nose'; there are head, ",
+            "'nose'. Allowed: head, ",
         ),
     ],
 )
-def test_a_task_of_ones_own_that_does_not_fit_is_refused(
+def test_invalid_task_of_ones_own_is_rejected(
     refused, tmp_path, monkeypatch, kind, options, expected
 ):
-    config = written_beside_tasks(tmp_path, monkeypatch)
+    config = config_with_tasks(tmp_path, monkeypatch)
     config["task"] = {"type": kind, "options": options}
     (tmp_path / "x.yaml").write_text(yaml.safe_dump(config))
     assert expected in refused("train", "x.yaml", "--out", "run")
@@ -330,34 +330,34 @@ def test_a_task_of_ones_own_that_does_not_fit_is_refused(
     [
         (
             "creature.sensors=[{type: 'my_tasks:Numb'}]",
-            "creature.sensors.0.type: Numb.sense must return 2, shape (2, 7), the last axis being "
-            "individuals (7 here); got float32[3, 7]",
+            "creature.sensors.0.type: Numb.sense must return 2 numbers, shape (2, 7) with 7 "
+            "individuals on the last axis, got float32[3, 7]",
         ),
         (
             "creature.sensors=[{type: 'my_tasks:Jump'}]",
             "creature.sensors.0.type: 'my_tasks:Jump' is not a subclass of "
             "evo_cpg.simulation.sensor:Sensor",
         ),
-        ("creature.sensors=[{type: velocty}]", "'velocty' is not known; allowed: 'velocity', or m"),
+        ("creature.sensors=[{type: velocty}]", "'velocty' is not known. Allowed: 'velocity', or m"),
         ("creature.sensors=[{body: head}]", "creature.sensors.0.type: is missing and has no de"),
         ("creature.sensors=[{type: velocity, body: hed}]", "did you mean 'head'?"),
         (
             "controller={type: 'my_tasks:Stiff'}",
-            "controller.type: Stiff.act must return 27 for its target_rate, shape (27, 7), the "
-            "last axis being individuals (7 here); got float32[1, 7]",
+            "controller.type: Stiff.act must return 27 numbers for its target_rate, shape (27, 7) "
+            "with 7 individuals on the last axis, got float32[1, 7]",
         ),
     ],
 )
-def test_a_sensor_or_controller_of_ones_own_that_does_not_fit_is_refused(
+def test_invalid_sensor_or_controller_of_ones_own_is_rejected(
     refused, tmp_path, monkeypatch, override, expected
 ):
-    config = written_beside_tasks(tmp_path, monkeypatch)
+    config = config_with_tasks(tmp_path, monkeypatch)
     (tmp_path / "x.yaml").write_text(yaml.safe_dump(config))
     assert expected in refused("train", "x.yaml", override, "--out", "run")
 
 
-def written_beside_tasks(tmp_path, monkeypatch):
-    """A configuration; the module lies beside where it is to be written."""
+def config_with_tasks(tmp_path, monkeypatch):
+    """Write the modules of tasks, and return a configuration that can use them."""
     (tmp_path / "my_tasks.py").write_text(TASKS)
     (tmp_path / "broken_tasks.py").write_text("def :\n")
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
@@ -373,7 +373,7 @@ def test_validate_reports_every_file_and_fails_if_one_is_wrong(cli, tmp_path):
     code, out, err = cli("validate", tmp_path / "x.yaml", CONFIG)
     assert code == 2
     assert out == f"{CONFIG}: 10 bodies, 27 joint axes, 20 kg, 1639 genes\n"
-    assert err.startswith(f"evo-cpg: {tmp_path / 'x.yaml'}: line 1: nam: unknown key; did you")
+    assert err.startswith(f"evo-cpg: {tmp_path / 'x.yaml'}: line 1: nam: unknown key: did you")
     assert err.count("\n") == 1
 
 
@@ -391,12 +391,12 @@ BOX = {
 }
 
 
-def test_nothing_to_evolve_is_refused_by_all_that_evolve(cli, tmp_path):
+def test_controller_without_genes_is_not_evolved(cli, tmp_path):
     path, folder = tmp_path / "box.yaml", tmp_path / "run"
     path.write_text(yaml.safe_dump(BOX))
     words = (
-        f"evo-cpg: {path}: controller: Commanded has no genes, so there is nothing to evolve; "
-        "choose a controller that has some, such as {type: brain_cpg}\n"
+        f"evo-cpg: {path}: controller: Commanded has no genes, so there is nothing to evolve. "
+        "Choose a controller with genes, such as {type: brain_cpg}\n"
     )
     for command in (
         ("validate", path),
@@ -421,20 +421,20 @@ def test_a_creature_without_genes_is_drawn_and_exported(cli, tmp_path):
 @pytest.mark.parametrize(
     ("override", "words"),
     [
-        ("evolution.generations=0", "evolution.generations: 0: input should be greater than"),
-        ("evolution.population=0", "evolution.population: 0: input should be greater than"),
-        ("simulation.steps=0", "simulation.steps: 0: input should be greater than"),
-        ("simulation.trials=0", "simulation.trials: 0: input should be greater than"),
+        ("evolution.generations=0", "evolution.generations: 0: must be greater than"),
+        ("evolution.population=0", "evolution.population: 0: must be greater than"),
+        ("simulation.steps=0", "simulation.steps: 0: must be greater than"),
+        ("simulation.trials=0", "simulation.trials: 0: must be greater than"),
         ("simulation.trials=[]", "simulation.trials: []: must have at least 1, has 0"),
-        ("runs=0", "runs: 0: input should be greater than"),
+        ("runs=0", "runs: 0: must be greater than"),
         ("controller.brain.hidden=[0]", "hidden layers need at least one unit each, got (0,)"),
         ("creature.bodies=[]", "creature.bodies: []: must have at least 1, has 0"),
         ("creature.bodies.1.joint.axes=[]", "joint.axes: []: must have at least 1, has 0"),
-        ("creature.bodies.0.shape.size=[0, 1, 1]", "shape.size.0: 0: input should be greater"),
+        ("creature.bodies.0.shape.size=[0, 1, 1]", "shape.size.0: 0: must be greater"),
         ("creature.name=''", "creature.name: '': must not be empty"),
     ],
 )
-def test_zero_of_anything_is_refused(cli, override, words):
+def test_zero_and_empty_values_are_rejected(cli, override, words):
     code, out, err = cli("validate", CONFIG, *TINY, override)
     assert (code, out) == (2, "") and words in err and err.count("\n") == 1
 
@@ -444,14 +444,14 @@ def test_validate_accepts_every_shipped_config(cli):
     paths = sorted((REPOSITORY / "configs").glob("*.yaml"))
     code, out, err = cli("validate", *paths)
     assert code == 0 and out.count("\n") == len(paths)
-    # The turtle's paddles hold an angle, as its tutorial says.
+    # The turtle's paddles hold an angle (docs/tutorials/turtle.md).
     assert re.fullmatch(r"evo-cpg: warning: .*turtle\.yaml: coupled to no other oscill.*\n", err)
 
 
 @pytest.mark.parametrize(
     "arguments", [["train"], ["train", CONFIG, "--cores", 0], ["fly"], ["verify", "--fast"]]
 )
-def test_a_wrong_command_line_is_answered_with_the_usage(cli, arguments):
+def test_invalid_command_line_prints_the_usage(cli, arguments):
     code, out, err = cli(*arguments)
     assert (code, out) == (2, "")
     assert "Usage: evo-cpg" in err and "Traceback" not in err
@@ -461,34 +461,34 @@ def test_a_wrong_command_line_is_answered_with_the_usage(cli, arguments):
     "arguments",
     [("render", "run", "--camera", "front"), ("train", CONFIG, "--start", "front")],
 )
-def test_a_wrong_choice_is_answered_without_words_of_a_library(cli, arguments):
+def test_invalid_choice_lists_the_choices(cli, arguments):
     code, _, err = cli(*arguments)
     assert code == 2
     assert f"Invalid value for '{arguments[2]}': 'front' is not one of '" in err
 
 
-def test_oscillators_that_are_coupled_to_nothing_or_rest_are_named_with_the_keys(cli, tmp_path):
+def test_uncoupled_and_resting_oscillators_get_a_warning(cli, tmp_path):
     shutil.copytree(REPOSITORY / "configs/creatures", tmp_path / "creatures")
     path = tmp_path / "starfish_land.yaml"
     text = (REPOSITORY / "configs/starfish_land.yaml").read_text()
     path.write_text(re.sub(r"\n      - \{source: .arm\[145\].*", "", text))
     warned = f"evo-cpg: warning: {path}: "
-    couple = "controller.cpg.couplings and rings couple them"
+    couple = "Couple them with controller.cpg.couplings or rings"
     code, _, err = cli("validate", path)
     assert code == 0
     alone = "arm1_1.z, arm4_1.z, arm5_1.z"
-    rest = f"{warned}coupled to no other oscillator, and at rest under a constant drive: {alone}; "
-    pair = "a pair alone swings where controller.cpg.pair_weight (1.07) is more than 1.13"
+    rest = f"{warned}coupled to no other oscillator, and at rest under a constant drive: {alone}. "
+    pair = "An isolated pair oscillates if controller.cpg.pair_weight (1.07) is more than 1.13"
     gain = "less than 1 + the adaptation gain (1 to 10)"
-    assert err == f"{rest}{couple}; {pair} (constants: swapped) and {gain}\n"
+    assert err == f"{rest}{couple}. {pair} (constants: swapped) and {gain}\n"
     code, _, err = cli("validate", path, "controller.cpg.pair_weight=1.3")
-    assert (code, err) == (0, f"{warned}coupled to no other oscillator: {alone}; {couple}\n")
+    assert (code, err) == (0, f"{warned}coupled to no other oscillator: {alone}. {couple}\n")
 
 
-def test_an_animal_whose_oscillators_all_rest_is_warned_of(cli):
+def test_resting_oscillators_get_a_warning(cli):
     code, _, err = cli("validate", CONFIG, "controller.cpg.sensory_feedback=-2")
     assert code == 0
     assert ": at rest under a constant drive: segment1.x, segment1.y, " in err
-    assert "controller.cpg.max_tonic_input + sensory_feedback is -1; it must be positive\n" in err
+    assert "controller.cpg.max_tonic_input + sensory_feedback is -1 and must be positive\n" in err
     code, _, err = cli("validate", CONFIG, "controller.cpg.constants=as_printed")
     assert code == 0 and " is more than 8.71 (constants: as_printed) and " in err

@@ -1,4 +1,4 @@
-"""Bodies written once that stand in a creature several times: where they are, against geometry."""
+"""Copies of bodies: rows, stars and mirror images, against geometry."""
 
 import dataclasses
 
@@ -78,20 +78,20 @@ def built(text):
 
 
 def changed(text, **changes):
-    """A creature's text with keys of its second body changed."""
+    """Return a creature with changed keys of its second body."""
     data = yaml.safe_load(text)
     data["bodies"][1] |= changes
     return data
 
 
 def refused(data):
-    """What is said about a wrong creature."""
+    """Return the error message for an invalid creature."""
     with pytest.raises(ConfigError) as caught:
         build_experiment(check_config({"name": "x", "creature": data}, "x.yaml"), "x.yaml")
     return str(caught.value).removeprefix("x.yaml: creature.")
 
 
-def test_a_star_has_its_arms_turned_about_the_vertical():
+def test_arms_of_a_star_are_rotated_about_the_vertical():
     creature = built(STAR)
     assert [body.name for body in creature.bodies[:4]] == ["disc", "arm1_1", "arm1_2", "arm2_1"]
     assert [body.name for body in creature.bodies[-5:]] == [f"tip{j}" for j in range(1, 6)]
@@ -194,7 +194,7 @@ bodies:
     }
 
 
-def test_copies_survive_being_written_and_read_and_are_differentiated_together():
+def test_copies_are_read_back_and_differentiated_together():
     data = {"name": "x", "creature": yaml.safe_load(STAR), "world": {"water": None}}
     data["task"] = {"type": "distance"}
     data["creature"]["light_sensors"] = []
@@ -203,44 +203,44 @@ def test_copies_survive_being_written_and_read_and_are_differentiated_together()
     assert check_config(yaml.safe_load(dump_config(config)), "x.yaml") == config
     parameters = parametrise(config, "x.yaml", ["creature.bodies.1.shape.size.0"])
     tree = parameters.experiment.simulation.world.tree
-    # The mass of all ten segments changes with the length that is written once.
+    # One length determines the mass of all ten segments.
     density = 1000 * 0.05 * 0.03
     masses = quick_jit(jax.jacfwd(lambda p: jnp.asarray(parameters.simulation(p).world.tree.mass)))
     arms = [name.startswith("arm") for name in tree.names]
-    slopes = masses(jnp.asarray(parameters.values))[:, 0]
-    np.testing.assert_allclose(slopes, density * np.array(arms), rtol=1e-5)
+    derivatives = masses(jnp.asarray(parameters.values))[:, 0]
+    np.testing.assert_allclose(derivatives, density * np.array(arms), rtol=1e-5)
 
 
 @pytest.mark.parametrize(
     ("text", "changes", "expected"),
     [
         (STAR, {"name": "arm{i}"}, ": name: a radial body needs {j} in its name, got 'arm{i}'"),
-        (STAR, {"radial": 1}, ": name: {j} stands for nothing in 'arm{j}_{i}' without `radial`"),
-        (STAR, {"radial": 0}, ".radial: 0: input should be greater than or equal to 1"),
-        (STAR, {"raidal": 5}, ".raidal: unknown key; did you mean 'radial'?"),
+        (STAR, {"radial": 1}, ": name: {j} has no value in 'arm{j}_{i}' without `radial`"),
+        (STAR, {"radial": 0}, ".radial: 0: must be greater than or equal to 1"),
+        (STAR, {"raidal": 5}, ".raidal: unknown key: did you mean 'radial'?"),
         (BUG, {"name": "thigh"}, ": name: a mirrored body needs {side} in its name, got 'thigh'"),
         (BUG, {"mirror": "w"}, ".mirror: 'w': must be 'x', 'y', 'z' or null"),
     ],
 )
-def test_wrong_copies_are_refused(text, changes, expected):
+def test_invalid_copies_are_rejected(text, changes, expected):
     assert refused(changed(text, **changes)).startswith("bodies.1" + expected)
 
 
-def test_a_crowd_is_refused_before_it_is_built():
-    words = "creature: bodies: 1801 bodies with 'arm{j}_{i}'; allowed: up to 1000"
+def test_too_many_bodies_are_rejected_before_building():
+    words = "creature: bodies: 1801 bodies with 'arm{j}_{i}'. Allowed: up to 1000"
     assert refused(changed(STAR, radial=900)).endswith(words)
 
 
-def test_of_mirrored_limbs_the_one_on_the_positive_side_is_written():
+def test_mirrored_limb_must_be_on_the_positive_side():
     data = yaml.safe_load(BUG)
     data["bodies"][1]["joint"]["at"] = [0.15, -0.05, 0.01]
     assert refused(data) == (
-        "bodies.1: mirror: write the left one, whose joint.at has a positive y, got -0.05"
+        "bodies.1: mirror: write the left body, whose joint.at has a positive y, got -0.05"
     )
 
 
-def test_a_parent_that_no_copy_is_called_does_not_exist():
-    expected = "bodies.2.joint.parent: 'arm{j}_2' does not exist; did you mean"
+def test_parent_name_without_a_copy_does_not_exist():
+    expected = "bodies.2.joint.parent: 'arm{j}_2' does not exist: did you mean"
     assert refused(changed(STAR, repeat=1)).startswith(expected)
 
 
@@ -250,39 +250,44 @@ def test_a_parent_that_no_copy_is_called_does_not_exist():
         (
             "name",
             "tip",
-            "bodies.2: name: is copied with its parent 'arm{j}_2', and needs {j} in its",
+            "bodies.2: name: must contain {j}, because the body is copied with its parent "
+            "'arm{j}_2', got 'tip'",
         ),
-        ("radial", 3, "bodies.2: radial: is copied with its parent 'arm{j}_2' already, whose name"),
+        (
+            "radial",
+            3,
+            "bodies.2: radial: leave it out, because the body is copied with its parent 'arm{j}_2'",
+        ),
     ],
 )
-def test_what_hangs_on_copies_is_copied_with_them_and_says_so(key, value, expected):
+def test_children_of_copies_are_copied_with_them(key, value, expected):
     data = yaml.safe_load(STAR)
     data["bodies"][2][key] = value
     assert refused(data).startswith(expected)
 
 
-def test_a_root_is_not_copied():
+def test_the_root_cannot_be_copied():
     data = yaml.safe_load(STAR)
     data["bodies"][0] |= {"name": "disc{j}", "radial": 2}
     assert refused(data) == "bodies.0: radial: the root, which has no joint, cannot be radial"
 
 
-def test_an_eye_on_a_body_that_no_copy_fills_is_refused():
+def test_eye_on_an_unknown_copy_is_rejected():
     data = yaml.safe_load(STAR)
     data["light_sensors"][0]["body"] = "tip{side}"
     assert refused(data).startswith(
-        "light_sensors.0.body: 'tip{side}' does not exist; valid here: arm1_1, "
+        "light_sensors.0.body: 'tip{side}' does not exist: valid here: arm1_1, "
     )
 
 
-def test_problems_of_a_copy_lead_back_to_its_entry():
+def test_error_about_a_copy_names_its_entry():
     data = yaml.safe_load(STAR)
     joint = data["bodies"][2]["joint"] | {"parent": "disc"}
     data["bodies"].append(data["bodies"][2] | {"name": "arm2_1", "joint": joint})
     assert refused(data).startswith("bodies.3.name: two bodies are called 'arm2_1'")
 
 
-def test_the_example_of_the_docs_is_a_starfish():
+def test_example_in_the_docs_is_a_starfish():
     page = (REPOSITORY / "docs/config.md").read_text()
     block = page.split("### Limbs that are written once")[1].split("```yaml\n")[1].split("```")[0]
     creature = built("name: example\nmaterials: {flesh: {density: 1000}}\n" + block)

@@ -1,4 +1,4 @@
-"""The JSON Schema of configuration files, and the reference that the docs make of it."""
+"""The JSON Schema of configuration files, and the reference in the docs."""
 
 import copy
 import re
@@ -30,15 +30,15 @@ def written(name: str) -> dict:
     return yaml.safe_load(shipped(name).path.read_text())
 
 
-def test_it_is_a_schema():
+def test_schema_is_valid():
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
 
 
 @pytest.mark.parametrize("name", shipped_names())
-def test_what_the_program_takes_the_schema_takes(name):
+def test_schema_accepts_shipped_configurations(name):
     data = written(name)
     assert mistakes(data) == []
-    # With the creature in it, and with every default filled in.
+    # Also with the creature included, and with all defaults.
     folder = shipped(name).path.parent
     given = data["creature"] if isinstance(data["creature"], str) else data["creature"]["file"]
     data["creature"] = yaml.safe_load((folder / given).read_text())
@@ -46,7 +46,7 @@ def test_what_the_program_takes_the_schema_takes(name):
     assert mistakes(yaml.safe_load(dump_config(load_config(shipped(name).path)))) == []
 
 
-def test_what_is_read_from_other_files_may_be_named():
+def test_schema_accepts_names_of_other_files():
     data = written("hexapod")
     data["creature"] = {"file": "creatures/hexapod.yaml", "pressure_sensors": "all"}
     data["world"]["ground"] = {"floor": {"type": "relief", "file": "hills.png", "highest": 0.5}}
@@ -64,10 +64,10 @@ def test_what_is_read_from_other_files_may_be_named():
         ("sead", 1, r"\$: .*'sead' was unexpected"),
         ("seed", -1, r"\$\.seed: -1 is less than the minimum of 0"),
         ("task", {"type": "walk", "light": {}}, r"\$\.task: .*is not valid under any"),
-        ("creature", {"name": "nobody"}, r"\$\.creature: .*is not valid under any"),
+        ("creature", {"name": "no bodies"}, r"\$\.creature: .*is not valid under any"),
     ],
 )
-def test_what_the_program_refuses_the_schema_refuses(key, value, words):
+def test_schema_rejects_invalid_configurations(key, value, words):
     data = copy.deepcopy(written("hexapod")) | {key: value}
     (mistake,) = mistakes(data)
     assert re.search(words, mistake)
@@ -104,7 +104,7 @@ def test_reference_lists_every_key_of_every_section():
             assert f"\n| `{key}` |" in table, f"{part.paths[0]}.{key}"
 
 
-def test_the_reference_says_values_units_and_defaults():
+def test_reference_lists_values_units_and_defaults():
     text = configuration_tables.every_key()
     for row in (
         "| `field_of_view_deg` | number above 0, up to 360 | degrees | `180` | full opening",
@@ -126,7 +126,7 @@ def test_the_reference_says_values_units_and_defaults():
 
 def test_attributes_are_read_from_a_docstring():
     about, attributes = documented_attributes(
-        """What it is.
+        """A section.
 
         Attributes:
             a: one line.
@@ -137,5 +137,5 @@ def test_attributes_are_read_from_a_docstring():
             ValueError: c: not one.
         """
     )
-    assert about == "What it is."
+    assert about == "A section."
     assert attributes == {"a": "one line.", "b": "a line: and another."}

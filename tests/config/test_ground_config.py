@@ -1,4 +1,4 @@
-"""Ground from YAML: what is built from it, and what is refused."""
+"""Ground from YAML: building, and errors."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +16,7 @@ HEXAPOD = REPOSITORY / "configs" / "hexapod.yaml"
 
 
 def build(*ground: str):
-    """The ground alone."""
+    """Return the ground of a configuration with overrides."""
     config = load_config(HEXAPOD, [f"world.ground.{override}" for override in ground])
     return config.world.ground.build()
 
@@ -25,11 +25,11 @@ def floor(text: str):
     return build(f"floor={text}").floor
 
 
-def test_ground_is_level_unless_said_otherwise():
+def test_ground_is_level_by_default():
     assert build().level == 0.0
 
 
-def test_a_plane_falls_in_the_direction_given():
+def test_a_plane_slopes_in_the_given_direction():
     plane = floor("{type: plane, slope_deg: 30, downhill_deg: 90, height: 1}")
     assert isinstance(plane, Plane)
     np.testing.assert_allclose(plane.normal, (0, 0.5, np.sqrt(0.75)), atol=1e-12)
@@ -63,8 +63,8 @@ def test_obstacles():
 
 
 @pytest.mark.parametrize("suffix", ["npy", "csv", "txt", "png", "tif"])
-def test_heights_from_a_file_end_up_in_the_configuration(suffix, tmp_path):
-    """Rows of arrays and tables run along x; a picture is seen from above, x to the right."""
+def test_saved_configuration_contains_the_heights_of_a_file(suffix, tmp_path):
+    """Rows of arrays and tables run along x. An image is seen from above, with x to the right."""
     heights = np.array([[0.0, 0.2], [0.4, 0.6], [0.8, 1.0]])
     path = tmp_path / f"heights.{suffix}"
     if suffix == "npy":
@@ -72,7 +72,7 @@ def test_heights_from_a_file_end_up_in_the_configuration(suffix, tmp_path):
     elif suffix == "png":
         imsave(path, heights.T[::-1], cmap="gray", vmin=0, vmax=1)
     elif suffix == "tif":
-        # Of 16 bits, as elevations of the land mostly are.
+        # Elevation maps mostly have 16 bits.
         Image.fromarray(np.uint16(heights.T[::-1] * 65535)).save(path)
     else:
         np.savetxt(path, heights, delimiter="," if suffix == "csv" else " ")
@@ -89,8 +89,8 @@ def test_heights_from_a_file_end_up_in_the_configuration(suffix, tmp_path):
     assert (relief.corner, relief.spacing) == ((-0.5, -0.25), 0.5)
 
 
-def test_an_animal_starts_standing_wherever_it_is_put():
-    """As high above a plateau as above level ground, and turned as asked."""
+def test_an_animal_stands_at_its_start():
+    """It stands as high above a plateau as above level ground, with the given heading."""
     level = build_experiment(load_config(HEXAPOD), HEXAPOD).simulation.situations[0]
     height = level.start_position[2] + 0.8
     config = load_config(
@@ -107,7 +107,7 @@ def test_an_animal_starts_standing_wherever_it_is_put():
     assert situation.start_heading == pytest.approx(np.pi / 2)
 
 
-def test_a_light_is_where_the_animal_sees_it():
+def test_bearing_of_a_light_is_relative_to_the_start_heading():
     data = load_config(REPOSITORY / "configs" / "iwadate2010_swimmer.yaml").model_dump()
     data["simulation"] |= {"start": (1.0, 2.0), "start_heading_deg": 90.0}
     data["task"]["light"] = {"distance": 3.0, "bearing_deg": 0.0, "elevation_deg": 0.0}
@@ -118,14 +118,14 @@ def test_a_light_is_where_the_animal_sees_it():
 @pytest.mark.parametrize(
     ("ground", "words"),
     [
-        ("floor={type: shoer}", "allowed: 'plane', 'shore', 'hills', 'relief'"),
+        ("floor={type: shoer}", "Allowed: 'plane', 'shore', 'hills', 'relief'"),
         ("floor={type: shore, start: 2, stop: 1, stop_height: 0}", "stop (1) must be more than"),
         ("floor={type: shore, stop: 1, stop_hight: 0}", "did you mean 'stop_height'"),
-        ("floor={type: hills, size: 100, spacing: 0.1}", "allowed: 2 to 256"),
+        ("floor={type: hills, size: 100, spacing: 0.1}", "Allowed: 2 to 256"),
         ("floor={type: relief, heights: [[0, 1], [0]]}", "equally long"),
         ("floor={type: relief, heights: [[0, 1]]}", "1 x 2 heights"),
         ("floor={type: relief, file: nowhere.npy}", "no such file"),
-        ("floor={type: relief, file: heights.obj}", "'.obj' is not known; allowed: .npy"),
+        ("floor={type: relief, file: heights.obj}", "'.obj' is not known. Allowed: .npy"),
         ("floor={type: relief, file: 3}", "file: 3: must be text"),
         (
             "floor={type: relief, file: a.png, lowest: low}",
@@ -133,10 +133,10 @@ def test_a_light_is_where_the_animal_sees_it():
         ),
         ("floor={type: shore, stop: 1, stop_height: 0, file: a.png}", "unknown key"),
         ("obstacles=[{type: boulder, centre: [0, 0, 0], radius: 0}]", "greater than 0"),
-        ("obstacles=[{type: blok, centre: [0, 0, 0]}]", "allowed: 'boulder', 'block'"),
+        ("obstacles=[{type: blok, centre: [0, 0, 0]}]", "Allowed: 'boulder', 'block'"),
     ],
 )
-def test_wrong_ground_is_refused(ground, words):
+def test_invalid_ground_is_rejected(ground, words):
     with pytest.raises(ConfigError) as refused:
         build(ground)
     assert words in str(refused.value)
@@ -145,7 +145,7 @@ def test_wrong_ground_is_refused(ground, words):
 @pytest.mark.parametrize(
     "content", [b"", b"no array", np.zeros((2, 2, 2)), np.full((3, 3), np.nan)]
 )
-def test_a_file_that_holds_no_heights_is_refused(content, tmp_path):
+def test_file_without_heights_is_rejected(content, tmp_path):
     path = tmp_path / "heights.npy"
     path.write_bytes(content) if isinstance(content, bytes) else np.save(path, content)
     with pytest.raises(ConfigError, match=r"world.ground.floor.file: .*heights.npy: "):

@@ -1,4 +1,4 @@
-"""Elites that learn, as a configuration asks for them."""
+"""Learning of elites in the section ``evolution``."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def learning(path, *overrides):
     return build_experiment(load_config(path, overrides), path).learning
 
 
-def test_nobody_learns_unless_asked_to():
+def test_elites_learn_only_if_configured():
     assert learning(SWIMMER) is None
     assert learning(SWIMMER, "evolution.learning.every=3") == Learning(3, 16, 5)
     few = ("evolution.elites=4", "evolution.learning.steps=2")
@@ -34,12 +34,12 @@ def test_nobody_learns_unless_asked_to():
         (["evolution.learning.every=0"], "every"),
     ],
 )
-def test_what_cannot_be_is_refused(overrides, words):
+def test_invalid_learning_is_rejected(overrides, words):
     with pytest.raises(ConfigError, match=words):
         learning(SWIMMER, *overrides)
 
 
-def test_postures_learn_where_their_genes_are_graded():
+def test_postures_learn_only_with_graded_genes():
     with pytest.raises(ConfigError, match=r"or controller.graded to true"):
         learning(WALKER, *REAL)
     assert learning(WALKER, *REAL, "controller.graded=true") == Learning(3, 2, 5)

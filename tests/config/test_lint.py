@@ -1,4 +1,4 @@
-"""What is allowed but hardly meant: every mistake is doubted, and nothing that is shipped."""
+"""Warnings about probable mistakes: one for every mistake, and none for shipped files."""
 
 from pathlib import Path
 
@@ -21,79 +21,79 @@ INSECT = CONFIGS / "hexapod.yaml"
 GAUGE = "creature.depth_sensors=[{body: head}]"
 LEVEL = "world.ground.floor={type: plane, height: -1}"
 
-# Two rows of a grid of 0.1 m.
+# A ridge of two rows, on a grid with 0.1 m spacing.
 RIDGE = [[0.25 if 20 <= i < 22 else 0.0] * 40 for i in range(40)]
 
-# The file, settings that make the mistake, the key that is doubted, and what is said about it.
+# File, settings with the mistake, key of the warning, and a part of its message.
 MISTAKES = {
     "density in g/cm^3": (
         CONFIG,
         ["creature.materials.body.density=1"],
         "creature.materials.body.density",
-        "in g/cm^3 it would be 1000 kg/m^3",
+        "If it is in g/cm^3, write 1000",
     ),
     "density times 1000": (
         CONFIG,
         ["creature.materials.body.density=1e6"],
         "creature.materials.body.density",
-        "in g/m^3 it would be 1000 kg/m^3",
+        "If it is in g/m^3, write 1000",
     ),
     "water in g/cm^3": (
         CONFIG,
         ["world.water.density=1.025"],
         "world.water.density",
-        "in g/cm^3 it would be 1025 kg/m^3",
+        "If it is in g/cm^3, write 1025",
     ),
-    "water like air": (CONFIG, ["world.water.density=80"], "world.water.density", "water has 1000"),
+    "water like air": (CONFIG, ["world.water.density=80"], "world.water.density", "Water has 1000"),
     "box in mm": (
         CONFIG,
         ["creature.bodies.0.shape.size=[200, 100, 100]"],
         "creature.bodies.0.shape.size",
-        "in mm it would be 0.2 m",
+        "In mm it would be 0.2 m",
     ),
     "box in km": (
         CONFIG,
         ["creature.bodies.0.shape.size=[0.0002, 0.0001, 0.0001]"],
         "creature.bodies.0.shape.size",
-        "a body of 0.0002 m; plausible are 0.001 to 30 m",
+        "a body of 0.0002 m. Plausible: 0.001 to 30 m",
     ),
-    "speck that carries a trunk": (
+    "light body that carries a trunk": (
         CONFIG,
         ["creature.bodies.0.shape.size=[0.002, 0.001, 0.001]"],
         "creature.bodies.1.joint.parent",
-        "float32 resolves up to 5000 times its mass; make the heavier body the parent",
+        "float32 resolves up to 5000 times the body's mass. Make the heavier body the parent",
     ),
-    "speck on a whale": (
+    "very light body on a creature": (
         CONFIG,
         ["creature.bodies.1.shape.size=[1e-5, 1e-5, 1e-5]", "creature.bodies.1.repeat=1"],
         "creature.bodies.1.material",
-        "float32 resolves down to 1e-12 of its mass",
+        "float32 resolves down to 1e-12 of the creature's mass",
     ),
-    "thin claw in long steps": (
+    "thin body with long steps": (
         LEGS,
         ["creature.bodies.0.shape.size=[0.4, 0.4, 0.0002]"],
         "simulation.substeps",
-        "it would sink into the ground or bob for ever; plausible are",
+        "It would sink into the ground or bob forever. Plausible: ",
     ),
-    "hills within a body": (
+    "hills shorter than a body": (
         LEGS,
         ["world.ground.floor={type: hills, length: 0.4}"],
         "world.ground.floor.length",
-        "is 0.6 m long and feels the floor by its corners alone",
+        "is 0.6 m long and touches the floor only with its corners",
     ),
-    "a ridge within a body": (
+    "ridge narrower than a body": (
         LEGS,
         [f"world.ground.floor={{type: relief, heights: {RIDGE}}}"],
         "world.ground.floor.spacing",
-        "a bump of 0.25 m has room between them",
+        "A bump of 0.25 m fits between them",
     ),
     "frictions swapped": (
         WALKER,
         ["world.ground.dynamic_friction=0.9", "world.ground.static_friction=0.5"],
         "world.ground.dynamic_friction",
-        "were the two swapped?",
+        "Were the two swapped?",
     ),
-    "limits beyond the neutral pose": (
+    "limits without the neutral pose": (
         CONFIG,
         ["creature.bodies.1.joint.axes=[z]", "creature.bodies.1.joint.limits_deg=[20, 60]"],
         "creature.bodies.1.joint.limits_deg",
@@ -103,73 +103,73 @@ MISTAKES = {
         CONFIG,
         ["creature.bodies.0.shape={type: sphere, radius: 10}"],
         "creature.bodies.0.shape.radius",
-        "a body of 20 m among others of 0.2 m",
+        "a body of 20 m, but the median is 0.2 m",
     ),
     "boulder in mm": (
         WALKER,
         ["world.ground.obstacles=[{type: boulder, centre: [900, 0, 0], radius: 400}]"],
         "world.ground.obstacles.0.radius",
-        "400 m beside a creature of",
+        "400 m next to a creature of",
     ),
     "block in mm": (
         WALKER,
         ["world.ground.obstacles=[{type: block, centre: [900, 0, 0], size: [500, 400, 300]}]"],
         "world.ground.obstacles.0.size",
-        "300 m beside a creature of",
+        "300 m next to a creature of",
     ),
     "gravity in cm/s^2": (
         CONFIG,
         ["world.gravity=981"],
         "world.gravity",
-        "in cm/s^2 it would be 9.81 m/s^2",
+        "If it is in cm/s^2, write 9.81",
     ),
     "limits in rad": (
         CONFIG,
         ["creature.bodies.1.joint.limits_deg=[-1.05, 1.05]"],
         "creature.bodies.1.joint.limits_deg",
-        "as radians it would be 60.2 degrees",
+        "If it is in radians, write 60.2",
     ),
     "limits converted twice": (
         WALKER,
         ["creature.bodies.1.joint.limits_deg=[-2292, 2292]"],
         "creature.bodies.1.joint.limits_deg",
-        "converted twice? then it was 40",
+        "If it was converted twice, write 40",
     ),
     "attitude in rad": (
         INSECT,
         ["creature.bodies.2.joint.rotation_deg=[0, 1.05, 1.5708]"],
         "creature.bodies.2.joint.rotation_deg",
-        "as radians it would be 60, 90 degrees",
+        "If it is in radians, write 60, 90",
     ),
     "heading in rad": (
         CONFIG,
         ["simulation.start_heading_deg=3.14"],
         "simulation.start_heading_deg",
-        "as radians it would be 180 degrees",
+        "If it is in radians, write 180",
     ),
     "bearing in rad": (
         CONFIG,
         ["task.light.bearing_deg=0.524"],
         "task.light.bearing_deg",
-        "as radians it would be 30 degrees",
+        "If it is in radians, write 30",
     ),
     "bearing of a trial in rad": (
         CONFIG,
         ["simulation.trials=[{light: {bearing_deg: -0.7854}}, {start_heading_deg: 1.571}]"],
         "simulation.trials.0.light.bearing_deg",
-        "as radians it would be -45 degrees",
+        "If it is in radians, write -45",
     ),
     "bearing converted twice": (
         CONFIG,
         ["task.light.bearing_deg=1719"],
         "task.light.bearing_deg",
-        "plausible are -360 to 360 degrees; converted twice?",
+        "plausible: -360 to 360 degrees. Was it converted twice?",
     ),
     "slope in rad": (
         WALKER,
         ["world.ground.floor={type: plane, slope_deg: 0.2618}"],
         "world.ground.floor.slope_deg",
-        "as radians it would be 15 degrees",
+        "If it is in radians, write 15",
     ),
     "block turned in rad": (
         WALKER,
@@ -178,61 +178,61 @@ MISTAKES = {
             "[{type: block, centre: [3, 0, 0], size: [1, 1, 1], heading_deg: 0.7854}]"
         ],
         "world.ground.obstacles.0.heading_deg",
-        "as radians it would be 45 degrees",
+        "If it is in radians, write 45",
     ),
     "field of view in rad": (
         CONFIG,
         ["creature.light_sensors.0.field_of_view_deg=3.1416"],
         "creature.light_sensors.0.field_of_view_deg",
-        "in radians it would be 180 degrees",
+        "If it is in radians, write 180",
     ),
     "step of postures in rad": (
         LEGS,
         ["controller.angle_step=0.349"],
         "controller.angle_step",
-        "as radians a step would be 20 degrees",
+        "If the step is in radians, write 20",
     ),
     "angle of postures in rad": (
         LEGS,
         ["controller.lowest_angle=1.92", "controller.neutral_angle=3.14"],
         "controller.lowest_angle",
-        "as radians it would be 110 degrees",
+        "If it is in radians, write 110",
     ),
     "rate in deg/s": (
         CONFIG,
         ["controller.max_rate=286"],
         "controller.max_rate",
-        "in degrees per second it would be 4.992 rad/s",
+        "If it is in degrees per second, write 4.992",
     ),
     "joint beyond its parent": (
         CONFIG,
         ["creature.bodies.1.joint.at=[-0.2, 0, 0]"],
         "creature.bodies.1.joint.at",
-        "lies 0.1 m outside of body 'head', on which 'segment1' hangs",
+        "lies 0.1 m outside body 'head', the parent of 'segment1'",
     ),
     "joint beyond its body": (
         CONFIG,
         ["creature.bodies.1.joint.child_at=[0.11, 0.2, 0]"],
         "creature.bodies.1.joint.child_at",
-        "outside of body 'segment1' itself, which reaches to 0.1, 0.05, 0.05 m",
+        "outside body 'segment1' itself. The body reaches to 0.1, 0.05, 0.05 m",
     ),
     "joint in mm": (
         CONFIG,
         ["creature.bodies.1.joint.at=[-110, 0, 0]"],
         "creature.bodies.1.joint.at",
-        "places are in m: is this in mm?",
+        "Positions are in m. Is this in mm?",
     ),
     "eye off its body": (
         CONFIG,
         ["creature.light_sensors.0.position=[1, 0, 0]"],
         "creature.light_sensors.0.position",
-        "lies 0.9 m outside of body 'head'",
+        "lies 0.9 m outside body 'head'",
     ),
     "gauge off its body": (
         SHORE,
         ["creature.depth_sensors=[{body: head, position: [0, 0, -50]}]"],
         "creature.depth_sensors.0.position",
-        "outside of body 'head'",
+        "outside body 'head'",
     ),
     "eyes without light": (
         WALKER,
@@ -255,7 +255,7 @@ MISTAKES = {
         "creature.pressure_sensors.0",
         "there is no ground to press against it",
     ),
-    "touch inside of another body": (
+    "touch inside another body": (
         WALKER,
         [
             "creature.bodies.1.shape={type: sphere, radius: 0.02}",
@@ -264,31 +264,31 @@ MISTAKES = {
             "creature.pressure_sensors=[chest]",
         ],
         "creature.pressure_sensors.0",
-        "the body lies inside of 'head'",
+        "the body lies inside 'head'",
     ),
     "gauge without water": (
         WALKER,
         [GAUGE],
         "creature.depth_sensors.0.body",
-        "there is no water, so this gauge always reads 0; set world.water,",
+        "there is no water, so this gauge always reads 0. Set world.water,",
     ),
     "gauge without surface": (
         CONFIG,
         [GAUGE],
         "creature.depth_sensors.0.body",
-        "the water has no surface, so this gauge always reads 0; set world.water.surface: 0",
+        "the water has no surface, so this gauge always reads 0. Set world.water.surface: 0",
     ),
     "gauge in mm": (
         SHORE,
         ["creature.depth_sensors=[{body: head, full_scale: 1000}]", LEVEL],
         "creature.depth_sensors.0.full_scale",
-        "the water is 1 m deep, so this gauge never reads more than 0.001",
+        "the water is 1 m deep, so this gauge never reads more than 0.001 of full scale",
     ),
     "water under the ground": (
         SHORE,
         ["world.water.surface=-5"],
         "world.water.surface",
-        "the ground is nowhere lower than -0.9",
+        "the lowest ground is at -0.9",
     ),
     "eyes of postures": (
         LEGS,
@@ -300,13 +300,13 @@ MISTAKES = {
         CONFIG,
         ["evolution.selection=lexicase"],
         "evolution.selection",
-        "individuals have but one trial",
+        "individuals have only one trial",
     ),
-    "lexicase in one trial over and over": (
+    "lexicase in equal trials": (
         CONFIG,
         ["evolution.selection=lexicase", "simulation.trials=3"],
         "evolution.selection",
-        "individuals have but one trial",
+        "individuals have only one trial",
     ),
     "free fall": (
         CONFIG,
@@ -318,7 +318,7 @@ MISTAKES = {
         CONFIG,
         ["world={ground: {}}"],
         "world.water",
-        "left out: unless it is written, there is water everywhere, so the ground lies under water",
+        "left out: without this key there is water everywhere, so the ground lies under water",
     ),
     "shore without water": (
         CONFIG,
@@ -336,7 +336,7 @@ MISTAKES = {
         WALKER,
         ["simulation.start_clearance=50"],
         "simulation.start_clearance",
-        "falls from that height; plausible is up to",
+        "falls from that height. Plausible: up to",
     ),
     "start above no ground": (
         CONFIG,
@@ -360,13 +360,13 @@ MISTAKES = {
         CONFIG,
         ["creature.light_sensors=[]"],
         "creature.light_sensors",
-        "the animal has no eye; add one, such as light_sensors: [{body: head}]",
+        "the animal has no eye. Add light_sensors: [{body: head}]",
     ),
     "light without eyes, by default": (
         CONFIG,
         ["creature.light_sensors=[]", "task={}"],
         "creature.light_sensors",
-        "the task rewards coming near to a light (reach_light, the default)",
+        "the task rewards approaching a light (reach_light, the default)",
     ),
     "light with postures": (
         LEGS,
@@ -392,7 +392,7 @@ MISTAKES = {
         "creature.bodies.1.joint.actuator.torque_limit",
         "1e-09: the motors are too weak to move anything: the strongest turns its own body by",
     ),
-    "motors that stand still": (
+    "rate of 0": (
         CONFIG,
         ["controller.rate_gain=0"],
         "controller.rate_gain",
@@ -408,59 +408,59 @@ MISTAKES = {
         CONFIG,
         ["simulation.trials=[{}, {}]"],
         "simulation.trials",
-        "without noise all 2 trials are alike, so one would do",
+        "without noise all 2 trials are alike, so one is enough",
     ),
-    "a row that hangs far off": (
+    "row far from its joint position": (
         CONFIG,
         [
             "creature.bodies.0.shape={type: box, size: [0.6, 0.1, 0.1]}",
             "creature.bodies.1.joint.at=[-0.31, 0, 0]",
         ],
         "creature.bodies.1.joint.at",
-        "repeat takes this place for every body of the row: on 'head', on which the first one "
-        "hangs, it fits, but it lies 0.21 m outside of 'segment1'",
+        "repeat uses this position for all bodies of the row. It fits 'head', which carries the "
+        "first, but lies 0.21 m outside 'segment1'",
     ),
-    "a row that hangs inside": (
+    "row with its joint inside a body": (
         CONFIG,
         [
             "creature.bodies.0.shape={type: box, size: [0.05, 0.1, 0.1]}",
             "creature.bodies.1.joint.at=[-0.03, 0, 0]",
         ],
         "creature.bodies.1.joint.at",
-        "it lies 0.05 m inside 'segment1', on which the next one hangs",
+        "lies 0.05 m inside 'segment1', which carries the next",
     ),
-    "a row that curls up": (
+    "row that curls up": (
         CONFIG,
         ["creature.bodies.1.joint.rotation_deg=[0, 90, 0]"],
         "creature.bodies.1.joint.rotation_deg",
-        "repeat turns every body of the row by 90 degrees against the one before it",
+        "repeat turns every body of the row by 90 degrees relative to its predecessor",
     ),
 }
 
 
 def found(path: Path, settings: list[str]) -> dict[str, str]:
-    """What is doubted, by key."""
-    listed = lint(load_config(path, settings), path)
-    return {".".join(map(str, doubt.key)): str(doubt) for doubt in listed}
+    """Return the messages of all warnings, by key."""
+    warnings = lint(load_config(path, settings), path)
+    return {".".join(map(str, warning.key)): str(warning) for warning in warnings}
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_doubted(mistake):
-    """With the key, the value, and what was probably meant."""
+def test_a_mistake_gets_a_warning(mistake):
+    """The warning has the key, the value and the probable intention."""
     path, settings, key, words = MISTAKES[mistake]
-    said = found(path, settings)
-    assert key in said, said
-    assert words in said[key]
-    assert said[key].startswith(f"{key}: ")
+    warnings = found(path, settings)
+    assert key in warnings, warnings
+    assert words in warnings[key]
+    assert warnings[key].startswith(f"{key}: ")
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
-def test_nothing_that_is_shipped_is_doubted(path):
+def test_shipped_configs_get_no_warning(path):
     assert found(path, []) == {}
 
 
 def test_every_rule_has_a_mistake():
-    """Each of the rules finds at least one of those above."""
+    """Every rule finds at least one of the mistakes above."""
     silent = {single_fields, *RULES}
     for path, settings, *_ in MISTAKES.values():
         config = load_config(path, settings)
@@ -472,13 +472,13 @@ def test_every_rule_has_a_mistake():
 @pytest.mark.parametrize(
     ("path", "settings"),
     [
-        # Small angles that are no common angle in radians.
+        # Small angles that match no common angle in radians.
         (CONFIG, ["task.light.bearing_deg=1", "simulation.start_heading_deg=3"]),
         (CONFIG, ["task.light.bearing_deg=0.9"]),
         (WALKER, ["world.ground.floor={type: plane, slope_deg: 2.5}"]),
         # A gap of a quarter of the body between two bodies.
         (CONFIG, ["creature.bodies.1.joint.at=[-0.125, 0, 0]"]),
-        # An eye on a stalk, and one that looks up where the light is above.
+        # An eye on a stalk, and an eye that looks up to a light above.
         (CONFIG, ["creature.light_sensors.0.position=[0.12, 0, 0]"]),
         (
             WALKER,
@@ -486,43 +486,43 @@ def test_every_rule_has_a_mistake():
         ),
         # In water an animal may face anywhere.
         (CONFIG, ["creature.light_sensors.0={body: head, axis: [0, 0, 1], field_of_view_deg: 40}"]),
-        # All pressure sensors is the default; it means nothing where there is no ground.
+        # All pressure sensors, the default, are harmless without ground.
         (CONFIG, ["creature.pressure_sensors=all"]),
         (CONFIG, ["creature.pressure_sensors=[]"]),
-        # The moon, and weightlessness.
+        # The gravity of the moon, and none.
         (CONFIG, ["world.gravity=1.62"]),
         (CONFIG, ["world.gravity=0", "world.water=null"]),
-        # A house beside an animal, and a long wall.
+        # A long wall, far larger than the animal.
         (
             WALKER,
             ["world.ground.obstacles=[{type: block, centre: [90, 0, 0], size: [1, 900, 3]}]"],
         ),
         (SHORE, [GAUGE]),
-        # Ground under water, if that is written.
+        # Ground under water, if the key `water` is present.
         (CONFIG, ["world.water={}", "world.ground={}"]),
         (CONFIG, ["world={ground: {}, water: null}"]),
         (CONFIG, ["world={ground: {}}", "world.water.surface=1"]),
-        # Eyes of the user's own, and a task without a light.
+        # A sensor of the user's own in place of eyes, and a task without a light.
         (
             CONFIG,
             ["creature.light_sensors=[]", "creature.sensors=[{type: 'mine:Eye'}]"],
         ),
         (CONFIG, ["creature.light_sensors=[]", "task={type: distance}"]),
-        # A joint without a motor beside others, trials that differ, and a row that bends a little.
+        # Trials that differ, and a row that bends a little.
         (CONFIG, ["simulation.trials=[{}, {start_heading_deg: 90}]"]),
         (CONFIG, ["simulation.trials=5", "noise.push=0.01"]),
         (CONFIG, ["creature.bodies.1.joint.rotation_deg=[0, 20, 0]"]),
-        # A dive, and a fall of less than a length.
+        # A fall of less than ten lengths, into water and onto the ground.
         (CONFIG, ["world.water.surface=-1"]),
         (WALKER, ["simulation.start_clearance=0.1"]),
     ],
 )
-def test_what_may_be_meant_is_not_doubted(path, settings):
+def test_unusual_but_sensible_values_get_no_warning(path, settings):
     assert found(path, settings) == {}
 
 
 def test_a_mesh_is_measured_in_its_own_frame(tmp_path):
-    """Joints and eyes of a mesh are in the frame of its file, wherever it lies in that."""
+    """Positions on a mesh are in the frame of its file, even far from the origin."""
     made = trimesh.creation.box((0.2, 0.1, 0.1))
     made.apply_translation((5.0, 0, 0))
     made.export(tmp_path / "part.stl")
@@ -539,16 +539,16 @@ def test_a_mesh_is_measured_in_its_own_frame(tmp_path):
     }
 
 
-def test_a_row_of_bodies_is_doubted_once():
-    said = lint(load_config(CONFIG, ["creature.bodies.1.joint.child_at=[1, 0, 0]"]), CONFIG)
-    assert len(said) == 1
-    assert np.isclose(said[0].value[0], 1)
+def test_a_row_of_bodies_gets_one_warning():
+    warnings = lint(load_config(CONFIG, ["creature.bodies.1.joint.child_at=[1, 0, 0]"]), CONFIG)
+    assert len(warnings) == 1
+    assert np.isclose(warnings[0].value[0], 1)
 
 
-def test_copies_of_a_sensor_are_looked_at_one_by_one():
-    """Of five eyes and five feet that are written once."""
+def test_a_repeated_sensor_gets_one_warning():
+    """One entry stands for five eyes."""
     path = CONFIGS / "starfish_land.yaml"
     eyes = "creature.light_sensors=[{body: 'arm{j}_2', position: [3, 0, 0]}]"
     config = load_config(path, [eyes])
-    (doubt,) = lint(config, path)
-    assert doubt.key == ("creature", "light_sensors", 0, "position")
+    (warning,) = lint(config, path)
+    assert warning.key == ("creature", "light_sensors", 0, "position")

@@ -1,4 +1,4 @@
-"""Meshes from files: where they are looked for, what is built from them, and what is refused."""
+"""Meshes from files: their paths, the bodies built from them, and errors."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ CREATURE = {
 
 @pytest.fixture
 def folder(tmp_path):
-    """An experiment whose creature lies in a folder of its own, beside the mesh of its head.
+    """Return the folder of an experiment, with the creature and its mesh in a subfolder.
 
     The head is drawn in millimetres, with its back at the origin.
     """
@@ -60,8 +60,8 @@ def load(folder, *overrides: str):
 
 
 @pytest.mark.parametrize("suffix", ["stl", "obj"])
-def test_a_mesh_is_looked_for_beside_the_file_that_names_it(folder, suffix):
-    """And it is the box that it was drawn as, to the single precision of its file."""
+def test_mesh_path_is_relative_to_the_file_that_names_it(folder, suffix):
+    """The body equals the box that was exported, up to the file's single precision."""
     override = () if suffix == "stl" else ("creature.bodies.1.shape.file=animals/head.obj",)
     shape = build_creature(load(folder, *override), "x").bodies[1].shape
     assert isinstance(shape, ConvexMesh)
@@ -70,7 +70,7 @@ def test_a_mesh_is_looked_for_beside_the_file_that_names_it(folder, suffix):
     np.testing.assert_allclose(shape.inertia(1.0), Box(SIZE).inertia(1.0), rtol=1e-6)
 
 
-def test_an_override_can_scale_it(folder):
+def test_an_override_can_scale_a_mesh(folder):
     shape = build_creature(load(folder, "creature.bodies.1.shape.scale=0.002"), "x").bodies[1].shape
     np.testing.assert_allclose(shape.half_extents, SIZE, rtol=1e-6)
     three = "creature.bodies.1.shape.scale=[0.001, 0.002, 0.004]"
@@ -78,8 +78,8 @@ def test_an_override_can_scale_it(folder):
     np.testing.assert_allclose(shape.half_extents, [0.15, 0.2, 0.2], rtol=1e-6)
 
 
-def test_places_are_given_in_the_frame_of_the_file(folder):
-    """Anchor, eye and gauge lie where the file has them; the body's frame sits at its centre."""
+def test_positions_are_in_the_frame_of_the_file(folder):
+    """Anchor, eye and gauge are converted to the body's frame at its centre of mass."""
     creature = build_creature(load(folder), "x")
     head = creature.bodies[1]
     assert head.joint is not None
@@ -90,8 +90,8 @@ def test_places_are_given_in_the_frame_of_the_file(folder):
     np.testing.assert_allclose(centres[1], [0.15 + 0.14, -0.02, -0.03], atol=1e-7)
 
 
-def test_a_child_s_place_on_a_mesh_is_given_in_its_frame(folder):
-    """A row of two heads: each hangs at ``at`` of the one before, in the file's frame."""
+def test_joint_position_on_a_mesh_is_in_its_frame(folder):
+    """In a row of two heads, ``at`` is in the file's frame of the predecessor."""
     head = CREATURE["bodies"][1] | {"name": "h{i}", "repeat": 2}
     mesh = {"name": "root", "shape": head["shape"], "material": "wood"}
     chain = head | {"joint": head["joint"] | {"parent": "root"}}
@@ -104,8 +104,8 @@ def test_a_child_s_place_on_a_mesh_is_given_in_its_frame(folder):
     np.testing.assert_allclose(np.diff(centres, axis=0), [[0.14, -0.02, -0.03]] * 2, atol=1e-7)
 
 
-def test_the_mesh_goes_into_the_configuration(folder):
-    """What a run folder keeps needs no other file, and is the same creature."""
+def test_saved_configuration_contains_the_mesh(folder):
+    """The configuration of a run folder needs no other file, and gives an equal creature."""
     config = load(folder)
     text = dump_config(config)
     assert "head.stl" not in text
@@ -114,7 +114,7 @@ def test_the_mesh_goes_into_the_configuration(folder):
     assert build_creature(again, "x") == build_creature(config, "x")
 
 
-def test_a_mesh_can_stand_in_the_configuration_itself(folder):
+def test_vertices_and_faces_can_be_in_the_configuration(folder):
     written = {"vertices": TETRAHEDRON.tolist(), "faces": TETRAHEDRON_FACES.tolist()}
     shape = yaml.safe_dump({"type": "mesh", **written}, default_flow_style=True)
     override = f"creature.bodies.1.shape={' '.join(shape.split())}"
@@ -126,34 +126,34 @@ def test_a_mesh_can_stand_in_the_configuration_itself(folder):
     ("override", "expected"),
     [
         ("shape.file=nowhere.stl", "shape.file: nowhere.stl: no such file"),
-        ("shape.file=head.step", "file: head.step: '.step' is not known; allowed: .obj, .stl"),
+        ("shape.file=head.step", "file: head.step: '.step' is not known. Allowed: .obj, .stl"),
         ("shape.file=3", "shape.file: 3: must be text"),
         (
             "shape.scale=big",
             "shape.scale: 'big': must be a number or a list of 3 numbers",
         ),
-        ("shape.scale=100000000000000000000", "scale: 1(0*): input should be less than 1000000000"),
-        ("shape.scale=.nan", "scale: nan: input should be less than 1000000000"),
+        ("shape.scale=100000000000000000000", "scale: 1(0*): must be less than 1000000000"),
+        ("shape.scale=.nan", "scale: nan: must be less than 1000000000"),
         ("shape.scale=[1, 2]", r"scale: \[1, 2\]: must be a number or a list of 3 numbers"),
-        ("shape.scale=-1", "scale: -1: input should be greater than 0"),
-        ("shape.scle=2", "shape.scle: unknown key; did you mean 'scale'"),
-        ("shape.scale=1", "head.stl: its longest side is 300 m; .* it needs scale: 0.001"),
+        ("shape.scale=-1", "scale: -1: must be greater than 0"),
+        ("shape.scle=2", "shape.scle: unknown key: did you mean 'scale'"),
+        ("shape.scale=1", "head.stl: its longest side is 300 m. .* set scale: 0.001"),
         ("shape={type: mesh}", "shape.file: is missing and has no default"),
         ("shape={type: mesh, vertices: []}", "shape.faces: is missing and has no default"),
-        ("shape={type: mesh, fiel: ok.stl}", "shape.fiel: unknown key; did you mean 'file'"),
+        ("shape={type: mesh, fiel: ok.stl}", "shape.fiel: unknown key: did you mean 'file'"),
         ("shape={file: ok.stl}", "shape.type: is missing and has no default"),
         (
             "shape={type: mesh, vertices: [[0, 0, 0]], faces: [[0, 1, 100000000000000000000]]}",
-            "shape.faces.0.2: 1(0*): input should be less than 2147483648",
+            "shape.faces.0.2: 1(0*): must be less than 2147483648",
         ),
         (f"shape.file={'x' * 5000}.stl", r"file: x{60}: cannot be read \(File name too long\)"),
         ('shape.file="a\\0.stl"', r"file: a.\.stl: cannot be read \(.*null"),
         ("shape.file=folder.stl", "file: folder.stl: is a folder"),
         ("shape={type: mesh, vertices: [], faces: []}", "bodies.1.shape: it has no faces"),
-        ("shape={type: mash}", "allowed: .*'mesh'"),
+        ("shape={type: mash}", "Allowed: .*'mesh'"),
     ],
 )
-def test_wrong_keys_are_refused_by_name(folder, override, expected):
+def test_invalid_keys_of_a_mesh_are_named(folder, override, expected):
     with pytest.raises(ConfigError, match=expected) as caught:
         load(folder, f"creature.bodies.1.{override}")
     assert str(caught.value).startswith(f"{folder / 'x.yaml'}: creature.bodies.1.shape")
@@ -179,16 +179,16 @@ def inverted() -> trimesh.Trimesh:
     ("mesh", "expected"),
     [
         (concave, r"it is not convex: vertex \d+ lies .* m beyond the plane of face \d+"),
-        (lambda: two_boxes(SIZE), "it consists of 2 separate pieces; allowed: one"),
+        (lambda: two_boxes(SIZE), "it consists of 2 separate pieces. Allowed: one"),
         (holed, "it is open: 4 of 17 edges do not join two faces"),
-        (inverted, "it is inside out: its faces look inwards; flip its normals"),
-        (lambda: trimesh.creation.icosphere(4), "it has 5120 triangles; allowed: at most 2000"),
+        (inverted, "it is inside out: its faces look inwards. Flip its normals"),
+        (lambda: trimesh.creation.icosphere(4), "it has 5120 triangles. Allowed: at most 2000"),
         (whisker, "128 of its 128 triangles are lower than 0.01% of its longest side"),
     ],
     ids=["concave", "pieces", "open", "inverted", "huge", "whisker"],
 )
 @pytest.mark.parametrize("suffix", ["stl", "obj"])
-def test_a_mesh_that_cannot_be_a_body_is_refused(folder, mesh, expected, suffix):
+def test_invalid_mesh_is_rejected(folder, mesh, expected, suffix):
     mesh().export(folder / f"bad.{suffix}")
     shape = f"{{type: mesh, file: bad.{suffix}}}"
     key = rf"x.yaml: creature.bodies.1.shape.file: bad.{suffix}: "
@@ -204,7 +204,7 @@ def test_a_mesh_that_cannot_be_a_body_is_refused(folder, mesh, expected, suffix)
         (b"solid nothing\nendsolid nothing\n", "bad.stl: cannot be read as a mesh"),
     ],
 )
-def test_a_file_that_holds_no_mesh_is_refused(folder, content, expected):
+def test_file_without_a_mesh_is_rejected(folder, content, expected):
     (folder / "bad.stl").write_bytes(content)
     with pytest.raises(ConfigError, match=expected):
         load(folder, "creature.bodies.1.shape={type: mesh, file: bad.stl}")
@@ -215,11 +215,11 @@ def test_a_file_that_holds_no_mesh_is_refused(folder, content, expected):
     [
         (np.nan, "a coordinate of a vertex is not a finite number"),
         (np.inf, "a coordinate of a vertex is not a finite number"),
-        (1e38, r"its longest side is 1e\+38 m; allowed: 0.001 to 100 m"),
+        (1e38, r"its longest side is 1e\+38 m. Allowed: 0.001 to 100 m"),
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_numbers_that_no_body_has_are_refused_without_a_warning(folder, number, expected):
+def test_invalid_coordinates_are_rejected_without_a_warning(folder, number, expected):
     box = trimesh.creation.box(SIZE)
     triangles = box.vertices[box.faces].copy()
     triangles[0, 0, 0] = number
@@ -232,7 +232,7 @@ def test_numbers_that_no_body_has_are_refused_without_a_warning(folder, number, 
 
 
 def test_an_obj_with_materials_and_groups_is_one_body(folder):
-    """Vertices that differ by texture or normal are one; materials are not looked for."""
+    """Vertices that differ only in texture or normal are merged. Materials are ignored."""
     lines = ["mtllib missing.mtl", "o first"]
     box = trimesh.creation.box(SIZE)
     lines += [f"v {x} {y} {z}" for x, y, z in box.vertices]

@@ -1,4 +1,4 @@
-"""Modules beside configurations: each configuration gets its own, or says that it cannot."""
+"""Modules next to configurations: each configuration uses its own module, or raises."""
 
 import sys
 
@@ -19,7 +19,7 @@ class Mine(Distance):
 
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
-    """Two folders with a module of one name."""
+    """Create two folders, each with a module of the same name."""
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path)
     for where in ("a", "b"):
@@ -36,17 +36,15 @@ def load(path, *settings):
     return evo.load(path, changed, trust=True)
 
 
-def test_a_module_of_the_same_name_elsewhere_is_not_taken(folders):
+def test_module_of_the_same_name_in_another_folder_is_not_used(folders):
     first = load(folders / "a" / "x.yaml")
     assert first.parts.simulation.task.where == "a"
-    with pytest.raises(
-        ConfigError, match=r"would be that of .*a.mine_of.*, which has the name of .*b"
-    ):
+    with pytest.raises(ConfigError, match=r"would import .*a.mine_of.* instead of .*b"):
         load(folders / "b" / "x.yaml")
     assert load(folders / "a" / "x.yaml").parts.simulation.task.where == "a"
 
 
-def test_a_task_of_ones_own_may_be_made_of_measures(folders):
+def test_own_task_may_use_measures(folders):
     (folders / "a" / "mine_of_this_test.py").write_text(
         """
 from evo_cpg.simulation.walk import Distance

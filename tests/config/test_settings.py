@@ -1,4 +1,4 @@
-"""Settings of a sweep: what each is called, and what is wrong with them."""
+"""Settings of a sweep: their names, their values and their errors."""
 
 import pytest
 
@@ -18,12 +18,12 @@ def test_every_combination_has_a_name_and_its_values():
     assert found[1].overrides == ["evolution.mutation_rate=0.02", "seed=2"]
 
 
-def test_keys_that_end_alike_are_written_out():
+def test_keys_with_the_same_last_part_are_named_in_full():
     found = combine({"world.water.density": [1], "creature.density": [2]}, {})
     assert found[0].name == "world.water.density=1,creature.density=2"
 
 
-def test_named_settings_go_with_the_grid():
+def test_named_settings_are_combined_with_the_grid():
     named = {"plain": {}, "cma": {"evolution": {"type": "evosax", "algorithm": "Sep_CMA_ES"}}}
     found = combine({"seed": [0, 1]}, named)
     assert [setting.name for setting in found] == [
@@ -33,7 +33,7 @@ def test_named_settings_go_with_the_grid():
     assert [setting.name for setting in combine({}, named)] == ["plain", "cma"]
 
 
-def test_sections_are_called_by_their_types_and_names_are_those_of_folders():
+def test_sections_are_named_by_type_and_names_are_valid_folders():
     sections = [{"type": "random"}, {"type": "evosax", "algorithm": "LM_MA_ES"}, "../../etc"]
     names = [setting.name for setting in combine({"evolution": sections}, {})]
     assert names == ["evolution=random", "evolution=LM_MA_ES", "evolution=..-..-etc"]
@@ -41,10 +41,10 @@ def test_sections_are_called_by_their_types_and_names_are_those_of_folders():
     assert combine({}, {"../up": {}})[0].name == "up"
 
 
-def test_what_cannot_be_told_apart_or_run_is_refused():
+def test_duplicate_names_and_too_many_settings_are_rejected():
     with pytest.raises(ValueError, match="two settings would be called 'seed=1'"):
         combine({"seed": [1, 1]}, {})
-    with pytest.raises(ValueError, match="at most 1000 settings, this one 10000"):
+    with pytest.raises(ValueError, match="at most 1000 settings, got 10000"):
         combine({"seed": list(range(100)), "world.gravity": list(range(100))}, {})
 
 
@@ -52,14 +52,14 @@ def test_what_cannot_be_told_apart_or_run_is_refused():
     ("text", "words"),
     [("a: 3", "a: must be settings"), ("a: {1: 2}", "a: must be settings"), ("- a", "mapping")],
 )
-def test_a_file_of_something_else_is_refused(tmp_path, text, words):
+def test_file_without_settings_is_rejected(tmp_path, text, words):
     path = tmp_path / "settings.yaml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=words):
         read_settings(path)
 
 
-def test_a_file_of_settings(tmp_path):
+def test_settings_are_read_from_a_file(tmp_path):
     path = tmp_path / "settings.yaml"
     path.write_text("a: {}\nb: {seed: 3, evolution: {type: random}}\n")
     assert read_settings(path) == {"a": {}, "b": {"seed": 3, "evolution": {"type": "random"}}}

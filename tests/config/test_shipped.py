@@ -1,4 +1,4 @@
-"""Configurations that come with the program: found by their names, told apart, copied."""
+"""Configurations that come with the program: names, summaries and copies."""
 
 import filecmp
 from pathlib import Path
@@ -25,20 +25,20 @@ CONFIGS = REPOSITORY / "configs"
 
 @pytest.fixture(autouse=True)
 def elsewhere(tmp_path, monkeypatch):
-    """Seen from an empty folder, and trusted no more than others."""
+    """Work in an empty folder, without trust."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv(VARIABLE)
 
 
-def test_in_a_checkout_they_are_those_of_its_folder():
+def test_a_checkout_uses_its_configs_folder():
     assert shipped_folder() == CONFIGS
     assert shipped_names() == sorted(path.stem for path in CONFIGS.glob("*.yaml"))
 
 
-def test_an_installed_package_has_its_own_and_not_what_lies_beside_it(tmp_path, monkeypatch):
+def test_an_installed_package_uses_only_its_own_configs(tmp_path, monkeypatch):
     package = tmp_path / "site-packages" / "evo_cpg"
     (package.parent / "configs").mkdir(parents=True)
-    (package.parent / "configs" / "anybodys.yaml").touch()
+    (package.parent / "configs" / "foreign.yaml").touch()
     monkeypatch.setattr(module, "_PACKAGE", package)
     assert shipped_folder() is None and shipped_names() == []
     (package / "configs").mkdir(parents=True)
@@ -47,7 +47,7 @@ def test_an_installed_package_has_its_own_and_not_what_lies_beside_it(tmp_path, 
 
 
 @pytest.mark.parametrize("name", shipped_names())
-def test_every_one_is_told_in_a_sentence_of_its_own(name):
+def test_every_config_has_a_unique_summary(name):
     found = shipped(name)
     assert (found.name, found.path) == (name, CONFIGS / f"{name}.yaml")
     assert 20 < len(found.summary) < 190 and not found.summary.endswith(".")
@@ -63,7 +63,7 @@ def test_every_one_is_told_in_a_sentence_of_its_own(name):
         assert found.study in ("Iwadate 2010", "Fukui 2003")
 
 
-def test_a_sentence_ends_at_its_point_and_a_study_has_a_year(tmp_path, monkeypatch):
+def test_summary_is_the_first_sentence_and_study_has_a_year(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "shipped_folder", lambda: tmp_path)
     (tmp_path / "a.yaml").write_text(
         "# Ten of them (Poe, Dickens and Melville 1951), of 1.5 m. They\n# swim.\n#\n# More 1999.\n"
@@ -76,13 +76,13 @@ def test_a_sentence_ends_at_its_point_and_a_study_has_a_year(tmp_path, monkeypat
     assert shipped("b")[3:] == ("", "")
 
 
-def test_a_file_that_is_there_wins_over_the_name(tmp_path):
+def test_existing_file_takes_precedence_over_a_name(tmp_path):
     assert find_config("hexapod") == CONFIGS / "hexapod.yaml"
     Path("hexapod").write_text("name: mine\n")
     assert find_config("hexapod") == find_config(Path("./hexapod")) == Path("hexapod")
 
 
-def test_a_folder_wins_only_where_a_folder_is_meant():
+def test_folder_takes_precedence_only_if_folders_are_allowed():
     Path("hexapod").mkdir()
     Path("mine").mkdir()
     assert find_config("hexapod") == CONFIGS / "hexapod.yaml"
@@ -91,33 +91,35 @@ def test_a_folder_wins_only_where_a_folder_is_meant():
 
 
 @pytest.mark.parametrize("path", ["x.yaml", "configs/hexapod", "hexapod.yaml", "../x", "/x", ".."])
-def test_what_has_a_folder_or_a_suffix_is_a_path(path):
+def test_text_with_a_folder_or_suffix_is_a_path(path):
     assert find_config(path) == Path(path)
 
 
 @pytest.mark.parametrize("name", ["hexapodd", "a" * 5000, "a\0b"])
-def test_an_unknown_name_is_answered_with_the_nearest(name):
+def test_unknown_name_gets_the_nearest_name(name):
     with pytest.raises(ConfigError, match="no such file here, and no configuration") as caught:
         find_config(name)
     assert ("did you mean 'hexapod'?" in str(caught.value)) == (name == "hexapodd")
     assert "iwadate2010_swimmer" in str(caught.value)
-    with pytest.raises(ConfigError, match="no configuration of this name comes with evo-cpg; "):
+    with pytest.raises(ConfigError, match=r"no configuration of this name comes with evo-cpg: "):
         shipped(name)
 
 
-def test_a_file_of_ones_own_is_named_with_its_suffix():
+def test_similar_file_is_named_with_its_suffix():
     Path("mine.yaml").touch()
     with pytest.raises(ConfigError, match=r"did you mean 'mine\.yaml'\?"):
         find_config("mine")
 
 
-def test_a_missing_file_that_is_shipped_is_named():
+def test_missing_file_with_a_shipped_name_is_named():
     for path in ("hexapod.yaml", "configs/hexapod.yaml"):
-        with pytest.raises(ConfigError, match=f"{path}: no such file; that which .* hexapod$"):
+        with pytest.raises(
+            ConfigError, match=f"{path}: no such file. The configuration .* hexapod$"
+        ):
             load_config(path)
 
 
-def test_python_knows_them_by_name():
+def test_load_accepts_a_shipped_name():
     experiment = load("hexapod", {"seed": 3})
     assert experiment.name == "hexapod" and experiment.config.seed == 3
     assert experiment.source == CONFIGS / "hexapod.yaml"
@@ -125,7 +127,7 @@ def test_python_knows_them_by_name():
         load("hexapot")
 
 
-def test_a_file_knows_whether_it_is_shipped(tmp_path):
+def test_shipped_name_of_a_file(tmp_path):
     assert shipped_name(CONFIG) == "iwadate2010_swimmer"
     assert shipped_name(CONFIGS / "creatures" / "hexapod.yaml") is None
     assert shipped_name(tmp_path / "hexapod.yaml") is None
@@ -133,7 +135,7 @@ def test_a_file_knows_whether_it_is_shipped(tmp_path):
 
 
 @pytest.mark.parametrize("name", shipped_names())
-def test_a_copy_is_whole(name, tmp_path):
+def test_a_copy_contains_all_files(name, tmp_path):
     made = copy_shipped(name, tmp_path / "new" / "folder")
     assert made == tmp_path / "new" / "folder" / f"{name}.yaml"
     assert load_config(made) == load_config(CONFIGS / f"{name}.yaml")
@@ -160,20 +162,22 @@ def test_meshes_are_copied_too(tmp_path, monkeypatch):
     assert load_config(made) == load_config(theirs / "lump.yaml")
 
 
-def test_where_no_folder_can_be_made_nothing_is_copied(tmp_path):
+def test_nothing_is_copied_if_a_folder_cannot_be_created(tmp_path):
     (tmp_path / "creatures").write_text("mine")
     with pytest.raises(OSError, match="creatures"):
         copy_shipped("hexapod", tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["creatures"]
 
 
-def test_a_copy_replaces_nothing(tmp_path):
+def test_a_copy_replaces_no_file(tmp_path):
     copy_shipped("salamander_boulders", tmp_path)
-    # They have the animal in common.
+    # Both use the same creature.
     copy_shipped("salamander_amphibious", tmp_path)
     changed = tmp_path / "creatures" / "salamander.yaml"
     changed.write_text("mine")
-    with pytest.raises(ConfigError, match=r"salamander\.yaml: exists already, and is not that of"):
+    with pytest.raises(
+        ConfigError, match=r"salamander\.yaml: already exists and is not the file of"
+    ):
         copy_shipped("iwadate2010_salamander_land", tmp_path)
     assert changed.read_text() == "mine"
     assert not (tmp_path / "iwadate2010_salamander_land.yaml").exists()

@@ -1,4 +1,4 @@
-"""Lists of situations and places of lights: what is built from YAML, and what is refused."""
+"""Situations of trials and positions of lights: building from YAML, and errors."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def situations(trials: str, *overrides: str, path=CONFIG) -> tuple[Situation, ..
     return built(f"simulation.trials={trials}", *overrides, path=path).simulation.situations
 
 
-def places(trials: str, *overrides: str):
+def lights(trials: str, *overrides: str):
     return [situation.light for situation in situations(trials, *overrides)]
 
 
@@ -53,8 +53,8 @@ def test_a_number_of_trials_is_one_situation():
     assert experiment.simulation.lights == (experiment.simulation.task.light,)
 
 
-def test_an_entry_changes_what_it_names():
-    """Start, heading and the keys of the light, one by one."""
+def test_an_entry_changes_only_its_keys():
+    """Start, heading and each key of the light can change alone."""
     some = (
         "[{light: {bearing_deg: -60}}, {light: {bearing_deg: 90, distance: 5}}, {},"
         " {start: [3, 0], start_heading_deg: 180, light: {bearing_deg: 0}}, {start: [0, 1]}]"
@@ -75,17 +75,17 @@ def test_every_situation_is_a_trial_with_and_without_noise():
         assert built("simulation.trials=[{}, {start: [1, 1]}]", *noise).trials == 2
 
 
-def test_a_light_may_be_at_a_place():
-    """Whatever the start; beside it or on it, the other keys begin from their defaults."""
+def test_a_light_may_have_a_position_in_the_world():
+    """It does not depend on the start. The other keys then start from their defaults."""
     trials = "[{}, {start: [5, 5], start_heading_deg: 70}, {light: {bearing_deg: 0}}]"
-    found = places(trials, "task.light={at: [1, 2, 3]}")
+    found = lights(trials, "task.light={at: [1, 2, 3]}")
     assert found[:2] == [(1, 2, 3), (1, 2, 3)]
     assert found[2] == pytest.approx((8, 0, 0))
-    assert places("[{light: {at: [1, 2, 3]}}]", "task.light.distance=4") == [(1, 2, 3)]
-    assert places("[{light: {}}]", "task.light.at=null", "task.light.bearing_deg=0") == [(8, 0, 0)]
+    assert lights("[{light: {at: [1, 2, 3]}}]", "task.light.distance=4") == [(1, 2, 3)]
+    assert lights("[{light: {}}]", "task.light.at=null", "task.light.bearing_deg=0") == [(8, 0, 0)]
 
 
-def test_situations_survive_being_written_and_read(tmp_path):
+def test_situations_are_read_back_unchanged(tmp_path):
     trials = "[{light: {bearing_deg: -60}}, {start: [3, 0], light: {at: [1, 2, 3]}}, {}]"
     config = load_config(CONFIG, [f"simulation.trials={trials}"])
     copy = tmp_path / "copy.yaml"
@@ -100,15 +100,15 @@ def test_situations_survive_being_written_and_read(tmp_path):
     assert again == situations(trials)
 
 
-def test_an_override_reaches_into_the_list():
+def test_an_override_can_change_one_situation():
     config = load_config(CONFIG, ["simulation.trials=[{}, {}]", "simulation.trials.1.start=[2, 3]"])
     trials = config.simulation.trials
     assert isinstance(trials, list)
     assert [entry.start for entry in trials] == [None, (2.0, 3.0)]
 
 
-def test_every_start_stands_on_its_ground():
-    """On a shore and on the land above it."""
+def test_every_start_is_on_the_ground():
+    """Two starts: before a slope, and on the land above it."""
     lower, upper = situations(
         "[{}, {start: [4, -1]}]",
         "world.ground.floor={type: shore, start: 1, stop: 2, stop_height: 0.7}",
@@ -118,7 +118,7 @@ def test_every_start_stands_on_its_ground():
     assert difference == pytest.approx(0.7, abs=1e-4)
 
 
-def test_a_task_of_ones_own_keeps_its_light_unless_an_entry_moves_it(tmp_path, monkeypatch):
+def test_own_task_keeps_its_light_unless_an_entry_moves_it(tmp_path, monkeypatch):
     (tmp_path / "lit_task.py").write_text(TASK)
     monkeypatch.syspath_prepend(str(tmp_path))
     data = load_config(CONFIG).model_dump()
@@ -133,8 +133,8 @@ SURFACE = ("world.water.surface=1", "world.water.density=1250")
 
 
 @pytest.mark.slow
-def test_a_settled_start_floats_at_the_surface_with_place_heading_and_light():
-    """Every situation by itself; Archimedes: two level boxes as deep as their density's share."""
+def test_settled_start_floats_at_its_place_and_heading():
+    """Each situation keeps its own position and heading, and the light rises with the root."""
     trials = "[{}, {start: [2, 1], start_heading_deg: 90}]"
     neutral = situations(trials, *SURFACE)
     assert {situation.start_orientation for situation in neutral} == {None}
@@ -157,7 +157,7 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
     [
         (
             ["simulation.start_pose=setled"],
-            "simulation.start_pose: 'setled': must be 'neutral' or 'settled'; did you mean 'se",
+            "simulation.start_pose: 'setled': must be 'neutral' or 'settled'. Did you mean 'se",
         ),
         (
             ["simulation.start_pose=settled", "world.water.surface=0", "world.water.density=900"],
@@ -171,15 +171,15 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
         ),
         (
             ["simulation.trials=[{}, {strat: [1, 2]}]"],
-            "simulation.trials.1.strat: unknown key; did you mean 'start'?",
+            "simulation.trials.1.strat: unknown key: did you mean 'start'?",
         ),
         (
             ["simulation.trials=[{}, {light: {bearing: 3}}]"],
-            "simulation.trials.1.light.bearing: unknown key; did you mean 'bearing_deg'?",
+            "simulation.trials.1.light.bearing: unknown key: did you mean 'bearing_deg'?",
         ),
         (
             ["simulation.trials=[{light: {distance: -1}}]"],
-            "simulation.trials.0.light.distance: -1: input should be greater than 0",
+            "simulation.trials.0.light.distance: -1: must be greater than 0",
         ),
         (
             ["simulation.trials=[{light: {distance: '5'}}]"],
@@ -187,11 +187,12 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
         ),
         (
             ["simulation.trials=[{light: {at: [0, 0, 1], bearing_deg: 0}}]"],
-            "simulation.trials.0.light: at is a place in the world; leave out bearing_deg, or at",
+            "simulation.trials.0.light: at is a position in the world. "
+            "Leave out bearing_deg, or at",
         ),
         (
             ["task.light.at=[0, 0, 1]"],
-            "task.light: at is a place in the world; leave out distance, bearing_deg",
+            "task.light: at is a position in the world. Leave out distance, bearing_deg",
         ),
         (
             ["task={type: distance}", "simulation.trials=[{}, {light: {distance: 3}}]"],
@@ -200,7 +201,7 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
         (
             ["simulation.trials=[{light: {distance: 10000}}]"],
             "simulation.trials.0.light: the light at (8660.25, 5000, 0) would be 1e+04 m from the "
-            "start; allowed: up to 1000 times the creature's length, 2.22e+03 m",
+            "start. Allowed: up to 1000 times the creature's length, 2.22e+03 m",
         ),
         (["task.light={at: [9e9, 0, 0]}"], "task.light: the light at (9e+09, 0, 0) would be"),
         (["task.light={at: [0, 0, 0]}"], "the light at (0, 0, 0) would be where the animal starts"),
@@ -215,22 +216,22 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
         ),
         (
             ["world.ground={}", STONE, "simulation.trials=[{}, {start: [4, 0]}]"],
-            "simulation.trials.1.start: no place to stand at (4, 0); is it in an obstacle?",
+            "simulation.trials.1.start: no place to stand at (4, 0). Is it inside an obstacle?",
         ),
         (
             ["world.ground={}", STONE, "simulation.start=[4, 0]", "simulation.trials=[{}]"],
-            "simulation.start: no place to stand at (4, 0); is it in an obstacle?",
+            "simulation.start: no place to stand at (4, 0). Is it inside an obstacle?",
         ),
     ],
 )
-def test_wrong_situations_and_lights_are_refused(overrides, words):
+def test_invalid_situations_and_lights_are_rejected(overrides, words):
     with pytest.raises(ConfigError) as refused:
         built(*overrides)
     assert words in str(refused.value)
 
 
-def test_a_start_that_no_trial_has_may_be_anywhere():
-    """What every entry overrides is not looked at."""
+def test_an_unused_start_is_not_checked():
+    """A start that every entry overrides may lie inside an obstacle."""
     stone = ("world.ground={}", STONE, "simulation.start=[4, 0]")
     (situation,) = situations("[{start: [0, 0], light: {bearing_deg: 90}}]", *stone)
     assert situation.start_position[:2] == (0, 0)

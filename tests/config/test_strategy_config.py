@@ -1,4 +1,4 @@
-"""The section ``evolution``: any strategy, islands, maps, and what is wrong with them."""
+"""The section ``evolution``: strategies, islands and maps, and their errors."""
 
 import importlib.util
 import sys
@@ -59,7 +59,7 @@ def build(path, *settings):
     return build_experiment(load_config(path, settings), path)
 
 
-def test_islands_share_the_population():
+def test_islands_divide_the_population():
     strategy = build(CONFIG, "evolution.islands={count: 5}").strategy
     assert isinstance(strategy, Islands)
     assert (strategy.population, strategy.strategy.population) == (200, 40)
@@ -69,12 +69,12 @@ def test_islands_share_the_population():
     assert isinstance(strategy, Islands) and strategy.strategy.population == 15
 
 
-def test_parents_may_be_drawn_by_lexicase_selection():
+def test_lexicase_selection():
     assert build(CONFIG).strategy.selection == "rank"
     assert build(CONFIG, "evolution.selection=lexicase").strategy.selection == "lexicase"
 
 
-def test_a_map_measures_what_its_axes_are():
+def test_axes_of_a_map_are_measured():
     made = build(WALKER, f"evolution={{type: map_elites, axes: {AXES}}}")
     assert isinstance(made.strategy, MapElites)
     assert made.strategy.shape == (10, 4) and made.strategy.vary == OfBits()
@@ -90,7 +90,7 @@ def test_a_map_measures_what_its_axes_are():
         build(CONFIG, "evolution={type: map_elites, axes: []}")
 
 
-def test_how_bits_on_a_map_vary():
+def test_variation_of_bits_on_a_map():
     given = f"type: map_elites, axes: {AXES}, crossover: 0.5, mutation_probability: 1"
     flips = f"evolution={{{given}, mutated_genes: [1, 10], mutation: flip}}"
     assert build(WALKER, flips).strategy.vary == OfBits(0.5, 1.0, (1, 10), "flip")
@@ -111,13 +111,13 @@ def test_an_algorithm_of_evosax():
     given = "{type: evosax, algorithm: LM_MA_ES, islands: {count: 4}}"
     assert build(CONFIG, f"evolution={given}").strategy.strategy.population == 50
     for bad, words in (
-        ("{type: evosax, algorithm: Sep_CMA}", "evosax has no 'Sep_CMA'; did you mean 'Sep_CMA_ES"),
+        ("{type: evosax, algorithm: Sep_CMA}", "evosax has no 'Sep_CMA': did you mean 'Sep_CMA_ES"),
         ("{type: evosax, algorithm: Open_ES, population: 7}", "Open_ES of 7 individuals can.*even"),
         (
             "{type: evosax, algorithm: Open_ES, population: 30, islands: {count: 2}}",
             "Open_ES of 15 individuals on each island cannot be built .*even",
         ),
-        ("{type: evosax, algorithm: Open_ES, params: {lr: 1}}", "no parameter lr; it has none"),
+        ("{type: evosax, algorithm: Open_ES, params: {lr: 1}}", r"no parameter lr \(valid: none\)"),
         ("{type: evosax, algorithm: Open_ES, options: {lr: 1}}", "Open_ES of .* cannot be .*'lr'"),
     ):
         with pytest.raises(ConfigError, match=words):
@@ -137,8 +137,11 @@ def test_cma_mae_of_pyribs():
     assert not made.strategy.binary and made.strategy.gene_bound == 8.0
     assert made.strategy.threshold_min == -2.0 and made.simulation.measures.names == ("speed",)
     for bad, words in (
-        ("emitters: 3", "emitters: a population of 200 cannot be shared equally by 3 emitters"),
-        ("emitters: 200", "each of 200 needs two individuals or more, and the population is 200"),
+        ("emitters: 3", "emitters: a population of 200 cannot be divided equally among 3 emitters"),
+        (
+            "emitters: 200",
+            "each of 200 emitters needs at least two individuals, but the population is 200",
+        ),
         ("es: cmaes", r"evolution\.es: .*'sep_cma_es', 'lm_ma_es', 'openai_es' or 'cma_es'"),
         ("es: openai_es, emitters: 8", "openai_es cannot be built .*even"),
         ("options: {lr: 1}", "sep_cma_es cannot be built .*'lr'"),
@@ -148,7 +151,7 @@ def test_cma_mae_of_pyribs():
             build(CONFIG, f"evolution={{type: pyribs, {speed}, {bad}}}")
 
 
-def test_without_pyribs_it_says_how_to_get_it(monkeypatch):
+def test_missing_pyribs_is_reported_with_its_installation(monkeypatch):
     for name in ("ribs", "ribs.emitters", "ribs.emitters.opt"):
         monkeypatch.setitem(sys.modules, name, None)
     given = f"{{type: pyribs, axes: {AXES}, sigma: 0.123}}"
@@ -157,15 +160,15 @@ def test_without_pyribs_it_says_how_to_get_it(monkeypatch):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("ribs") is None, reason="ribs is an extra")
-def test_an_unknown_pyribs_is_reported(monkeypatch):
+def test_unsupported_pyribs_is_reported(monkeypatch):
     kind = importlib.import_module("ribs.emitters.opt").SeparableCMAEvolutionStrategy
     monkeypatch.setattr(kind, "reset", lambda self, x0: setattr(self, "past", [x0]))
     given = f"{{type: pyribs, axes: {AXES}, sigma: 0.124}}"
-    with pytest.raises(ConfigError, match="keeps its state in another way than 0"):
+    with pytest.raises(ConfigError, match="stores its state differently from 0"):
         build(WALKER, f"evolution={given}")
 
 
-def test_without_evosax_it_says_how_to_get_it(monkeypatch):
+def test_missing_evosax_is_reported_with_its_installation(monkeypatch):
     monkeypatch.setitem(sys.modules, "evosax", None)
     monkeypatch.setitem(sys.modules, "evosax.algorithms", None)
     with pytest.raises(ConfigError, match=r"'evosax' is not installed here.*\[evosax\]"):
@@ -175,19 +178,19 @@ def test_without_evosax_it_says_how_to_get_it(monkeypatch):
 @pytest.mark.parametrize(
     ("path", "settings", "words"),
     [
-        (CONFIG, ["evolution.islands={count: 3}"], "200 cannot be shared equally by 3 islands"),
-        (CONFIG, ["evolution.islands={count: 10}"], "each of 10 islands has 20 .* at least 21"),
+        (CONFIG, ["evolution.islands={count: 3}"], "200 cannot be divided equally among 3 islands"),
+        (CONFIG, ["evolution.islands={count: 10}"], "each of 10 islands gets 20 .* at least 21"),
         (CONFIG, ["evolution.islands={count: 5, migrants: 40}"], "fewer than the 40 individuals"),
         (
             CONFIG,
             ["evolution.islands={count: 5}", "evolution.learning={every: 2}"],
-            "the elites of islands cannot learn",
+            "learning: cannot be combined with islands",
         ),
-        (WALKER, ["evolution={type: bits, islands: {count: 3}}"], "each of 3 islands has 5 of"),
+        (WALKER, ["evolution={type: bits, islands: {count: 3}}"], "each of 3 islands gets 5 of"),
         (
             CONFIG,
             ["evolution={type: map_elites, axes: [{name: sped, range: [0, 1]}]}"],
-            r"axes\.0\.name: 'sped' is no measure; did you mean 'speed'\?.*distance",
+            r"axes\.0\.name: 'sped' is not a measure: did you mean 'speed'\?.*distance",
         ),
         (
             CONFIG,
@@ -197,7 +200,7 @@ def test_without_evosax_it_says_how_to_get_it(monkeypatch):
         (
             CONFIG,
             [f"evolution={{type: map_elites, axes: {AXES}}}"],
-            r"axes\.1\.name: 'duty_factor' means nothing: there is no ground",
+            r"axes\.1\.name: 'duty_factor' is undefined without ground",
         ),
         (
             CONFIG,
@@ -209,19 +212,27 @@ def test_without_evosax_it_says_how_to_get_it(monkeypatch):
             CONFIG,
             ["evolution={type: map_elites, axes: [{name: speed, range: [0, 1]}, "
              "{name: speed, range: [0, 1]}]}"],
-            "each must have a name of its own, got speed, speed",
+            "axes: names must be unique, got speed, speed",
         ),
-        (CONFIG, ["measures=[speed, power, gait]"], "measures.2: 'gait' is no measure; valid here"),
-        (CONFIG, ["measures=[energy]"], "'energy' is no measure"),
-        (WALKER, ["measures=[airborne]", "task={type: walk}"], "'airborne' is a term of the task"),
+        (
+            CONFIG,
+            ["measures=[speed, power, gait]"],
+            r"measures\.2: 'gait' is not a measure: valid here",
+        ),
+        (CONFIG, ["measures=[energy]"], "'energy' is not a measure"),
+        (
+            WALKER,
+            ["measures=[airborne]", "task={type: walk}"],
+            "'airborne' is already a term of the task",
+        ),
         (
             WALKER,
             ["measures=[cost_of_transport]", "world.gravity=0"],
-            "'cost_of_transport' means nothing: there is no gravity",
+            "'cost_of_transport' is undefined without gravity",
         ),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_is_said(path, settings, words):
+def test_invalid_evolution_and_measures_are_rejected(path, settings, words):
     with pytest.raises(ConfigError, match=words):
         build(path, *settings)
 
@@ -239,7 +250,7 @@ def test_a_strategy_of_ones_own(tmp_path, monkeypatch):
     assert (strategy.population, strategy.sigma) == (9, 0.2)
 
 
-def test_it_may_look_at_terms_measures_and_single_trials(tmp_path, monkeypatch):
+def test_own_strategy_may_use_terms_measures_and_trials(tmp_path, monkeypatch):
     tell = (
         "genes[:, jnp.argmax(evaluation.trial_fitness[2] + evaluation.descriptors['speed']"
         " + evaluation.terms['power'])]"
@@ -254,18 +265,24 @@ def test_it_may_look_at_terms_measures_and_single_trials(tmp_path, monkeypatch):
     [
         ({"init": "1 / 0"}, r"evolution\.type: Climber\.init fails at .*\(ZeroDivisionError"),
         ({"ask": "noise"}, "Climber.ask must return a pair of genomes and a state"),
-        ({"ask": "noise.T, state"}, r"Climber\.ask must return \d+, shape .*got float32\[9, "),
-        ({"tell": "genes"}, "Climber.ask fails|must return the state with the same structure"),
+        (
+            {"ask": "noise.T, state"},
+            r"Climber\.ask must return \d+ numbers, shape .*got float32\[9, ",
+        ),
+        ({"tell": "genes"}, "Climber.ask fails|must return the state with unchanged structure"),
         ({"tell": "evaluation.fitnes"}, r"Climber\.tell fails at .*\(AttributeError"),
-        ({"ask": "noise + 1j, state"}, r"Climber\.ask must return real numbers; got complex64\[\d"),
+        ({"ask": "noise + 1j, state"}, r"Climber\.ask must return real numbers, got complex64\[\d"),
         ({"init": '"x"', "ask": "noise, state"}, "ask must return the state as a pytree of arr"),
         ({"names": "1 / 0"}, r"Climber\.metric_names fails at .*\(ZeroDivisionError"),
         ({"names": '"spread"'}, "metric_names must be a tuple of names, got 'spread'"),
-        ({"names": '("best_energy",)'}, "must not have 'best_energy', which metrics.csv has alr"),
-        ({"names": '("generation",)'}, "must not have 'generation', which metrics.csv has already"),
-        ({"names": '("spread", "spread")'}, "must not have 'spread', which metrics.csv has"),
-        ({"names": '("spread", "m")'}, "metrics must return what metric_names has, spread, m; got"),
-        ({"names": "()"}, "metrics must return what metric_names has, nothing; got spread"),
+        ({"names": '("best_energy",)'}, "must not contain 'best_energy' again"),
+        (
+            {"names": '("generation",)'},
+            "must not contain 'generation' again: columns of metrics.csv",
+        ),
+        ({"names": '("spread", "spread")'}, "must not contain 'spread' again"),
+        ({"names": '("spread", "m")'}, "must return the metrics of metric_names, spread, m, got"),
+        ({"names": "()"}, "must return the metrics of metric_names, nothing, got spread"),
         ({"metrics": "1 / 0"}, r"Climber\.metrics fails at .*\(ZeroDivisionError"),
         ({"metrics": "state.std()"}, r"metrics must return a dict by name, not float32\[\]"),
         (
@@ -275,6 +292,6 @@ def test_it_may_look_at_terms_measures_and_single_trials(tmp_path, monkeypatch):
         ({"population": "eqx.field(default=5, init=False)"}, "population: 9: Climber has another"),
     ],
 )
-def test_what_a_strategy_of_ones_own_returns_is_checked(tmp_path, monkeypatch, changes, words):
+def test_return_values_of_an_own_strategy_are_checked(tmp_path, monkeypatch, changes, words):
     with pytest.raises(ConfigError, match=words):
         own(tmp_path, monkeypatch, **changes)

@@ -1,4 +1,4 @@
-"""Simulations built of traced numbers against those that are built anew of known ones."""
+"""Simulations built from traced numbers against simulations built from known numbers."""
 
 import jax
 import jax.numpy as jnp
@@ -13,21 +13,21 @@ from evo_cpg.config.parameters import all_parameters, parametrise
 from evo_cpg.spatial.mixed_array import MixedArray
 from tiny_run import CONFIG, REPOSITORY, TINY
 
-# Shares of a value at which is built anew: errors of fourth order are below rounding.
+# Relative step of the finite differences. Their error, of fourth order, is below rounding.
 STEP = 1e-4
 CENTRAL = {-1.0: 1 / 6, -0.5: -8 / 6, 0.5: 8 / 6, 1.0: -1 / 6}
-# Where values end, as at a stiffness of 0.
+# One-sided differences for values at the end of their range, such as a stiffness of 0.
 FORWARD = {0.0: -25 / 3, 0.25: 16.0, 0.5: -12.0, 0.75: 16 / 3, 1.0: -1.0}
-BACKWARD = {-share: -weight for share, weight in FORWARD.items()}
+BACKWARD = {-fraction: -weight for fraction, weight in FORWARD.items()}
 
 
 def check_elements(config, keys, accuracy=1e-14):
-    """Every element of a simulation that follows some numbers, and its derivative by each.
+    """Compare traced elements of a simulation, and their derivatives, with rebuilt ones.
 
     Args:
-        config: what is built.
-        keys: of the numbers.
-        accuracy: of what is built, where a search takes part in it.
+        config: the configuration.
+        keys: keys of the traced numbers.
+        accuracy: accuracy of the elements, lower if a search computes them.
     """
     parameters = parametrise(config, CONFIG, keys)
     inputs, values = parameters.inputs, parameters.values
@@ -46,34 +46,34 @@ def check_elements(config, keys, accuracy=1e-14):
         return [np.ravel(built.leaves[place])[own] for place, own in changed]
 
     def around(values, step):
-        """What is built on either side, or on one where the other is not allowed."""
+        """Build on both sides of the values, or on one side if the other is not allowed."""
         for stencil in (CENTRAL, FORWARD, BACKWARD):
             try:
-                return stencil, {share: known(values + share * step) for share in stencil}
+                return stencil, {part: known(values + part * step) for part in stencil}
             except ConfigError:
                 continue
         raise AssertionError("no side is allowed")
 
     both = quick_jit(lambda values: (jax.jacfwd(traced)(values), traced(values)))
-    slopes, here = both(jnp.asarray(values))
+    derivatives, here = both(jnp.asarray(values))
     same = inputs.of(parameters.experiment.simulation)
     for found, own in zip(here, same, strict=True):
         np.testing.assert_allclose(found, own, rtol=1e-12, atol=accuracy)
     for i, value in enumerate(values):
         step = STEP * (abs(value) or 1.0) * (np.arange(len(values)) == i)
         stencil, others = around(values, step)
-        for place, slope in enumerate(slopes):
-            each = np.array([weight * others[share][place] for share, weight in stencil.items()])
+        for place, derivative in enumerate(derivatives):
+            each = np.array([weight * others[part][place] for part, weight in stencil.items()])
             difference = each.sum(0) / step[i]
             rounding = accuracy * max(1.0, np.abs(each).max()) / step[i]
             slack = 1e-6 * np.abs(difference).max() + rounding
-            np.testing.assert_allclose(slope[:, i], difference, rtol=1e-6, atol=slack)
+            np.testing.assert_allclose(derivative[:, i], difference, rtol=1e-6, atol=slack)
     return parameters
 
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.slow
-def test_a_swimmers_numbers():
+def test_elements_of_a_swimmer():
     settings = (
         "world.water.added_mass=true",
         "simulation.substeps=1",
@@ -120,7 +120,7 @@ bodies:
 
 
 def shapes(start=None, **world):
-    """An animal of every shape."""
+    """Return an animal with a body of every shape."""
     return check_config(
         {
             "name": "shapes",
@@ -135,7 +135,7 @@ def shapes(start=None, **world):
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("x64")
-def test_numbers_of_every_shape_over_a_slope():
+def test_elements_of_every_shape_on_a_slope():
     ground = {"floor": {"slope_deg": 8, "downhill_deg": 30}, "friction_rule": "average"}
     keys = [
         "world.ground.floor.slope_deg",
@@ -156,15 +156,15 @@ def test_numbers_of_every_shape_over_a_slope():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("x64")
-def test_bodies_that_cross_a_surface():
+def test_elements_of_bodies_at_a_water_surface():
     water = {"surface": 0.0, "added_mass": True}
     keys = ["creature.bodies.1.shape.radius", "creature.bodies.2.shape.size.0"]
     assert check_elements(shapes(water=water), keys).building.layout == "merged"
 
 
 @pytest.mark.usefixtures("x64")
-def test_bodies_that_become_different_are_treated_one_by_one():
-    """Two like balls share a surface as long as both are as large."""
+def test_bodies_that_become_different_get_separate_surfaces():
+    """Two balls have one common surface only while their radii are equal."""
     creature = yaml.safe_load(SHAPES)
     creature["bodies"] = [creature["bodies"][0], *(dict(creature["bodies"][3]) for _ in range(2))]
     for body, side in zip(creature["bodies"][1:], (1, -1), strict=True):
@@ -177,8 +177,8 @@ def test_bodies_that_become_different_are_treated_one_by_one():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("x64")
-def test_a_start_on_hills_follows_the_numbers():
-    """Its height is searched with known numbers; by others it is an implicit function."""
+def test_start_height_on_hills_is_differentiable():
+    """The height comes from a search, and is differentiated as an implicit function."""
     hills = {"floor": {"type": "hills", "seed": 3, "height": 0.2, "length": 1.5}}
     keys = ["simulation.start.1", "simulation.start_heading_deg", "creature.bodies.1.shape.length"]
     config = shapes({"start": [1.3, -0.7]}, water=None, ground=hills)
@@ -187,7 +187,7 @@ def test_a_start_on_hills_follows_the_numbers():
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("x64")
-def test_rest_on_the_water_follows_the_numbers():
+def test_rest_on_the_water_is_differentiable():
     keys = ["creature.materials.wood.density", "creature.bodies.1.joint.stiffness", "world.gravity"]
     check_elements(shapes({"start_pose": "settled"}, water={"surface": 0.3}), keys, accuracy=1e-9)
 
@@ -197,7 +197,7 @@ def test_rest_on_the_water_follows_the_numbers():
 @pytest.mark.parametrize(
     "name", sorted(path.stem for path in (REPOSITORY / "configs").glob("*.yaml"))
 )
-def test_every_number_of_the_shipped_experiments(name):
+def test_elements_of_the_shipped_experiments(name):
     path = REPOSITORY / "configs" / f"{name}.yaml"
     config = load_config(path)
     check_elements(config, all_parameters(config, path), accuracy=1e-9)

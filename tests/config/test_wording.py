@@ -1,4 +1,4 @@
-"""Values of the wrong kind: what the place takes, how to write it, and in which line it stands."""
+"""Messages for values of the wrong type: the allowed values, the fix, and the line."""
 
 import copy
 from collections.abc import Iterator
@@ -23,11 +23,11 @@ SMALL = {
         "light_sensors": [{"body": "head"}],
     },
 }
-TRUTHS = "YAML reads yes, no, on, off, true and false as truth values; in quotes they are text"
+TRUTHS = "YAML reads yes, no, on, off, true and false as booleans. Put text in quotes"
 
 
 def changed(key: str, value: object) -> dict:
-    """The small configuration with one value changed, as YAML would have it."""
+    """Return the small configuration with one value changed, as if read from YAML."""
     data = copy.deepcopy(SMALL)
     *parents, last = (int(part) if part.isdigit() else part for part in key.split("."))
     place: dict = data
@@ -38,7 +38,7 @@ def changed(key: str, value: object) -> dict:
 
 
 def problem(data: dict) -> str:
-    """What is said about a configuration that comes from no file."""
+    """Return the error message for a configuration without a file."""
     with pytest.raises(ConfigError) as caught:
         check_config(data, "x.yaml")
     assert "\n" not in str(caught.value)
@@ -48,15 +48,15 @@ def problem(data: dict) -> str:
 @pytest.mark.parametrize(
     ("key", "value", "expected"),
     [
-        # One value where a list is expected, and the other way round.
+        # One value in place of a list, and the reverse.
         (
             "creature.bodies.1.joint.axes",
             "x",
             "'x': must be a list of entries, each 'x', 'y', 'z', '-x', '-y', '-z' or a list of 3 "
-            "numbers; write [x]",
+            "numbers. Write [x]",
         ),
-        ("creature.bodies.1.joint.axes", "x, y", "write [x, y]"),
-        ("creature.bodies.1.joint.axes", [0, 0, 1], "write [[0, 0, 1]]"),
+        ("creature.bodies.1.joint.axes", "x, y", "Write [x, y]"),
+        ("creature.bodies.1.joint.axes", [0, 0, 1], "Write [[0, 0, 1]]"),
         (
             "creature.bodies.1.joint.limits_deg",
             60,
@@ -64,63 +64,63 @@ def problem(data: dict) -> str:
         ),
         ("creature.bodies.1.joint.limits_deg", [[-60, "a"]], "must be a number"),
         ("creature.bodies.1.joint.at", 3, "3: must be a list of 3 numbers"),
-        ("creature.pressure_sensors", "tail", "must be 'all' or a list of texts; write [tail]"),
-        ("creature.self_collision", {"exclude": ["head", "tail"]}, "write [[head, tail]]"),
-        ("controller.groups", {"legs": "x*"}, "must be a list of texts; write ['x*']"),
-        ("controller.cpg.opposite", "tail", "must be a list of texts; write [tail]"),
-        ("controller.brain.hidden", 3, "must be a list of whole numbers; write [3]"),
-        ("measures", "speed", "must be a list of texts; write [speed]"),
-        ("audit.disqualify", "speed", "'penetration' or 'overlap'; write [speed]"),
-        ("simulation.steps", [10], "[10]: must be a whole number; write 10"),
-        # A section and a list, or a single value.
-        ("creature.light_sensors", {"body": "head"}, "write [{body: head}]"),
-        ("creature.light_sensors", ["head"], "write {body: head}"),
-        ("creature.materials.flesh", 1000, "write {density: 1000}"),
+        ("creature.pressure_sensors", "tail", "must be 'all' or a list of texts. Write [tail]"),
+        ("creature.self_collision", {"exclude": ["head", "tail"]}, "Write [[head, tail]]"),
+        ("controller.groups", {"legs": "x*"}, "must be a list of texts. Write ['x*']"),
+        ("controller.cpg.opposite", "tail", "must be a list of texts. Write [tail]"),
+        ("controller.brain.hidden", 3, "must be a list of whole numbers. Write [3]"),
+        ("measures", "speed", "must be a list of texts. Write [speed]"),
+        ("audit.disqualify", "speed", "'penetration' or 'overlap'. Write [speed]"),
+        ("simulation.steps", [10], "[10]: must be a whole number. Write 10"),
+        # A section in place of a list, and a single value in place of a section.
+        ("creature.light_sensors", {"body": "head"}, "Write [{body: head}]"),
+        ("creature.light_sensors", ["head"], "Write {body: head}"),
+        ("creature.materials.flesh", 1000, "Write {density: 1000}"),
         ("creature.bodies.1.shape", "box", "must be a section whose type is 'box', 'sphere', "),
-        ("creature.bodies.1.shape", "box", "write {type: box}"),
-        ("creature.bodies", {"head": 1}, "begin each entry with '- '"),
-        ("task", "walk", "'walk' or module:Class; write {type: walk}"),
-        ("evolution", "random", "write {type: random}"),
+        ("creature.bodies.1.shape", "box", "Write {type: box}"),
+        ("creature.bodies", {"head": 1}, "Begin each entry with '- '"),
+        ("task", "walk", "'walk' or module:Class. Write {type: walk}"),
+        ("evolution", "random", "Write {type: random}"),
         ("world.ground", True, "must be null or a section with the keys restitution, "),
-        ("world.ground", True, "write {}"),
-        ("world.water", False, "write null"),
-        ("world.water", "None", "write null"),
+        ("world.ground", True, "Write {}"),
+        ("world.water", False, "Write null"),
+        ("world.water", "None", "Write null"),
         ("controller.cpg", None, "null: must be a section with the keys constants, "),
-        ("controller.cpg", None, "the key has no value: leave it out, or give it one"),
-        # Text, numbers and truth values.
-        ("creature.bodies.1.name", True, f"True: must be text; {TRUTHS}"),
-        ("creature.bodies.1.name", 12, "12: must be text; write '12'"),
-        ("creature.bodies.1.name", {"side": None}, "must be text; write '{side}'"),
-        ("creature.bodies.1.joint.damping", "1.5 N m s", "must be a number; write 1.5"),
-        ("creature.bodies.1.joint.damping", "0,5", "must be a number; write 0.5"),
-        ("creature.bodies.1.joint.at.0", "\N{MINUS SIGN}0.11", "must be a number; write -0.11"),
+        ("controller.cpg", None, "The key has no value. Leave it out, or give it one"),
+        # Text, numbers and booleans.
+        ("creature.bodies.1.name", True, f"True: must be text. {TRUTHS}"),
+        ("creature.bodies.1.name", 12, "12: must be text. Write '12'"),
+        ("creature.bodies.1.name", {"side": None}, "must be text. Write '{side}'"),
+        ("creature.bodies.1.joint.damping", "1.5 N m s", "must be a number. Write 1.5"),
+        ("creature.bodies.1.joint.damping", "0,5", "must be a number. Write 0.5"),
+        ("creature.bodies.1.joint.at.0", "\N{MINUS SIGN}0.11", "must be a number. Write -0.11"),
         (
             "world.water.law",
             "isotropc",
-            "must be 'normal' or 'isotropic'; did you mean 'isotropic'?",
+            "must be 'normal' or 'isotropic'. Did you mean 'isotropic'?",
         ),
         # Keys.
-        ("world.ground", {True: 1}, f"the key True must be text; {TRUTHS}"),
-        ("creature.materials", {False: {"density": 1}}, f"the key False must be text; {TRUTHS}"),
+        ("world.ground", {True: 1}, f"the key True must be text. {TRUTHS}"),
+        ("creature.materials", {False: {"density": 1}}, f"the key False must be text. {TRUTHS}"),
         (
             "creature.materials",
             {1: {"density": 1}},
-            "the key 1 must be text; write it in quotes: '1'",
+            "the key 1 must be text. Write it in quotes: '1'",
         ),
-        ("world.water", {"density": 1, 5: None}, "if it follows a decimal comma, write a point"),
+        ("world.water", {"density": 1, 5: None}, "If it follows a decimal comma, write a point"),
     ],
 )
-def test_a_value_of_the_wrong_kind_is_answered_with_the_right_one(key, value, expected):
-    said = problem(changed(key, value))
-    assert said.startswith(key)
-    assert expected in said
+def test_message_names_the_allowed_type_and_a_fix(key, value, expected):
+    message = problem(changed(key, value))
+    assert message.startswith(key)
+    assert expected in message
 
 
 WRONG = ("x", 3, 0.5, True, None, [], ["x"], [1, 2], {}, {"x": 1})
 
 
 def places(data: object, key: tuple = ()) -> Iterator[tuple]:
-    """The keys of all values; of lists of the first two entries."""
+    """Yield the keys of all values, and of the first two entries of each list."""
     pairs = data.items() if isinstance(data, dict) else ()
     for name, value in pairs or (enumerate(data[:2]) if isinstance(data, list) else ()):
         yield (*key, name)
@@ -130,11 +130,11 @@ def places(data: object, key: tuple = ()) -> Iterator[tuple]:
 @pytest.mark.parametrize(
     ("name", "every"), [("salamander_amphibious", 8), ("fukui2003_model1", 4), ("swimmer_gaits", 4)]
 )
-def test_no_message_is_in_the_words_of_a_library(name, every):
+def test_messages_contain_no_pydantic_terms(name, every):
     data = parse_yaml(dump_config(load_config(REPOSITORY / "configs" / f"{name}.yaml")))
     refused = 0
     for number, key in enumerate(places(data)):
-        # Enough for every kind of section.
+        # This subset covers every kind of section.
         for wrong in WRONG[number % every :: every]:
             given = copy.deepcopy(data)
             place = given
@@ -152,26 +152,26 @@ def test_no_message_is_in_the_words_of_a_library(name, every):
     assert refused > 100
 
 
-def test_two_bodies_of_one_name_are_answered_with_both_places():
+def test_duplicate_body_name_reports_both_entries():
     data = changed("creature.bodies.1.name", "head")
     assert problem(data) == (
-        "creature.bodies.1.name: two bodies are called 'head', the other one in creature.bodies.0; "
-        "every body needs a name of its own"
+        "creature.bodies.1.name: two bodies are called 'head', the other one in creature.bodies.0. "
+        "Every body needs a unique name"
     )
-    # Two entries that stand for a body of one name.
+    # A row whose second body has the name of another entry.
     row = {"name": "tail{i}", "repeat": 2, **BOX, "joint": JOINT | {"parent": "tail"}}
     data = copy.deepcopy(SMALL)
     data["creature"]["bodies"] += [row, {"name": "tail2", **BOX, "joint": JOINT}]
     assert problem(data).startswith("creature.bodies.3.name: two bodies are called 'tail2', the")
 
 
-def test_a_name_that_takes_no_stars_says_so():
+def test_star_in_a_body_name_is_rejected_with_a_hint():
     data = changed("creature.pressure_sensors", ["*ail"])
-    assert problem(data).endswith("a name here may have placeholders such as {i}, but no *")
+    assert problem(data).endswith("A name here may contain placeholders such as {i}, but no *")
 
 
 def line_of(path: Path, words: str) -> int:
-    """The number of the line of a file that has these words."""
+    """Return the number of the first line of a file that contains a text."""
     return 1 + next(i for i, line in enumerate(path.read_text().splitlines()) if words in line)
 
 
@@ -186,7 +186,7 @@ def line_of(path: Path, words: str) -> int:
         ("seed", -1, "seed: -1"),
     ],
 )
-def test_the_line_of_a_wrong_value_is_named(tmp_path, key, value, words):
+def test_error_names_the_line_of_the_value(tmp_path, key, value, words):
     path = tmp_path / "x.yaml"
     path.write_text(to_yaml(changed(key, value)))
     with pytest.raises(ConfigError) as caught:
@@ -196,7 +196,7 @@ def test_the_line_of_a_wrong_value_is_named(tmp_path, key, value, words):
     assert str(caught.value).startswith(f"{path}: line {expected}: {key}")
 
 
-def test_the_line_of_a_creature_is_that_of_its_own_file(tmp_path):
+def test_error_in_a_creature_file_names_its_line(tmp_path):
     creature, path = tmp_path / "pair.yaml", tmp_path / "x.yaml"
     creature.write_text(to_yaml(changed("creature.bodies.1.joint.axes", "x")["creature"]))
     path.write_text("name: small\ncreature: pair.yaml\n")
@@ -210,18 +210,18 @@ def test_the_line_of_a_creature_is_that_of_its_own_file(tmp_path):
     assert caught.value.line in (2, line)
 
 
-def test_what_is_set_on_the_command_line_has_no_line():
+def test_error_in_an_override_has_no_line():
     with pytest.raises(ConfigError) as caught:
         load_config(CONFIG, ["seed=-1"])
     assert caught.value.line is None
     assert str(caught.value).startswith(f"{CONFIG}: seed: -1: ")
 
 
-def test_a_controller_that_names_parts_of_another_creature_is_answered_with_both(tmp_path):
+def test_controller_for_another_creature_reports_the_creature(tmp_path):
     starfish = REPOSITORY / "configs" / "starfish.yaml"
     config = load_config(starfish, [f"creature={REPOSITORY}/configs/creatures/hexapod.yaml"])
     with pytest.raises(
         ConfigError, match=r"controller\.groups\.arm1\.0: 'arm1_\*' matches no"
     ) as e:
         build_experiment(config, starfish)
-    assert str(e.value).endswith("the controller must name parts of creature 'hexapod'")
+    assert str(e.value).endswith("The controller must name parts of creature 'hexapod'")

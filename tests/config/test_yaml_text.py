@@ -1,4 +1,4 @@
-"""YAML as configurations are written in it: what is written is what is read again."""
+"""Reading and writing of YAML: written values are read back unchanged."""
 
 import pytest
 import yaml
@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from evo_cpg.config.load import as_overrides
 from evo_cpg.config.yaml_text import parse_yaml, to_yaml
 
-# Made of what numbers are made of.
+# Text from the characters of numbers.
 NUMBERLIKE = st.text("-+0123456789.eE_:x", min_size=1, max_size=8)
 PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | NUMBERLIKE | st.text(),
@@ -27,7 +27,7 @@ PLAIN = st.recursive(
 @example("2026-11-26")
 def test_text_that_looks_like_a_number_stays_text(text):
     assert parse_yaml(to_yaml({"name": text, text: 1})) == {"name": text, text: 1}
-    # Whatever reads it, were it by YAML 1.1.
+    # A YAML 1.1 reader also reads it as text.
     assert yaml.safe_load(to_yaml({"name": text})) == {"name": text}
     (override,) = as_overrides({"name": text})
     assert parse_yaml(override.removeprefix("name=")) == text
@@ -36,7 +36,7 @@ def test_text_that_looks_like_a_number_stays_text(text):
 @given(PLAIN)
 @example("a\x85b")
 @example(["\u2028", "\u2029 x"])
-def test_what_is_written_is_read_again(value):
+def test_written_values_are_read_back(value):
     for flow in (False, True, None):
         assert parse_yaml(to_yaml({"x": value}, flow)) == {"x": value}
 
@@ -52,18 +52,18 @@ def test_what_is_written_is_read_again(value):
         ("-0", 0),
         (".inf", float("inf")),
         ("1.", 1.0),
-        # Of YAML 1.1 these are 128, 100 and a date.
+        # YAML 1.1 reads these as 128, 100 and a date.
         ("0200", "0200"),
         ("1:40", "1:40"),
         ("2026-11-26", "2026-11-26"),
     ],
 )
-def test_numbers_are_those_that_a_reader_sees(text, value):
+def test_numbers_are_read_as_they_look(text, value):
     found = parse_yaml(text)
     assert (found, type(found)) == (value, type(value))
 
 
-def test_a_mapping_may_be_merged_into_one_that_is_merged():
+def test_merges_can_be_nested():
     text = "x: &B {p: 1}\no: {a: &A {<<: *B, p: 2}}\nc: {<<: *A}\n"
     assert parse_yaml(text)["c"] == {"p": 2}
 
@@ -78,19 +78,19 @@ def test_a_mapping_may_be_merged_into_one_that_is_merged():
         ("{<<: []}", {}),
     ],
 )
-def test_own_keys_count_before_merged_ones_and_these_in_their_order(merged, found):
-    """As https://yaml.org/type/merge.html has it, whichever PyYAML reads."""
+def test_own_keys_override_merged_keys(merged, found):
+    """Earlier mappings override later ones (https://yaml.org/type/merge.html)."""
     text = f"a: &A {{p: 1, q: 3}}\nb: &B {{p: 2, r: 4}}\nc: {merged}\n"
     assert parse_yaml(text)["c"] == found
 
 
 @pytest.mark.parametrize("merged", ["3", "[*A, 3]", "[[*A]]"])
 def test_only_mappings_are_merged(merged):
-    with pytest.raises(yaml.YAMLError, match="<< takes a mapping or a list of them"):
+    with pytest.raises(yaml.YAMLError, match="<< takes a mapping or a list of mappings"):
         parse_yaml(f"a: &A {{p: 1}}\nc: {{<<: {merged}}}\n")
 
 
 @pytest.mark.parametrize("text", ["{a: 1, a: 2}", "[{b: {a: 1, a: 2}}]", "x: &A {a: 1, a: 2}"])
-def test_a_key_that_stands_twice_is_refused(text):
+def test_duplicate_key_is_rejected(text):
     with pytest.raises(yaml.YAMLError, match="the key 'a' is given twice"):
         parse_yaml(text)

@@ -1,4 +1,4 @@
-"""Creatures for the controller's tests, and double precision in all of them."""
+"""Creatures for the tests of controllers, which all run in double precision."""
 
 import jax
 import pytest
@@ -7,7 +7,7 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import Tree, build_tree
 
-# A capital letter is the axis that points the other way.
+# A capital letter is the axis in the opposite direction.
 UNIT = {
     "x": (1.0, 0.0, 0.0),
     "y": (0.0, 1.0, 0.0),
@@ -25,13 +25,13 @@ def double_precision():
 
 @pytest.fixture(scope="session")
 def grow():
-    """Builds a tree from ``{body: (parent, axes)}``, the root's being ``(None, "")``."""
+    """Function that builds a tree from ``{body: (parent, axes)}``, ``(None, "")`` for the root."""
     return grow_tree
 
 
 @pytest.fixture(scope="session")
 def chain():
-    """Builds a chain of so many bodies whose joints have the given axes."""
+    """Function that builds a chain from a number of bodies and the axes of each joint."""
 
     def build(bodies: int, axes: str) -> Tree:
         plan = {f"b{i}": (f"b{i - 1}", axes) for i in range(1, bodies)}
@@ -41,7 +41,7 @@ def chain():
 
 
 def grow_tree(plan: dict[str, tuple[str | None, str]]) -> Tree:
-    """A creature of equal boxes."""
+    """Return the tree of a creature of equal boxes."""
     bodies = []
     for name, (parent, axes) in plan.items():
         joint = None

@@ -1,4 +1,4 @@
-"""The brain against eqs. 2-3 written out."""
+"""The brain equals eqs. 2-3, written out unit by unit."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from evo_cpg.control.brain import BrainSettings, build_brain, decode_weights, ra
 
 
 def written_out(sizes, temperature, genes, inputs):
-    """Eqs. 2-3 unit by unit, with a last input of 1 to each layer."""
+    """Return the outputs of eqs. 2-3, unit by unit, with a last input of 1 to each layer."""
     genes = iter(genes)
     values = list(inputs)
     for units in sizes[1:]:
@@ -36,7 +36,7 @@ def test_brain_equals_its_equations_written_out(hidden, temperature):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
 
 
-def test_temperature_divides_what_a_unit_receives():
+def test_temperature_divides_the_input_of_a_unit():
     genes, inputs = jnp.array([0.8, -0.5, 0.2]), jnp.array([1.0, 0.5])
     received = 0.8 - 0.25 + 0.2
     for temperature in (0.1, 1.0, 10.0):
@@ -70,7 +70,7 @@ def test_first_weights_fill_their_range_evenly():
     assert weights.dtype == np.float32
     counts, _ = np.histogram(weights, bins=10, range=(-2, 2))
     assert counts.sum() == weights.size
-    # Multinomial: each bin holds a tenth, give or take four standard deviations.
+    # Multinomial: each bin holds a tenth, within four standard deviations.
     expected = weights.size / 10
     assert np.abs(counts - expected).max() < 4 * np.sqrt(0.9 * expected)
 

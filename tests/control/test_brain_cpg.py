@@ -1,4 +1,4 @@
-"""The whole controller: what the brain senses, what it sets, and what reaches the motors."""
+"""The whole controller: inputs and outputs of the brain, and commands to the motors."""
 
 import doctest
 
@@ -18,7 +18,7 @@ from evo_cpg.control.matsuoka import CpgSettings
 
 
 def observe(rng, dofs, batch=(), lights=1, pressures=10, gauges=0):
-    """Random senses within their ranges."""
+    """Return random senses within their ranges."""
     tilt = rng.uniform(0, np.pi, (lights, *batch))
     values = (
         rng.uniform(0, 1, (lights, *batch)),
@@ -68,7 +68,7 @@ def test_brain_senses_table_2_in_order(chain):
 
 
 OUTPUTS = {
-    # oscillators: b1.y, b1.z, b2.y, b2.z; tonic inputs, steerings, adaptation gains
+    # Tonic inputs, steerings and adaptation gains, then the sources of b1.y, b1.z, b2.y and b2.z.
     "shared": ([0.1, 0.2], [0.0, 0.75], [0.3], [0, 1, 0, 1], [0, 0, 0, 0]),
     "per_joint": ([0.1, 0.2], [0.0, 0.75], [0.3, 0.4], [0, 0, 1, 1], [0, 0, 1, 1]),
     "per_dof": (
@@ -117,11 +117,11 @@ def test_motor_command_follows_the_rhythm_and_centres_the_joint(chain):
     signal = np.maximum(state.potential[0], 0) - np.maximum(state.potential[1], 0)
     np.testing.assert_allclose(command.signal, signal, rtol=0, atol=1e-15)
     weights = 4.0 * np.array([0.0, 2.0] * 3)
-    wanted = weights * signal - np.array([2.0, 0.5] * 3) * np.asarray(sense.joint_angle)
-    np.testing.assert_allclose(command.target_rate, np.clip(wanted, -1.5, 1.5), atol=1e-14)
+    rate = weights * signal - np.array([2.0, 0.5] * 3) * np.asarray(sense.joint_angle)
+    np.testing.assert_allclose(command.target_rate, np.clip(rate, -1.5, 1.5), atol=1e-14)
 
 
-def test_command_is_cut_off_at_the_largest_rate(chain):
+def test_command_is_limited_to_the_largest_rate(chain):
     grown = build_brain_cpg(chain(3, "z"), 1, 3, BrainCpgSettings(rate_gain=1e4, max_rate=2.0))
     sense = observe(np.random.default_rng(0), 2, pressures=3)
     genes = jnp.zeros(grown.gene_count)
@@ -153,8 +153,8 @@ def test_batch_equals_single_and_vmap(chain, drive):
     np.testing.assert_allclose(single, batched[..., 1], rtol=0, atol=1e-12)
 
 
-def test_closed_loop_keeps_the_senses_in_range_and_the_rhythm_alive(chain):
-    # On a kinematic joint, whose angle follows the command up to a stop at 60 degrees.
+def test_closed_loop_keeps_senses_in_range_and_oscillates(chain):
+    # The joint is kinematic: its angle follows the command up to a stop at 60 degrees.
     grown = build_brain_cpg(chain(10, "z"), 1, 10, BrainCpgSettings())
     population = 40
     sense = observe(np.random.default_rng(5), 9, (population,))
@@ -173,7 +173,7 @@ def test_closed_loop_keeps_the_senses_in_range_and_the_rhythm_alive(chain):
     assert largest.max() <= 1.0
     late = np.asarray(signals[750:])
     reversing = np.minimum(late.max(axis=0), -late.min(axis=0)) / np.abs(late).max(axis=0)
-    # Where a random brain steers hard at a small b, one side wins and stays (31 of 40 swing).
+    # If a random brain steers hard at a small b, one side keeps firing (31 of 40 swing).
     assert np.mean(reversing.min(axis=0) > 0.2) > 0.7
 
 
@@ -230,26 +230,25 @@ def test_creature_without_joints_is_refused(grow):
 def test_unknown_axes_and_bodies_are_refused(chain):
     tree = chain(3, "yz")
     settings = BrainCpgSettings(axes={"x": AxisSettings(0.5)})
-    with pytest.raises(UnfitError, match="no joint turns about 'x'; valid here: y, z") as caught:
+    with pytest.raises(UnfitError, match=r"no joint turns about 'x' \(valid here: y, z") as caught:
         build_brain_cpg(tree, 1, 1, settings)
     assert caught.value.where == ("axes", "x")
     legs = BrainCpgSettings(groups={"legs": ("b1", "leg*")})
-    with pytest.raises(UnfitError, match=r"'leg\*' matches no body; valid here: b0, b1") as caught:
+    with pytest.raises(UnfitError, match=r"'leg\*' matches no body \(valid here: b0, b1") as caught:
         build_brain_cpg(tree, 1, 1, legs)
     assert caught.value.where == ("groups", "legs", 1)
     sides = BrainCpgSettings(groups={"legs": ("b{i}x",)})
-    with pytest.raises(
-        UnfitError, match=r"placeholders stand for nothing here, write 'b\*x'; valid"
-    ):
+    with pytest.raises(UnfitError, match=r"placeholders have no meaning here: write 'b\*x', valid"):
         build_brain_cpg(tree, 1, 1, sides)
-    with pytest.raises(UnfitError, match="names no body with a joint; bodies with one are b1, b2"):
+    words = r"names no body with a joint \(bodies with one: b1, b2\)"
+    with pytest.raises(UnfitError, match=words):
         build_brain_cpg(tree, 1, 1, BrainCpgSettings(groups={"root": ("b0",)}))
     twice = BrainCpgSettings(groups={"front": ("b1",), "all": ("b*",)})
     with pytest.raises(UnfitError, match="groups front and all both name 'b1'"):
         build_brain_cpg(tree, 1, 1, twice)
 
 
-def test_a_group_of_bodies_has_tonic_inputs_and_steerings_of_its_own(chain):
+def test_a_group_of_bodies_has_separate_tonic_inputs_and_steerings(chain):
     settings = BrainCpgSettings(
         groups={"tail": ("b3", "b[4-9]")},
         steering_range=0.5,
@@ -284,7 +283,7 @@ def test_settings_out_of_range_are_refused(changes, words):
 
 
 def test_settings_serve_as_a_static_field():
-    # Equal settings are one compiled function.
+    # Equal settings share one compiled function.
     assert BrainCpgSettings(brain=BrainSettings()) == BrainCpgSettings()
     assert hash(BrainCpgSettings(axes={"z": AxisSettings()})) == hash(BrainCpgSettings())
 
@@ -303,6 +302,6 @@ def test_example_in_the_protocol_works():
     sense = observe(np.random.default_rng(0), 3, (1,))
     for _ in range(30):
         state, command = sine.act(genes, state, sense)
-    # Half a second of 0.5 Hz: the crest.
+    # After half a second of 0.5 Hz, the wave is at its crest.
     np.testing.assert_allclose(command.target_rate, 2.0, rtol=1e-12)
     assert command.signal.shape == (3, 1)

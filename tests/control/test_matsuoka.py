@@ -1,8 +1,8 @@
-"""The spinal cord against closed forms, an outside integrator and the analysis of the CPG.
+"""The spinal cord against closed forms, another integrator and another program.
 
-The figures of `CHAIN` come from an independent program (classical RK4 at 1/120 s, plain NumPy);
-its printed rounding sets the tolerances. T_rT_a s^2 + (T_r + T_a(1 - a)) s + 1 - a + b = 0 gives
-the rates of a pair whose neurons are both active: it decays unless a > 1 + T_r/T_a.
+The numbers of `CHAIN` are from an independent program (classical RK4 at 1/120 s, plain NumPy). Its
+printed digits set the tolerances. T_rT_a s^2 + (T_r + T_a(1 - a)) s + 1 - a + b = 0 gives the rates
+of a pair whose neurons are both active. The pair decays unless a > 1 + T_r/T_a.
 """
 
 import math
@@ -47,7 +47,7 @@ CHAIN = {
 
 
 class Rhythm(NamedTuple):
-    """What oscillation a signal shows: Hz, half peak to peak, mean lag of neighbours (degrees)."""
+    """Frequency (Hz), amplitudes (half peak to peak) and lags of neighbours (degrees)."""
 
     frequency: float
     amplitude: np.ndarray
@@ -56,7 +56,7 @@ class Rhythm(NamedTuple):
 
 @eqx.filter_jit
 def simulate(network, state, tonic_input, gain, h, steps):
-    """Outputs ``(steps, oscillators, *n)`` with constant inputs."""
+    """Return outputs ``(steps, oscillators, *n)`` with constant inputs."""
 
     def step(state, _):
         state = advance(network, state, tonic_input, gain, h)
@@ -66,7 +66,7 @@ def simulate(network, state, tonic_input, gain, h, steps):
 
 
 def run(tree, settings, gains, seconds, h=1 / 60, tonic=1.0):
-    """Outputs ``(steps, oscillators, gains)`` from the standard start, u and b all alike."""
+    """Return outputs ``(steps, oscillators, gains)`` from the standard start, at one u and b."""
     network = build_network(tree, settings)
     batch = (len(gains),)
     count = network.oscillator_count
@@ -77,13 +77,13 @@ def run(tree, settings, gains, seconds, h=1 / 60, tonic=1.0):
 
 
 def upward_crossings(signal, h):
-    """Times at which a signal rises through zero."""
+    """Return the times at which a signal rises through zero."""
     i = np.flatnonzero((signal[:-1] < 0) & (signal[1:] >= 0))
     return h * (i - signal[i] / (signal[i + 1] - signal[i]))
 
 
 def rhythm(signals, h):
-    """Frequency, amplitudes and lags (phases of the fundamental) of signals ``(steps, o)``."""
+    """Return the rhythm of signals ``(steps, o)``, with lags from phases of the fundamental."""
     frequency = 1 / np.mean([np.diff(upward_crossings(signal, h)).mean() for signal in signals.T])
     steps = int(int(len(signals) * h * frequency) / frequency / h)  # whole periods
     time = h * np.arange(steps)[:, None]
@@ -95,7 +95,7 @@ def rhythm(signals, h):
 
 @pytest.fixture(scope="module")
 def chain_rhythms(chain):
-    """The rhythm of the default chain for each b of `CHAIN`."""
+    """Rhythm of the default chain for each b of `CHAIN`."""
     h = 1 / 120
     with jax.enable_x64(True):
         signals = run(chain(10, "z"), CpgSettings(), list(CHAIN), 120.0, h)
@@ -107,12 +107,12 @@ def test_chain_has_the_expected_frequency_amplitude_and_lag(chain_rhythms, gain)
     frequency, amplitude, lag = CHAIN[gain]
     found = chain_rhythms[gain]
     assert found.frequency == pytest.approx(frequency, abs=6e-4)
-    # Peaks are sampled at 1/120 s: up to (pi f h)^2 / 2, here 0.1 %, is lost.
+    # Samples every 1/120 s miss up to (pi f h)^2 / 2 of a peak, here 0.1 %.
     assert found.amplitude[4] == pytest.approx(amplitude, abs=6e-4, rel=1e-3)
     assert found.lags.mean() == pytest.approx(lag, abs=0.06)
 
 
-def test_wave_runs_from_head_to_tail_everywhere(chain_rhythms):
+def test_wave_runs_from_head_to_tail(chain_rhythms):
     for found in chain_rhythms.values():
         assert np.all(found.lags > 0)
 
@@ -122,8 +122,8 @@ def test_printed_constants_never_oscillate(chain):
     settings = CpgSettings(constants="as_printed")
     late = run(chain(10, "z"), settings, gains, 120.0)[-600:]
     assert np.ptp(late, axis=0).max() < 1e-6
-    # Both sides end equal where 1 + b exceeds the chain's effective a of 1.98; below that, one
-    # side wins and stays.
+    # Both sides end equal if 1 + b exceeds the chain's effective a of 1.98. Otherwise one side
+    # keeps firing.
     assert np.abs(late[..., 1:]).max() < 1e-6
     assert np.abs(late[..., 0]).max() > 0.1
 
@@ -131,7 +131,7 @@ def test_printed_constants_never_oscillate(chain):
 @pytest.mark.parametrize("gain", [2.0, 5.0, 10.0])
 @pytest.mark.parametrize("weight", [A, 1.12, 1.1297, 1.14])
 def test_small_oscillation_of_a_pair_has_the_closed_form_rate_and_frequency(chain, gain, weight):
-    # Both neurons active and nearly in balance: eqs. 4-6 are linear.
+    # Both neurons are active and nearly in balance, so eqs. 4-6 are linear.
     network = build_network(chain(2, "z"), CpgSettings(pair_weight=weight))
     rest = 1 / (1 + weight + gain)
     swing = 1e-3 * rest
@@ -143,7 +143,7 @@ def test_small_oscillation_of_a_pair_has_the_closed_form_rate_and_frequency(chai
     angular = math.sqrt((1 - weight + gain) / (RISE * ADAPTATION) - damping**2)
     times = upward_crossings(np.asarray(signal[:, 0]), h)
     assert 2 * np.pi / np.diff(times).mean() == pytest.approx(angular, rel=1e-4)
-    # Displacement and rate at the start, from x_e - x_f = 2 swing and z_e = z_f.
+    # The initial displacement and rate follow from x_e - x_f = 2 swing and z_e = z_f.
     rate = (weight - 1) / RISE
     time = h * np.arange(1, len(signal) + 1)
     expected = 2 * swing * np.exp(damping * time)
@@ -181,9 +181,9 @@ def test_time_scale_only_stretches_time(chain, scale):
 
 
 def reference(gains, times, count):
-    """The default chain by diffrax, its coupling written out: outputs ``(times, o, gains)``."""
+    """Return outputs ``(times, o, gains)`` of the default chain, integrated by diffrax."""
 
-    def slope(_, state, __):
+    def derivative(_, state, __):
         x, z = state
         y = jnp.maximum(x, 0.0)[::-1]
         inhibition = A * y
@@ -193,7 +193,7 @@ def reference(gains, times, count):
 
     rest = jnp.zeros((2, count, len(gains)))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(slope),
+        diffrax.ODETerm(derivative),
         diffrax.Tsit5(),
         t0=0.0,
         t1=times[-1],
@@ -216,7 +216,7 @@ def test_whole_trial_agrees_with_diffrax(chain, steps):
     assert errors.max() < 2e-3
 
 
-def test_integration_is_of_fourth_order_where_the_equations_are_smooth(chain):
+def test_integration_is_of_fourth_order_without_kinks(chain):
     # All neurons stay active near the balanced state, so no kink of eq. 6 is crossed.
     tree = chain(4, "z")
     network, gain = build_network(tree, CpgSettings()), jnp.full(3, 5.0)
@@ -230,8 +230,8 @@ def test_integration_is_of_fourth_order_where_the_equations_are_smooth(chain):
 
     exact = end(1024)
     errors = [np.abs(end(count) - exact).max() for count in steps]
-    slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    assert slope == pytest.approx(-4.0, abs=0.2)
+    order = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert order == pytest.approx(-4.0, abs=0.2)
 
 
 @pytest.mark.parametrize(("scale", "substeps"), [(1.0, 1), (0.5, 1), (0.25, 2), (0.05, 9)])
@@ -240,7 +240,7 @@ def test_substeps_stay_below_a_quarter_of_the_shorter_time(chain, scale, substep
     assert network.substeps(1 / 60) == substeps
 
 
-def test_substeps_are_what_a_shorter_step_would_do(chain):
+def test_substeps_equal_shorter_steps(chain):
     network = build_network(chain(4, "z"), CpgSettings(time_scale=0.25))
     state, drive = initial_state(network, (), float), jnp.ones((2, 3))
     gain = jnp.full(3, 5.0)
@@ -306,9 +306,9 @@ def test_mirrored_axes_and_opposite_bodies_are_inhibited_by_the_same_side(grow):
     np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-15)
 
 
-def test_opposite_bodies_do_what_the_others_do_with_sides_exchanged(chain):
-    # Exchanging extensor and flexor of an oscillator turns every inhibition between it and others
-    # from crossed to uncrossed and changes nothing else.
+def test_opposite_bodies_exchange_extensor_and_flexor(chain):
+    # An oscillator with exchanged extensor and flexor inhibits the same side of others instead of
+    # the other side. Nothing else changes.
     tree, exchanged = chain(6, "z"), [1, 2, 4]
     plain = build_network(tree, CpgSettings())
     turned = build_network(tree, CpgSettings(opposite=("b2", "b4", "b5")))
@@ -333,8 +333,8 @@ def test_opposite_bodies_do_what_the_others_do_with_sides_exchanged(chain):
     np.testing.assert_allclose(mirrored, np.asarray(straight) * sign, rtol=0, atol=1e-12)
 
 
-def test_axes_of_one_joint_are_bound_by_the_cross_weight(chain):
-    """Two oscillators that inhibit each other crosswise and equally end up in step."""
+def test_the_cross_weight_couples_axes_of_one_joint(chain):
+    """Two oscillators with equal mutual inhibition of opposite sides synchronise."""
     network = build_network(chain(2, "yz"), CpgSettings(cross_weight=1.0))
     state = MatsuokaState(jnp.array([[0.3, 0.0], [0.0, 0.2]]), jnp.zeros((2, 2)))
     found = simulate(network, state, jnp.ones((2, 2)), jnp.full(2, 5.0), 1 / 60, 2400)[-600:]
@@ -342,13 +342,13 @@ def test_axes_of_one_joint_are_bound_by_the_cross_weight(chain):
     np.testing.assert_allclose(found[:, 0], found[:, 1], rtol=0, atol=1e-6)
 
 
-def test_a_body_that_is_not_there_cannot_be_opposite(chain):
-    with pytest.raises(ValueError, match=r"'arm\*' matches no body; valid here: b0, b1"):
+def test_unknown_opposite_bodies_are_refused(chain):
+    with pytest.raises(ValueError, match=r"'arm\*' matches no body \(valid here: b0, b1"):
         build_network(chain(2, "z"), CpgSettings(opposite=("arm*",)))
 
 
 def dense(network: MatsuokaNetwork) -> np.ndarray:
-    """The inhibition matrix put together from its diagonals."""
+    """Return the inhibition matrix from its diagonals."""
     count = network.oscillator_count
     matrix = np.zeros((count, count))
     other = zip(network.offsets, network.weights, strict=True)
@@ -378,7 +378,7 @@ def test_one_step_of_a_branching_network_equals_plain_runge_kutta(grow):
     x, z = rng.uniform(-1, 1, (2, 2, count))
     u, b = rng.uniform(0, 1, (2, count)), rng.uniform(1, 10, count)
 
-    def slope(state):
+    def derivative(state):
         x, z = state
         y = np.maximum(x, 0)
         crossed, straight = np.maximum(matrix, 0), np.maximum(-matrix, 0)
@@ -387,10 +387,10 @@ def test_one_step_of_a_branching_network_equals_plain_runge_kutta(grow):
         return np.stack([dx, (y - z) / ADAPTATION])
 
     start = np.stack([x, z])
-    k1 = slope(start)
-    k2 = slope(start + h / 2 * k1)
-    k3 = slope(start + h / 2 * k2)
-    k4 = slope(start + h * k3)
+    k1 = derivative(start)
+    k2 = derivative(start + h / 2 * k1)
+    k3 = derivative(start + h / 2 * k2)
+    k4 = derivative(start + h * k3)
     expected = start + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     state = MatsuokaState(jnp.asarray(x), jnp.asarray(z))
     found = jax.jit(lambda s: advance(network, s, jnp.asarray(u), jnp.asarray(b), h))(state)
@@ -415,7 +415,7 @@ def test_output_never_exceeds_the_largest_tonic_input(chain, seed, settings):
 
 @eqx.filter_jit
 def storm(network, tonic_inputs, gains):
-    """Outputs and adaptation with inputs that change every 6 steps."""
+    """Return outputs and adaptation with inputs that change every 6 steps."""
 
     def hold(state, inputs):
         def step(state, _):
@@ -445,7 +445,7 @@ def test_batch_equals_single_and_vmap(chain):
         np.testing.assert_allclose(single, batched[..., k], rtol=0, atol=1e-13)
 
 
-def test_single_precision_keeps_its_type_and_follows_double(chain):
+def test_single_precision_keeps_its_type_and_agrees_with_double(chain):
     network = build_network(chain(10, "z"), CpgSettings())
     ends = {}
     for dtype in (jnp.float32, jnp.float64):

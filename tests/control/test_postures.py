@@ -1,4 +1,4 @@
-"""The postures: what every bit means, and that each posture comes at its time."""
+"""The postures: meaning of every bit, and times of the switches."""
 
 import functools
 import math
@@ -23,27 +23,27 @@ LEGS = ("front_left", "front_right", "hind_left", "hind_right")
 
 
 def plan(legs):
-    """A torso with so many legs of two boxes each, hinged about y."""
+    """Return the plan of a torso with legs of two boxes each, hinged about y."""
     uppers = {f"{leg}_upper": ("torso", "y") for leg in legs}
     lowers = {f"{leg}_lower": (f"{leg}_upper", "y") for leg in legs}
     return {"torso": (None, "")} | uppers | lowers
 
 
 def observe(dofs, batch=(), dtype=float):
-    """Senses, which the postures ignore."""
+    """Return senses, which the postures ignore."""
     nothing = np.zeros((0, *batch), dtype)
     joints = np.full((dofs, *batch), 0.3, dtype)
     return Observation(nothing, nothing, nothing, nothing, joints, joints, nothing)
 
 
 def encode(numbers, bits):
-    """The genome of a table of angle numbers, postures by joints."""
+    """Return the genome for a table of angle numbers, postures by joints."""
     text = "".join(f"{number:0{bits}b}" for row in numbers for number in row)
     return np.array([float(bit) for bit in text])
 
 
 def act_for(controller, genes, steps):
-    """Commands of a trial, control step by control step."""
+    """Return the commands of a trial, stacked along the control steps."""
     batch = genes.shape[1:]
     sense = observe(controller.dof_count, batch, genes.dtype)
     start = controller.initial_state(batch, genes.dtype)
@@ -62,12 +62,12 @@ def decode(controller, genes):
 
 
 def degrees_of(controller, genes):
-    """Decoded angles in degrees, from whatever they are counted."""
+    """Return decoded angles in degrees, relative to the neutral angle."""
     return jnp.rad2deg(controller.decode(genes))
 
 
 def degrees(controller, genes):
-    """Decoded angles as the thesis counts them."""
+    """Return decoded angles in degrees, as the thesis counts them."""
     return np.rad2deg(decode(controller, genes)) + controller.settings.neutral_angle
 
 
@@ -78,7 +78,7 @@ def quadruped(grow):
 
 @pytest.fixture(scope="session")
 def pendulum(grow):
-    """Builds the controller of a single joint."""
+    """Function that builds the controller of a single joint."""
 
     def build(control_step, **settings):
         tree = grow({"base": (None, ""), "leg": ("base", "y")})
@@ -97,8 +97,9 @@ def test_genome_is_as_long_as_in_the_thesis(grow, legs, genes):
     np.testing.assert_allclose(found, np.array(ANGLES)[numbers], rtol=0, atol=1e-12)
 
 
-def test_hand_made_genome(quadruped, grow):
-    # Second posture, bits 24 to 47: upper legs 110, 130, 150, 170, lower legs 250, 230, 210, 190.
+def test_a_hand_made_genome_gives_its_angles(quadruped, grow):
+    # Bits 24 to 47 are the second posture: upper legs 110, 130, 150, 170, lower legs 250, 230, 210,
+    # 190.
     genes = np.zeros(192)
     genes[24:48] = [int(bit) for bit in "000001010011" + "111110101100"]
     expected = np.full((8, 8), 110.0)
@@ -123,11 +124,11 @@ def test_each_bit_turns_one_joint_of_one_posture(quadruped):
         np.testing.assert_allclose(flipped[..., bit] - rest, expected, rtol=0, atol=1e-12)
 
 
-def test_random_genes_are_fair_bits_that_give_all_the_angles(quadruped):
+def test_random_genes_are_fair_bits_that_give_all_angles(quadruped):
     genes = quadruped.random_genes(jax.random.key(0), (50,), float)
     assert genes.shape == (192, 50)
     assert set(np.unique(genes)) == {0.0, 1.0}
-    # 9600 coins: five standard deviations are 0.026.
+    # Five standard deviations of the mean of 9600 coins are 0.026.
     assert float(genes.mean()) == pytest.approx(0.5, abs=0.026)
     found = degrees(quadruped, genes)
     assert sorted(set(np.round(found).ravel().tolist())) == ANGLES
@@ -142,17 +143,17 @@ def test_half_counts_as_one(pendulum):
         np.testing.assert_allclose(found, [[angle]], rtol=0, atol=1e-12)
 
 
-def test_graded_genes_count_for_what_they_are(pendulum):
+def test_graded_genes_are_not_rounded(pendulum):
     controller = pendulum(1 / 60, postures=1, graded=True)
-    # 110 degrees and 80, 40 and 20 more for each whole gene; nothing beyond 0 and 1.
+    # The angle is 110 degrees plus 80, 40 and 20 for each whole gene. Genes are clipped to 0 to 1.
     for genes, angle in [([0.25, 0.5, 0.1], 152), ([2.0, -1.0, 1.0], 210), ([0.0, 0.0, 0.0], 110)]:
         found = degrees(controller, jnp.array(genes))
         np.testing.assert_allclose(found, [[angle]], rtol=0, atol=1e-5)
-    slope = jax.jacfwd(lambda genes: degrees_of(controller, genes))(jnp.array([0.3, 0.6, 0.2]))
-    np.testing.assert_allclose(slope.ravel(), [80, 40, 20], rtol=1e-5)
+    gradient = jax.jacfwd(lambda genes: degrees_of(controller, genes))(jnp.array([0.3, 0.6, 0.2]))
+    np.testing.assert_allclose(gradient.ravel(), [80, 40, 20], rtol=1e-5)
 
 
-def test_graded_or_not_bits_mean_the_same(grow):
+def test_bits_mean_the_same_with_graded_genes(grow):
     build = [
         build_posture_controller(grow(plan(LEGS)), PostureSettings(graded=graded), 1 / 60)
         for graded in (False, True)
@@ -162,7 +163,7 @@ def test_graded_or_not_bits_mean_the_same(grow):
 
 
 @pytest.mark.parametrize(("postures", "bits"), [(1, 1), (3, 2), (5, 4)])
-def test_other_numbers_of_postures_and_bits(chain, postures, bits):
+def test_numbers_of_postures_and_bits_can_be_set(chain, postures, bits):
     settings = PostureSettings(
         postures=postures,
         bits_per_joint=bits,
@@ -182,7 +183,7 @@ def test_other_numbers_of_postures_and_bits(chain, postures, bits):
 
 @pytest.mark.parametrize(
     ("control_step", "period", "held"),
-    # The last is 7.000000000000001 control steps in floating-point numbers.
+    # The last period is 7.000000000000001 control steps in floating-point numbers.
     [(1 / 60, 1 / 3, 20), (1 / 240, 1 / 3, 80), (1 / 60, 0.3, 18), (0.1, 0.1, 1), (0.01, 0.07, 7)],
 )
 @pytest.mark.parametrize("batch", [(), (2,)])
@@ -216,7 +217,7 @@ def test_each_posture_is_held_for_its_period(chain, control_step, period, held, 
     ],
 )
 def test_switch_is_at_the_first_control_step_of_a_period(pendulum, steps):
-    # Where a period is no whole number of control steps, to within the tolerance.
+    # Most of these periods are no whole number of control steps.
     control_step = 1 / 240
     controller = pendulum(control_step, postures=EXACT_PERIODS, period=steps * control_step)
     k = np.arange(1, EXACT_PERIODS)
@@ -227,7 +228,7 @@ def test_switch_is_at_the_first_control_step_of_a_period(pendulum, steps):
     np.testing.assert_array_equal(reached, k)
 
 
-def test_postures_return_for_as_long_as_steps_can_be_counted(pendulum):
+def test_postures_repeat_up_to_the_largest_step_number(pendulum):
     controller = pendulum(1 / 50, period=1 / 3)
     last = 2**31 - 1
     steps = np.concatenate([np.arange(1000), last - np.arange(1000)])
@@ -245,7 +246,7 @@ def test_batch_equals_single_and_vmap(quadruped):
 
 
 @pytest.mark.parametrize("wide", [True, False])
-def test_single_precision_stays(quadruped, wide):
+def test_single_precision_is_kept(quadruped, wide):
     with jax.enable_x64(wide):
         genes = quadruped.random_genes(jax.random.key(3), (2,), jnp.float32)
         start = quadruped.initial_state((2,), jnp.float32)
@@ -272,7 +273,7 @@ def test_creature_without_joints_is_refused(grow):
 
 
 @pytest.mark.parametrize("period", [0.01, 200.0])
-def test_period_that_does_not_suit_the_control_step_is_refused(pendulum, period):
+def test_too_short_and_too_long_periods_are_refused(pendulum, period):
     with pytest.raises(ValueError, match=r"from 1 to 8000 control steps of 0.0166667 s, got"):
         pendulum(1 / 60, period=period)
 

@@ -1,4 +1,4 @@
-"""Which oscillators are said to rest, beside the orbits that `limit_cycle` finds or does not."""
+"""Oscillators reported to rest, compared with the orbits that `limit_cycle` finds."""
 
 import dataclasses
 
@@ -22,19 +22,19 @@ def chain(joints: int, **settings) -> MatsuokaNetwork:
 
 
 @pytest.mark.parametrize("weight", [0.5, LEAST - 0.05, LEAST + 0.05, 1.8])
-def test_an_oscillator_alone_swings_from_the_weight_of_the_closed_form_on(weight):
+def test_a_single_oscillator_swings_above_the_critical_weight(weight):
     found = resting(chain(1, pair_weight=weight), 1.0, *GAINS)
     assert found == ([0] if weight < LEAST else [])
 
 
-def test_one_side_that_keeps_the_other_down_is_at_rest():
-    """Above 1 + b for every b; one gain that is large enough lets it swing."""
+def test_an_oscillator_with_one_silent_side_is_at_rest():
+    """The weight exceeds 1 + b for every b. It swings if one gain is large enough."""
     network = chain(1, pair_weight=12.0)
     assert resting(network, 1.0, *GAINS) == [0]
     assert resting(network, 1.0, 1.0, 13.0) == []
 
 
-def test_without_a_positive_drive_all_rest_and_with_any_none_does():
+def test_all_rest_without_a_positive_drive():
     swinging = chain(3)
     assert resting(swinging, 1.0, *GAINS) == []
     assert resting(swinging, 1e-3, *GAINS) == []
@@ -51,7 +51,7 @@ def test_without_a_positive_drive_all_rest_and_with_any_none_does():
     ],
     ids=["default", "as_printed", "weak", "cut"],
 )
-def test_it_says_of_each_part_what_its_orbit_says(settings):
+def test_parts_at_rest_are_the_parts_without_an_orbit(settings):
     network, gain = chain(3, **settings), 5.5
     still = resting(network, 1.0, gain, gain)
     without = []
@@ -64,7 +64,7 @@ def test_it_says_of_each_part_what_its_orbit_says(settings):
 
 
 @pytest.mark.parametrize("settings", [{}, {"pair_weight": 0.6}])
-def test_large_parts_are_judged_like_small_ones(monkeypatch, settings):
+def test_large_parts_give_the_result_of_small_ones(monkeypatch, settings):
     small = resting(chain(3, **settings), 1.0, *GAINS)
     monkeypatch.setattr("evo_cpg.control.rest._LARGE", 0)
     assert resting(chain(3, **settings), 1.0, *GAINS) == small

@@ -1,4 +1,4 @@
-"""From a description to a tree: order, neutral pose, arrays, and the errors on the way."""
+"""Creatures as trees: order, neutral pose, arrays and errors."""
 
 import dataclasses
 
@@ -23,7 +23,7 @@ from evo_cpg.creature.tree import build_tree, spatial_inertia
 
 
 def body(name: str, parent: str | None = None, axes: int = 1) -> Body:
-    """A box, joined to a parent unless it is the root."""
+    """Return a box, joined to a parent unless it is the root."""
     joint = parent and Joint(
         parent=parent,
         parent_anchor=(-0.1, 0.0, 0.0),
@@ -48,7 +48,7 @@ ERRORS = {
     ),
     "two roots": (
         creature(body("a"), body("b")),
-        "bodies 'a' and 'b' both have no joint; exactly one body",
+        "bodies 'a' and 'b' both have no joint. Allowed: one body",
         ("bodies", 1, "joint"),
     ),
     "no root": (
@@ -58,7 +58,7 @@ ERRORS = {
     ),
     "missing parent": (
         creature(body("a"), body("b", "c")),
-        "body 'b' is joined to 'c', which does not exist; bodies are a, b",
+        "body 'b' is joined to 'c', which does not exist. Allowed: a, b",
         ("bodies", 1, "joint", "parent"),
     ),
     "ring": (
@@ -75,15 +75,15 @@ ERRORS = {
 
 
 @pytest.mark.parametrize(("wrong", "words", "where"), ERRORS.values(), ids=ERRORS.keys())
-def test_bodies_that_form_no_tree_are_refused(wrong, words, where):
-    """Each error says what is wrong in words, and where as a path into the description."""
+def test_bodies_that_form_no_tree_raise(wrong, words, where):
+    """Each error has a message, and a path to the value."""
     with pytest.raises(CreatureError, match=words) as raised:
         build_tree(wrong)
     assert raised.value.where == where
 
 
 def test_order_is_by_level_then_axes_then_description():
-    """Described back to front; level 1 has joints of 3, 1 and 1 axes."""
+    """The description is in reverse order. Level 1 has joints of 3, 1 and 1 axes."""
     described = creature(
         body("tip", "arm", 2),
         body("arm", "trunk", 3),
@@ -109,7 +109,7 @@ def test_order_is_by_level_then_axes_then_description():
 
 
 def test_limbs_of_the_same_build_are_a_group():
-    """A hip between two hands has as many axes as they, but legs grow from it."""
+    """A hip has as many axes as the two hands of its level, but also carries a leg."""
     described = creature(
         body("chest"),
         body("left_arm", "chest", 2),
@@ -140,8 +140,8 @@ def test_oblique_axes_are_named_by_their_components():
 
 
 @pytest.mark.parametrize("number", range(len(STRUCTURES)))
-def test_neutral_pose_and_mass_are_mujocos(number):
-    """Geom centres and body rotations of the model at its reference pose, and the total mass."""
+def test_neutral_pose_and_mass_equal_mujocos(number):
+    """Compare geom centres and rotations in the reference pose, and the total mass."""
     animal = random_creature(np.random.default_rng(number), STRUCTURES[number], axes_seed=number)
     model = mujoco_model(animal)
     data = mujoco.MjData(model)
@@ -169,11 +169,11 @@ def test_spatial_inertia_gives_the_kinetic_energy():
     np.testing.assert_array_equal(inertia, inertia.T)
 
 
-def test_limits_see_the_two_halves_of_the_animal():
+def test_limit_stiffness_uses_the_effective_inertia():
     """Stiffness I w^2 and critical damping 2 I w, w = 2 pi 10 Hz and I = I_1 I_2 / (I_1 + I_2).
 
-    About the middle joint of a chain of four boxes, z axis: each half is two boxes of mass m at
-    d and 3 d from the joint, I_half = 2 m (l^2 + w^2) / 12 + m (d^2 + 9 d^2).
+    The joint is in the middle of a chain of four boxes. Each half has two boxes of mass m at d and
+    3 d from the joint, so I_half = 2 m (l^2 + w^2) / 12 + m (d^2 + 9 d^2).
     """
     tree = build_tree(box_chain(4, "z"))
     mass, reach = 2.0, 0.11
@@ -188,13 +188,13 @@ def test_index_of_a_body():
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_lowest_height_is_that_of_the_lowest_surface_point(seed):
-    """Shapes of every kind, turned at random, against a fine quadrature of their surfaces."""
+def test_lowest_height_equals_the_lowest_surface_point(seed):
+    """Compare random shapes and rotations with a fine quadrature of the surfaces."""
     rng = np.random.default_rng(seed)
     animal = random_creature(rng, STRUCTURES[seed % len(STRUCTURES)], axes_seed=seed)
     heights = [
         (centre + body.shape.surface(40).points @ rotation.T)[:, 2].min()
         for body, centre, rotation in zip(animal.bodies, *neutral_pose(animal), strict=True)
     ]
-    # The Gauss points nearest to a corner of a box of 0.4 m are 0.2 mm away from it on each axis.
+    # The Gauss points nearest to a corner of a box of 0.4 m are 0.2 mm away on each axis.
     assert min(heights) - 1e-3 < lowest_height(animal) <= min(heights)

@@ -1,4 +1,4 @@
-"""Meshes as shapes: moments, distances and surfaces against closed forms, and what is refused."""
+"""Meshes as shapes: moments, distances and surfaces against closed forms, and errors."""
 
 import numpy as np
 import pytest
@@ -38,8 +38,8 @@ MESHES = {
 each_mesh = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES.keys())
 
 
-def test_a_box_is_the_box():
-    """Volume, inertia, size, distances, supports: 1e-12; surface points are the very same."""
+def test_a_box_mesh_equals_a_box():
+    """Volume, inertia, size, distances and supports agree to 1e-12, surface points to 2e-9."""
     mesh, box = MESHES["box"], Box(SIZE)
     assert mesh.volume == pytest.approx(box.volume, rel=1e-12)
     np.testing.assert_allclose(mesh.half_extents, box.half_extents, rtol=1e-12)
@@ -59,7 +59,7 @@ def test_a_box_is_the_box():
 
 
 def test_inertia_of_a_tetrahedron():
-    """One corner at 0, the others at a, b, c on the axes: V = abc/6, about the centre
+    """Corners at 0 and at a, b, c on the axes: V = abc/6, and about the centre
     I_xx = 3 m (b^2 + c^2) / 80 and I_xy = m ab / 80."""
     a, b, c = LEGS
     mesh, centre = convex_mesh(TETRAHEDRON, TETRAHEDRON_FACES)
@@ -75,8 +75,8 @@ def test_inertia_of_a_tetrahedron():
 
 
 @each_mesh
-def test_where_it_was_drawn_does_not_matter(mesh):
-    """A kilometre away, and of other units, it is the same shape with another centre."""
+def test_the_place_of_the_drawing_does_not_matter(mesh):
+    """A mesh drawn a kilometre away has an equal shape and another centre."""
     moved, centre = convex_mesh(mesh.points + np.array([1000.0, 0, 3.0]), np.array(mesh.faces))
     np.testing.assert_allclose(centre, [1000.0, 0, 3.0], atol=1e-12)
     np.testing.assert_allclose(moved.points, mesh.points, atol=1e-12)
@@ -86,9 +86,9 @@ def test_where_it_was_drawn_does_not_matter(mesh):
 @each_mesh
 @pytest.mark.parametrize("resolution", [1, 2, 3, 4, 8])
 def test_surface_points(mesh, resolution):
-    """Areas add up; int n dA = 0 and int x n^T dA = V 1, to rounding where no points are shared.
+    """Check the area, int n dA = 0 and int x n^T dA = V 1, to rounding without shared points.
 
-    There are about as many as on an ellipsoid, and they lie on the surface.
+    The number of points is limited, and the points lie on the surface.
     """
     points, normals, areas = mesh.surface(resolution)
     total = mesh.planes[1].sum()
@@ -107,8 +107,8 @@ def test_surface_points(mesh, resolution):
         assert (mesh.distance(points) < 1e-12).all()
 
 
-def test_shared_points_see_a_round_body():
-    """Of 1280 triangles on 32 points: int n n^T dA is that of a sphere within 2 %."""
+def test_shared_points_represent_a_ball():
+    """1280 triangles share 32 points: int n n^T dA equals a sphere's within 2 %."""
     _, normals, areas = ball_mesh(0.1, 3).surface(2)
     assert len(areas) == 32
     np.testing.assert_allclose(
@@ -117,7 +117,7 @@ def test_shared_points_see_a_round_body():
 
 
 def test_points_of_a_facet_have_its_second_moments():
-    """Of a triangle, (1/12) sum (v - c)(v - c)^T: with four points and with sixteen."""
+    """Compare with (1/12) sum (v - c)(v - c)^T of a triangle, with 4 and 16 points."""
     mesh = tetrahedron()
     for resolution in (2, 4):
         points, normals, areas = mesh.surface(resolution)
@@ -134,7 +134,7 @@ def test_points_of_a_facet_have_its_second_moments():
 
 @each_mesh
 def test_distance(mesh):
-    """Outside that of the nearest of many points on the surface, inside the least to a plane."""
+    """Compare with the nearest of many points on the surface, and signs with Delaunay."""
     rng = np.random.default_rng(3)
     points = rng.normal(size=(200, 3)) * mesh.half_extents * 1.5
     found = mesh.distance(points)
@@ -159,8 +159,8 @@ def test_support_is_in_the_middle_of_a_face():
     np.testing.assert_allclose(MESHES["box"].support(np.array([0, 0, -2.0])), [0, 0, -0.05])
 
 
-def test_corners_leave_out_what_lies_on_edges_and_faces():
-    """Of a box whose faces are cut into 768 triangles, its eight corners."""
+def test_corners_leave_out_points_on_edges_and_faces():
+    """A box of 768 triangles has eight corners."""
     fine = trimesh.creation.box(SIZE).subdivide().subdivide().subdivide()
     assert len(fine.faces) == 768
     corners = shape(fine).corners
@@ -169,20 +169,20 @@ def test_corners_leave_out_what_lies_on_edges_and_faces():
 
 
 def test_corners_are_few_and_far_apart():
-    """Of 642 vertices of a ball 64, no two nearer than half the side of what each can have."""
+    """64 of 642 vertices of a ball are apart by half the side of a square of their mean area."""
     ball = ball_mesh(0.1, 3)
     corners = ball.corners
     assert len(corners) == MOST_CORNERS == len(np.unique(corners, axis=0))
     fair = np.sqrt(4 * np.pi / MOST_CORNERS) * 0.1
     apart = np.linalg.norm(corners[:, None] - corners, axis=-1) + np.eye(len(corners))
     assert apart.min() > 0.5 * fair
-    # And none of the ball is farther from one than that side.
+    # Each vertex of the ball is within that side of a corner.
     assert np.linalg.norm(ball.points[:, None] - corners, axis=-1).min(1).max() < fair
 
 
 @each_mesh
 def test_hull_is_closed_and_looks_outwards(mesh):
-    """Twice as many triangles as corners but for four; each edge once in either direction."""
+    """n corners have 2 n - 4 triangles, and each edge occurs once in either direction."""
     corners = mesh.corners
     faces = _hull(corners)
     triangles = corners[faces]
@@ -197,7 +197,7 @@ def test_hull_is_closed_and_looks_outwards(mesh):
 
 @each_mesh
 def test_the_cell_has_the_moments_of_the_mesh(mesh):
-    """Volume and first moments exactly; second moments exactly where all corners are kept."""
+    """Volume and first moments are exact. Second moments are exact with all corners."""
     (cell,) = mesh.cells()
     count = 3 * len(cell.triangles)
     body = trimesh.Trimesh(cell.triangles.reshape(-1, 3), np.arange(count).reshape(-1, 3))
@@ -213,7 +213,7 @@ def test_the_cell_has_the_moments_of_the_mesh(mesh):
     )
 
 
-def test_a_fine_ball_comes_near_the_sphere():
+def test_a_fine_ball_approximates_the_sphere():
     ball, sphere = ball_mesh(0.1, 3), Sphere(0.1)
     assert ball.volume == pytest.approx(sphere.volume, rel=0.01)
     np.testing.assert_allclose(ball.inertia(1.0), sphere.inertia(1.0), rtol=0.01)
@@ -245,7 +245,7 @@ REFUSED = {
     "empty": (np.zeros((0, 3)), np.zeros((0, 3), int), "it has no faces"),
     "huge": (
         *of(trimesh.creation.icosphere(4)),
-        rf"it has 5120 triangles; allowed: at most {MOST_TRIANGLES}; simplify it",
+        rf"it has 5120 triangles. Allowed: at most {MOST_TRIANGLES}. Simplify it",
     ),
     "not a number": (
         np.array(BOX.vertices) * [1, np.nan, 1],
@@ -255,22 +255,22 @@ REFUSED = {
     "no such vertex": (
         TETRAHEDRON,
         TETRAHEDRON_FACES + 1,
-        "a face names vertex 4; allowed: 0 to 3",
+        "a face names vertex 4. Allowed: 0 to 3",
     ),
     "millimetres": (
         *of(trimesh.creation.box((300, 200, 100))),
-        r"its longest side is 300 m; allowed: 0.001 to 100 m; drawn in millimetres it needs "
-        r"scale: 0.001",
+        r"its longest side is 300 m. Allowed: 0.001 to 100 m. For a drawing in millimetres, "
+        r"set scale: 0.001",
     ),
-    "tiny": (*of(trimesh.creation.box((1e-4, 2e-4, 3e-4))), "0.0003 m; .*is the scale too small?"),
+    "tiny": (*of(trimesh.creation.box((1e-4, 2e-4, 3e-4))), r"0.0003 m\. .*scale too small?"),
     "open": (
         np.array(BOX.vertices),
         np.array(BOX.faces)[1:],
-        "it is open: 3 of 18 edges do not join two faces; close its holes",
+        "it is open: 3 of 18 edges do not join two faces. Close its holes",
     ),
-    "two": (*of(two_boxes(SIZE)), "it consists of 2 separate pieces; allowed: one"),
-    "tangled": (*flipped(BOX, slice(1)), "different directions; make their normals consistent"),
-    "inside out": (*flipped(BOX, slice(None)), "it is inside out: .* flip its normals"),
+    "two": (*of(two_boxes(SIZE)), "it consists of 2 separate pieces. Allowed: one"),
+    "tangled": (*flipped(BOX, slice(1)), "opposite orientations. Make their normals consistent"),
+    "inside out": (*flipped(BOX, slice(None)), "it is inside out: .* Flip its normals"),
     "flat": (
         TETRAHEDRON * [1, 1, 0],
         TETRAHEDRON_FACES,
@@ -283,25 +283,25 @@ REFUSED = {
     ),
     "whisker": (
         *of(whisker()),
-        "128 of its 128 triangles are lower than 0.01% of its longest side; make it thicker, or of",
+        "128 of its 128 triangles are lower than 0.01% of its longest side. Make it thicker",
     ),
     "lines": (TETRAHEDRON, np.array([[0, 1, 1], [2, 2, 3]]), "it has no faces"),
     "dent": (
         *of(l_shape()),
-        r"it is not convex: vertex \d+ lies 0.1 m beyond the plane of face \d+; allowed: 0.1% of "
-        r"its longest side, 0.0002 m; split it into convex bodies, or take its convex hull",
+        r"it is not convex: vertex \d+ lies 0.1 m beyond the plane of face \d+. Allowed: 0.1% of "
+        r"its longest side, 0.0002 m. Split it into convex bodies, or use its convex hull",
     ),
 }
 
 
 @pytest.mark.parametrize(("vertices", "faces", "words"), REFUSED.values(), ids=REFUSED.keys())
-def test_what_cannot_be_a_body_is_refused(vertices, faces, words):
+def test_invalid_meshes_raise(vertices, faces, words):
     with pytest.raises(MeshError, match=words):
         convex_mesh(vertices, faces)
 
 
-def test_a_dent_that_is_allowed_changes_nothing():
-    """0.05 mm in the middle of a face, of 0.3 m: volume to 0.1 % and the same corners."""
+def test_a_shallow_dent_is_accepted():
+    """A dent of 0.05 mm in a box of 0.3 m keeps the corners, and the volume to 0.1 %."""
     mesh = trimesh.creation.box(SIZE).subdivide()
     vertices = np.array(mesh.vertices)
     middle = np.abs(vertices - [0, 0, 0.05]).sum(1).argmin()
@@ -318,15 +318,15 @@ def test_triangles_that_are_lines_are_left_out():
 
 
 def test_reach_is_the_farthest_vertex():
-    """Of the tetrahedron (3a/4, b/4, c/4): farther than a corner of its bounding box, centred."""
+    """The tetrahedron reaches (3a/4, b/4, c/4), beyond a corner of the centred bounding box."""
     mesh = tetrahedron()
     assert mesh.reach == pytest.approx(np.linalg.norm([0.225, 0.05, 0.025]), rel=1e-12)
     assert mesh.reach > 1.2 * np.linalg.norm(mesh.half_extents)
     assert MESHES["box"].reach == pytest.approx(Box(SIZE).reach, rel=1e-12)
 
 
-def test_thin_triangles_do_no_harm():
-    """A corner on an edge of a box, with a triangle of no area to close the gap."""
+def test_triangles_without_area_are_accepted():
+    """A vertex on an edge of a box needs a triangle without area to close the surface."""
     box = trimesh.creation.box(SIZE)
     vertices = [*box.vertices.tolist()]
     faces = box.faces.tolist()

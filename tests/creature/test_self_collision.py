@@ -1,4 +1,4 @@
-"""Which bodies of a creature are kept apart: against what random postures come to."""
+"""Pairs of bodies that must not pass through each other, against random postures."""
 
 import dataclasses
 from pathlib import Path
@@ -27,7 +27,7 @@ def shipped(name):
 
 
 def gaps(creature, tree, pairs):
-    """Of all pairs in random postures within the limits, m, ``(points, postures)``."""
+    """Return gaps of pairs in random postures, m, ``(points, postures)``."""
     rng = np.random.default_rng(0)
     q = rng.uniform(tree.lower[:, None], tree.upper[:, None], (tree.dof_count, POSTURES))
     state = resting_state(tree, (POSTURES,), jnp.float32)
@@ -40,25 +40,25 @@ def names(tree, pairs):
     return {frozenset((tree.names[i], tree.names[j])) for i, j in pairs}
 
 
-def test_a_quadrupeds_lower_legs_meet_the_torso_and_the_legs_before_and_behind():
+def test_pairs_of_a_quadruped():
     creature, tree = shipped("fukui2003_model1")
     found = names(tree, colliding_pairs(creature, tree, SelfCollision()))
     legs = ("upper", "lower")
-    wanted = {frozenset(("torso", f"{end}_{side}_lower")) for end in ("front", "hind")
+    expected = {frozenset(("torso", f"{end}_{side}_lower")) for end in ("front", "hind")
               for side in ("left", "right")}  # fmt: skip
-    wanted |= {
+    expected |= {
         frozenset((f"front_{side}_{one}", f"hind_{side}_{two}"))
         for side in ("left", "right")
         for one in legs
         for two in legs
         if "lower" in (one, two)
     }
-    assert found == wanted
+    assert found == expected
 
 
 @pytest.mark.parametrize("name", ["fukui2003_model3", "hexapod"])
-def test_what_is_left_out_never_meets(name):
-    """And what is not comes near, most of it."""
+def test_pairs_left_out_never_meet(name):
+    """Most of the kept pairs can get close."""
     creature, tree = shipped(name)
     kept = colliding_pairs(creature, tree, SelfCollision())
     neighbours = {(parent, body) for body, parent in enumerate(tree.parents)}
@@ -70,13 +70,13 @@ def test_what_is_left_out_never_meets(name):
     assert out is None
     every = SelfCollision(include=tuple((tree.names[i], tree.names[j]) for i, j in others))
     pairs = make_pairs(creature, tree, every)
-    # Including what cannot meet changes nothing; neighbours would overlap.
+    # Pairs that cannot meet change nothing if included.
     assert len(pairs.first) == len(kept)
     least = gaps(creature, tree, pairs).min(1)
     assert (least < 0.02).mean() > 0.5
 
 
-def test_neighbours_only_where_they_are_asked_for():
+def test_neighbours_collide_only_if_included():
     creature, tree = shipped("fukui2003_model1")
     plain = colliding_pairs(creature, tree, SelfCollision())
     pair = ("torso", "front_left_upper")

@@ -1,4 +1,4 @@
-"""Mass properties, areas and distances of the shapes against closed forms, MuJoCo and sampling."""
+"""Masses, areas and distances of shapes against closed forms, MuJoCo and sampling."""
 
 import mujoco
 import numpy as np
@@ -19,7 +19,7 @@ each_shape = pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES.keys()
 
 
 def exact_area(shape: Shape) -> float:
-    """Area in closed form; the ellipsoid's by Legendre's incomplete elliptic integrals."""
+    """Return the area in closed form, with Legendre's elliptic integrals for ellipsoids."""
     if isinstance(shape, Box):
         x, y, z = shape.size
         return 2 * (x * y + y * z + z * x)
@@ -37,7 +37,7 @@ def exact_area(shape: Shape) -> float:
 
 @each_shape
 def test_mass_and_inertia_equal_mujocos(shape):
-    """MuJoCo computes mass and principal inertia of the same geom from its density: 1e-12."""
+    """Compare mass and inertia with MuJoCo's, computed from the density, to 1e-12."""
     creature = Creature("single", (Body("b", shape, Material(1234.0)),))
     model = mujoco_model(creature)
     body = model.body("b")
@@ -53,23 +53,25 @@ def test_mass_and_inertia_equal_mujocos(shape):
 
 @each_shape
 def test_volume_and_inertia_equal_samples_inside(shape):
-    """Points of a grid with negative distance: their share of the box, and their second moments.
+    """Compare with grid points of negative distance: their fraction and second moments.
 
-    A grid of 80^3 misjudges cells along the surface at random: a few 1e-3 of either.
+    A grid of 80^3 has random errors along the surface of a few 1e-3.
     """
     ticks = (np.arange(80) + 0.5) / 40 - 1
     points = np.stack(np.meshgrid(ticks, ticks, ticks), -1).reshape(-1, 3) * shape.half_extents
     inside = points[shape.distance(points) < 0]
-    share = len(inside) / len(points)
-    assert share * 8 * np.prod(shape.half_extents) == pytest.approx(shape.volume, rel=5e-3)
+    fraction = len(inside) / len(points)
+    assert fraction * 8 * np.prod(shape.half_extents) == pytest.approx(shape.volume, rel=5e-3)
     squares = (inside**2).mean(0)
     np.testing.assert_allclose(squares.sum() - squares, shape.inertia(1.0), rtol=5e-3)
 
 
 @each_shape
 def test_cells_have_the_moments_of_the_shape(shape):
-    """Volume, centre and second moments: of a cell's square half axis its variance is a third in a
-    box, a fifth in a ball and a quarter in a disc."""
+    """Compare volume, centre and second moments.
+
+    The variance of a cell is 1/3 (box), 1/5 (ball) or 1/4 (disc) of its squared half axis.
+    """
     variance = {"box": 1 / 3, "ball": 1 / 5, "disc": 1 / 4}
     volume = np.array([cell.volume for cell in shape.cells()])
     centre = np.array([cell.centre for cell in shape.cells()])
@@ -82,7 +84,7 @@ def test_cells_have_the_moments_of_the_shape(shape):
 
 @each_shape
 def test_area(shape):
-    """The quadrature's weights add up to the area: exactly but for the ellipsoid."""
+    """The quadrature's weights sum to the area, exactly except for the ellipsoid."""
     tolerance = 1e-6 if type(shape) is Ellipsoid else 1e-12
     assert shape.surface(10).areas.sum() == pytest.approx(exact_area(shape), rel=tolerance)
 
@@ -92,9 +94,9 @@ def test_area(shape):
 def test_divergence_theorem(shape, resolution):
     """int n dA = 0, int x n^T dA = V 1, and hence int n.x dA = 3 V.
 
-    All integrands are polynomials that the rules get exactly: for the ellipsoid, n dA is linear
-    in the direction on the sphere, so x n^T dA is quadratic; for the capsule it is quadratic on
-    either end, which two nodes an end (resolution 2) integrate.
+    The rules integrate all integrands exactly, because they are polynomials. For the ellipsoid,
+    n dA is linear in the direction on the sphere, so x n^T dA is quadratic. For the capsule it is
+    quadratic on either end, which needs two nodes per end (resolution 2).
     """
     points, normals, areas = shape.surface(resolution)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-14)
@@ -105,8 +107,8 @@ def test_divergence_theorem(shape, resolution):
 
 
 @each_shape
-def test_surface_points_lie_on_the_surface_and_normals_point_out(shape):
-    """Distance 0 at the points, its sign negative a little way in and positive a little out."""
+def test_surface_points_and_normals_are_on_the_surface(shape):
+    """The distance is 0 at the points, negative slightly inside and positive outside."""
     points, normals, _ = shape.surface(4)
     np.testing.assert_allclose(shape.distance(points), 0, atol=1e-15)
     assert (shape.distance(points + 1e-4 * normals) > 0).all()
@@ -114,7 +116,7 @@ def test_surface_points_lie_on_the_surface_and_normals_point_out(shape):
 
 
 def test_ellipsoid_area_converges_with_resolution():
-    """Spectral, not a power law: a doubling gains a factor of 50 first, and then one of 500."""
+    """Convergence is spectral: a doubling gains a factor of 50 first, and then 500."""
     shape = SHAPES["ellipsoid"]
     exact = exact_area(shape)
     errors = [abs(shape.surface(n).areas.sum() / exact - 1) for n in (2, 4, 8)]
@@ -123,7 +125,7 @@ def test_ellipsoid_area_converges_with_resolution():
 
 @each_shape
 def test_layout_is_symmetric(shape):
-    """Mirrored in each coordinate plane the points fall on points of the same area."""
+    """Mirror images of the points are points of equal area."""
     points, _, areas = shape.surface(3)
     table = {tuple(np.round(p, 9) + 0.0): a for p, a in zip(points, areas, strict=True)}
     assert len(table) == len(points)
@@ -136,10 +138,10 @@ def test_layout_is_symmetric(shape):
 
 @pytest.mark.parametrize("name", ["box", "sphere", "capsule"])
 def test_distance_is_exact(name):
-    """The size of the distance, outside: that of the nearest of many points on the surface.
+    """Compare distances outside with the nearest of many points on the surface.
 
-    The nearest of them is less than 1 cm beside the true foot, at right angles to the way there,
-    and 0.5 mm short of an edge, where the Gauss points leave off.
+    The nearest point is within 1 cm of the true foot, perpendicular to the distance. It is up to
+    0.5 mm away from an edge, because Gauss points do not reach the edge.
     """
     shape = SHAPES[name]
     rng = np.random.default_rng(0)
@@ -160,7 +162,7 @@ def test_distance_inside_a_box_is_to_the_nearest_face():
 
 
 def test_ellipsoid_distance_has_the_right_sign():
-    """Against the implicit function; at the centre it is minus the least radius."""
+    """Compare with the implicit function. The centre has minus the least radius."""
     shape = SHAPES["ellipsoid"]
     points = np.random.default_rng(1).uniform(-0.35, 0.35, (1000, 3))
     level = ((points / shape.half_extents) ** 2).sum(1) - 1
@@ -170,7 +172,7 @@ def test_ellipsoid_distance_has_the_right_sign():
 
 @each_shape
 def test_support_is_the_farthest_point_of_the_surface(shape):
-    """It lies on the surface; of a fine quadrature no point lies farther, and one nearly so."""
+    """The point lies on the surface, and no point of a fine quadrature is farther."""
     points = shape.surface(60).points
     for direction in (*np.eye(3), *-np.eye(3), *np.random.default_rng(2).normal(size=(20, 3))):
         point = shape.support(direction)
@@ -181,8 +183,8 @@ def test_support_is_the_farthest_point_of_the_surface(shape):
 
 
 @each_shape
-def test_height_is_that_of_the_support(shape):
-    """Several directions at once, as audits of overlaps ask, and one at a time."""
+def test_height_equals_the_support(shape):
+    """Compare several directions at once with one direction at a time."""
     directions = np.random.default_rng(2).normal(size=(4, 5, 3))
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     one_by_one = [[one @ shape.support(one) for one in row] for row in directions]
@@ -190,10 +192,10 @@ def test_height_is_that_of_the_support(shape):
 
 
 @each_shape
-def test_skin_is_closed_and_of_the_shape(shape):
-    """Its points lie in the shape, its triangles look outwards, and little volume is missing.
+def test_skin_approximates_the_shape(shape):
+    """Points lie in the shape, triangles look outwards, and little volume is missing.
 
-    So do those of a shape without a skin of its own.
+    The default skin of a shape passes the test too.
     """
     for points, normals, faces in (shape.skin(), Shape.skin(shape)):
         assert shape.distance(points).max() < 1e-12
@@ -204,10 +206,10 @@ def test_skin_is_closed_and_of_the_shape(shape):
         assert ((normals[faces].sum(1) * across).sum(1) >= -1e-15).all()
 
 
-def test_a_shape_without_contact_points_is_refused():
+def test_a_shape_without_contact_points_raises():
     for parts in (Shape.floor_parts, Shape.obstacle_parts):
         with pytest.raises(
-            TypeError, match=f"no contact points for a Sphere; define {parts.__name__}"
+            TypeError, match=rf"no contact points for a Sphere\. Define {parts.__name__}"
         ):
             parts(Sphere(0.1))
 

@@ -1,4 +1,4 @@
-"""Which surface points meet the water."""
+"""Surface points that are exposed to the water."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ FACES = {
 
 
 def face_areas(surface) -> dict[str, float]:
-    """Exposed area of each face of a box."""
+    """Return the exposed area of each face of a box."""
     return {
         name: surface.areas[surface.normals[:, axis] * sign > 0.5].sum()
         for name, (axis, sign) in FACES.items()
@@ -30,7 +30,7 @@ def face_areas(surface) -> dict[str, float]:
 @pytest.mark.parametrize("gap", [0.0, 0.02])
 @pytest.mark.parametrize("resolution", [2, 3])
 def test_shelter_drops_exactly_the_facing_ends_of_a_chain(gap, resolution):
-    """Of four boxes in a row the inner end faces go; the long sides and both outer ends stay."""
+    """Four boxes in a row lose the inner end faces, and keep the other faces."""
     surfaces = outer_surfaces(box_chain(4, "z", size=SIZE, gap=gap), resolution)
     side, end = SIZE[0] * SIZE[1], SIZE[1] * SIZE[2]
     for i, surface in enumerate(surfaces):
@@ -40,12 +40,12 @@ def test_shelter_drops_exactly_the_facing_ends_of_a_chain(gap, resolution):
 
 
 @pytest.mark.parametrize("resolution", [8, 16, 32])
-def test_bodies_that_overlap_flush_have_their_common_skin_once(resolution):
-    """Boxes 0.2 m long of one cross-section, 0.15 m apart: together they are one of 0.5 m."""
+def test_a_common_surface_of_two_bodies_counts_once(resolution):
+    """Three boxes 0.2 m long at distances of 0.15 m form a box of 0.5 m."""
     chain = box_chain(3, "z", size=(0.2, 0.1, 0.1), gap=-0.05)
     area = sum(surface.areas.sum() for surface in outer_surfaces(chain, resolution))
     whole = 4 * 0.5 * 0.1 + 2 * 0.1 * 0.1
-    # Along the chain a point stands for a piece of it, all or nothing, at four ends.
+    # A point covers a piece of the length, so each of four ends has an error of up to half a piece.
     assert area == pytest.approx(whole, abs=4 * 4 * 0.1 * 0.2 / resolution / 2)
 
 
@@ -56,9 +56,9 @@ def test_unsheltered_counts_every_face():
 
 
 def test_points_inside_another_body_are_dropped():
-    """A fin sunk halfway into a side loses the half of its surface that is inside.
+    """A fin halfway inside a hull loses the half of its surface that is inside.
 
-    The hull, whose side the fin leaves through, loses only the points right under the fin.
+    The hull loses only the points under the fin.
     """
     hull = Body("hull", Box((0.4, 0.2, 0.2)), Material(1000.0))
     joint = Joint("hull", (0.0, 0.1, 0.0), (0.0, 0.0, 0.0), ((0.0, 0.0, 1.0),), (-1.0,), (1.0,))
@@ -70,10 +70,10 @@ def test_points_inside_another_body_are_dropped():
     assert covered.areas.sum() == pytest.approx(whole - 0.0025, rel=0.005)
 
 
-def test_random_points_share_the_area_and_follow_it():
-    """Equal shares of the exposed area; over many draws each face gets points by its area.
+def test_random_points_are_proportional_to_area():
+    """All points have equal areas, and each face gets points in proportion to its area.
 
-    Of 20000 points a face of share p gets 20000 p within 5 standard deviations.
+    A face with a fraction p of the area gets 20000 p of 20000 points, within 5 standard deviations.
     """
     surfaces = outer_surfaces(box_chain(1, "z", size=SIZE), 3)
     count = 20_000
@@ -82,12 +82,13 @@ def test_random_points_share_the_area_and_follow_it():
     np.testing.assert_allclose(drawn.areas, total / count)
     expected = {name: area / total for name, area in face_areas(surfaces[0]).items()}
     for name, area in face_areas(drawn).items():
-        share = expected[name]
-        assert abs(area / total - share) < 5 * np.sqrt(share * (1 - share) / count), name
+        fraction = expected[name]
+        deviation = np.sqrt(fraction * (1 - fraction) / count)
+        assert abs(area / total - fraction) < 5 * deviation, name
 
 
-def test_a_wholly_covered_body_has_no_random_points():
-    """Nothing to draw from: the empty surface is returned as it is."""
+def test_a_covered_body_has_no_random_points():
+    """An empty surface stays empty."""
     outer = Body("outer", Box((0.4, 0.4, 0.4)), Material(1000.0))
     joint = Joint("outer", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), ((0.0, 0.0, 1.0),), (-1.0,), (1.0,))
     inner = Body("inner", Box((0.1, 0.1, 0.1)), Material(1000.0), joint)

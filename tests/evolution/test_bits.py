@@ -32,13 +32,13 @@ FITNESS = np.arange(POPULATION)
 
 @functools.cache
 def compiled(*settings: tuple):
-    """The generation step under each of these settings, one program: they draw the same numbers."""
+    """Return one program with the generation step of each of these settings, on equal draws."""
     steps = [BitGenetics(**dict(changes)).next_generation for changes in settings]
     return quick_jit(lambda *given: [step(*given) for step in steps])
 
 
 def bred_under(settings, genes, fitness=FITNESS, seed: int = 0) -> list[np.ndarray]:
-    """The next generation under each of some settings."""
+    """Return the next generation for each of several settings."""
     breed = compiled(*(tuple(changes.items()) for changes in settings))
     generations = breed(jax.random.key(seed), genes, jnp.asarray(fitness, jnp.float32))
     for children in generations:
@@ -47,28 +47,28 @@ def bred_under(settings, genes, fitness=FITNESS, seed: int = 0) -> list[np.ndarr
 
 
 def bred(genes, fitness=FITNESS, seed: int = 0, **changes) -> np.ndarray:
-    """The next generation."""
+    """Return the next generation."""
     return bred_under([changes], genes, fitness, seed)[0]
 
 
 def bits(seed: int = 99, dtype=jnp.float32) -> jax.Array:
-    """A population in which no two individuals are alike."""
+    """Return a population in which all individuals differ."""
     return random_bits(jax.random.key(seed), GENES, POPULATION, dtype)
 
 
 def ranks(genes: int = GENES) -> jax.Array:
-    """A population whose every gene tells the rank, from 0, of the individual it comes from."""
+    """Return a population in which every gene is the rank of its individual, from 0."""
     return jnp.broadcast_to(POPULATION - 1.0 - jnp.arange(POPULATION), (genes, POPULATION))
 
 
 @pytest.fixture(scope="module")
 def picks():
-    """Ranks of 100,000 parents: of every pair of 12,500 generations."""
+    """Ranks of 100,000 parents, which are all pairs of 12,500 generations."""
     step = BitGenetics(mutation_probability=0.0, mutated_genes=(2, 2)).next_generation
     keys = jax.random.split(jax.random.key(1), 12_500)
     fitness = jnp.asarray(FITNESS, jnp.float32)
     children = quick_jit(jax.vmap(lambda key: step(key, ranks(2), fitness)))(keys)
-    # A child's first gene comes from one parent, and its sibling's from the other.
+    # First genes of siblings come from different parents of the pair.
     return np.asarray(children)[:, 0, ELITES:].reshape(-1, 2).astype(int)
 
 
@@ -78,7 +78,7 @@ def test_parents_are_drawn_by_rank_with_the_frequencies_of_the_thesis(picks):
     assert chisquare(counts[:8], 100_000 * RANKS).pvalue > 0.01
 
 
-def test_the_two_parents_of_a_pair_are_independent_and_may_be_the_same(picks):
+def test_the_parents_of_a_pair_are_drawn_independently(picks):
     counts = np.bincount(8 * picks[:, 0] + picks[:, 1], minlength=64)
     assert chisquare(counts, 50_000 * np.outer(RANKS, RANKS).ravel()).pvalue > 0.01
 
@@ -104,7 +104,7 @@ def test_the_best_seven_are_kept_bit_for_bit_best_first(fitness, seed):
     np.testing.assert_array_equal(children[:, :ELITES], genes[:, best])
 
 
-def test_copies_of_the_best_take_kept_places_from_the_worst_kept():
+def test_copies_of_the_best_replace_the_worst_elites():
     numbers = (1, 3, 7)
     settings = [STILL] + [{"best_copies": copies, **STILL} for copies in numbers]
     plain, *generations = bred_under(settings, ranks())
@@ -114,8 +114,8 @@ def test_copies_of_the_best_take_kept_places_from_the_worst_kept():
         np.testing.assert_array_equal(children[:, ELITES:], plain[:, ELITES:])
 
 
-def test_children_of_whole_pairs_fill_all_places_that_are_not_kept():
-    # Only the best is a parent, so its copies are the children; mutation tells them from it.
+def test_children_fill_all_places_without_elites():
+    # Only the best is a parent, so all children are its mutated copies.
     changes = {"rank_probabilities": (1.0,), **CHANGED}
     genes = np.asarray(bits())
     numbers = (0, 5, 6, 14)
@@ -128,7 +128,7 @@ def test_children_of_whole_pairs_fill_all_places_that_are_not_kept():
 
 
 @pytest.mark.parametrize("dead", [-np.inf, np.nan])
-def test_the_diverged_are_not_kept_while_others_live(dead):
+def test_diverged_individuals_are_never_elites(dead):
     genes = np.asarray(bits())
     fitness = np.full(POPULATION, dead)
     fitness[[4, 11]] = -1.0, -0.5
@@ -138,7 +138,7 @@ def test_the_diverged_are_not_kept_while_others_live(dead):
         assert not (child == genes.T).all(1).any()
 
 
-def test_when_all_diverged_every_place_goes_to_a_child():
+def test_children_fill_every_place_if_all_diverged():
     genes = np.asarray(bits())
     for children in bred_under(ONE_AND_TWO_COPIES, genes, np.full(POPULATION, np.nan)):
         for child in children.T:
@@ -150,7 +150,7 @@ def test_genes_stay_bits_in_their_own_type(dtype):
     settings = [{"mutation": mutation} for mutation in MUTATIONS]
     lines = [bits(dtype=dtype)] * len(settings)
     for seed in range(20):
-        # Each line of descent goes on with the children of its own mutation.
+        # Each lineage continues with the children of its own kind of mutation.
         lines = [
             bred_under(settings, jnp.asarray(genes), seed=seed)[i] for i, genes in enumerate(lines)
         ]
@@ -162,13 +162,13 @@ mutate = quick_jit(bit_mutation, static_argnums=(4, 5))
 
 
 def mutant(seed: int, genes, probability: float, fewest: int, most: int, mutation: str):
-    """The genomes after mutation."""
+    """Return the genomes after mutation."""
     return np.asarray(mutate(jax.random.key(seed), genes, probability, fewest, most, mutation))
 
 
 @functools.partial(quick_jit, static_argnums=2)
 def genes_changed(seed: int, fewest: int, most: int) -> list[jax.Array]:
-    """In how many genes each individual differs after either mutation of 9."""
+    """Return the number of changed genes (of 9) of each individual, by flips and by redraws."""
     key = jax.random.key(seed)
     genes = random_bits(key, 9, 40, jnp.float32)
     mutants = [bit_mutation(key, genes, 1.0, fewest, most, kind) for kind in ("flip", "redraw")]
@@ -176,14 +176,14 @@ def genes_changed(seed: int, fewest: int, most: int) -> list[jax.Array]:
 
 
 @given(SEEDS, st.sampled_from([(1, 1), (2, 5), (1, 9), (9, 9)]))
-def test_a_flip_changes_so_many_different_genes(seed, bounds):
+def test_a_flip_changes_the_given_number_of_genes(seed, bounds):
     changed, redrawn = map(np.asarray, genes_changed(seed, *bounds))
     assert bounds[0] <= changed.min() and changed.max() <= bounds[1]
-    # The same genes, and each of them stays as it is half of the time.
+    # A redraw selects equal genes, and leaves each unchanged with probability 1/2.
     assert (redrawn <= changed).all()
 
 
-def test_half_of_the_individuals_mutate_in_2_to_30_genes_anywhere():
+def test_half_of_the_individuals_mutate_in_2_to_30_genes():
     changed = mutant(2, jnp.zeros((GENES, 20_000)), 0.5, 2, 30, "flip") == 1
     number = changed.sum(0)
     mutated = number[number > 0]
@@ -195,11 +195,11 @@ def test_half_of_the_individuals_mutate_in_2_to_30_genes_anywhere():
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 5])
-def test_every_set_of_different_genes_is_as_likely(number):
+def test_all_sets_of_different_genes_are_equally_likely(number):
     draw = quick_jit(different_places, static_argnums=(1, 3))
     places = np.asarray(draw(jax.random.key(6), 5, jnp.full(30_000, number), 5))
     assert (places[number:] == 5).all()
-    # Each set as the number whose binary digits say which genes are in it.
+    # Each set is a number with one binary digit for each gene.
     sets = (1 << places[:number]).sum(0)
     counts = np.bincount(sets, minlength=32)
     possible = [i for i in range(32) if i.bit_count() == number]
@@ -207,7 +207,7 @@ def test_every_set_of_different_genes_is_as_likely(number):
     assert chisquare(counts[possible]).pvalue > 0.01 or len(possible) == 1
 
 
-def test_half_of_the_genes_drawn_anew_change():
+def test_half_of_the_redrawn_genes_change():
     ones = mutant(3, jnp.zeros((50, 2000)), 1.0, 50, 50, "redraw").sum()
     assert binomtest(int(ones), 100_000, 0.5).pvalue > 0.01
 
@@ -215,13 +215,13 @@ def test_half_of_the_genes_drawn_anew_change():
 def test_about_half_of_the_children_of_a_generation_mutate():
     step = BitGenetics(mutation="flip").next_generation
     keys = jax.random.split(jax.random.key(4), 1000)
-    nobody = jnp.zeros((GENES, POPULATION))
-    children = quick_jit(jax.vmap(lambda key: step(key, nobody, ranks()[0])))(keys)
+    zeros = jnp.zeros((GENES, POPULATION))
+    children = quick_jit(jax.vmap(lambda key: step(key, zeros, ranks()[0])))(keys)
     mutated = np.asarray(children).any(1)
     assert not mutated[:, :ELITES].any()
     each = mutated[:, ELITES:]
     assert binomtest(int(each.sum()), each.size, 0.5).pvalue > 0.01
-    # Each child has its own chance: siblings mutate independently of each other.
+    # Siblings mutate independently of each other.
     both = 2 * each[:, ::2] + each[:, 1::2]
     assert chisquare(np.bincount(both.ravel(), minlength=4)).pvalue > 0.01
 
@@ -241,7 +241,7 @@ def test_the_key_alone_decides():
     assert (bred(genes, seed=1) != bred(genes, seed=2)).any(0)[ELITES:].all()
 
 
-def test_runs_side_by_side_are_those_of_each_alone():
+def test_batched_runs_equal_single_runs():
     seeds = range(3)
     keys = jnp.stack([jax.random.key(seed) for seed in seeds])
     genes = jnp.stack([bits(seed) for seed in seeds])
@@ -254,7 +254,7 @@ def test_runs_side_by_side_are_those_of_each_alone():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
-def test_what_is_not_compiled_breeds_the_same(seed):
+def test_uncompiled_generations_equal_compiled_ones(seed):
     fitness = jnp.roll(jnp.asarray(FITNESS, jnp.float32), seed)
     uncompiled = BitGenetics().next_generation(jax.random.key(seed), bits(seed), fitness)
     np.testing.assert_array_equal(uncompiled, bred(bits(seed), fitness, seed))
@@ -269,14 +269,14 @@ def test_what_is_not_compiled_breeds_the_same(seed):
         ({"best_copies": 0}, "best_copies must be from 1 to 7 with 7 elites, got 0"),
         ({"best_copies": 8}, "best_copies must be from 1 to 7 with 7 elites, got 8"),
         ({"elites": 0, "best_copies": 2}, "from 1 to 1 with 0 elites, got 2"),
-        ({"rank_probabilities": ()}, "must be 1 to 15 numbers, .* got 0"),
-        ({"population": 7, "elites": 3}, "must be 1 to 7 numbers, .* got 8"),
+        ({"rank_probabilities": ()}, "must be 1 to 15 numbers .*, got 0"),
+        ({"population": 7, "elites": 3}, "must be 1 to 7 numbers .*, got 8"),
         ({"rank_probabilities": (1.5, -0.5)}, r"must not be negative, got \(1.5, -0.5\)"),
         ({"rank_probabilities": (np.nan,)}, r"must not be negative, got \(nan,\)"),
         ({"rank_probabilities": (30.0, 70.0)}, "must add up to 1, got a sum of 100"),
         ({"mutation_probability": 1.5}, "mutation_probability must be from 0 to 1, got 1.5"),
-        ({"mutated_genes": (0, 30)}, "fewest, at least 1, and most, got 0 and 30"),
-        ({"mutated_genes": (31, 30)}, "fewest, at least 1, and most, got 31 and 30"),
+        ({"mutated_genes": (0, 30)}, "two numbers, 1 <= fewest <= most, got 0 and 30"),
+        ({"mutated_genes": (31, 30)}, "two numbers, 1 <= fewest <= most, got 31 and 30"),
         ({"mutation": "swap"}, "mutation must be redraw or flip, got 'swap'"),
     ],
 )

@@ -1,4 +1,4 @@
-"""CMA-MAE of pyribs, taken apart into arrays between any two calls, beside pyribs itself."""
+"""CMA-MAE of pyribs, converted to arrays between calls, equals pyribs' own scheduler."""
 
 import functools
 import subprocess
@@ -29,7 +29,7 @@ def made(es="sep_cma_es", **settings):
 
 
 def worth(rows, flat=0.0):
-    """A sphere for pyribs, individuals first; where it is flat, emitters have converged."""
+    """Evaluate a sphere function, individuals first. Emitters converge on its plateau."""
     rows = np.ascontiguousarray(rows, np.float32)
     fitness = -((rows - np.float32(0.7)) ** 2).sum(1, dtype=np.float32)
     return np.minimum(fitness, -np.float32(flat)), rows[:, :2]
@@ -47,12 +47,12 @@ def programs(strategy):
 
 
 def through_arrays(tree):
-    """As a checkpoint keeps it."""
+    """Return the arrays that a checkpoint stores."""
     return jax.tree.map(lambda x: np.array(x), jax.device_get(tree))
 
 
 def search(strategy, generations, evaluate=worth, start=None, key=0):
-    """Populations, individuals first, and the last state."""
+    """Return the populations, individuals first, and the last state."""
     init, ask, tell = programs(strategy)
     genes = jnp.zeros((strategy.gene_count, SIZE)) if start is None else start
     key = jax.random.key(key)
@@ -67,7 +67,7 @@ def search(strategy, generations, evaluate=worth, start=None, key=0):
 
 
 def plain(strategy, generations, evaluate=worth):
-    """The same by pyribs' own scheduler, whose objects live on."""
+    """Return the populations and the scheduler of pyribs, which keeps its objects."""
     seeds = jax.random.bits(jax.random.key(0), (1 + EMITTERS, 4), jnp.uint32)
     first, *others = np.asarray(seeds).tolist()
     archive = ribs_archives.GridArchive(
@@ -103,10 +103,10 @@ def plain(strategy, generations, evaluate=worth):
 
 
 def require_same(strategy, generations, evaluate=worth):
-    """To the bit: what is asked for, the map, and the emitters."""
+    """Check that populations, map and restarts equal pyribs' bits. Return the restarts."""
     ours, state = search(strategy, generations + 1, evaluate)
     theirs, scheduler = plain(strategy, generations, evaluate)
-    # The first population is not theirs: all of it is where emitters then begin.
+    # The first population is not drawn by pyribs. All its genes are 0, so the emitters start at 0.
     np.testing.assert_array_equal(np.array(ours[1:]), np.array(theirs))
     data = scheduler.archive.data()
     count = int(state.cells["count"])
@@ -129,8 +129,8 @@ def require_same(strategy, generations, evaluate=worth):
         for es in ALGORITHMS
     ],
 )
-def test_it_is_pyribs_to_the_bit(es):
-    """Also where emitters begin anew: they do as soon as a sample of theirs is all on a plateau."""
+def test_it_equals_pyribs_to_the_bit(es):
+    """Emitters also restart, because their samples converge on the plateau."""
     options = (("lr", 0.05),) if es == "openai_es" else ()
     strategy = made(es, learning_rate=1.0, threshold_min=-1000.0, options=options)
     restarts = require_same(strategy, 60, functools.partial(worth, flat=7.0))
@@ -138,12 +138,12 @@ def test_it_is_pyribs_to_the_bit(es):
 
 
 @pytest.mark.slow
-def test_annealed_thresholds_are_those_of_pyribs():
+def test_annealed_thresholds_equal_pyribs():
     require_same(made(), 30)
 
 
 @pytest.mark.slow
-def test_a_run_under_vmap_is_the_run_alone():
+def test_a_run_under_vmap_equals_the_run_alone():
     strategy = made()
     keys = jax.vmap(jax.random.key)(jnp.arange(3))
     start = jax.random.normal(jax.random.key(9), (3, GENES, SIZE))
@@ -160,7 +160,8 @@ def test_a_run_under_vmap_is_the_run_alone():
         jax.tree.map(np.testing.assert_array_equal, one, alone)
 
 
-def test_the_map_that_is_shown_keeps_the_fittest_where_that_of_pyribs_does_not():
+@pytest.mark.slow
+def test_the_reported_map_keeps_the_fittest_unlike_the_emitters_map():
     populations, state = search(made(learning_rate=0.05, sigma=0.3), 40)
     best = {}
     for rows in populations[:-1]:
@@ -178,8 +179,8 @@ def test_the_map_that_is_shown_keeps_the_fittest_where_that_of_pyribs_does_not()
     assert (state.cells["threshold"][order] > WORST).all()
 
 
-def told_of(strategy, change):
-    """How a search stands after a generation of which something is told otherwise."""
+def state_after(strategy, change):
+    """Return the state of a search after a generation with changed results."""
     rows, state = search(strategy, 3)
     fitness, measures = worth(rows[-1])
     genes, fitness, measures = change(rows[-1].copy(), fitness.copy(), measures.copy())
@@ -211,17 +212,17 @@ def replaced(genes, fitness, measures):
 
 
 @pytest.mark.parametrize("change", [diverged, unmeasured, replaced])
-def test_who_does_not_count_ranks_below_all_others_and_stays_off_the_map_of_pyribs(change):
-    """The same comes out as where he counts, is the worst and no better than any threshold."""
-    other, same = (told_of(made(), each) for each in (change, hopeless))
+def test_excluded_individuals_rank_last_and_stay_off_the_emitters_map(change):
+    """The emitters' state equals the state with individuals that are worst and below thresholds."""
+    other, same = (state_after(made(), each) for each in (change, hopeless))
     jax.tree.map(np.testing.assert_array_equal, other.cells, same.cells)
     jax.tree.map(np.testing.assert_array_equal, other.emitters, same.emitters)
-    # Who took a place is on our own map.
+    # The reported map has the individuals that replaced others.
     fittest = other.archive.fitness.max()
     assert (fittest == 0.0) if change is replaced else (fittest < 0.0)
 
 
-def test_while_nobody_exceeds_the_threshold_all_go_on_drawing_where_they_began():
+def test_emitters_keep_their_distribution_below_the_threshold():
     populations, state = search(made(threshold_min=1.0), 30)
     assert state.cells["count"] == 0 and not state.emitters["counters"].any()
     assert np.isfinite(state.archive.fitness).sum() > 8
@@ -231,7 +232,7 @@ def test_while_nobody_exceeds_the_threshold_all_go_on_drawing_where_they_began()
     assert metrics["coverage"] > 0.7 and metrics["restarts"] == 0
 
 
-def test_thresholds_begin_at_the_median_of_the_first_who_live():
+def test_thresholds_start_at_the_median_of_the_first_finite_fitness():
     def evaluate(rows):
         fitness, measures = worth(rows)
         return np.where(np.arange(SIZE) < 5, -np.inf, fitness), measures
@@ -245,24 +246,24 @@ def test_thresholds_begin_at_the_median_of_the_first_who_live():
         assert state.cells["threshold_min"] == pytest.approx(median) and state.cells["count"] > 2
         taken = state.cells["order"][: state.cells["count"]]
         assert (state.cells["objective"][taken] >= median).all()
-    # That of a first sample of which nobody lives is that of the next.
+    # There is no threshold until an individual has a finite fitness.
     _, state = search(strategy, 3, lambda rows: (np.full(SIZE, -np.inf), worth(rows)[1]))
     assert np.isnan(state.cells["threshold_min"]) and state.cells["count"] == 0
 
 
-def test_genes_are_bounded_after_they_were_drawn():
+def test_genes_are_clipped_after_the_draw():
     populations, state = search(made(gene_bound=0.4), 20)
     assert np.abs(populations[-1]).max() == np.float32(0.4)
     free = state.drawn["_solutions"].reshape(SIZE, GENES)
     assert np.abs(free).max() > 0.5
     np.testing.assert_array_equal(np.clip(free, -0.4, np.float32(0.4)), populations[-1])
-    # Thus nobody is taken for someone else.
+    # Clipped individuals do not count as replaced.
     assert state.cells["count"] >= 1
 
 
 @pytest.mark.parametrize("es", ["sep_cma_es", "openai_es"])
 def test_it_searches_bits(es):
-    """Bits that agree with a pattern count."""
+    """Fitness is the number of bits that agree with a pattern."""
     pattern = np.tile([1.0, 0, 1, 1, 0], GENES // 5)
 
     def agreeing(rows):
@@ -281,20 +282,20 @@ def test_it_searches_bits(es):
     ("settings", "error", "words"),
     [
         ({"es": "cma"}, ValueError, "one of sep_cma_es, lm_ma_es, openai_es, cma_es, got 'cma'"),
-        ({"emitters": 5}, ValueError, "24 cannot be shared equally by 5 emitters"),
-        ({"emitters": 24}, ValueError, "each of 24 emitters needs two individuals or more"),
+        ({"emitters": 5}, ValueError, "24 cannot be divided equally among 5 emitters"),
+        ({"emitters": 24}, ValueError, "each of 24 emitters needs at least two individuals"),
         ({"es": "openai_es", "emitters": 8}, ValueError, "even number"),
         ({"es": "lm_ma_es", "emitters": 1}, ValueError, r"\(24\) is greater than .* \(20\)"),
         ({"options": (("lr", 0.1),)}, TypeError, "'lr'"),
     ],
 )
-def test_what_pyribs_cannot_do_is_refused(settings, error, words):
+def test_invalid_settings_of_pyribs_are_refused(settings, error, words):
     with pytest.raises(error, match=words):
         made(**settings)
 
 
 def test_an_unknown_pyribs_is_reported(monkeypatch):
-    """One whose strategy remembers something that cannot become an array."""
+    """The strategy of this pyribs has an attribute that cannot become an array."""
     opt = pytest.importorskip("ribs.emitters.opt")
 
     class Longer(opt.SeparableCMAEvolutionStrategy):
@@ -305,7 +306,7 @@ def test_an_unknown_pyribs_is_reported(monkeypatch):
     monkeypatch.setattr(opt, "SeparableCMAEvolutionStrategy", Longer)
     with pytest.raises(
         UnknownPyribsError,
-        match=r"pyribs .* another way than 0\.12 \(past of Longer is a list\); `pip install",
+        match=r"pyribs .* differently from 0\.12 \(past of Longer is a list\)\. .*`pip install",
     ):
         made(sigma=0.123)
 

@@ -1,4 +1,4 @@
-"""The generation step: elites, children, and what happens when hardly anybody lives."""
+"""The generation step: elites, children, and populations with few finite individuals."""
 
 import functools
 
@@ -16,7 +16,7 @@ POPULATION, ELITES, GENES = 9, 3, 6
 
 
 def genetics(**changes) -> RealGenetics:
-    """Settings under which every child differs from its parents, unless changed."""
+    """Return a genetic algorithm in which every child differs from its parents, with changes."""
     settings = {
         "population": POPULATION,
         "elites": ELITES,
@@ -31,12 +31,12 @@ def genetics(**changes) -> RealGenetics:
 
 @functools.cache
 def compiled(changes: tuple):
-    """The generation step under these settings."""
+    """Return the generation step with these settings."""
     return quick_jit(genetics(**dict(changes)).next_generation)
 
 
 def bred(fitness, seed: int = 0, **changes) -> tuple[np.ndarray, np.ndarray]:
-    """A population and its children."""
+    """Return a population and its children."""
     genes = jax.random.normal(jax.random.key(99), (GENES, POPULATION))
     breed = compiled(tuple(changes.items()))
     children = breed(jax.random.key(seed), genes, jnp.asarray(fitness, jnp.float32))
@@ -45,7 +45,7 @@ def bred(fitness, seed: int = 0, **changes) -> tuple[np.ndarray, np.ndarray]:
 
 
 @given(st.permutations(range(POPULATION)))
-def test_elites_pass_on_bit_for_bit_best_first(fitness):
+def test_elites_stay_bit_for_bit_best_first(fitness):
     genes, children = bred(fitness)
     best = sorted(range(POPULATION), key=lambda i: -fitness[i])[:ELITES]
     np.testing.assert_array_equal(children[:, :ELITES], genes[:, best])
@@ -62,12 +62,12 @@ def test_without_mutation_and_crossover_children_are_copies_of_parents():
 
 
 @pytest.mark.parametrize("dead", [-np.inf, np.nan])
-def test_the_diverged_are_no_elites_while_others_live(dead):
+def test_diverged_individuals_are_never_elites(dead):
     fitness = np.full(POPULATION, dead)
     fitness[[4, 7]] = -1.0, -0.5
     genes, children = bred(fitness)
     np.testing.assert_array_equal(children[:, :2], genes[:, [7, 4]])
-    # The third elite's place goes to a child rather than to a diverged individual.
+    # A child takes the third elite's place, not a diverged individual.
     assert not (children[:, 2] == genes.T).all(1).any()
 
 
@@ -76,14 +76,14 @@ def test_ties_keep_the_order_of_the_population():
     np.testing.assert_array_equal(children[:, :ELITES], genes[:, :ELITES])
 
 
-def test_when_all_diverged_every_place_goes_to_a_child():
+def test_children_fill_every_place_if_all_diverged():
     genes, children = bred(np.full(POPULATION, -np.inf))
     assert np.isfinite(children).all()
     for child in children.T:
         assert not (child == genes.T).all(1).any()
 
 
-def test_no_elites_and_hardly_any_parents():
+def test_no_elites_and_a_single_parent():
     fitness = np.arange(POPULATION)
     genes, children = bred(fitness, elites=0, parent_fraction=0.01, mutation_rate=0.0)
     np.testing.assert_array_equal(children, np.repeat(genes[:, -1:], POPULATION, 1))
@@ -95,7 +95,7 @@ def test_the_key_alone_decides():
     assert (bred(fitness, 1)[1] != bred(fitness, 2)[1])[:, ELITES:].all()
 
 
-def test_runs_side_by_side_are_those_of_each_alone():
+def test_batched_runs_equal_single_runs():
     seeds = range(3)
     step = genetics(population=23, mutation_rate=0.05).next_generation
     keys = jnp.stack([jax.random.key(seed) for seed in seeds])

@@ -21,7 +21,7 @@ DRAWS = 100_000
 
 by_lexicase = jax.jit(draw_by_lexicase, static_argnums=3)
 
-# Any fitness that `score` lets through, and NaN.
+# Any fitness that `score` returns, and NaN.
 FITNESS = st.lists(
     st.sampled_from([-2.5, -1.0, 0.0, 0.5, 0.5, 3.0, -np.inf, np.nan]), min_size=6, max_size=6
 )
@@ -36,7 +36,7 @@ FITNESS = st.lists(
         (1, 1.0, [1]),
     ],
 )
-def test_the_chance_falls_linearly_to_nothing_below_the_last_parent(count, fraction, weights):
+def test_probabilities_fall_linearly_to_zero_after_the_last_parent(count, fraction, weights):
     probabilities = linear_rank_probabilities(count, fraction)
     np.testing.assert_allclose(probabilities, np.array(weights) / np.sum(weights), rtol=1e-12)
 
@@ -54,7 +54,7 @@ def test_parents_are_drawn_with_the_stated_frequencies(fraction):
 
 
 def test_draws_are_independent_of_each_other():
-    # The joint frequencies of successive draws are the products of the single ones.
+    # Joint probabilities of successive draws are products of the single probabilities.
     probabilities = linear_rank_probabilities(4, 1.0)
     drawn = np.asarray(
         draw_parents(jax.random.key(2), jnp.arange(4.0)[::-1], probabilities, DRAWS)
@@ -71,7 +71,7 @@ def test_order_is_a_stable_sort_with_the_diverged_last(fitness):
     assert order.tolist() == sorted(range(6), key=lambda i: -keys[i])
 
 
-def test_a_diverged_individual_is_never_likelier_than_a_living_one():
+def test_a_diverged_individual_is_never_likelier_than_a_finite_one():
     fitness = jnp.asarray([jnp.nan, -5.0, -jnp.inf, -7.0, jnp.nan, -6.0])
     drawn = draw_parents(jax.random.key(3), fitness, linear_rank_probabilities(6, 1.0), DRAWS)
     counts = np.bincount(np.asarray(drawn), minlength=6)
@@ -81,7 +81,7 @@ def test_a_diverged_individual_is_never_likelier_than_a_living_one():
 
 
 def lexicase_chances(trial_fitness: np.ndarray) -> np.ndarray:
-    """That of each of the living to become a parent: the mean over all orders of trials."""
+    """Return the probability of each individual as a parent, averaged over all orders of trials."""
     middle = np.median(trial_fitness, 1, keepdims=True)
     tolerance = np.median(np.abs(trial_fitness - middle), 1)
     chances = np.zeros(trial_fitness.shape[1])
@@ -96,7 +96,7 @@ def lexicase_chances(trial_fitness: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("trials", [1, 2, 4])
-def test_lexicase_parents_are_drawn_as_often_as_the_orders_of_trials_say(trials):
+def test_lexicase_frequencies_equal_the_mean_over_orders_of_trials(trials):
     trial_fitness = np.random.default_rng(trials).normal(size=(trials, 9)).astype(np.float32)
     chances = lexicase_chances(trial_fitness)
     assert 1 < (chances > 0).sum() < 9
@@ -107,8 +107,8 @@ def test_lexicase_parents_are_drawn_as_often_as_the_orders_of_trials_say(trials)
     assert chisquare(counts[chances > 0], DRAWS * chances[chances > 0]).pvalue > 0.01
 
 
-def test_lexicase_keeps_who_does_well_in_one_trial_only():
-    """Its mean is the lowest of all, and no rank would draw it."""
+def test_lexicase_keeps_a_specialist_for_one_trial():
+    """The specialist's mean is the lowest, so rank selection never draws it."""
     specialist = np.array([[5.0], [-20.0]])
     trial_fitness = np.concatenate([np.tile(np.linspace(0, 1, 9), (2, 1)), specialist], 1)
     fitness = jnp.asarray(trial_fitness.mean(0), jnp.float32)
@@ -119,11 +119,11 @@ def test_lexicase_keeps_who_does_well_in_one_trial_only():
     assert 9 not in np.asarray(by_rank)
 
 
-def test_lexicase_draws_nobody_who_diverged_in_any_trial_while_others_live():
+def test_lexicase_draws_no_diverged_individual_while_others_are_finite():
     trial_fitness = jnp.asarray([[9.0, -1.0, -2.0, jnp.nan], [-jnp.inf, -1.0, 0.5, 3.0]])
     fitness = trial_fitness.mean(0)
     drawn = by_lexicase(jax.random.key(6), fitness, trial_fitness, 1000)
     assert set(np.asarray(drawn).tolist()) == {1, 2}
-    nobody = jnp.full((2, 4), -jnp.inf)
-    drawn = by_lexicase(jax.random.key(6), nobody[0], nobody, 1000)
+    diverged = jnp.full((2, 4), -jnp.inf)
+    drawn = by_lexicase(jax.random.key(6), diverged[0], diverged, 1000)
     assert set(np.asarray(drawn).tolist()) == {0, 1, 2, 3}

@@ -1,4 +1,4 @@
-"""Every search is asked and told, keeps what it knows in arrays, and gets better at a sphere."""
+"""Every strategy improves on a sphere function, and keeps its state in arrays."""
 
 import dataclasses
 import functools
@@ -25,7 +25,7 @@ AXES = (Axis("first", -2.0, 2.0, 4), Axis("second", -2.0, 2.0, 3))
 
 
 class Climber(Strategy):
-    """That of the docstring of `Strategy`."""
+    """The example in the docstring of `Strategy`."""
 
     population: int = eqx.field(static=True)
     sigma: float = 0.1
@@ -96,7 +96,7 @@ def made(name):
     return STRATEGIES[name]()
 
 
-# Of evosax one algorithm with a distribution and one with a population are enough for every day.
+# The fast tests run one algorithm of evosax with a distribution and one with a population.
 NAMES = [
     pytest.param(name, marks=[pytest.mark.slow] if name in ("LM_MA_ES", "Open_ES") else [])
     for name in STRATEGIES
@@ -105,14 +105,15 @@ NAMES = [
 
 @jax.jit
 def sphere(genes):
-    """Best where all genes are 0.7; a corner of the space is deadly."""
+    """Evaluate genomes: best if all genes are 0.7, diverged if the first is below -1.5."""
     fitness = -((genes - 0.7) ** 2).sum(0)
     fitness = jnp.where(genes[0] < -1.5, -jnp.inf, fitness)
     about = {"cost": -fitness}, {"first": genes[0], "second": genes[1]}
     return Evaluation(fitness, *about, jnp.stack([fitness + genes[0], fitness - genes[0]]))
 
 
-# By the identity of a strategy, which is kept for as long: what several tests search with.
+# Compiled programs of strategies that several tests share, by identity. Each entry keeps its
+# strategy, so that no other strategy gets its identity.
 _PROGRAMS: dict = {}
 
 
@@ -125,14 +126,14 @@ def programs(strategy):
 
     @jax.jit
     def step(key, i, genes, state, worth):
-        told, asked = jax.random.split(jax.random.fold_in(key, i))
-        return strategy.ask(asked, strategy.tell(told, state, genes, worth))
+        tell_key, ask_key = jax.random.split(jax.random.fold_in(key, i))
+        return strategy.ask(ask_key, strategy.tell(tell_key, state, genes, worth))
 
     return _PROGRAMS.setdefault(id(strategy), (strategy, begin, step))[1:]
 
 
 def search(strategy, generations=40, seed=0, evaluate=sphere, genes=GENES):
-    """Populations, fitness of each, and the last state."""
+    """Return the populations, the fitness of each, and the last state."""
     start_key, key = jax.random.split(jax.random.key(seed))
     start = jax.random.uniform(start_key, (genes, SIZE), jnp.float32, -2.0, 2.0)
     begin, step = programs(strategy)
@@ -153,17 +154,17 @@ def search(strategy, generations=40, seed=0, evaluate=sphere, genes=GENES):
         pytest.param("CMA-MAE", marks=pytest.mark.slow),
     ],
 )
-def test_a_search_gets_better_and_asks_for_numbers(name):
+def test_a_search_improves_with_finite_genes(name):
     populations, found, _ = search(made(name), genes=genes_of(name))
     assert all(genes.shape == (genes_of(name), SIZE) for genes in populations)
     assert np.isfinite(np.array(populations)).all()
-    # Half of what random genomes leave.
+    # The error falls to half the error of random genomes.
     last = max(fitness.max() for fitness in found[-5:])
     assert name == "random" or last > 0.5 * found[0].max()
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_a_search_knows_goes_through_arrays(name):
+def test_a_state_survives_conversion_to_arrays(name):
     strategy = made(name)
     populations, _, state = search(strategy, 6, genes=genes_of(name))
     arrays = {name: np.array(value) for name, value in state_arrays(state).items()}
@@ -180,18 +181,18 @@ def test_what_a_search_knows_goes_through_arrays(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_search_survives_that_nobody_does(name):
+def test_a_search_survives_generations_in_which_all_diverge(name):
     def deadly(genes):
-        nobody = jnp.full(genes.shape[1], -jnp.inf)
+        diverged = jnp.full(genes.shape[1], -jnp.inf)
         lost = jnp.full(genes.shape[1], jnp.nan)
         about = {"cost": lost}, {"first": lost, "second": lost}
-        return Evaluation(nobody, *about, jnp.stack([nobody, nobody]))
+        return Evaluation(diverged, *about, jnp.stack([diverged, diverged]))
 
     populations, _, _ = search(made(name), 5, evaluate=deadly, genes=genes_of(name))
     assert np.isfinite(np.array(populations)).all()
 
 
-def test_random_search_draws_anew():
+def test_random_search_draws_every_generation():
     populations, _, _ = search(made("random"), 4)
     assert len({np.asarray(genes).tobytes() for genes in populations}) == 5
     later = np.array(populations[1:])
@@ -201,14 +202,14 @@ def test_random_search_draws_anew():
 def test_a_state_of_another_strategy_is_refused():
     arrays = state_arrays({"archive": {"genes": np.zeros((2, 3), np.float32)}})
     assert list(arrays) == ["archive.genes"]
-    with pytest.raises(StrategyError, match=r"archive\.genes \(2, 3\).*this one nothing"):
+    with pytest.raises(StrategyError, match=r"archive\.genes \(2, 3\).*needs nothing"):
         state_from(arrays, ())
-    with pytest.raises(StrategyError, match="another strategy remembers"):
+    with pytest.raises(StrategyError, match="the state of another strategy"):
         state_from(arrays, {"archive": {"genes": np.zeros((2, 4), np.float32)}})
 
 
-def test_a_state_of_whatever_arrays_goes_through_a_file(tmp_path):
-    """Names that would be the same, types that NumPy has not, and random keys."""
+def test_a_state_of_any_arrays_survives_a_file(tmp_path):
+    """The state has names that would collide, types that NumPy lacks, and random keys."""
 
     def state():
         return {
@@ -232,19 +233,19 @@ def test_a_state_of_whatever_arrays_goes_through_a_file(tmp_path):
         if jnp.issubdtype(one.dtype, jax.dtypes.prng_key):
             one, other = jax.random.key_data(one), jax.random.key_data(other)
         np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
-    with pytest.raises(StrategyError, match="another strategy remembers"):
+    with pytest.raises(StrategyError, match="the state of another strategy"):
         state_from(arrays, state() | {"half": jnp.zeros(2, jnp.uint16)})
 
 
-def test_who_diverged_is_as_bad_as_the_worst_survivor():
+def test_diverged_individuals_get_the_worst_finite_fitness():
     np.testing.assert_array_equal(
         worst_finite(jnp.array([1.0, -jnp.inf, -2.0, jnp.nan])), [1, -2, -2, -2]
     )
     np.testing.assert_array_equal(worst_finite(jnp.array([-jnp.inf, jnp.nan])), [0, 0])
 
 
-def told_genes(genes):
-    """A strategy that asks again for what it was told, so that it shows who was told of."""
+def genes_after_migration(genes):
+    """Return the genes that `tell` of the islands' strategies receives after two generations."""
 
     class Echo(Strategy):
         population: int = eqx.field(static=True)
@@ -262,20 +263,20 @@ def told_genes(genes):
     _, state = islands.ask(jax.random.key(0), islands.init(jax.random.key(0), genes))
     for _ in range(2):
         worth = Evaluation(genes[0], {}, {}, genes)
-        told = islands.tell(jax.random.key(0), state, genes, worth)
-        genes, state = islands.ask(jax.random.key(0), told)
+        after = islands.tell(jax.random.key(0), state, genes, worth)
+        genes, state = islands.ask(jax.random.key(0), after)
     return np.asarray(genes[0])
 
 
-def test_the_best_of_an_island_take_the_places_of_the_worst_of_the_next():
+def test_the_best_of_an_island_replace_the_worst_of_the_next():
     fitness = np.array([[3, 1, 4, 2], [8, 7, 5, 6], [9, 12, 10, 11]], np.float32)
-    told = told_genes(jnp.asarray(fitness.reshape(1, -1)))
-    # In the first generation nobody moves, in the second the two best do.
+    after = genes_after_migration(jnp.asarray(fitness.reshape(1, -1)))
+    # No individual migrates in the first generation. The two best migrate in the second.
     expected = np.array([[3, 12, 4, 11], [8, 7, 4, 3], [8, 12, 7, 11]])
-    np.testing.assert_array_equal(np.sort(told.reshape(3, 4)), np.sort(expected))
+    np.testing.assert_array_equal(np.sort(after.reshape(3, 4)), np.sort(expected))
 
 
-def test_islands_apart_evolve_as_if_each_were_alone():
+def test_islands_without_migration_evolve_as_if_alone():
     genetics = RealGenetics(8, 2, 0.5, 0.2, 0.3, 0.3, 8.0)
     islands = Islands(SIZE, genetics, 3, every=1000, migrants=1)
     genes = jax.random.normal(jax.random.key(1), (GENES, SIZE))
@@ -293,8 +294,8 @@ def test_islands_apart_evolve_as_if_each_were_alone():
         np.testing.assert_array_equal(together[:, own], alone)
 
 
-def test_parents_come_from_occupied_cells_alone():
-    """Of 10,000 cells a third is filled: sums of their chances round, and gave some to others."""
+def test_parents_come_from_occupied_cells_only():
+    """A third of 10,000 cells is filled. Rounded sums of probabilities once drew empty cells."""
     axes = tuple(Axis(axis.name, axis.low, axis.high, 100) for axis in AXES)
     strategy = MapElites(2**20, axes, AlongTheLine(0.0, 0.0, 1e5))
     rng = np.random.default_rng(0)
@@ -306,17 +307,17 @@ def test_parents_come_from_occupied_cells_alone():
     )
     ask = jax.jit(strategy.ask)
     drawn = np.unique([ask(jax.random.key(i), state)[0] for i in range(4)])
-    # Of 3,000 elites some 1,400 children each.
+    # Each of 3,000 elites has about 1,400 children.
     np.testing.assert_array_equal(drawn, 1.0 + np.flatnonzero(filled))
 
 
 def test_a_map_keeps_the_fittest_of_every_cell():
-    """Beside a plain loop over everybody who ever lived."""
+    """The map equals a plain loop over all individuals of all generations."""
     strategy = MapElites(SIZE, AXES, AlongTheLine(0.5, 0.2, 8.0))
 
     def evaluate(genes):
         found = sphere(genes)
-        # Somebody has no place on the map.
+        # Some individuals have no place on the map.
         first = jnp.where(genes[2] > 1.0, jnp.nan, found.descriptors["first"])
         return dataclasses.replace(found, descriptors=found.descriptors | {"first": first})
 
@@ -344,7 +345,7 @@ def test_a_map_keeps_the_fittest_of_every_cell():
     assert archive.told == 12
 
 
-def test_a_search_is_none_the_wiser_for_a_map():
+def test_a_map_does_not_influence_the_search():
     plain, _, _ = search(GENETICS, 6)
     mapped, _, state = search(Mapped(SIZE, AXES, GENETICS), 6)
     for one, other in zip(plain, mapped, strict=True):
@@ -364,7 +365,7 @@ def test_children_of_bits_are_bits_of_two_parents():
         assert any((child == cut).all() for cut in cuts)
 
 
-def test_children_of_bits_that_are_not_crossed_are_the_first_parents_but_for_what_is_flipped():
+def test_uncrossed_children_of_bits_are_mutated_first_parents():
     vary = OfBits(0.0, 1.0, (1, 3), "flip")
     genes = jnp.asarray(np.random.default_rng(0).integers(0, 2, (GENES, 2)), jnp.float32)
     parents = jnp.array([[0] * 500, [1] * 500])
@@ -376,20 +377,20 @@ def test_children_of_bits_that_are_not_crossed_are_the_first_parents_but_for_wha
         assert set(changed.tolist()) == {1, 2, 3}
 
 
-def test_children_of_numbers_lie_about_the_line_between_their_parents():
+def test_children_of_numbers_lie_on_the_line_through_their_parents():
     vary = AlongTheLine(iso_sigma=0.0, line_sigma=0.5, gene_bound=100.0)
     genes = jnp.asarray(np.random.default_rng(0).normal(size=(GENES, 2)), jnp.float32)
     parents = jnp.array([[0] * 2000, [1] * 2000])
     children = np.asarray(vary(jax.random.key(0), genes, parents))
     a, b = np.asarray(genes).T
-    shares = (children - a[:, None]).T @ (b - a) / ((b - a) @ (b - a))
-    np.testing.assert_allclose(children, a[:, None] + shares * (b - a)[:, None], atol=1e-5)
-    assert abs(shares.mean()) < 0.04 and shares.std() == pytest.approx(0.5, rel=0.06)
+    fractions = (children - a[:, None]).T @ (b - a) / ((b - a) @ (b - a))
+    np.testing.assert_allclose(children, a[:, None] + fractions * (b - a)[:, None], atol=1e-5)
+    assert abs(fractions.mean()) < 0.04 and fractions.std() == pytest.approx(0.5, rel=0.06)
 
 
 @pytest.mark.parametrize("name", ["Sep_CMA_ES", "DifferentialEvolution"])
 def test_evosax_searches_bits(name):
-    """Bits that agree with a pattern count."""
+    """Fitness is the number of bits that agree with a pattern."""
     pattern = jnp.array([1.0, 0, 1, 1, 0, 1])
 
     def agreeing(genes):
@@ -402,40 +403,40 @@ def test_evosax_searches_bits(name):
     assert found[-1].mean() > found[0].mean() + 1
 
 
-def test_evosax_begins_with_what_it_is_given_and_is_told_of_who_took_a_place():
+def test_evosax_starts_with_given_genomes_and_learns_of_replaced_ones():
     strategy = evosax("DifferentialEvolution", gene_bound=1.0)
     given = 5.0 * jnp.ones((GENES, SIZE))
     genes, state = strategy.ask(jax.random.key(0), strategy.init(jax.random.key(0), given))
     np.testing.assert_array_equal(genes, jnp.ones((GENES, SIZE)))
     moved = genes.at[:, 3].set(0.5)
-    told = strategy.tell(jax.random.key(0), state, moved, sphere(moved))
-    np.testing.assert_array_equal(told.numbers[:, 3], moved[:, 3])
-    # Who was only put within bounds is told of as he was drawn.
-    np.testing.assert_array_equal(told.numbers[:, 4], given[:, 4])
-    np.testing.assert_array_equal(told.state.population, told.numbers.T)
-    # Differential evolution keeps whoever is better than his child.
-    np.testing.assert_allclose(told.state.fitness, -sphere(moved).fitness)
+    after = strategy.tell(jax.random.key(0), state, moved, sphere(moved))
+    np.testing.assert_array_equal(after.numbers[:, 3], moved[:, 3])
+    # A clipped individual is reported with its numbers before clipping.
+    np.testing.assert_array_equal(after.numbers[:, 4], given[:, 4])
+    np.testing.assert_array_equal(after.state.population, after.numbers.T)
+    # Differential evolution keeps an individual that is better than its child.
+    np.testing.assert_allclose(after.state.fitness, -sphere(moved).fitness)
 
 
-def test_a_distribution_begins_about_the_better_half():
+def test_a_distribution_starts_at_the_mean_of_the_better_half():
     strategy = evosax("Sep_CMA_ES")
     given = jax.random.normal(jax.random.key(0), (GENES, SIZE))
     genes, state = strategy.ask(jax.random.key(0), strategy.init(jax.random.key(0), given))
     worth = sphere(genes)
-    told = strategy.tell(jax.random.key(0), state, genes, worth)
+    after = strategy.tell(jax.random.key(0), state, genes, worth)
     better = np.argsort(-np.asarray(worth.fitness))[: SIZE // 2]
-    np.testing.assert_allclose(told.state.mean, np.asarray(genes)[:, better].mean(1), rtol=1e-5)
+    np.testing.assert_allclose(after.state.mean, np.asarray(genes)[:, better].mean(1), rtol=1e-5)
 
 
-def test_what_evosax_does_not_have_is_refused():
+def test_unknown_parameters_of_evosax_are_refused():
     with pytest.raises(
-        ValueError, match="it has no parameter crossover; it has elitism, crossover"
+        ValueError, match=r"it has no parameter crossover \(valid: elitism, crossover"
     ):
         evosax("DifferentialEvolution", params=(("crossover", 0.5),))
 
 
 @pytest.mark.parametrize("name", [*NAMES, "bits"])
-def test_a_population_about_an_individual_keeps_it(name):
+def test_a_population_around_an_individual_keeps_it(name):
     strategy = BitGenetics(SIZE, mutated_genes=(2, 3)) if name == "bits" else STRATEGIES[name]()
     one = jnp.tile(jnp.array([1.0, 0, 1, 1, 0, 1]), genes_of(name) // GENES)
     around = jax.jit(strategy.around)(jax.random.key(0), jnp.tile(one[:, None], (1, SIZE)))

@@ -15,20 +15,20 @@ from evo_cpg.evolution.variation import gaussian_mutation, one_point_crossover, 
 SEEDS = st.integers(0, 2**31 - 1)
 GENES, PAIRS = 7, 50
 
-# Uncompiled, every length would be compiled operation by operation.
+# Without this, JAX would compile every operation for every length.
 mutate = quick_jit(gaussian_mutation, static_argnums=2)
 cross = quick_jit(one_point_crossover)
 
 
 def switches(seed: int, genes: int, pairs: int, probability: float) -> np.ndarray:
-    """Where children take the other parent's genes; checks that the two are complementary."""
-    # Every gene tells where it comes from.
+    """Return where first children have genes of second parents. Siblings must be complementary."""
+    # Every gene has a value of its own, which shows its origin.
     population = np.arange(genes * 2 * pairs, dtype=np.float32).reshape(genes, 2 * pairs)
     mates = np.random.default_rng(seed).permutation(2 * pairs).reshape(2, pairs)
     children = np.asarray(cross(jax.random.key(seed), population, *mates, probability))
     assert children.dtype == population.dtype
     one, two = children[:, ::2], children[:, 1::2]
-    first, second = (population[:, who] for who in mates)
+    first, second = (population[:, parents] for parents in mates)
     from_second = one == second
     np.testing.assert_array_equal(one, np.where(from_second, second, first))
     np.testing.assert_array_equal(two, np.where(from_second, first, second))
@@ -57,7 +57,7 @@ def test_a_single_gene_cannot_be_cut():
     assert not switches(0, 1, PAIRS, 1.0).any()
 
 
-def test_cuts_are_uniform_and_crossover_as_frequent_as_asked():
+def test_cuts_are_uniform_and_crossover_has_its_probability():
     from_second = switches(4, GENES, 100_000, 0.2)
     crossed = from_second[-1]
     assert chisquare([crossed.sum(), (~crossed).sum()], [20_000, 80_000]).pvalue > 0.01
@@ -65,7 +65,7 @@ def test_cuts_are_uniform_and_crossover_as_frequent_as_asked():
     assert chisquare(np.bincount(cuts, minlength=GENES)[1:]).pvalue > 0.01
 
 
-def test_mutation_changes_the_asked_share_of_genes_by_normal_noise():
+def test_mutation_adds_normal_noise_to_the_given_fraction_of_genes():
     genes = jnp.zeros((100, 1000))
     mutated = np.asarray(mutate(jax.random.key(5), genes, 0.05, 0.5, 8.0)).ravel()
     changed = mutated[mutated != 0]
@@ -73,12 +73,12 @@ def test_mutation_changes_the_asked_share_of_genes_by_normal_noise():
     assert kstest(changed, norm(0.0, 0.5).cdf).pvalue > 0.01
 
 
-def test_genes_mutate_independently_of_each_other_and_alike():
+def test_genes_mutate_independently_with_equal_probability():
     changed = np.asarray(mutate(jax.random.key(8), jnp.zeros((40, 5000)), 0.3, 0.5, 8.0) != 0)
     each = 5000 * np.array([0.7, 0.3])
     for gene in (0, 1, 20, 39):
         assert chisquare(np.bincount(changed[gene], minlength=2), each).pvalue > 0.01
-    # Neighbours, in the genome as well as in the population.
+    # Pairs of neighbours in the genome, then in the population.
     for one, other in ((changed[:-1], changed[1:]), (changed[:, :-1], changed[:, 1:])):
         both = np.bincount(2 * one.ravel() + other.ravel(), minlength=4)
         expected = one.size * np.array([0.49, 0.21, 0.21, 0.09])
@@ -86,17 +86,17 @@ def test_genes_mutate_independently_of_each_other_and_alike():
 
 
 @pytest.mark.parametrize("rate", [1e-3, 0.05, 0.5, 0.99])
-def test_places_are_drawn_each_with_the_same_chance(rate):
+def test_places_are_drawn_with_equal_probability(rate):
     keys = jax.random.split(jax.random.key(9), 20_000)
     places = np.asarray(quick_jit(jax.vmap(lambda key: random_places(key, 30, rate)))(keys))
     there = np.array([(places == place).sum(1) for place in range(30)])
     assert there.max() == 1
-    # The rest is room, which comes last.
+    # The padding comes last.
     assert (np.diff(places.astype(int), axis=1)[places[:, 1:] < 30] > 0).all()
     assert (np.diff(places.astype(int), axis=1) >= 0).all() and places.max() <= 30
     counts, expected = there.sum(1), 20_000 * rate
     assert chi2.sf(((counts - expected) ** 2).sum() / (expected * (1 - rate)), 30) > 0.01
-    # How many there are is binomial.
+    # The number of places is binomial.
     chances = binom.pmf(np.arange(31), 30, rate)
     numbers = np.bincount(there.sum(0), minlength=31)
     common = 20_000 * chances > 5
@@ -106,8 +106,8 @@ def test_places_are_drawn_each_with_the_same_chance(rate):
 
 
 @pytest.mark.parametrize("rate", [1e-9, 0.001, 0.3])
-def test_there_is_room_for_all_places(rate):
-    # Without room, the last places of all would be missing.
+def test_the_array_is_long_enough_for_all_places(rate):
+    # In a shorter array, the last places would be missing.
     count = 2_000_000
     places = np.asarray(
         quick_jit(random_places, static_argnums=(1, 2))(jax.random.key(10), count, rate)
@@ -117,7 +117,7 @@ def test_there_is_room_for_all_places(rate):
     assert 0.001 < tail <= 1.0
 
 
-def test_a_population_mutates_in_parts_as_it_would_whole(monkeypatch):
+def test_a_population_mutates_in_parts_as_in_one(monkeypatch):
     monkeypatch.setattr(variation, "_MOST_AT_ONCE", 30_000)
     genes = jnp.zeros((101, 1000))
     in_parts = quick_jit(gaussian_mutation, static_argnums=(2, 3, 4))
@@ -139,7 +139,7 @@ def test_mutated_genes_stay_within_bounds(seed, rate, sigma, bound):
 
 
 @pytest.mark.parametrize(("rate", "sigma"), [(0.0, 1.0), (1.0, 0.0)])
-def test_without_rate_or_size_nothing_changes(rate, sigma):
+def test_nothing_changes_at_rate_or_sigma_zero(rate, sigma):
     genes = jnp.linspace(-1, 1, 30).reshape(10, 3)
     np.testing.assert_array_equal(mutate(jax.random.key(6), genes, rate, sigma, 8.0), genes)
 

@@ -1,4 +1,4 @@
-"""Double precision, as MuJoCo has it, and models from text."""
+"""Double precision, as in MuJoCo, and compiled models."""
 
 import jax
 import mujoco
@@ -15,7 +15,7 @@ def double_precision():
 
 @pytest.fixture
 def compiled():
-    """Export a creature with what `mjcf_model` takes, and have MuJoCo compile it."""
+    """Export a creature with arguments of `mjcf_model`, and compile it with MuJoCo."""
 
     def make(*arguments, **options) -> mujoco.MjModel:
         return mujoco.MjModel.from_xml_string(mjcf_text(mjcf_model(*arguments, **options)))

@@ -1,4 +1,4 @@
-"""Blender reads an animated scene and shows the bodies where they were (`pip install bpy`)."""
+"""Poses of an animated scene after an import into Blender (`pip install bpy`)."""
 
 import os
 import subprocess
@@ -11,7 +11,7 @@ from evo_cpg.exchange.gltf_film import gltf_film
 from evo_cpg.view.scene import Panel
 from view import synthetic
 
-# An interpreter with bpy, which is made for one version of Python each.
+# An interpreter with bpy. Each bpy version supports a single Python version.
 _PYTHON = os.environ.get("BLENDER_PYTHON", sys.executable)
 _PLAY = """
 import os, sys, numpy as np, bpy
@@ -24,11 +24,11 @@ for time in times:
     scene.frame_set(int(frame), subframe=frame - int(frame))
     found.append([np.array(bpy.data.objects[name].matrix_world) for name in names])
 np.save(out, np.array(found))
-os._exit(0)  # bpy is no clean leaver
+os._exit(0)  # bpy may crash at exit
 """
 
 
-def test_bodies_are_where_they_were(tmp_path):
+def test_blender_shows_the_recorded_poses(tmp_path):
     if subprocess.run([_PYTHON, "-c", "import bpy"], capture_output=True).returncode:
         pytest.skip("Blender's Python module bpy is not installed")
     creature, recording = synthetic.swimmer(), synthetic.swim(4.0)
@@ -40,6 +40,6 @@ def test_bodies_are_where_they_were(tmp_path):
     subprocess.run([_PYTHON, "-c", _PLAY, scene, out, *names], check=True, capture_output=True)
     found = np.load(out)
     np.testing.assert_allclose(found[..., :3, 3], recording.position[some], atol=1e-5)
-    # What lies in a node is turned to Blender's axes with the node.
+    # The import rotates the contents of each node to Blender's axes.
     turned = recording.rotation[some] @ [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     np.testing.assert_allclose(found[..., :3, :3], turned, atol=1e-5)

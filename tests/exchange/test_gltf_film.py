@@ -1,4 +1,4 @@
-"""Animated scenes: what the file says of the bodies is the trajectory's, and the file is sound."""
+"""Animated scenes: poses of the bodies equal the recording, and the file is valid."""
 
 import dataclasses
 import json
@@ -22,7 +22,7 @@ from evo_cpg.view.clip import quaternions
 from evo_cpg.view.scene import Panel
 from view import synthetic
 
-# Where `npm install gltf-validator` was run; Node looks in the folders above the tests, too.
+# Folder of `npm install gltf-validator`. Node also searches the folders above the tests.
 _PACKAGES = os.environ.get("NODE_PATH", "")
 _VALIDATE = """
 const fs = require("fs"), validator = require("gltf-validator");
@@ -58,7 +58,7 @@ def scene(request):
 
 
 def decode(data):
-    """The JSON document of a file, and its accessors as arrays: written anew for the test."""
+    """Return the JSON document of a file, and its accessors as arrays."""
     magic, version, length = struct.unpack_from("<4sII", data)
     assert (magic, version, length) == (b"glTF", 2, len(data))
     size, kind = struct.unpack_from("<I4s", data, 12)
@@ -78,7 +78,7 @@ def decode(data):
 
 
 def matrix(quaternion):
-    """Rotations of unit quaternions x, y, z, w (Shoemake 1985)."""
+    """Return rotations of unit quaternions x, y, z, w (Shoemake 1985)."""
     x, y, z, w = np.moveaxis(quaternion, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -108,7 +108,7 @@ def test_the_bodies_move_as_in_the_recording(scene):
         assert ((turn[1:] * turn[:-1]).sum(1) > 0).all()
 
 
-def test_what_is_up_here_is_up_there(scene):
+def test_up_direction_is_converted(scene):
     document, _ = decode(scene[2])
     world = document["nodes"][document["scenes"][0]["nodes"][0]]
     assert world["name"] == "world" and world["rotation"] == list(Z_UP)
@@ -116,7 +116,7 @@ def test_what_is_up_here_is_up_there(scene):
     np.testing.assert_allclose(matrix(np.array(Z_UP)) @ [1, 0, 0], [1, 0, 0], atol=1e-12)
 
 
-def test_another_reader_finds_the_animal_and_its_world(scene, tmp_path):
+def test_trimesh_reads_the_animal_and_its_world(scene, tmp_path):
     creature, recording, data = scene
     (tmp_path / "scene.glb").write_bytes(data)
     loaded = trimesh.load_scene(tmp_path / "scene.glb")
@@ -134,7 +134,7 @@ def test_another_reader_finds_the_animal_and_its_world(scene, tmp_path):
         np.testing.assert_allclose(light["translation"], recording.goal, atol=1e-5)
 
 
-def test_stones_and_water_are_where_they_are():
+def test_places_of_stones_and_water():
     scenes = {}
     for name in ("stones", "shore"):
         make, move, settings = SCENES[name]
@@ -148,8 +148,8 @@ def test_stones_and_water_are_where_they_are():
     np.testing.assert_allclose(height, 0.6, rtol=1e-6)
 
 
-def test_scenery_has_no_body_s_name():
-    """A body called as every part of the scenery is the only node of that name."""
+def test_scenery_never_shares_a_name_with_a_body():
+    """Bodies have names of the scenery, and all node names stay unique."""
     make, move, settings = SCENES["stones"]
     creature, recording = make(), move(4.0)
     scenery = ("world", "ground", "light", "sun", "obstacle1")
@@ -170,7 +170,7 @@ def test_scenery_has_no_body_s_name():
 
 
 def test_a_triangle_without_area_is_left_out():
-    """The far side of an edge that one of its two triangles has split."""
+    """The triangle closes an edge that is split on one side only."""
     box = trimesh.creation.box((0.3, 0.2, 0.1))
     a, b, c = box.faces[0]
     vertices = np.concatenate([box.vertices, [box.vertices[[a, b]].mean(0)]])
@@ -197,8 +197,8 @@ def test_a_triangle_without_area_is_left_out():
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=1e-6)
 
 
-def test_quaternions_never_jump():
-    """A turn of 720 degrees about z, whose quaternions change sign on the way."""
+def test_quaternions_are_continuous():
+    """A rotation of 720 degrees about z changes the sign of its quaternions."""
     angle = np.linspace(0, 4 * np.pi, 200)
     c, s, o = np.cos(angle), np.sin(angle), np.zeros(200)
     turn = np.moveaxis(np.array([[c, -s, o], [s, c, o], [o, o, o + 1]]), -1, 0)
@@ -207,7 +207,7 @@ def test_quaternions_never_jump():
     np.testing.assert_allclose(found * np.sign(found[0, 3]), half, atol=1e-9)
 
 
-def test_recordings_that_cannot_be_shown_are_refused():
+def test_invalid_recordings_are_refused():
     creature, recording = synthetic.walker(), synthetic.walk(0.5)
     with pytest.raises(RecordingError, match="the recording is empty"):
         gltf_film(Panel(creature, recording._replace(time=recording.time[:0])))
@@ -216,7 +216,7 @@ def test_recordings_that_cannot_be_shown_are_refused():
         gltf_film(Panel(creature, broken))
 
 
-def test_the_khronos_validator_has_nothing_to_say(scene, tmp_path):
+def test_the_khronos_validator_finds_no_issues(scene, tmp_path):
     node = shutil.which("node")
     if node is None:
         pytest.skip("there is no node")

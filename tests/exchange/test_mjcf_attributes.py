@@ -1,4 +1,4 @@
-"""Attributes of MJCF, one by one: each moves as in MuJoCo, is refused, or is left out by name."""
+"""Attributes of MJCF one by one: equal to MuJoCo, refused, or left out by name."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -36,8 +36,8 @@ def model(
     within: str = "",
     drive: str = "velocity",
 ) -> str:
-    """A trunk with one limb, with attributes (or elements) in some places."""
-    # An attribute that is there already is replaced.
+    """Return a trunk with one limb, with some attributes or elements."""
+    # A given attribute replaces the usual one.
     hinge = attributes('name="h" axis="0 1 0.3" range="-60 60" pos="-0.1 0.02 0"', joint)
     limb = attributes('name="g" type="box" size="0.2 0.05 0.03" pos="0.1 0 0"', geom)
     place = attributes('name="limb" pos="0.3 0.1 0"', body)
@@ -59,7 +59,7 @@ def model(
 
 
 def attributes(usual: str, given: str) -> str:
-    """Attributes of an element, of which those that are given replace usual ones."""
+    """Return attributes of an element. Given ones replace usual ones, and "-" removes them."""
     pairs = [part.split("=", 1) for part in (usual + " " + given).replace('" ', '"\n').split("\n")]
     chosen = {key.strip(): value for key, value in (pair for pair in pairs if len(pair) == 2)}
     return " ".join(f"{key}={value}" for key, value in chosen.items() if value != '"-"')
@@ -67,7 +67,7 @@ def attributes(usual: str, given: str) -> str:
 
 @pytest.fixture
 def read(tmp_path):
-    """What a model's text comes to."""
+    """Import a model from text."""
 
     def call(text: str) -> Imported:
         path = tmp_path / "model.xml"
@@ -89,7 +89,7 @@ def accelerations(tree: Tree, q, qd):
 
 
 def moves_as_in_mujoco(text: str, found: Imported) -> None:
-    """The joint's acceleration at some angles and rates within its limits."""
+    """Compare the joint's acceleration at two states within its limits."""
     theirs = mujoco.MjModel.from_xml_string(text)
     theirs.opt.disableflags |= (
         mujoco.mjtDisableBit.mjDSBL_ACTUATION | mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -110,7 +110,7 @@ def moves_as_in_mujoco(text: str, found: Imported) -> None:
         np.testing.assert_allclose(ours, data.qacc[6:], rtol=1e-8)
 
 
-# What is read, or has no part in the motion.
+# Attributes that are read, or that do not affect the motion.
 MAPPED = {
     "joint axis": model(joint='axis="1 2 3"'),
     "joint pos": model(joint='pos="0.05 0.1 -0.02"'),
@@ -138,7 +138,7 @@ MAPPED = {
     "geom friction, 2nd and 3rd": model(geom='friction="1 0.5 0.5"'),
     "geom fluidshape, without a fluid": model(geom='fluidshape="ellipsoid" fluidcoef="1 1 1 1 1"'),
     "geom group, rgba": model(geom='group="3" rgba="1 0 0 1"'),
-    "inertial, that of the geom": model(
+    "inertial equal to the geom": model(
         within='<inertial pos="0.1 0 0" mass="3" diaginertia=".0034 .0409 .0425"/>'
     ),
     "compiler angle": model(top='<compiler angle="radian"/>', joint='range="-1 1"'),
@@ -149,7 +149,7 @@ MAPPED = {
         option='timestep="0.01" solver="CG" iterations="5" tolerance="1e-3" jacobian="dense"'
     ),
     "option integrator of our export": model(option='integrator="implicitfast"'),
-    "flags of no matter": model(
+    "flags without effect": model(
         flag=" ".join(
             f'{flag}="disable"'
             for flag in ("warmstart", "refsafe", "eulerdamp", "midphase", "sensor", "frictionloss")
@@ -163,7 +163,7 @@ MAPPED = {
 
 
 @pytest.mark.parametrize("name", MAPPED)
-def test_what_is_read_moves_as_in_mujoco(read, name):
+def test_accepted_attributes_move_as_in_mujoco(read, name):
     found = read(MAPPED[name])
     assert found.left_out == (GRAVITY,)
     moves_as_in_mujoco(MAPPED[name], found)
@@ -171,23 +171,23 @@ def test_what_is_read_moves_as_in_mujoco(read, name):
 
 JOINT, GEOM, MOTOR = "joint 'h': ", "geom 'g': ", "actuator 'm': "
 REFUSED = {
-    "joint margin": (model(joint='margin="5"'), JOINT + "it has margin; allowed: no margin"),
+    "joint margin": (model(joint='margin="5"'), JOINT + "it has margin. Allowed: no margin"),
     "margin of a class": (
         model(top='<default><joint margin="0.1"/></default>'),
         JOINT + "it has margin",
     ),
     "joint solreflimit": (
         model(joint='solreflimit="0.1 1"'),
-        JOINT + "its solreflimit is 0.1 1; allowed: 0.02 1",
+        JOINT + "its solreflimit is 0.1 1. Allowed: 0.02 1",
     ),
     "joint solimplimit": (
         model(joint='solimplimit="0.5 0.6 0.001 0.5 2"'),
-        JOINT + "its solimplimit is 0.5 0.6 0.001 0.5 2; allowed: 0.9 0.95 0.001 0.5 2",
+        JOINT + "its solimplimit is 0.5 0.6 0.001 0.5 2. Allowed: 0.9 0.95 0.001 0.5 2",
     ),
     "joint frictionloss": (model(joint='frictionloss="1"'), JOINT + "it has frictionloss"),
     "joint springref": (
         model(joint='stiffness="1" springref="10"'),
-        JOINT + "its springref is not its ref",
+        JOINT + "its springref differs from its ref",
     ),
     "joint limited": (model(joint='limited="false"'), JOINT + "it has no limits"),
     "joint type": (model(joint='type="slide"'), JOINT + "it is a slide joint"),
@@ -197,72 +197,72 @@ REFUSED = {
     ),
     "geom margin": (model(geom='margin="0.01"'), GEOM + "it has margin"),
     "geom gap": (model(geom='gap="0.01"'), GEOM + "it has gap"),
-    "geom solref": (model(geom='solref="0.1 1"'), GEOM + "its solref is 0.1 1; allowed: 0.02 1"),
+    "geom solref": (model(geom='solref="0.1 1"'), GEOM + "its solref is 0.1 1. Allowed: 0.02 1"),
     "geom solimp": (model(geom='solimp="0.5 0.6"'), GEOM + "its solimp is 0.5 0.6 0.001 0.5 2"),
-    "geom solmix": (model(geom='solmix="2"'), GEOM + "its solmix is 2; allowed: 1"),
+    "geom solmix": (model(geom='solmix="2"'), GEOM + "its solmix is 2. Allowed: 1"),
     "geom priority": (model(geom='priority="1"'), GEOM + "it has priority"),
-    "geom condim": (model(geom='condim="6"'), GEOM + "its condim is 6; allowed: 3"),
+    "geom condim": (model(geom='condim="6"'), GEOM + "its condim is 6. Allowed: 3"),
     "geom type": (model(geom='type="cylinder"'), GEOM + "it is a cylinder"),
     "body gravcomp": (model(body='gravcomp="1"'), "body 'limb': its gravcomp is not the buoyancy"),
     "body mocap": (
         model().replace("</worldbody>", '<body name="k" mocap="true"/></worldbody>'),
-        "body 'k': it has mocap; allowed: no mocap",
+        "body 'k': it has mocap. Allowed: no mocap",
     ),
     "inertial": (
         model(within='<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'),
-        "body 'limb': its centre of mass or inertia is not that of its box",
+        "body 'limb': its centre of mass or inertia does not match its box",
     ),
-    "second geom": (model(within='<geom size="0.1"/>'), "body 'limb': it has 2 geoms; allowed"),
+    "second geom": (model(within='<geom size="0.1"/>'), "body 'limb': it has 2 geoms. Allowed"),
     "actuator forcerange": (
         model(actuator='forcerange="-1 2"'),
-        MOTOR + "its limits -1 and 2 differ; allowed: equal limits",
+        MOTOR + "its limits -1 and 2 differ. Allowed: equal limits",
     ),
     "actuator gainprm": (
         model(drive="general", actuator='kv="-" gainprm="2" biastype="affine" biasprm="0 0 -1"'),
-        MOTOR + "its law is not that of a servo",
+        MOTOR + "its law is not a servo's",
     ),
     "actuator dyntype": (
         model(drive="general", actuator='kv="-" dyntype="integrator"'),
-        MOTOR + "its law is not that of a servo",
+        MOTOR + "its law is not a servo's",
     ),
     "actuator actearly": (
         model(drive="general", actuator='kv="-" dyntype="integrator" actearly="true"'),
-        MOTOR + "its law is not that of a servo",
+        MOTOR + "its law is not a servo's",
     ),
     "position timeconst": (
         model(drive="position", actuator='kp="2" timeconst="0.1"'),
-        MOTOR + "its law is not that of a servo",
+        MOTOR + "its law is not a servo's",
     ),
     "muscle": (
         model(drive="muscle", actuator='kv="-" lengthrange="0 1"').replace(
             ' lengthrange="0 1"', ""
         ),
-        MOTOR + "its law is not that of a servo",
+        MOTOR + "its law is not a servo's",
     ),
     "equality": (
         model(top='<equality><joint name="e" joint1="h"/></equality>'),
-        "equality 'e': no creature has such a thing",
+        "equality 'e': a creature cannot have it",
     ),
     "tendon": (
         model(top='<tendon><fixed name="c"><joint joint="h" coef="1"/></fixed></tendon>'),
-        "tendon 'c': no creature has such a thing",
+        "tendon 'c': a creature cannot have it",
     ),
     **{
         f"flag {flag}": (
             model(flag=f'{flag}="disable"'),
-            f"flag '{flag}': it is disabled; allowed: enable",
+            f"flag '{flag}': it is disabled. Allowed: enable",
         )
         for flag in ("constraint", "limit", "spring", "damper", "actuation")
     },
     **{
         f"flag {flag}": (
             model(flag=f'{flag}="enable"', option='o_margin="0.1"'),
-            f"flag '{flag}': it is enabled; allowed: disable",
+            f"flag '{flag}': it is enabled. Allowed: disable",
         )
         for flag in ("override", "sleep")
     },
 }
-# Of newer versions of MuJoCo.
+# Attributes of newer MuJoCo versions, with their fields.
 NEWER = {
     "joint damping polynomial": (
         "dof_dampingpoly",
@@ -304,7 +304,7 @@ NEWER = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_would_move_otherwise_is_refused(read, name):
+def test_unsupported_attributes_are_refused(read, name):
     text, expected = REFUSED[name]
     with pytest.raises(ExchangeError) as refusal:
         read(text)
@@ -312,7 +312,7 @@ def test_what_would_move_otherwise_is_refused(read, name):
 
 
 @pytest.mark.parametrize("name", NEWER)
-def test_what_newer_versions_have_is_refused(read, name):
+def test_attributes_of_newer_versions_are_refused(read, name):
     field, text, expected = NEWER[name]
     if not hasattr(mujoco.MjModel, field):
         pytest.skip("this MuJoCo does not have it")
@@ -360,18 +360,18 @@ LEFT_OUT = {
 
 
 @pytest.mark.parametrize("name", LEFT_OUT)
-def test_what_belongs_to_the_world_is_left_out_by_name(read, name):
+def test_world_settings_are_left_out_by_name(read, name):
     text, expected = LEFT_OUT[name]
     assert expected in read(text).left_out
 
 
-def test_pairs_of_our_own_export_need_no_word(read):
+def test_pairs_of_our_export_are_not_reported(read):
     pair = '<contact><pair geom1="t" geom2="g" condim="1"/></contact>'
     assert read(model(top=pair)).left_out == (GRAVITY,)
 
 
-# What becomes of every field of the compiled model that `mjcf_fields` does not refuse, so that a
-# field of a newer MuJoCo is noticed. Fields are names, or beginnings of names with a "*".
+# Treatment of every field of the compiled model that `mjcf_fields` does not refuse, so that a new
+# field of MuJoCo fails the test. A "*" stands for any characters.
 READ = (
     "opt names qpos0 qpos_spring nbody njnt ngeom nu npair nexclude nlight ncam nsite nsensor "
     "nskin nkey body_parentid body_rootid body_pos body_quat body_gravcomp body_mass "
@@ -386,126 +386,124 @@ READ = (
     "pair_geom2 pair_dim pair_solref pair_solimp pair_margin pair_gap pair_adhesion "
 )
 
-# Fields that do not change how the animal moves, by the reason.
-NO_MATTER = {
-    "a size; what it counts has fields of its own": "n*",
-    "how MuJoCo stores matrices": "B_* D_* M_* map* efm*",
-    "how contacts are found": "bvh_* oct_* body_bvhadr body_bvhnum",
-    "where names are stored": "name_* names_map",
-    "where assets were found": "path*",
-    "of the compiler": "signature",
+# Fields that do not affect the motion, by reason.
+WITHOUT_EFFECT = {
+    "counts of elements with their own fields": "n*",
+    "storage of matrices": "B_* D_* M_* map* efm*",
+    "search for contacts": "bvh_* oct_* body_bvhadr body_bvhnum",
+    "storage of names": "name_* names_map",
+    "paths of assets": "path*",
+    "compiler": "signature",
     "sizes for the solver and for pictures": "stat",
-    "what hangs together; the flag sleep is refused": "tree_*",
-    "whether anything has a property that is read or refused": "flg_*",
-    "of the geoms, whose own are read": "body_contype body_conaffinity",
-    "of the geoms, whose own is refused": "body_margin",
-    "where numbers are stored": "body_dofadr dof_Madr actuator_ctrladr actuator_outadr",
-    "of the joints, which are read": "body_dofnum dof_bodyid dof_parentid",
-    "made of masses and joints": "body_invweight0 dof_M0 dof_invweight0",
-    "made of masses": "body_subtreemass body_simple dof_simplenum",
-    "made of places": "body_sameframe geom_sameframe",
-    "what hangs together": "body_treeid dof_treeid",
-    "what hangs together; a welded body is refused": "body_weldid",
+    "trees for the flag sleep, which is refused": "tree_*",
+    "presence of properties that are read or refused": "flg_*",
+    "computed from geoms, which are read": "body_contype body_conaffinity",
+    "computed from geoms, whose margin is refused": "body_margin",
+    "addresses": "body_dofadr dof_Madr actuator_ctrladr actuator_outadr",
+    "computed from joints, which are read": "body_dofnum dof_bodyid dof_parentid",
+    "computed from masses and joints": "body_invweight0 dof_M0 dof_invweight0",
+    "computed from masses": "body_subtreemass body_simple dof_simplenum",
+    "computed from places": "body_sameframe geom_sameframe",
+    "trees": "body_treeid dof_treeid",
+    "welded bodies, which are refused": "body_weldid",
     "plugins are refused": "body_plugin geom_plugin actuator_plugin plugin*",
-    "of the actuators, which are read": "jnt_actuatorid",
-    "made of sizes, for the flag sleep": "dof_length",
-    "of friction loss, which is refused": "dof_solref dof_solimp",
-    "made of sizes": "geom_aabb geom_rbound",
-    "only in a fluid, which is left out by name": "geom_fluid",
-    "made of masses and gears": "actuator_acc0",
-    "made of gears": "actuator_length0",
-    "of muscles, whose law is refused": "actuator_lengthrange",
-    "of activations, which a servo without dynamics has not": (
+    "computed from actuators, which are read": "jnt_actuatorid",
+    "computed from sizes, for the flag sleep": "dof_length",
+    "friction loss, which is refused": "dof_solref dof_solimp",
+    "computed from sizes": "geom_aabb geom_rbound",
+    "fluid, which is left out by name": "geom_fluid",
+    "computed from masses and gears": "actuator_acc0",
+    "computed from gears": "actuator_length0",
+    "muscles, whose law is refused": "actuator_lengthrange",
+    "activations, which a servo without dynamics lacks": (
         "actuator_actadr actuator_actnum actuator_actlimited actuator_actrange actuator_actearly "
         "actuator_dynprm"
     ),
-    "of slider-cranks, which are refused": "actuator_cranklength",
-    "1 where an actuator drives a hinge by its law": "actuator_ctrlnum",
-    "what the control of a law that is read is called": "actuator_ctrlspec",
-    "1 where an actuator drives a hinge": "actuator_outnum",
-    "of a delay, which is refused": "actuator_history actuator_historyadr",
+    "slider-cranks, which are refused": "actuator_cranklength",
+    "1 for an actuator of a hinge with an accepted law": "actuator_ctrlnum",
+    "name of the control in an accepted law": "actuator_ctrlspec",
+    "1 for an actuator of a hinge": "actuator_outnum",
+    "delay, which is refused": "actuator_history actuator_historyadr",
     "vertices and faces, which are read, in other forms": "mesh_*",
     "pictures": "vis geom_matid geom_castshadow mat_* tex_*",
-    "data of the user's own": "*_user numeric_* text_* tuple_*",
-    "what is shown": "*_group",
+    "user data": "*_user numeric_* text_* tuple_*",
+    "groups for display": "*_group",
     "lights are left out by name": "light_*",
     "cameras are left out by name": "cam_*",
-    "sites are left out by name; what drives one is refused": "site_*",
+    "sites are left out by name, and their actuators refused": "site_*",
     "sensors are left out by name": "sensor_*",
     "skins are left out by name": "skin_*",
     "keyframes are left out by name": "key_*",
-    "of the ground, whose geoms are left out by name, or a shape that is refused": "hfield_*",
-    "of a pair that is left out by name": "pair_friction pair_solreffriction pair_signature",
-    "which bodies touch is left out by name": "exclude_*",
+    "height fields, left out as ground and refused as a shape": "hfield_*",
+    "pairs are left out by name": "pair_friction pair_solreffriction pair_signature",
+    "excluded pairs are left out by name": "exclude_*",
     "equalities are refused": "eq_*",
     "tendons are refused": "ten_* tendon_* wrap_*",
     "flexes are refused": "flex*",
 }
 
-OPTIONS_OF_NO_MATTER = {
-    "the step is that of simulation": "timestep",
-    "how exactly MuJoCo solves": (
+OPTIONS_WITHOUT_EFFECT = {
+    "the configuration sets the time step": "timestep",
+    "tolerances of the solver": (
         "iterations tolerance ls_iterations ls_tolerance noslip_tolerance"
     ),
-    "how exactly contacts are found": (
-        "ccd_iterations ccd_tolerance sdf_initpoints sdf_iterations"
-    ),
-    "how MuJoCo solves": "solver",
-    "how MuJoCo stores": "jacobian",
-    "for sensors alone": "magnetic",
+    "tolerances of contacts": ("ccd_iterations ccd_tolerance sdf_initpoints sdf_iterations"),
+    "method of the solver": "solver",
+    "storage": "jacobian",
+    "sensors only": "magnetic",
     "the flag sleep is refused": "sleep_tolerance",
     "the flag override is refused": "o_margin o_solref o_solimp o_friction",
-    "flag by flag": "disableflags enableflags",
-    "actuator by actuator": "disableactuator",
+    "see flags": "disableflags enableflags",
+    "see actuators": "disableactuator",
 }
 
-FLAGS_OF_NO_MATTER = {
+FLAGS_WITHOUT_EFFECT = {
     "no creature has equalities": "equality",
     "no creature has dry friction in its joints": "frictionloss",
     "sensors are left out by name": "sensor",
-    "where the solver begins": "warmstart",
-    "a bound for softness, which is MuJoCo's default": "refsafe",
-    "how contacts are found": "midphase nativeccd multiccd",
-    "how MuJoCo integrates": "eulerdamp",
-    "after it diverged": "autoreset",
-    "how the solver works": "island",
-    "a reading": "energy fwdinv",
+    "start of the solver": "warmstart",
+    "bound of softness, which must be the default": "refsafe",
+    "search for contacts": "midphase nativeccd multiccd",
+    "integration": "eulerdamp",
+    "reset after divergence": "autoreset",
+    "method of the solver": "island",
+    "readings": "energy fwdinv",
     "inverse dynamics": "invdiscrete",
 }
 
-# Flags that the import takes account of, or leaves out by name.
+# Flags that the import reads, or leaves out by name.
 FLAGS_READ = {"gravity", "clampctrl", "contact", "filterparent"}
 
 
 def undecided(names: Iterable[str], *decided: Iterable[str]) -> list[str]:
-    """Names that no list has, in which a word with a ``*`` stands for many names."""
+    """Return the names that match no word of the lists. ``*`` in a word matches anything."""
     patterns = {word for words in decided for group in words for word in group.split()}
     return [name for name in names if not any(fnmatchcase(name, each) for each in patterns)]
 
 
-def test_somebody_decided_on_every_field_of_the_compiled_model():
-    """A field of a newer MuJoCo fails here, rather than being dropped unsaid."""
+def test_every_field_of_the_compiled_model_is_decided():
+    """A new field of MuJoCo fails here instead of being dropped silently."""
     compiled = mujoco.MjModel.from_xml_string(model())
     fields = [name for name in dir(compiled) if not name.startswith("_")]
     fields = [name for name in fields if not callable(getattr(compiled, name))]
     assert len(fields) > 300
     refused = mjcf_fields.NEUTRAL, mjcf_fields.REFUSED_COUNTS
-    decided = (READ,), NO_MATTER.values(), *refused
+    decided = (READ,), WITHOUT_EFFECT.values(), *refused
     assert undecided(fields, *decided) == []
     assert undecided(["jnt_stickiness", "geom_colour"], *decided) == [
         "jnt_stickiness",
         "geom_colour",
     ]
     options = [name for name in dir(compiled.opt) if not name.startswith("_")]
-    decided = OPTIONS_OF_NO_MATTER.values(), mjcf_fields.OPTIONS_LEFT_OUT
+    decided = OPTIONS_WITHOUT_EFFECT.values(), mjcf_fields.OPTIONS_LEFT_OUT
     assert undecided(options, *decided) == []
     flags = [*mujoco.mjtDisableBit.__members__, *mujoco.mjtEnableBit.__members__]
     flags = [flag.split("_", 1)[1].lower() for flag in flags if "_" in flag]
     refused = mjcf_fields.ENABLED_FLAGS, mjcf_fields.DISABLED_FLAGS
-    assert undecided(flags, FLAGS_READ, FLAGS_OF_NO_MATTER.values(), *refused) == []
+    assert undecided(flags, FLAGS_READ, FLAGS_WITHOUT_EFFECT.values(), *refused) == []
 
 
-def test_all_that_is_refused_is_listed_with_its_lines(read, tmp_path):
+def test_all_refusals_are_listed_with_lines(read, tmp_path):
     text = model(
         joint='margin="5" frictionloss="1" solreflimit="0.1 1"',
         geom='type="cylinder" margin="0.1"',
@@ -516,22 +514,22 @@ def test_all_that_is_refused_is_listed_with_its_lines(read, tmp_path):
     with pytest.raises(ExchangeError) as refusal:
         read(text)
     lines = str(refusal.value).splitlines()
-    assert lines[0] == f"{tmp_path / 'model.xml'}: no creature can have these 8 things:"
+    assert lines[0] == f"{tmp_path / 'model.xml'}: a creature cannot have these 8 things:"
     assert sorted(lines[1:]) == sorted(
         [
-            "  equality 'e': no creature has such a thing; allowed: no equality (line 3)",
-            "  flag 'constraint': it is disabled; allowed: enable",
-            "  joint 'h': it has margin; allowed: no margin (line 7)",
-            "  joint 'h': its solreflimit is 0.1 1; allowed: 0.02 1 (line 7)",
-            "  joint 'h': it has frictionloss; allowed: no frictionloss (line 7)",
-            "  geom 'g': it has margin; allowed: no margin (line 8)",
-            "  geom 'g': it is a cylinder; allowed: box, sphere, ellipsoid, capsule, mesh (line 8)",
-            "  actuator 'm': its limits -1 and 2 differ; allowed: equal limits (line 13)",
+            "  equality 'e': a creature cannot have it. Allowed: no equality (line 3)",
+            "  flag 'constraint': it is disabled. Allowed: enable",
+            "  joint 'h': it has margin. Allowed: no margin (line 7)",
+            "  joint 'h': its solreflimit is 0.1 1. Allowed: 0.02 1 (line 7)",
+            "  joint 'h': it has frictionloss. Allowed: no frictionloss (line 7)",
+            "  geom 'g': it has margin. Allowed: no margin (line 8)",
+            "  geom 'g': it is a cylinder. Allowed: box, sphere, ellipsoid, capsule, mesh (line 8)",
+            "  actuator 'm': its limits -1 and 2 differ. Allowed: equal limits (line 13)",
         ]
     )
 
 
-def test_elements_with_the_same_fault_share_a_line(read, tmp_path):
+def test_elements_with_one_fault_share_a_line(read, tmp_path):
     limbs = "\n".join(
         f'<body name="b{i}"><joint name="j{i}" range="-1 1" margin="1"/><geom size="0.1"/></body>'
         for i in range(7)
@@ -540,7 +538,7 @@ def test_elements_with_the_same_fault_share_a_line(read, tmp_path):
         read(model(within=limbs))
     named = ", ".join(f"joint 'j{i}'" for i in range(5))
     assert str(refusal.value) == (
-        f"{tmp_path / 'model.xml'}: {named} and 2 more: it has margin; allowed: no margin "
+        f"{tmp_path / 'model.xml'}: {named} and 2 more: it has margin. Allowed: no margin "
         "(lines 9, 10, 11, 12, 13)"
     )
 
@@ -551,12 +549,12 @@ def test_elements_of_included_files_have_no_line(read, tmp_path):
     )
     text = '<mujoco><worldbody><body name="a"><freejoint/><geom size="0.1"/>\n<body name="b">'
     text += '<include file="limb.xml"/><geom size="0.1"/></body></body></worldbody></mujoco>'
-    with pytest.raises(ExchangeError, match=r"joint 'h': it has margin; allowed: no margin$"):
+    with pytest.raises(ExchangeError, match=r"joint 'h': it has margin\. Allowed: no margin$"):
         read(text)
 
 
-def test_elements_without_a_name_are_told_by_their_order(read):
-    """A geom of the parent may stand behind the child in the file, and before it in the model."""
+def test_unnamed_elements_have_a_number_or_owner(read):
+    """The parent's geom follows the child in the file, and precedes it in the model."""
     text = """<mujoco>
     <worldbody><geom type="plane" size="1 1 1"/>
     <body><freejoint/>
@@ -568,9 +566,9 @@ def test_elements_without_a_name_are_told_by_their_order(read):
     with pytest.raises(ExchangeError) as refusal:
         read(text.replace("<velocity ", '<velocity gear="0" '))
     assert str(refusal.value).splitlines()[1:] == [
-        "  joint 'h': it has margin; allowed: no margin (line 4)",
-        "  unnamed geom of body number 2 (unnamed): it has margin; allowed: no margin (line 5)",
-        "  unnamed geom of body number 1 (unnamed): its solmix is 2; allowed: 1 (line 6)",
-        "  actuator number 0 (unnamed): its law is not that of a servo; allowed: position, "
-        "velocity, motor without dynamics of their own (line 8)",
+        "  joint 'h': it has margin. Allowed: no margin (line 4)",
+        "  unnamed geom of body number 2 (unnamed): it has margin. Allowed: no margin (line 5)",
+        "  unnamed geom of body number 1 (unnamed): its solmix is 2. Allowed: 1 (line 6)",
+        "  actuator number 0 (unnamed): its law is not a servo's. Allowed: position, "
+        "velocity, motor, without actuator dynamics (line 8)",
     ]

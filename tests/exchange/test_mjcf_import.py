@@ -1,4 +1,4 @@
-"""A creature comes back as it went out, other people's models move as in MuJoCo, or are refused."""
+"""Import of our own exports and of foreign models, against MuJoCo, and refusals."""
 
 import dataclasses
 import importlib
@@ -32,8 +32,8 @@ from tiny_run import REPOSITORY
 CONFIGS = sorted((REPOSITORY / "configs").glob("*.yaml"))
 GRAVITY = 9.81
 
-# Everything that MuJoCo resolves: classes, degrees, a root turned by 90 degrees, fromto, a geom
-# turned in its body, joints beside the origin, ref, gear, mass in place of density.
+# Features that MuJoCo resolves: classes, degrees, a root rotated by 90 degrees, fromto, a geom
+# rotated in its body, joints away from the origin, ref, gear, and mass instead of density.
 OTHERS = """
 <mujoco model="cat">
   <compiler angle="degree"/>
@@ -73,7 +73,7 @@ OTHERS = """
 
 @pytest.fixture
 def read(tmp_path):
-    """What a model's text comes to."""
+    """Import a model from text."""
 
     def call(text: str, **options):
         path = tmp_path / "model.xml"
@@ -84,12 +84,12 @@ def read(tmp_path):
 
 
 def as_written(config: CreatureConfig) -> Creature:
-    """The creature that is in its file."""
+    """Return the creature after it is written to YAML and read again."""
     return CreatureConfig.model_validate(yaml.safe_load(dump_creature(config))).build()
 
 
 def assert_same(found: Creature, expected: Creature) -> None:
-    """Two creatures have the same bodies, in any order: to 10 digits."""
+    """Compare the bodies of two creatures, in any order, to 10 digits."""
 
     def close(a, b):
         np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-10)
@@ -117,7 +117,7 @@ def assert_same(found: Creature, expected: Creature) -> None:
 
 
 @pytest.mark.parametrize("number", range(len(STRUCTURES)))
-def test_a_creature_comes_back_as_it_went_out(read, number):
+def test_export_and_import_preserve_a_creature(read, number):
     rng = np.random.default_rng(number)
     motor = (None, Actuator(2.0, 3.0, stiffness=5.0), Actuator(0.5))[number % 3]
     creature = random_creature(rng, STRUCTURES[number], 1.2, motor, axes_seed=number)
@@ -131,7 +131,7 @@ def test_a_creature_comes_back_as_it_went_out(read, number):
 
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
-def test_shipped_animals_come_back_as_they_went_out(read, path):
+def test_export_and_import_preserve_shipped_animals(read, path):
     creature = build_creature(load_config(path), path)
     water = Water(1000.0)
     found, left_out = read(mjcf_text(mjcf_model(creature, GRAVITY, water=water)))
@@ -142,12 +142,11 @@ def test_shipped_animals_come_back_as_they_went_out(read, path):
     )
 
 
-def test_a_model_of_somebody_elses_moves_as_in_mujoco(read):
-    """Joint accelerations from random angles and rates, the root at rest: to 1e-10.
+def test_a_foreign_model_moves_as_in_mujoco(read):
+    """Compare joint accelerations at random angles and rates to 1e-10, with the root at rest.
 
-    Of 100 such states the worst differs by 1.5e-12; the file has 10 digits.
-
-    Its bodies' frames are not ours, so this asks for every anchor, axis, turn and inertia.
+    The largest error of 100 such states is 1.5e-12. The frames of the bodies differ from ours, so
+    the test covers every anchor, axis, rotation and inertia.
     """
     config, left_out = read(OTHERS, motor_gain=0.7)
     assert left_out == ("gravity (0, 0, -3.7) m/s^2", "geom 'floor'", "2 lights", "1 camera")
@@ -155,7 +154,7 @@ def test_a_model_of_somebody_elses_moves_as_in_mujoco(read):
     names = ("torso", "hip", "body3", "tail")
     assert tuple(body.name for body in creature.bodies) == names
     torso, hip, knee, tail = creature.bodies
-    # Turned by 90 degrees it is 0.6 m long.
+    # The root is rotated by 90 degrees, so it is 0.6 m long.
     np.testing.assert_allclose(torso.shape.half_extents, [0.3, 0.1, 0.05])
     assert (torso.color, hip.material.dynamic_friction) == ("#336699", 0.9)
     assert hip.joint and knee.joint and tail.joint
@@ -185,7 +184,7 @@ def test_a_model_of_somebody_elses_moves_as_in_mujoco(read):
         return solve(tree, kin, inertia, bias, torque, rotor).qdd
 
     for _ in range(5):
-        # Within the limits, where there is no torque but the springs'.
+        # Angles within the limits have only the springs' torque.
         q, qd = rng.uniform(-0.6, 0.6, 4), rng.normal(scale=3.0, size=4)
         rest = resting_state(tree, dtype=float)
         state = dataclasses.replace(rest, q=jnp.asarray(q), qd=jnp.asarray(qd))
@@ -215,7 +214,7 @@ def model(
     beside: str = "",
     attributes: str = "",
 ) -> str:
-    """A trunk with one limb."""
+    """Return a trunk with one limb."""
     return (
         '<mujoco><compiler angle="radian"/>'
         f'<worldbody><body name="trunk">{free}{trunk}'
@@ -225,7 +224,10 @@ def model(
 
 
 def rod_inertia(radius: float, length: float) -> np.ndarray:
-    """Moments of a capsule of 1 kg across its axis and about it, kg m^2."""
+    """Return a capsule's two moments of inertia, kg m^2, for a mass of 1 kg.
+
+    The first is about an axis perpendicular to the capsule's axis, the second about its axis.
+    """
     along, _, across = Capsule(radius, length).inertia(1.0)
     return np.array([across, along])
 
@@ -239,49 +241,52 @@ def two(first: str = "", second: str = "") -> str:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("<mujoco/>", "the worldbody holds no body; allowed: one"),
+        ("<mujoco/>", "the worldbody holds no body. Allowed: one"),
         (
             model(beside='<body name="other"><freejoint/><geom size="1"/></body>'),
-            "body 'other': it stands in the worldbody beside body 'trunk'; allowed: one body there",
+            "body 'other': it is in the worldbody together with body 'trunk'. Allowed: one body",
         ),
-        (model(free=""), "body 'trunk': the root does not float freely; allowed: a freejoint"),
+        (model(free=""), "body 'trunk': the root does not float freely. Allowed: a freejoint"),
         (
             model(free='<joint name="root" type="free" damping="2"/>'),
-            "joint 'root': it has damping; allowed: no damping",
+            "joint 'root': it has damping. Allowed: no damping",
         ),
-        (model(joints=""), "body 'limb': it is welded to its parent; allowed: one to three hinges"),
+        (model(joints=""), "body 'limb': it is welded to its parent. Allowed: one to three hinges"),
         (
             model(joints="".join(f'<joint axis="1 {i} 0" range="-1 1"/>' for i in range(4))),
-            "body 'limb': it has 4 joints; allowed: one to three hinges",
+            "body 'limb': it has 4 joints. Allowed: one to three hinges",
         ),
         (
             model(joints='<joint name="h" type="ball"/>'),
-            "joint 'h': it is a ball joint; allowed: one to three hinges at one place",
+            "joint 'h': it is a ball joint. Allowed: one to three hinges at one place",
         ),
         (model(joints='<joint type="slide"/>'), "unnamed joint of body 'limb': it is a slide join"),
-        (model(joints='<joint name="h"/>'), "joint 'h': it has no limits; allowed: a range"),
+        (
+            model(joints='<joint name="h"/>'),
+            "joint 'h': it has no limits. Allowed: limits in the attribute range",
+        ),
         (
             model(joints='<joint name="h" range="-1 1" frictionloss="0.1"/>'),
-            "joint 'h': it has frictionloss; allowed: no frictionloss",
+            "joint 'h': it has frictionloss. Allowed: no frictionloss",
         ),
         (
             model(joints='<joint name="h" range="-1 1" stiffness="1" springref="0.2"/>'),
-            "joint 'h': its springref is not its ref; allowed: a spring to the neutral pose",
+            "joint 'h': its springref differs from its ref. Allowed: a spring to the neutral pose",
         ),
         (
             model(joints=two(second='pos="0 0 0.1"')),
-            "joint 'b': its pos is not that of joint 'a'; allowed: the same pos for all hinges",
+            "joint 'b': its pos differs from joint 'a'. Allowed: the same pos for all hinges",
         ),
-        (model(joints=two('damping="1"')), "joint 'b': its damping is not that of joint 'a'"),
-        (model(joints=two('armature="1"')), "joint 'b': its armature is not that of joint 'a'"),
-        (model(joints=two('stiffness="1"')), "joint 'b': its stiffness is not that of joint 'a'"),
+        (model(joints=two('damping="1"')), "joint 'b': its damping differs from joint 'a'"),
+        (model(joints=two('armature="1"')), "joint 'b': its armature differs from joint 'a'"),
+        (model(joints=two('stiffness="1"')), "joint 'b': its stiffness differs from joint 'a'"),
         (
             model(joints=two(), actuators='<velocity joint="a" kv="1"/>'),
-            "joint 'b': its actuator is not that of joint 'a'",
+            "joint 'b': its actuator differs from joint 'a'",
         ),
         (
             model(joints=two().replace("0 1 0", "0 0 1")),
-            "body 'limb': axes: they must be independent of each other and not zero",
+            "body 'limb': axes: must be linearly independent and not zero",
         ),
         (
             model(
@@ -290,70 +295,71 @@ def two(first: str = "", second: str = "") -> str:
                     for axis in ("1 0 0", "0 1 0", "0 0 1")
                 )
             ),
-            "body 'limb': limits_deg: where the middle one of three axes turns by -90 degrees",
+            "body 'limb': limits_deg: the three axes lie in one plane if the middle one turns by "
+            "-90 degrees",
         ),
-        (model(geoms=LIMB + '<geom size="0.2"/>'), "body 'limb': it has 2 geoms; allowed: one"),
+        (model(geoms=LIMB + '<geom size="0.2"/>'), "body 'limb': it has 2 geoms. Allowed: one"),
         (
             model(geoms='<geom name="g" type="cylinder" size="0.1 0.2"/>'),
-            "geom 'g': it is a cylinder; allowed: box, sphere, ellipsoid, capsule",
+            "geom 'g': it is a cylinder. Allowed: box, sphere, ellipsoid, capsule",
         ),
         (
             model(trunk='<geom name="t" type="capsule" size="0.1 0.2"/>'),
-            "geom 't': the root's capsule stands askew in the world; allowed: edges and axes along",
+            "geom 't': the root's capsule is rotated in the world. Allowed: edges and axes along",
         ),
         (
             model(trunk='<geom name="t" type="box" size="0.1 0.2 0.3" euler="0 0 0.3"/>'),
-            "geom 't': the root's box stands askew in the world",
+            "geom 't': the root's box is rotated in the world",
         ),
         (
             model(geoms=f'<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>{LIMB}'),
-            "body 'limb': its centre of mass or inertia is not that of its sphere; allowed: uni",
+            "body 'limb': its centre of mass or inertia does not match its sphere. Allowed: uni",
         ),
         (
             model(attributes='gravcomp="1"'),
-            "body 'limb': its gravcomp is not the buoyancy of a fluid around all bodies; allowed",
+            "body 'limb': its gravcomp is not the buoyancy of a fluid around all bodies. Allowed",
         ),
         (
             model(actuators=MOTOR),
-            "actuator 'm': it gives a torque, and our motors are servos; allowed: position, velo",
+            "actuator 'm': it is a torque motor, and our motors are servos. Allowed: position",
         ),
         (
             model(actuators='<position name="m" joint="h" kp="1"/>'),
-            "actuator 'm': it is undamped; allowed: a kv of more than 0",
+            "actuator 'm': it has no damping. Allowed: a kv of more than 0",
         ),
         (
             model(actuators='<intvelocity name="m" joint="h" actrange="-1 1"/>'),
-            "actuator 'm': its law is not that of a servo; allowed: position, velocity, motor",
+            "actuator 'm': its law is not a servo's. Allowed: position, velocity, motor",
         ),
         (
             model(actuators='<general name="m" joint="h" biastype="affine" biasprm="1 0 -1"/>'),
-            "actuator 'm': its law is not that of a servo",
+            "actuator 'm': its law is not a servo's",
         ),
         (
             model(actuators='<velocity name="m" joint="h" kv="1" forcerange="-1 2"/>'),
-            "actuator 'm': its limits -1 and 2 differ; allowed: equal limits",
+            "actuator 'm': its limits -1 and 2 differ. Allowed: equal limits",
         ),
         (
             model(actuators=2 * '<velocity joint="h" kv="1"/>'),
-            "actuator number 1 (unnamed): it is the second that drives joint 'h'; allowed: one",
+            "actuator number 1 (unnamed): it is the second actuator of joint 'h'. Allowed: one",
         ),
         (
             model(
                 geoms=LIMB + '<site name="s"/>', actuators='<motor name="m" site="s" gear="1 0 0"/>'
             ),
-            "actuator 'm': it drives no hinge; allowed: joint=, a hinge",
+            "actuator 'm': it drives no hinge. Allowed: joint=, a hinge",
         ),
         (
             model(extra='<equality><joint name="e" joint1="h"/></equality>'),
-            "equality 'e': no creature has such a thing; allowed: no equality",
+            "equality 'e': a creature cannot have it. Allowed: no equality",
         ),
         (
             model(extra='<tendon><fixed name="t"><joint joint="h" coef="1"/></fixed></tendon>'),
-            "tendon 't': no creature has such a thing; allowed: no tendon",
+            "tendon 't': a creature cannot have it. Allowed: no tendon",
         ),
         (
             model(extra='<option><flag actuation="disable"/></option>'),
-            "flag 'actuation': it is disabled; allowed: enable",
+            "flag 'actuation': it is disabled. Allowed: enable",
         ),
         (
             model(joints=HINGE.replace("/>", ' damping="-1"/>')),
@@ -389,7 +395,7 @@ def two(first: str = "", second: str = "") -> str:
         ),
         (
             model(geoms=LIMB + 999 * f'<body>{SPARE_HINGE}<geom size="0.1"/></body>'),
-            "model 'model': bodies: 1001 bodies with 'body1001'; allowed: up to 1000",
+            "model 'model': bodies: 1001 bodies with 'body1001'. Allowed: up to 1000",
         ),
         (
             model().replace('"limb"', '"limb&#27;[31m"'),
@@ -400,27 +406,27 @@ def two(first: str = "", second: str = "") -> str:
                 actuators='<velocity name="m" joint="h" kv="1" group="2"/>',
                 extra='<option actuatorgroupdisable="1 2"/>',
             ),
-            "actuator 'm': actuatorgroupdisable disables its group, 2; allowed: an enabled group",
+            "actuator 'm': actuatorgroupdisable disables its group, 2. Allowed: an enabled group",
         ),
         (
             model(attributes='gravcomp="-1"').replace('="trunk"', '="trunk" gravcomp="-1"'),
-            "body 'trunk': its gravcomp is not the buoyancy of a fluid around all bodies; allowed",
+            "body 'trunk': its gravcomp is not the buoyancy of a fluid around all bodies. Allowed",
         ),
         (
-            # A rod of 1 m by 1 mm, whose moment about its axis is 1.6 times that of a capsule.
+            # A rod of 1 m by 1 mm, with 1.6 times a capsule's moment about its axis.
             model(
                 geoms='<inertial pos="0 0 0" mass="1" diaginertia="{0} {0} {1}"/>'.format(
                     *rod_inertia(0.0005, 1.0) * [1.0, 1.6]
                 )
                 + '<geom type="capsule" size="0.0005 0.5"/>'
             ),
-            "body 'limb': its centre of mass or inertia is not that of its capsule; allowed: uni",
+            "body 'limb': its centre of mass or inertia does not match its capsule. Allowed: uni",
         ),
-        (model().replace('"limb"', '"limb{i}"'), "body 'limb{i}': {i} stands for a number in our"),
+        (model().replace('"limb"', '"limb{i}"'), "body 'limb{i}': its name contains {i}"),
         ("<mujoco><wolrd/></mujoco>", "unrecognized element Element 'wolrd', line 1"),
     ],
 )
-def test_what_no_creature_can_be_is_refused_by_name(read, tmp_path, text, expected):
+def test_unsupported_elements_are_refused_by_name(read, tmp_path, text, expected):
     with pytest.raises(ExchangeError) as refusal:
         read(text)
     assert str(refusal.value).startswith(f"{tmp_path / 'model.xml'}: ")
@@ -431,10 +437,10 @@ def test_what_no_creature_can_be_is_refused_by_name(read, tmp_path, text, expect
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (model(attributes='quat="nan 0 0 1"'), "body 'limb': its orientation holds nan; allow"),
+        (model(attributes='quat="nan 0 0 1"'), "body 'limb': its orientation holds nan. Allow"),
         (model(attributes='gravcomp="nan"'), "body 'limb': its gravcomp holds nan"),
-        (model().replace("0.3 0 0", "nan 0 0"), "body 'limb': its pos holds nan; allowed: finite"),
-        (model(geoms='<geom name="g" size="inf"/>'), "geom 'g': its size holds inf; allowed: fin"),
+        (model().replace("0.3 0 0", "nan 0 0"), "body 'limb': its pos holds nan. Allowed: finite"),
+        (model(geoms='<geom name="g" size="inf"/>'), "geom 'g': its size holds inf. Allowed: fin"),
         (
             model(geoms='<geom name="g" size="0.1" friction="nan"/>'),
             "geom 'g': its friction holds nan",
@@ -448,40 +454,41 @@ def test_what_no_creature_can_be_is_refused_by_name(read, tmp_path, text, expect
         (model(joints=HINGE.replace("/>", ' damping="nan"/>')), "joint 'h': its damping holds nan"),
         (
             model(joints=HINGE.replace("/>", ' actuatorfrcrange="-1 nan"/>')),
-            "joint 'h': its actuatorfrcrange holds nan; allowed: numbers",
+            "joint 'h': its actuatorfrcrange holds nan. Allowed: numbers",
         ),
         (
             model(actuators='<velocity name="m" joint="h" kv="1" forcerange="-1 nan"/>'),
-            "actuator 'm': its forcerange holds nan; allowed: numbers",
+            "actuator 'm': its forcerange holds nan. Allowed: numbers",
         ),
         (
             model(actuators='<velocity name="m" joint="h" kv="1" gear="nan"/>'),
-            "actuator 'm': its gear holds nan; allowed: finite numbers",
+            "actuator 'm': its gear holds nan. Allowed: finite numbers",
         ),
     ],
 )
-def test_what_is_no_number_is_refused(read, tmp_path, monkeypatch, text, expected):
-    # MuJoCo warns in a file of the working folder.
+def test_elements_without_numbers_are_refused(read, tmp_path, monkeypatch, text, expected):
+    # MuJoCo writes warnings to a file in the working folder.
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ExchangeError) as refusal:
         read(text)
     assert str(refusal.value).startswith(f"{tmp_path / 'model.xml'}: {expected}")
 
 
-def test_a_torque_motor_needs_limits_to_be_a_servo(read):
+def test_a_torque_motor_without_limits_is_refused(read):
+    words = r"'m': it has no limits\. Allowed: ctrlrange or forcer"
     unlimited = model(actuators=MOTOR.replace('ctrlrange="-1 1"', ""))
-    with pytest.raises(ExchangeError, match="'m': it has no limits; allowed: ctrlrange or forcer"):
+    with pytest.raises(ExchangeError, match=words):
         read(unlimited, motor_gain=1.0)
     unclamped = model(actuators=MOTOR, extra='<option><flag clampctrl="disable"/></option>')
-    with pytest.raises(ExchangeError, match="'m': it has no limits; allowed: ctrlrange or forcer"):
+    with pytest.raises(ExchangeError, match=words):
         read(unclamped, motor_gain=1.0)
     weaker = HINGE.replace("/>", ' actuatorfrcrange="-0.5 0.5"/>')
     found = read(model(joints=weaker, actuators=MOTOR), motor_gain=2.0).creature.build()
     assert found.bodies[1].joint and found.bodies[1].joint.actuator == Actuator(2.0, 0.5)
 
 
-def test_an_inertial_that_is_that_of_the_shape_comes_in(read):
-    """Of a rod of 1 m by 1 mm that stands askew, with the digits that a file has."""
+def test_an_inertial_equal_to_the_shape_is_accepted(read):
+    """The inertial of an oblique rod of 1 m by 1 mm has the digits of a file."""
     inertial = (
         '<inertial pos="0 0 0" mass="1" euler="1 0.5 0" diaginertia="{0:.9g} {0:.9g} {1:.9g}"/>'
     )
@@ -490,8 +497,8 @@ def test_an_inertial_that_is_that_of_the_shape_comes_in(read):
     assert read(model(geoms=rod)).creature.bodies[1].shape.type == "capsule"
 
 
-def test_what_a_command_may_be_is_left_out(read):
-    """Limits of servos' commands are named, but not where MuJoCo does not clamp commands."""
+def test_command_ranges_are_left_out(read):
+    """Limits of servos' commands are named, except if MuJoCo does not clamp commands."""
     limited = '<velocity name="m" joint="a" kv="1" ctrlrange="-1 1"/>'
     one = model(joints=HINGE.replace('"h"', '"a"'), actuators=limited)
     assert read(one).left_out[1:] == ("the ctrlrange of actuator 'm'",)
@@ -502,14 +509,14 @@ def test_what_a_command_may_be_is_left_out(read):
     assert read(free).left_out[1:] == ()
 
 
-def test_where_nothing_has_weight_nothing_floats(read):
-    """Neither gravity nor what compensates it is left out where it is disabled."""
+def test_gravcomp_without_gravity_is_not_reported(read):
+    """Disabled gravity leaves neither gravity nor buoyancy to report."""
     flag = '<option><flag gravity="disable"/></option>'
     assert read(model(attributes='gravcomp="1"', extra=flag)).left_out == ()
 
 
-def test_limits_beyond_all_that_we_allow_are_none(read):
-    """Of a servo, of a torque motor and of its joint; those of one side still count."""
+def test_limits_beyond_the_largest_allowed_are_none(read):
+    """Cover a servo, a torque motor and its joint. One-sided limits still count."""
     law = '<velocity joint="h" kv="1" forcerange="{}"/>'
     for limits in ("-1e15 1e15", "-inf inf"):
         found = read(model(actuators=law.format(limits))).creature.build()
@@ -521,8 +528,8 @@ def test_limits_beyond_all_that_we_allow_are_none(read):
         read(model(actuators=law.format("-1 inf")))
 
 
-def test_small_numbers_of_small_animals_are_kept(read):
-    """Springs, dampers, rotors, motors and densities below what positions are rounded to."""
+def test_small_numbers_are_kept(read):
+    """Values are smaller than the rounding of positions."""
     tiny = 'stiffness="3e-14" damping="2e-15" armature="1e-16"'
     found = read(
         model(
@@ -542,8 +549,8 @@ def test_colours_are_clipped(read):
     assert found.bodies[1].color == "#ff0033"
 
 
-def test_names_are_made_up_where_there_are_none(read, tmp_path):
-    """Bodies by their number, the creature by its file; nobody else's name is taken."""
+def test_missing_names_are_generated(read, tmp_path):
+    """A body takes its number, and the creature its file. Existing names are avoided."""
     text = model().replace('name="limb"', "").replace('name="trunk"', 'name="body2"')
     found = read(text).creature
     assert [entry.name for entry in found.bodies] == ["body2", "body2_"]
@@ -553,7 +560,7 @@ def test_names_are_made_up_where_there_are_none(read, tmp_path):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("nowhere.xml", "no such file"),
+        ("missing.xml", "no such file"),
         ("", r"cannot be read \(Is a directory\)"),
         (300 * "a", r"cannot be read \(File name too long\)"),
         ("model.xml/model.xml", r"cannot be read \(Not a directory\)"),
@@ -565,8 +572,8 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path, name, expected):
         read_mjcf(tmp_path / name)
 
 
-def test_a_urdf_is_told_from_mjcf(read):
-    with pytest.raises(ExchangeError, match=r"it is a URDF; allowed: MJCF"):
+def test_a_urdf_is_refused(read):
+    with pytest.raises(ExchangeError, match=r"it is a URDF\. Allowed: MJCF"):
         read('<?xml version="1.0"?><!-- a robot --><robot name="r"><link name="l"/></robot>')
 
 
@@ -579,13 +586,13 @@ def test_a_urdf_is_told_from_mjcf(read):
         ("<mujoco><chèvre/>", "chèvre"),
     ],
 )
-def test_what_is_not_utf_8_is_named(tmp_path, given, word):
+def test_text_that_is_not_utf_8_is_named(tmp_path, given, word):
     path = tmp_path / "model.xml"
     path.write_bytes(model().replace("<mujoco>", given).encode("latin-1"))
     with pytest.raises(ExchangeError) as refusal:
         read_mjcf(path)
     word = word.encode("latin-1")
-    assert str(refusal.value) == f"{path}: {word!r} is not UTF-8 text; save it as UTF-8"
+    assert str(refusal.value) == f"{path}: {word!r} is not UTF-8 text. Save the file as UTF-8"
 
 
 def test_without_mujoco_the_extra_is_named(read, monkeypatch):
@@ -593,5 +600,5 @@ def test_without_mujoco_the_extra_is_named(read, monkeypatch):
         raise ModuleNotFoundError(name=name)
 
     monkeypatch.setattr(importlib, "import_module", missing)
-    with pytest.raises(ExchangeError, match=r"needs MuJoCo, which `.*\[mujoco\]'` installs"):
+    with pytest.raises(ExchangeError, match=r"needs MuJoCo\. Install it with `.*\[mujoco\]'`"):
         read(model())

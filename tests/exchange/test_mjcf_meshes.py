@@ -1,4 +1,4 @@
-"""Meshes out to MuJoCo and back: masses, inertias and accelerations, and what is refused."""
+"""Export and import of meshes: masses, inertias, accelerations and refusals."""
 
 import dataclasses
 
@@ -31,7 +31,7 @@ GRAVITY = 9.81
 
 
 def animal() -> Creature:
-    """Bodies without symmetry, turned against each other, and a box at the end."""
+    """Return bodies without symmetry at oblique angles, and a box at the end."""
     joint = Joint(
         "a",
         (0.2, 0.01, -0.03),
@@ -55,7 +55,7 @@ def animal() -> Creature:
     )
 
 
-def test_masses_and_inertias_are_those_of_the_creature(compiled):
+def test_masses_and_inertias_equal_mujocos(compiled):
     """MuJoCo integrates the exported mesh, in single precision: 1e-5."""
     creature = animal()
     tree, model = build_tree(creature), compiled(creature, GRAVITY)
@@ -72,8 +72,8 @@ def test_masses_and_inertias_are_those_of_the_creature(compiled):
         np.testing.assert_allclose(found, expected, atol=1e-5 * expected.max())
 
 
-def test_it_accelerates_as_in_mujoco(compiled):
-    """Weight, springs, dampers and turning in five states: 1e-4 of the largest acceleration."""
+def test_accelerations_equal_mujocos(compiled):
+    """Gravity, springs, dampers and rotation in five states: 1e-4 of the largest acceleration."""
     creature = animal()
     tree, model = build_tree(creature), compiled(creature, GRAVITY)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
@@ -109,8 +109,8 @@ def read(tmp_path):
     return call
 
 
-def test_a_creature_comes_back_as_it_went_out(read):
-    """Written to YAML and read again: places, volumes and inertias, to single precision."""
+def test_export_and_import_preserve_a_creature(read):
+    """Places, volumes and inertias agree to single precision, also after YAML."""
     creature = animal()
     found, left_out = read(mjcf_text(mjcf_model(creature, 0.0)))
     again = CreatureConfig.model_validate(yaml.safe_load(dump_creature(found))).build()
@@ -139,8 +139,8 @@ def model(mesh: trimesh.Trimesh) -> str:
 """
 
 
-def test_a_turned_root_stands_in_the_world_s_axes(read):
-    """A box that is turned by 30 degrees in its body: a mesh with its corners there."""
+def test_a_rotated_mesh_of_the_root_keeps_its_orientation(read):
+    """The mesh of a box at 30 degrees has rotated corners."""
     found, _ = read(model(trimesh.creation.box((0.3, 0.2, 0.1))))
     shape = found.build().bodies[0].shape
     half = np.deg2rad(30)
@@ -148,8 +148,8 @@ def test_a_turned_root_stands_in_the_world_s_axes(read):
     assert np.abs(shape.points[:, :2] - corner).max(1).min() < 1e-6
 
 
-def test_a_thin_mesh_that_stands_askew_comes_in(read):
-    """A rod of 1 m by 2 mm, of which MuJoCo keeps the corners in single precision."""
+def test_a_thin_oblique_mesh_is_accepted(read):
+    """MuJoCo keeps the corners of a rod of 1 m by 2 mm in single precision."""
     rod = trimesh.creation.box((1.0, 0.002, 0.003))
     turn = np.eye(4)
     turn[:3, :3] = euler_to_matrix(0.3, -0.2, 0.7)

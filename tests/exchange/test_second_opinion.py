@@ -1,4 +1,4 @@
-"""A champion's commands, and its controller with MuJoCo's senses, on the exported model."""
+"""Recorded commands, and the controller with MuJoCo's senses, on the exported model."""
 
 import dataclasses
 import sys
@@ -19,8 +19,8 @@ from evo_cpg.simulation.rollout import rollout
 from tiny_run import CONFIG, PAIR
 
 
-def lived(path, *overrides):
-    """A random individual's trial."""
+def trial(path, *overrides):
+    """Return experiment, genes and physics steps of a random individual's trial."""
     experiment = build_experiment(load_config(path, overrides), path)
     simulation = experiment.simulation
     genes = simulation.genome.random(jax.random.key(1), (1,), np.float32)
@@ -32,76 +32,76 @@ def lived(path, *overrides):
 
 @pytest.fixture(scope="module")
 def swimmer():
-    return lived(CONFIG, *PAIR, "simulation.steps=90", "simulation.substeps=4")
+    return trial(CONFIG, *PAIR, "simulation.steps=90", "simulation.substeps=4")
 
 
-def test_without_mujoco_there_is_none(swimmer, monkeypatch):
+def test_missing_mujoco_raises(swimmer, monkeypatch):
     experiment, _, steps = swimmer
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(ExchangeError, match="MuJoCo is not installed here; "):
+    with pytest.raises(ExchangeError, match=r"MuJoCo is not installed\. Install it with "):
         second_opinion(experiment.simulation, experiment.creature, steps)
 
 
-def test_in_water_commands_and_controller_lead_to_our_own_motion(swimmer):
-    """Both programs solve the same equations there; ours has steps of 1/240 s, MuJoCo 1/2000 s."""
+def test_both_programs_agree_in_water(swimmer):
+    """Our steps are 1/240 s, and MuJoCo's 1/2000 s."""
     experiment, genes, steps = swimmer
     simulation = experiment.simulation
     own = own_opinion(simulation, steps)
-    told = second_opinion(simulation, experiment.creature, steps)
+    commanded = second_opinion(simulation, experiment.creature, steps)
     brain = Brain(simulation, genes)
     sensed = second_opinion(simulation, experiment.creature, steps, brain=brain)
-    assert (told.program, sensed.program) == ("MuJoCo", "MuJoCo, own senses")
+    assert (commanded.program, sensed.program) == ("MuJoCo", "MuJoCo, own senses")
     assert np.abs(own.joint_angle).max() > 0.1
-    for other in (told, sensed):
+    for other in (commanded, sensed):
         np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=5e-3)
         np.testing.assert_allclose(other.path, own.path, atol=2e-3)
 
 
-def test_who_is_in_water_is_not_airborne(swimmer):
-    """Without ground the word means nothing, and above a floor the water holds the animal."""
+def test_an_animal_in_water_is_not_airborne(swimmer):
+    """The fraction is None without ground or with water everywhere."""
     experiment, _, steps = swimmer
     simulation, creature = experiment.simulation, experiment.creature
     assert own_opinion(simulation, steps).airborne is None
     assert second_opinion(simulation, creature, steps).airborne is None
     world = simulation.world
     contact_model = make_contact_model(creature, world.tree, Ground())
-    for surface, share in ((None, None), (2.0, 0.0), (-2.0, 1.0)):
+    for surface, fraction in ((None, None), (2.0, 0.0), (-2.0, 1.0)):
         water = dataclasses.replace(world.water, surface=surface)
         changed = dataclasses.replace(world, water=water, contact_model=contact_model)
         pool = dataclasses.replace(simulation, world=changed)
-        assert own_opinion(pool, steps).airborne == share
+        assert own_opinion(pool, steps).airborne == fraction
 
 
 def test_mujocos_animal_in_water_is_not_airborne():
-    """It hangs a metre above the floor of a pool that is 3 m deep."""
+    """The animal floats a metre above the floor of a pool 3 m deep."""
     pool = ["world.ground={}", "world.water.surface=3", "simulation.start_clearance=1"]
-    experiment, _, steps = lived(CONFIG, *PAIR, *pool, "simulation.steps=12")
+    experiment, _, steps = trial(CONFIG, *PAIR, *pool, "simulation.steps=12")
     own = own_opinion(experiment.simulation, steps)
-    told = second_opinion(experiment.simulation, experiment.creature, steps)
-    assert (own.airborne, told.airborne) == (0.0, 0.0)
+    commanded = second_opinion(experiment.simulation, experiment.creature, steps)
+    assert (own.airborne, commanded.airborne) == (0.0, 0.0)
     assert not np.any(steps.contact_force)
 
 
-def test_a_controller_hears_what_mujocos_animal_feels(swimmer):
-    """Started elsewhere, one that corrects its angles comes to other commands than were given."""
+def test_the_controller_uses_the_senses_of_mujocos_animal(swimmer):
+    """A controller that corrects angles reduces an initial error. Recorded commands do not."""
     experiment, genes, steps = swimmer
     simulation, creature = experiment.simulation, experiment.creature
     bent = steps._replace(
         before=eqx.tree_at(lambda state: state.q, steps.before, steps.before.q + 0.3),
     )
-    told = second_opinion(simulation, creature, bent)
+    commanded = second_opinion(simulation, creature, bent)
     sensed = second_opinion(simulation, creature, bent, brain=Brain(simulation, genes))
-    # The commands alone keep what is off; centring in the controller takes it back.
+    # Recorded commands keep the error, and the controller reduces it.
     own = own_opinion(simulation, steps).joint_angle
-    off = [np.abs(each.joint_angle - own)[:, -1].max() for each in (told, sensed)]
+    off = [np.abs(each.joint_angle - own)[:, -1].max() for each in (commanded, sensed)]
     assert off[0] > 0.2 and off[1] < 0.7 * off[0]
 
 
 @pytest.mark.slow
-def test_on_the_ground_hard_contacts_bear_the_weight_in_the_end():
-    """A hexapod that holds one posture stands in both programs, as high to 2 mm."""
+def test_a_standing_hexapod_has_equal_heights_in_both_programs():
+    """A hexapod holds one posture with hard contacts. Heights agree to 2 mm."""
     path = CONFIG.with_name("hexapod.yaml")
-    experiment, _, _ = lived(path, "simulation.steps=1")
+    experiment, _, _ = trial(path, "simulation.steps=1")
     simulation = dataclasses.replace(experiment.simulation, steps=120)
     assert isinstance(simulation.controller, PostureController)
     genes = np.zeros((simulation.controller.gene_count, 1), np.float32)

@@ -1,4 +1,4 @@
-"""Fused functions next to the same functions computed by JAX."""
+"""Helpers that compare fused functions with plain JAX."""
 
 import functools
 
@@ -14,23 +14,23 @@ def sample(shape, seed=0, dtype=np.float32):
 
 
 def fused(function, *args, batch_ndim=1):
-    """The leaves of the results as native code computes them."""
+    """Return the leaves of the results that native code computes, mapped over the last axes."""
     run = jax.jit(functools.partial(fuse, function, batch_ndim=batch_ndim))
     return [np.asarray(leaf) for leaf in jax.tree.leaves(run(*args))]
 
 
 def plain(function, *args, batch_ndim=1):
-    """The leaves of the results as JAX computes them, one individual as all others."""
+    """Return the leaves of the results that plain JAX computes, mapped over the last axes."""
     for _ in range(batch_ndim):
         function = jax.vmap(function, in_axes=-1, out_axes=-1)
     return [np.asarray(leaf) for leaf in jax.tree.leaves(jax.jit(function)(*args))]
 
 
 def assert_agrees(function, *args, batch_ndim=1, rtol=1e-6, atol=1e-6):
-    """The same numbers, types and shapes, NaN and infinities where JAX has them."""
-    got, wanted = (run(function, *args, batch_ndim=batch_ndim) for run in (fused, plain))
-    assert [x.dtype for x in got] == [x.dtype for x in wanted]
-    for one, other in zip(got, wanted, strict=True):
+    """Assert that native code and JAX agree in numbers, types, shapes, NaN and infinities."""
+    got, expected = (run(function, *args, batch_ndim=batch_ndim) for run in (fused, plain))
+    assert [x.dtype for x in got] == [x.dtype for x in expected]
+    for one, other in zip(got, expected, strict=True):
         exact = one.dtype.kind != "f"
         tolerance = {"rtol": 0, "atol": 0} if exact else {"rtol": rtol, "atol": atol}
         np.testing.assert_allclose(one, other, strict=True, **tolerance)

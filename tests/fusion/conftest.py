@@ -1,4 +1,4 @@
-"""Every program that a test makes native is verified after each pass."""
+"""Verification of every native program of a test after each pass."""
 
 import pytest
 

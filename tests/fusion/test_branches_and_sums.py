@@ -1,4 +1,4 @@
-"""Branches that are jumped over, and arrays that loops add to, are those of JAX."""
+"""Skipped branches, and arrays that loops add to, agree with JAX."""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ POINTS, SIZE = 9, 30
 
 @pytest.fixture
 def texts(monkeypatch):
-    """The code of all programs that are made."""
+    """Collect the code of all compiled programs."""
     found, load = [], native.load
     monkeypatch.setattr(
         native, "load", lambda text, *args: (found.append(text), load(text, *args))[1]
@@ -25,7 +25,7 @@ def texts(monkeypatch):
 
 
 def long_branch(x, k):
-    """Enough operations to be worth a jump."""
+    """Compute so many operations that skipping them is worth a jump."""
     for i in range(8):
         x = x + 0.1 * jnp.sin(x * (i + 1.0) + k)
     return x
@@ -34,9 +34,12 @@ def long_branch(x, k):
 def choose(x):
     def turn(carry, k):
         number = k.astype(x.dtype)
-        wanted = x[0] * (number - 2.0) > 0.3
+        condition = x[0] * (number - 2.0) > 0.3
         new = lax.cond(
-            wanted, lambda c: (long_branch(c, number), c[0]), lambda c: (c, jnp.float32(2)), carry
+            condition,
+            lambda c: (long_branch(c, number), c[0]),
+            lambda c: (c, jnp.float32(2)),
+            carry,
         )
         return new[0], (new[1], new[0][1] > 0)
 
@@ -44,21 +47,21 @@ def choose(x):
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_long_branches(count, texts):
+def test_long_branches_agree_with_jax(count, texts):
     assert_agrees(choose, sample((6, count)), rtol=1e-5, atol=1e-6)
     assert any("icmp slt i32 %round" in text and "%body" in text for text in texts)
 
 
-def test_long_branches_among_several(texts):
+def test_a_long_branch_of_a_switch_agrees_with_jax(texts):
     def function(x):
         which = jnp.clip(jnp.floor(x[0] * 3), -1, 4).astype(jnp.int32)
-        ways = [lambda y, k=k: long_branch(y, float(k)) for k in range(3)]
-        return lax.switch(which, ways, x)
+        branches = [lambda y, k=k: long_branch(y, float(k)) for k in range(3)]
+        return lax.switch(which, branches, x)
 
     assert_agrees(function, sample((6, 37)), rtol=1e-5, atol=1e-6)
 
 
-def test_branches_within_branches():
+def test_nested_branches_agree_with_jax():
     def inner(x):
         return lax.cond(x[1] > 0, lambda y: long_branch(y, 1.0), lambda y: 2 * y, x)
 
@@ -68,8 +71,8 @@ def test_branches_within_branches():
     assert_agrees(function, sample((6, 37)), rtol=1e-5, atol=1e-6)
 
 
-def test_garbage_of_others_stays_out():
-    """An individual that does not take a branch gets nothing of what its neighbours compute."""
+def test_a_skipped_branch_has_no_effect():
+    """Individuals that skip a branch of `cond` do not depend on others that take the branch."""
 
     def function(x):
         def divide(y):
@@ -83,7 +86,7 @@ def test_garbage_of_others_stays_out():
 
 
 def scattered(x, active=None):
-    """Sums at computed places, in rounds that some individuals skip."""
+    """Return sums at computed places, in rounds that some individuals skip."""
     places = jnp.asarray(np.random.default_rng(2).integers(0, SIZE, (POINTS, 3)), jnp.int32)
     table = jnp.stack([x[0] * k for k in range(POINTS)])
 
@@ -101,13 +104,13 @@ def scattered(x, active=None):
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_sums_at_computed_places(count, texts):
+def test_sums_at_computed_places_agree_with_jax(count, texts):
     assert_agrees(scattered, sample((3, count)), rtol=1e-5, atol=1e-5)
     assert all("select" in text for text in texts)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_sums_without_a_branch(dtype):
+def test_unconditional_sums_agree_with_jax(dtype):
     def function(x):
         def turn(total, k):
             return total.at[k % SIZE].add(x[0] * k, mode="promise_in_bounds"), None
@@ -119,7 +122,7 @@ def test_sums_without_a_branch(dtype):
         assert_agrees(function, sample((3, 21), dtype=dtype), rtol=1e-5, atol=1e-5)
 
 
-def test_sums_in_a_loop_within_a_loop():
+def test_sums_in_nested_loops_agree_with_jax():
     def function(x):
         def inner(total, k):
             return total.at[k].add(x[1] * x[0], mode="promise_in_bounds"), None
@@ -133,8 +136,8 @@ def test_sums_in_a_loop_within_a_loop():
     assert_agrees(function, sample((3, 21)), rtol=1e-5, atol=1e-5)
 
 
-def test_sums_in_loops_that_end_at_different_rounds():
-    """Sums are made in every round of a packed loop, from tables and lists made before it."""
+def test_sums_in_packed_loops_agree_with_jax():
+    """Add in every round of a packed loop, from tables and lists made before the loop."""
 
     def function(x):
         first, list_ = scattered(x)
@@ -149,8 +152,8 @@ def test_sums_in_loops_that_end_at_different_rounds():
     assert_agrees(function, sample((3, 301)), rtol=1e-4, atol=1e-4)
 
 
-def test_array_that_is_read_is_no_sum():
-    """A loop that reads what it added falls back to what was done before."""
+def test_a_sum_that_its_loop_reads_agrees_with_jax():
+    """A loop that reads its sums cannot use the code for sums, but agrees."""
 
     def function(x):
         def turn(total, k):
@@ -171,7 +174,7 @@ def test_a_list_read_one_by_one_is_not_copied(texts):
     assert all(text.count("store volatile") < 40 for text in texts)
 
 
-def test_derivatives():
+def test_derivatives_of_branches_and_sums_agree_with_jax():
     def function(x):
         total, mine = scattered(x)
         return (total**2).sum() + choose(x.repeat(2))[0].sum() + (mine**3).sum()
@@ -182,7 +185,7 @@ def test_derivatives():
     np.testing.assert_allclose(got, expected, rtol=1e-3, atol=1e-3)
 
 
-def test_sums_at_own_places_are_left_to_jax():
+def test_sums_at_places_of_each_individual_run_on_jax():
     def function(x):
         own = jnp.clip(jnp.floor(5 * x[0]), 0, 9).astype(jnp.int32)
 
@@ -191,5 +194,5 @@ def test_sums_at_own_places_are_left_to_jax():
 
         return lax.scan(turn, jnp.zeros(10, x.dtype), jnp.arange(4))[0]
 
-    with pytest.warns(UserWarning, match="it adds to places that differ from individual"):
+    with pytest.warns(UserWarning, match="no rule for adding to places that differ"):
         assert_agrees(function, sample((3, 21)))

@@ -1,4 +1,4 @@
-"""Creatures of many bodies become native code whose size grows slowly with their number."""
+"""The size of native code grows slowly with the number of bodies."""
 
 import functools
 from pathlib import Path
@@ -19,7 +19,7 @@ SOURCE = Path("walker.yaml")
 
 
 def operations(legs):
-    """Return the number of operations of a walker's trial; no code is made."""
+    """Return the number of operations of a walker's trial, without compiling it."""
     config = complete_config(walker(legs, "capsule"), SOURCE)
     simulation = build_experiment(config, SOURCE).simulation
     genes = jax.eval_shape(lambda: simulation.genome.random(jax.random.key(0), (64,), jnp.float32))

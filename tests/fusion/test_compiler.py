@@ -1,4 +1,4 @@
-"""LLVM runs in a process of its own: what it makes, and what happens when it dies."""
+"""LLVM in a separate process: its code, and the fallback if the process dies."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ SEVEN = "define i32 @handler() { ret i32 7 }"
 
 @pytest.fixture(autouse=True)
 def tested():
-    """Native code passes its self-test before any test replaces processes."""
+    """Run the self-test of native code before any test replaces processes."""
     engine.target()
 
 
@@ -39,7 +39,7 @@ def compiles(monkeypatch):
     compiler._stop()
 
 
-def test_process_makes_the_same_code(compiles):
+def test_separate_process_makes_the_same_code(compiles):
     here = compiler_process.object_code(request(SEVEN))
     assert compiles(SEVEN) == here
     assert compiler._process is not None and compiler._process.pid != os.getpid()
@@ -51,7 +51,7 @@ def test_process_serves_several_requests(compiles):
     with pytest.raises(RuntimeError, match="LLVM IR parsing error"):
         compiles("this is no code")
     assert compiles(SEVEN) == first
-    assert process is not None and process.returncode is not None, "an error starts it anew"
+    assert process is not None and process.returncode is not None, "an error ends the process"
 
 
 def test_large_text_ends_the_process(compiles, monkeypatch):
@@ -60,7 +60,7 @@ def test_large_text_ends_the_process(compiles, monkeypatch):
     assert compiler._process is None
 
 
-def test_without_processes_it_compiles_here(compiles, monkeypatch):
+def test_without_processes_this_process_compiles(compiles, monkeypatch):
     def refuse(*args, **options):
         raise OSError("no more processes")
 
@@ -70,7 +70,7 @@ def test_without_processes_it_compiles_here(compiles, monkeypatch):
 
 
 def test_program_falls_back_when_compiler_dies(monkeypatch):
-    """A process that ends like one whose stack overflows."""
+    """Replace the compiler by a process that ends as after a stack overflow."""
     compiler._stop()
     start = subprocess.Popen
     command = [sys.executable, "-c", "import os; os.kill(os.getpid(), 11)"]
@@ -78,7 +78,7 @@ def test_program_falls_back_when_compiler_dies(monkeypatch):
     x = sample((3, 9))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        # A number that no other test has, so that the code is not in memory yet.
+        # No other test uses this number, so the code is not in memory yet.
         got = jax.jit(lambda x: fuse(lambda x: x * 0.7310585, x, batch_ndim=1, name="times"))(x)
     (only,) = [each for each in caught if each.category is EngineWarning]
     assert str(only.message) == (
@@ -89,18 +89,18 @@ def test_program_falls_back_when_compiler_dies(monkeypatch):
     compiler._stop()
 
 
-def test_stack_size_of_other_threads_stays():
+def test_stack_size_of_other_threads_does_not_change():
     before = threading.stack_size()
     compiler_process._on_large_stack(lambda: b"")
     assert threading.stack_size() == before
 
 
-def test_errors_of_the_thread_are_raised():
+def test_errors_of_the_compiler_thread_are_raised():
     with pytest.raises(ZeroDivisionError):
         compiler_process._on_large_stack(lambda: bytes(1 // 0))
 
 
-def test_cut_functions_have_the_same_bits(monkeypatch):
+def test_code_cut_into_functions_gives_the_same_bits(monkeypatch):
     def program(x):
         def turn(carry, i):
             y = carry + 0.1 * jax.numpy.sin(x * i.astype(x.dtype))

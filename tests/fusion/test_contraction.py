@@ -1,4 +1,4 @@
-"""Chains of sums: the same value, no more instructions, and most of them with a product in it."""
+"""Contraction of sums keeps values, adds no instruction, and fuses most products into sums."""
 
 import collections
 import itertools
@@ -33,7 +33,7 @@ def given_nodes(builder: Builder, count: int) -> list[Node]:
 
 
 def contracted(builder: Builder, *roots: Node, reorder: bool = True) -> Graph:
-    """Return the graph behind the pass, which changes nothing of the graph that it is given."""
+    """Return the graph after the pass, which does not change its argument."""
     builder.end_part((), roots, reorder)
     before = builder.graph([np.array([root], object) for root in roots])
     text = show(before)
@@ -43,7 +43,7 @@ def contracted(builder: Builder, *roots: Node, reorder: bool = True) -> Graph:
 
 
 def expression(builder: Builder, draw) -> list[Node]:
-    """Random sums and products; some are used where it cannot be seen."""
+    """Return random sums and products, some behind opaque nodes."""
     nodes = given_nodes(builder, 6)
     for _ in range(draw(st.integers(1, 40))):
         a, b = (nodes[draw(st.integers(0, len(nodes) - 1))] for _ in range(2))
@@ -83,7 +83,7 @@ def instructions(nodes) -> int:
 
 
 def magnitude(node: Node) -> float:
-    """The value with all terms taken as positive: what rounding is measured by."""
+    """Return the sum of the absolute values of all terms, the scale of rounding errors."""
     known: dict = {}
 
     def size(one: Node) -> float:
@@ -104,7 +104,7 @@ def magnitude(node: Node) -> float:
 
 @given(st.data(), st.booleans())
 def test_values_stay_and_instructions_do_not_grow(data, reorder):
-    """Also of what another program within is given."""
+    """Arguments of an inner program keep their values too."""
     builder = Builder()
     nodes = expression(builder, data.draw)
     seen = data.draw(st.lists(st.sampled_from(nodes), max_size=3))
@@ -114,17 +114,17 @@ def test_values_stay_and_instructions_do_not_grow(data, reorder):
         else nodes[0]
     )
     inside = builder.opaque(found, part=builder.end_part(seen, [found]))
-    wanted = [nodes[-1], *seen]
-    before, count = [value(node, {}) for node in wanted], instructions(wanted)
-    scales = [magnitude(node) for node in wanted]
+    expected = [nodes[-1], *seen]
+    before, count = [value(node, {}) for node in expected], instructions(expected)
+    scales = [magnitude(node) for node in expected]
     after = contracted(builder, nodes[-1], inside, reorder=reorder)
-    wanted = [after.result_nodes[0], *after.parts[0].arguments]
-    for node, old, scale in zip(wanted, before, scales, strict=True):
+    expected = [after.result_nodes[0], *after.parts[0].arguments]
+    for node, old, scale in zip(expected, before, scales, strict=True):
         assert abs(value(node, {}) - old) <= 1e-12 * scale or not np.isfinite(scale)
-    assert instructions(wanted) <= count
-    every = everything_behind(wanted)
+    assert instructions(expected) <= count
+    every = everything_behind(expected)
     users = collections.Counter(
-        [*wanted, *(operand for node in every for operand in node.operands)]
+        [*expected, *(operand for node in every for operand in node.operands)]
     )
     left = [
         operand
@@ -135,8 +135,8 @@ def test_values_stay_and_instructions_do_not_grow(data, reorder):
     assert not left
 
 
-def test_products_are_added_one_by_one():
-    """``(a b + c d) + (e f + x)`` is three instructions, each with a product."""
+def test_each_product_is_fused_into_a_sum():
+    """``(a b + c d) + (e f + x)`` becomes three instructions, each with a product."""
     builder = Builder()
     a, b, c, d, e, f, x = given_nodes(builder, 7)
     ab, cd, ef = (builder.multiply(*pair) for pair in ((a, b), (c, d), (e, f)))
@@ -160,8 +160,8 @@ def test_signs_are_kept(signs, made):
     assert made in counts([root])
 
 
-def test_the_written_order_is_kept_where_it_matters():
-    """``((a + b c) + d) - e f``, and a difference of which the product comes first."""
+def test_without_reordering_the_written_order_is_kept():
+    """Keep the order of ``((a + b c) + d) - e f`` and of a difference with the product first."""
     builder = Builder()
     a, b, c, d, e, f = given_nodes(builder, 6)
     inner = builder.add(builder.add(a, builder.multiply(b, c)), d)
@@ -176,7 +176,7 @@ def test_the_written_order_is_kept_where_it_matters():
     assert other.op == "fms" and other.operands == (a, d, e)
 
 
-def test_a_sum_or_product_that_others_use_is_left_whole():
+def test_a_sum_or_product_with_other_users_stays_whole():
     builder = Builder()
     a, b, c, d = given_nodes(builder, 4)
     shared = builder.add(builder.multiply(a, b), builder.multiply(c, d))
@@ -189,8 +189,8 @@ def test_a_sum_or_product_that_others_use_is_left_whole():
     assert roots[2].op == "add" and product in roots[2].operands
 
 
-def test_what_another_program_reads_is_left_as_it_is():
-    """``s = a b + c d`` is read elsewhere: ``s + e`` must not become ``(e + a b) + c d``."""
+def test_arguments_of_an_inner_program_are_not_reordered():
+    """If a program reads ``s = a b + c d``, ``s + e`` must not become ``(e + a b) + c d``."""
     builder = Builder()
     a, b, c, d, e = given_nodes(builder, 5)
     s = builder.add(builder.multiply(a, b), builder.multiply(c, d))
@@ -204,8 +204,8 @@ def test_what_another_program_reads_is_left_as_it_is():
     assert s in root.operands and s.op == "fma"
 
 
-def test_all_orders_of_terms_are_one_chain():
-    """However four products are grouped, three of them are added as they are made."""
+def test_three_of_four_products_are_fused_in_any_order():
+    """Three of four products are fused into sums, in any order of the products."""
     for order in itertools.permutations(range(4)):
         builder = Builder()
         x = given_nodes(builder, 8)

@@ -1,4 +1,4 @@
-"""Derivatives of fused functions are those of the same functions unfused, and fused themselves."""
+"""Derivatives of fused functions equal those of plain JAX, and are fused too."""
 
 import functools
 
@@ -9,7 +9,7 @@ import pytest
 
 from evo_cpg.fusion.fuse import fuse
 
-# Every kind of operation that moves numbers about, and smooth and kinked functions of them.
+# Every kind of operation that moves numbers, and smooth and kinked functions.
 OPERATIONS = {
     "slice": lambda x: x[1:, :2],
     "steps": lambda x: x[::2, ::-1],
@@ -40,29 +40,29 @@ def sample(shape, seed=0, dtype=np.float64):
 
 
 def weighed(run, x):
-    """One number from all results."""
+    """Return a weighted sum of all results."""
     result = run(x)
     return (result * jnp.cos(jnp.arange(result.size)).reshape(result.shape)).sum()
 
 
 @pytest.mark.parametrize("name", OPERATIONS)
-def test_forwards_and_backwards(name, x64):
+def test_forward_and_reverse_derivatives_equal_those_of_jax(name, x64):
     function, x, along = OPERATIONS[name], sample((3, 3, 5)), sample((3, 3, 5), 1)
 
     @functools.partial(jax.jit, static_argnums=0)
     def both(run, x):
-        slope = jax.grad(functools.partial(weighed, run))(x)
-        return slope, jax.jvp(run, (x,), (along,))[1]
+        gradient = jax.grad(functools.partial(weighed, run))(x)
+        return gradient, jax.jvp(run, (x,), (along,))[1]
 
     found = both(functools.partial(fuse, function, batch_ndim=1), x)
     expected = both(function, x)
     assert np.abs(expected[0]).max() > 0.1
-    for got, wanted in zip(found, expected, strict=True):
-        np.testing.assert_allclose(got, wanted, rtol=1e-11, atol=1e-13)
+    for got, each in zip(found, expected, strict=True):
+        np.testing.assert_allclose(got, each, rtol=1e-11, atol=1e-13)
 
 
 def spiral(x, turn):
-    """Two results, of which one is whether something holds."""
+    """Return a number and a truth value."""
     return jnp.stack([x[0] * jnp.cos(turn) - x[1], x[1] + 0.1 * x[0] ** 2]), x[0] > 0
 
 
@@ -74,8 +74,8 @@ def path(run, turn, x):
     return jax.lax.scan(jax.checkpoint(advance), x, None, length=5)[1].sum()
 
 
-def test_through_a_scan_a_map_and_twice(x64):
-    """The Hessian of a sum over a path, whose parameter is closed over, mapped over starts."""
+def test_hessians_of_a_mapped_scan_equal_those_of_jax(x64):
+    """Compare Hessians, mapped over starts, of a sum over a path with a closed-over parameter."""
     turn = jnp.asarray([0.3, 0.7])
     starts = sample((4, 2, 2), 3)
 
@@ -83,29 +83,31 @@ def test_through_a_scan_a_map_and_twice(x64):
         return fuse(spiral, x, turn, batch_ndim=1)
 
     for differentiate in (jax.hessian, lambda f: jax.jacrev(jax.jacrev(f))):
-        got, wanted = (
+        got, expected = (
             jax.jit(jax.vmap(differentiate(functools.partial(path, run)), (None, 0)))
             for run in (fused, spiral)
         )
-        np.testing.assert_allclose(got(turn, starts), wanted(turn, starts), rtol=1e-11, atol=1e-13)
+        np.testing.assert_allclose(
+            got(turn, starts), expected(turn, starts), rtol=1e-11, atol=1e-13
+        )
 
 
-def test_what_all_share_gathers_the_slopes_of_all(x64):
+def test_shared_values_get_the_sum_of_all_gradients(x64):
     x = sample((3, 6))
 
     def energy(run, weights):
         return (run(lambda x: jnp.sin(weights.reshape(3, *(1,) * (x.ndim - 1)) * x)) ** 2).sum()
 
     weights = jnp.arange(1.0, 4.0)
-    wanted = jax.grad(lambda w: energy(lambda f: f(x), w))(weights)
+    expected = jax.grad(lambda w: energy(lambda f: f(x), w))(weights)
     got = jax.jit(jax.grad(lambda w: energy(lambda f: fuse(f, x, batch_ndim=1), w)))(weights)
-    np.testing.assert_allclose(got, wanted, rtol=1e-12)
+    np.testing.assert_allclose(got, expected, rtol=1e-12)
     forward = jax.jit(jax.jacfwd(lambda w: energy(lambda f: fuse(f, x, batch_ndim=1), w)))(weights)
-    np.testing.assert_allclose(forward, wanted, rtol=1e-12)
+    np.testing.assert_allclose(forward, expected, rtol=1e-12)
 
 
 def test_a_gradient_is_one_piece_of_code():
-    """The backward pass computes the forward one again, and nothing is left to XLA but sums."""
+    """The backward pass computes the forward pass again, and XLA computes sums alone."""
 
     def chain(x):
         for i in range(40):
@@ -119,7 +121,7 @@ def test_a_gradient_is_one_piece_of_code():
 
 
 def test_empty_results_keep_their_type(x64):
-    """Where float64 is on, a program of float32 stays one, and so do its derivatives."""
+    """A float32 program and its derivatives stay in float32 if float64 is enabled."""
 
     def parts(x):
         return x[:0], x * x
@@ -127,5 +129,5 @@ def test_empty_results_keep_their_type(x64):
     x = sample((3, 4), 1, "f4")
     empty, _ = jax.jit(lambda x: fuse(parts, x, batch_ndim=1))(x)
     assert empty.dtype == np.float32 and empty.shape == (0, 4)
-    slope = jax.jit(jax.grad(lambda x: sum(y.sum() for y in fuse(parts, x, batch_ndim=1))))(x)
-    np.testing.assert_allclose(slope, 2 * x, rtol=1e-6)
+    gradient = jax.jit(jax.grad(lambda x: sum(y.sum() for y in fuse(parts, x, batch_ndim=1))))(x)
+    np.testing.assert_allclose(gradient, 2 * x, rtol=1e-6)

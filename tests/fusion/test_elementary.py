@@ -1,4 +1,4 @@
-"""Elementary functions of float32 against SciPy in float64, and against JAX where they end."""
+"""Elementary functions of float32 against SciPy in float64, and against JAX at their limits."""
 
 import functools
 
@@ -12,8 +12,8 @@ from evo_cpg.fusion.frontend.elementary import FLOAT32
 
 SMALLEST = 2.0**-126
 
-# The function in float64, and by how many units in the last place it may be off: what was measured
-# with one argument in seventeen of all, fused and not, and a little.
+# The function in float64, and its largest error in units in the last place: the measured maximum
+# over one in seventeen of all arguments, fused and not, plus a small margin.
 EXACT = {
     "exp": (np.exp, 1.9),
     "exp2": (np.exp2, 1.9),
@@ -36,10 +36,11 @@ EXACT = {
 }
 OF_TWO = ("atan2", "pow")
 
-# Optimised, XLA:CPU fuses products with sums; otherwise it does not.
+# XLA:CPU fuses products with sums only if it optimises.
 LEVELS = pytest.mark.parametrize("level", [0, 3], ids=["plain", "fused"])
 
-# Where functions end, turn, or change their way. Not subnormal: JAX takes one for zero or not.
+# Limits, extrema and changes of method. Subnormal numbers are absent, because JAX may or may not
+# take them as zero.
 ENDS = [0, 1e-37, 1e-30, 0.25, 0.5, 1, 1.5, 2, 3, 89, 100, 150, 2**24, 2**25, 1e30, 3e38, np.inf]
 ENDS = np.array([*ENDS, *(-end for end in ENDS), -0.0, np.nan], np.float32)
 
@@ -55,14 +56,14 @@ def traced(name):
 
 @functools.cache
 def samples():
-    """Of every magnitude, and densely about 1 and 10; none subnormal."""
+    """Return numbers of every magnitude, dense around 1 and 10, none subnormal."""
     x = np.arange(0, 2**32, 16411, dtype=np.uint32).view(np.float32)
     x = np.concatenate([x, *(np.linspace(-s, s, 100_001, dtype=np.float32) for s in (1, 20))])
     return x[~(np.abs(x) < SMALLEST)]
 
 
 def units_off(got, exact):
-    """The greatest error in units in the last place; what is subnormal may be zero."""
+    """Return the maximum error in units in the last place. Subnormal numbers may be zero."""
     with np.errstate(all="ignore"):
         rounded = exact.astype(np.float32)
     finite = np.isfinite(rounded)
@@ -76,9 +77,9 @@ def units_off(got, exact):
 
 @LEVELS
 @pytest.mark.parametrize("name", EXACT)
-def test_last_digits(name, level):
+def test_errors_stay_within_their_units(name, level):
     exact, allowed = EXACT[name]
-    # SciPy takes 15 us for each value of erfinv.
+    # SciPy takes 15 us for one value of erfinv.
     x = samples()[:: 8 if name == "erf_inv" else 1]
     with np.errstate(all="ignore"):
         exact = exact(x.astype(float))
@@ -87,7 +88,7 @@ def test_last_digits(name, level):
 
 @LEVELS
 @pytest.mark.parametrize("largest", [1e-3, np.pi / 2, 3.3, 100.0, 1e4])
-def test_sine_and_cosine(largest, level):
+def test_sine_and_cosine_are_accurate(largest, level):
     x = np.random.default_rng(0).uniform(-largest, largest, 100_000).astype(np.float32)
     allowed = 1.5e-7 if level else 1.8e-7
     for name in ("sin", "cos"):
@@ -104,8 +105,8 @@ def test_small_angles_keep_all_their_digits(level):
 
 
 @LEVELS
-def test_tangent(level):
-    """Also of the angles next to its poles and zeros."""
+def test_tangent_is_accurate(level):
+    """The angles next to poles and zeros are included."""
     multiples = (np.arange(-636, 637) * np.pi / 2).astype(np.float32)
     near = [np.nextafter(multiples, np.float32(side)) for side in (-np.inf, np.inf)]
     x = np.random.default_rng(0).uniform(-1e3, 1e3, 100_000).astype(np.float32)
@@ -114,7 +115,7 @@ def test_tangent(level):
 
 
 @LEVELS
-def test_angle_of_a_point(level):
+def test_atan2_is_accurate(level):
     draws = np.random.default_rng(0)
     anywhere = draws.integers(0, 2**32, (2, 100_000), dtype=np.uint32).view(np.float32)
     anywhere = np.where(np.abs(anywhere) < SMALLEST, 0, anywhere)
@@ -127,8 +128,8 @@ def test_angle_of_a_point(level):
 @LEVELS
 @pytest.mark.parametrize(("octaves", "allowed"), [(20, 3.8), (130, 19.0)])
 @pytest.mark.parametrize("spread", [0.01, 0.3, 10])
-def test_powers(spread, octaves, allowed, level):
-    """The exponent is such that results are in so many octaves about 1."""
+def test_powers_are_accurate(spread, octaves, allowed, level):
+    """Choose exponents that put the results within the given octaves around 1."""
     draws = np.random.default_rng(0)
     x = np.exp(spread * draws.normal(size=100_000)).astype(np.float32)
     y = draws.uniform(-octaves, octaves, x.shape) / np.log2(x, dtype=float)
@@ -138,11 +139,11 @@ def test_powers(spread, octaves, allowed, level):
 
 
 @pytest.mark.parametrize("name", FLOAT32)
-def test_the_ends_are_those_of_jax(name):
-    """Zeros and their signs, infinities, NaN."""
+def test_limits_equal_those_of_jax(name):
+    """Check zeros with their signs, infinities and NaN."""
     ends = ENDS
     if name in ("sin", "cos", "tan"):
-        # No digits are left of great angles, nor the sign of zero.
+        # Large angles have no accurate digits, nor the sign of a zero.
         ends = np.abs(ends[~(np.abs(ends) > 1e3) | np.isinf(ends)])
     arguments = np.meshgrid(ends, ends) if name in OF_TWO else [ends]
     got = np.asarray(compiled(name, 0)(*arguments))
@@ -153,13 +154,13 @@ def test_the_ends_are_those_of_jax(name):
 
 
 @pytest.mark.parametrize("name", FLOAT32)
-def test_the_names_are_those_of_the_primitives(name):
+def test_names_equal_those_of_the_primitives(name):
     assert getattr(lax, f"{name}_p").name == name
 
 
 @pytest.mark.parametrize("name", FLOAT32)
 def test_only_basic_arithmetic_is_left(name, x64):
-    """All scalar, and in float32 even where float64 is the default."""
+    """All operations are scalar, and in float32 even if float64 is the default."""
     allowed = {"add", "sub", "mul", "div", "neg", "abs", "sqrt", "floor", "round", "select_n"}
     allowed |= {"eq", "ne", "lt", "gt", "and", "or", "not", "shift_left", "shift_right_arithmetic"}
     allowed |= {"convert_element_type", "bitcast_convert_type"}
@@ -172,13 +173,13 @@ def test_only_basic_arithmetic_is_left(name, x64):
 
 
 @pytest.mark.parametrize("name", FLOAT32)
-def test_nothing_but_bits_becomes_an_integer(name):
-    """Of a number out of range or NaN the conversion would be undefined."""
+def test_only_bits_are_converted_to_integers(name):
+    """The conversion of NaN or of a number out of range would be undefined."""
     to_integers = [
         equation
         for equation in traced(name).eqns
         if equation.primitive is lax.convert_element_type_p
         and equation.outvars[0].aval.dtype == np.int32
     ]
-    # The cubic root converts a third of the bits of abs(x), whatever x is.
+    # The cube root converts a third of the bits of abs(x), for any x.
     assert len(to_integers) == (name == "cbrt")

@@ -1,4 +1,4 @@
-"""Where there is no native code JAX computes the smallest part, and a warning says so."""
+"""Plain JAX computes the smallest part that has no native code, and a warning names it."""
 
 import ctypes
 import functools
@@ -21,20 +21,20 @@ from evo_cpg.fusion.unsupported import Unsupported
 
 
 @pytest.fixture(autouse=True)
-def anew():
-    """What is asked once in a process is asked again, before and after."""
+def cleared_caches():
+    """Clear the caches of one process before and after a test."""
     folder = machine._folder
-    asked = engine._warn_once, engine._wrong, machine.host, machine._llvm
-    for cached in asked:
+    caches = engine._warn_once, engine._wrong, machine.host, machine._llvm
+    for cached in caches:
         cached.cache_clear()
     yield
     machine.keep_code_in(folder)
-    for cached in asked:
+    for cached in caches:
         cached.cache_clear()
 
 
 def warned(run, *args):
-    """The result, and what was warned of."""
+    """Return the result and the warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         result = jax.block_until_ready(run(*args))
@@ -43,7 +43,7 @@ def warned(run, *args):
 
 
 def calls(run, *args):
-    """How many pieces of native code the lowered program calls."""
+    """Return the number of pieces of native code that the lowered program calls."""
     return jax.jit(run).lower(*args).as_text().count("custom_call @evo_cpg_")
 
 
@@ -60,7 +60,7 @@ def part(function, x, **options):
 
 
 def whole(x):
-    """Of which the part in the middle cannot be native code."""
+    """Call a part that cannot be native code between two parts that can."""
     x = part(smooth, x * x[1][None])
     return part(smooth, part(ordered, x, name="the order") + 1.0)
 
@@ -70,11 +70,11 @@ def assert_right(got, function, x):
         np.testing.assert_allclose(got, function(x), rtol=1e-5, atol=1e-6)
 
 
-def test_the_smallest_part_is_left_to_jax():
+def test_jax_computes_the_smallest_part():
     x = sample((3, 9))
     run = functools.partial(fuse, whole, batch_ndim=1, name="all of it")
     got, said = warned(jax.jit(run), x)
-    assert said == ["the order runs on plain JAX, not as native code: it has no rule for sort"]
+    assert said == ["the order runs on plain JAX, not as native code: no rule for sort"]
     assert_right(got, whole, x)
     again, said = warned(jax.jit(lambda x: run(x)), x)
     assert said == []
@@ -82,24 +82,24 @@ def test_the_smallest_part_is_left_to_jax():
     assert calls(run, x) == 2
 
 
-def test_what_is_to_blame_itself_is_named_and_its_parts_are_native():
+def test_parts_of_a_program_on_jax_are_native():
     def function(x):
         return jnp.sort(part(smooth, x), 0) + part(smooth, 2 * x)
 
     x = sample((3, 9))
     got, said = warned(jax.jit(lambda x: fuse(function, x, batch_ndim=1, name="sorting")), x)
-    assert said == ["sorting runs on plain JAX, not as native code: it has no rule for sort"]
+    assert said == ["sorting runs on plain JAX, not as native code: no rule for sort"]
     assert_right(got, function, x)
     assert calls(functools.partial(fuse, function, batch_ndim=1, name="sorting"), x) == 2
 
 
-def test_names_come_from_the_functions():
+def test_programs_are_named_after_their_functions():
     _, said = warned(jax.jit(lambda x: fuse(ordered, x, batch_ndim=1)), sample((3, 9)))
-    assert said == ["ordered runs on plain JAX, not as native code: it has no rule for sort"]
+    assert said == ["ordered runs on plain JAX, not as native code: no rule for sort"]
 
 
 def test_derivatives_are_named_after_their_functions():
-    """The function has a rule; its derivative adds to computed places."""
+    """Native code has a rule for the function, but not for its derivative's sums."""
 
     def pick(x):
         return x[jnp.stack([x[0] > 0, x[1] > 0]).astype(int)] ** 2
@@ -112,8 +112,8 @@ def test_derivatives_are_named_after_their_functions():
     np.testing.assert_allclose(got, jax.grad(lambda x: jax.vmap(pick, -1)(x).sum())(x), rtol=1e-6)
 
 
-def test_what_turns_out_while_code_is_made():
-    """A rule that there is, but not for this: found out only when the whole is compiled."""
+def test_a_fault_found_while_compiling_falls_back():
+    """A rule exists, but not for computed places. Only the compilation finds this."""
 
     def function(x):
         return x.at[(x[0] > 0).astype(int)].set(0.0)
@@ -122,12 +122,12 @@ def test_what_turns_out_while_code_is_made():
     run = jax.jit(jax.vmap(lambda x: fuse(function, x, batch_ndim=0, name="setting")))
     got, said = warned(run, jnp.tile(x, (4, 1)))
     assert said == [
-        "setting runs on plain JAX, not as native code: it has no scatter to computed places"
+        "setting runs on plain JAX, not as native code: no rule for a scatter to computed places"
     ]
     np.testing.assert_array_equal(got, jnp.tile(function(x), (4, 1)))
 
 
-def test_plain_jax_on_demand():
+def test_engine_jax_uses_no_native_code():
     x = sample((3, 9))
     run = functools.partial(fuse, smooth, batch_ndim=1)
     assert calls(run, x) == 1
@@ -140,7 +140,7 @@ def test_plain_jax_on_demand():
 
 
 def assert_falls_back(reason):
-    """Two programs, one warning; who insists on native code gets an error."""
+    """Assert that two programs cause one warning, and that engine "native" raises."""
     x = sample((3, 9))
 
     def both(x):
@@ -148,27 +148,27 @@ def assert_falls_back(reason):
 
     got, said = warned(jax.jit(both), x)
     (only,) = said
-    assert only.startswith("JAX computes everything, slowly, for there is no native code: ")
+    assert only.startswith("Plain JAX computes everything, slowly. No native code: ")
     assert reason in only
     assert_right(got, both, x)
     with using(Engine("native")), pytest.raises(Unsupported, match=reason):
         fuse(smooth, x, batch_ndim=1)
 
 
-def test_without_llvmlite(monkeypatch):
+def test_a_missing_llvmlite_falls_back(monkeypatch):
     monkeypatch.setitem(sys.modules, "llvmlite", None)
     monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
     assert_falls_back("llvmlite cannot be imported")
 
 
-def test_a_set_of_instructions_that_the_processor_lacks():
+def test_an_instruction_set_that_the_processor_lacks_raises():
     lacking = "neon" if machine.host().name != "neon" else "avx2"
     with using(Engine("native", lacking)), pytest.raises(Unsupported, match=f"has no {lacking}"):
         fuse(smooth, sample((3, 9)), batch_ndim=1)
 
 
 def trying(monkeypatch, tmp_path, code):
-    """Instead of the self-test another program is run; the list of how often."""
+    """Run another program instead of the self-test, and return the list of its runs."""
     machine.keep_code_in(tmp_path)
     run, runs = subprocess.run, []
 
@@ -181,24 +181,24 @@ def trying(monkeypatch, tmp_path, code):
     return runs
 
 
-def test_a_self_test_that_ends_its_process(monkeypatch, tmp_path):
+def test_a_self_test_that_aborts_falls_back(monkeypatch, tmp_path):
     runs = trying(monkeypatch, tmp_path, "import os; os.abort()")
-    assert_falls_back("it failed its self-test")
+    assert_falls_back("the self-test failed")
     assert len(runs) == 1 and not list(tmp_path.glob("native-tried-*"))
 
 
-def test_a_self_test_that_finds_other_numbers(monkeypatch, tmp_path):
+def test_a_self_test_that_finds_other_numbers_falls_back(monkeypatch, tmp_path):
     trying(monkeypatch, tmp_path, "raise ArithmeticError('native code and JAX differ')")
     assert_falls_back("exit status 1: ArithmeticError: native code and JAX differ")
 
 
-def test_a_self_test_that_never_ends(monkeypatch, tmp_path):
+def test_a_self_test_that_hangs_falls_back(monkeypatch, tmp_path):
     trying(monkeypatch, tmp_path, "import time; time.sleep(60)")
     monkeypatch.setattr(machine_constants, "LONGEST_SELF_TEST", 0.2)
-    assert_falls_back("its self-test could not run")
+    assert_falls_back("the self-test could not run")
 
 
-def test_one_self_test_for_each_version(monkeypatch, tmp_path):
+def test_the_self_test_runs_once_for_each_version(monkeypatch, tmp_path):
     runs = trying(monkeypatch, tmp_path, "")
     own = engine.target()
     assert len(runs) == 1 and runs[0][1:] == ["-m", "evo_cpg.fusion.self_test", own.name]
@@ -208,13 +208,13 @@ def test_one_self_test_for_each_version(monkeypatch, tmp_path):
     )
     engine._wrong.cache_clear()
     assert engine.target() == own and len(runs) == 1
-    # Where nothing is kept, every process tests.
+    # Every process tests if there is no folder for code.
     machine.keep_code_in(None)
     engine._wrong.cache_clear()
     assert engine.target() == own and len(runs) == 2
 
 
-def test_a_mistake_in_the_making_of_code(monkeypatch):
+def test_an_error_in_the_compilation_falls_back(monkeypatch):
     def fails(*_):
         raise ValueError("no idea\nat all")
 
@@ -225,7 +225,7 @@ def test_a_mistake_in_the_making_of_code(monkeypatch):
     assert_right(got, smooth, x)
 
 
-def test_code_that_llvm_refuses(monkeypatch):
+def test_code_that_llvm_rejects_falls_back(monkeypatch):
     whole = native.to_llvm
 
     def broken(*args):
@@ -241,7 +241,7 @@ def test_code_that_llvm_refuses(monkeypatch):
 
 @pytest.fixture
 def seven(tmp_path, monkeypatch):
-    """Loads a function as if anew: what it returns, and how often it was compiled so far."""
+    """Return a loader of a function: its result, and the number of compilations so far."""
     machine.keep_code_in(tmp_path)
     compiled, make = [], compiler.object_code
 
@@ -260,14 +260,14 @@ def seven(tmp_path, monkeypatch):
     return load
 
 
-def test_code_on_disk_is_read_again(seven, tmp_path):
+def test_code_on_disk_is_not_compiled_again(seven, tmp_path):
     assert seven() == (7, 1)
     assert len(list(tmp_path.glob("native-*"))) == 1
     assert seven() == (7, 1)
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "changed", "gone"])
-def test_code_that_is_not_whole_is_made_again(seven, tmp_path, damage):
+def test_damaged_code_on_disk_is_compiled_again(seven, tmp_path, damage):
     assert seven() == (7, 1)
     (file,) = tmp_path.glob("native-*")
     whole = file.read_bytes()
@@ -282,7 +282,7 @@ def test_code_that_is_not_whole_is_made_again(seven, tmp_path, damage):
     assert seven() == (7, 2)
 
 
-def test_a_folder_that_is_not_there_is_no_harm(seven, tmp_path):
+def test_without_a_folder_code_is_compiled_again(seven, tmp_path):
     machine.keep_code_in(tmp_path / "nowhere")
     assert seven() == (7, 1)
     assert seven() == (7, 2)

@@ -1,4 +1,4 @@
-"""Fused functions give what the same functions give unfused."""
+"""Fused functions agree with the unfused functions."""
 
 import functools
 
@@ -15,7 +15,7 @@ LEGS = 4
 
 
 def body(m, v):
-    """Linear algebra like that of an articulated body."""
+    """Compute some linear algebra, as for an articulated body."""
     for _ in range(2):
         spd = matmul(m, jnp.swapaxes(m, 0, 1)) + expand_dims_like(np.eye(3), m, m.ndim)
         m = 0.3 * matmul(inverse_symmetric(spd), m)
@@ -24,7 +24,7 @@ def body(m, v):
 
 
 def limbs(hip, turn, trunk):
-    """A program like that of a walker: trunk to legs, legs to trunk, and back.
+    """Compute a program like a walker's: from trunk to legs, from legs to trunk, and back.
 
     Args:
         hip: ``(3, legs, ...)``.
@@ -54,7 +54,7 @@ def of_limbs(batch):
 
 @pytest.mark.parametrize("batch", [(), (1,), (2, 3), (37,)])
 @pytest.mark.parametrize(("function", "arguments"), [(body, of_body), (limbs, of_limbs)])
-def test_any_number_of_batch_axes(function, arguments, batch, x64):
+def test_any_number_of_batch_axes_agrees_with_jax(function, arguments, batch, x64):
     values = arguments(batch)
     got = jax.jit(functools.partial(fuse, function, batch_ndim=len(batch)))(*values)
     for one, other in zip(got, jax.jit(function)(*values), strict=True):
@@ -62,7 +62,7 @@ def test_any_number_of_batch_axes(function, arguments, batch, x64):
 
 
 @pytest.mark.parametrize(("function", "arguments"), [(body, of_body), (limbs, of_limbs)])
-def test_vmap_and_derivatives(function, arguments, x64):
+def test_vmap_and_derivatives_agree_with_jax(function, arguments, x64):
     values = tuple(arguments((4,)))
 
     def loss(run, *values):
@@ -70,19 +70,19 @@ def test_vmap_and_derivatives(function, arguments, x64):
 
     one = functools.partial(fuse, function, batch_ndim=0)
     mapped = jax.jit(jax.vmap(one, in_axes=-1, out_axes=-1))(*values)
-    for got, wanted in zip(mapped, jax.jit(function)(*values), strict=True):
-        np.testing.assert_allclose(got, wanted, rtol=1e-11, atol=1e-13)
+    for got, expected in zip(mapped, jax.jit(function)(*values), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-13)
     every = functools.partial(fuse, function, batch_ndim=1)
     along = tuple(jnp.cos(7 * x) for x in values)
     for one in (
         lambda run, x: jax.grad(functools.partial(loss, run))(*x),
         lambda run, x: jax.jvp(functools.partial(loss, run), x, along)[1],
     ):
-        got, wanted = (jax.jit(functools.partial(one, run))(values) for run in (every, function))
-        np.testing.assert_allclose(got, wanted, rtol=1e-9, atol=1e-12)
+        got, expected = (jax.jit(functools.partial(one, run))(values) for run in (every, function))
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-12)
 
 
-def test_what_is_mapped_may_be_some_arguments_only():
+def test_vmap_over_some_arguments_agrees_with_jax():
     def function(x, y):
         return x * y[0] + y.sum()
 
@@ -94,7 +94,7 @@ def test_what_is_mapped_may_be_some_arguments_only():
         np.testing.assert_allclose(got, jax.vmap(function, axes)(*values), rtol=1e-6, atol=1e-7)
 
 
-def test_what_is_closed_over_may_be_traced_and_differentiated(x64):
+def test_closed_over_values_may_be_traced_and_differentiated(x64):
     x = sample((3, 4), dtype=np.float64)
 
     def energy(run, weights):
@@ -110,17 +110,17 @@ def test_what_is_closed_over_may_be_traced_and_differentiated(x64):
         np.testing.assert_allclose(got, differentiate(unfused)(weights), rtol=1e-12)
 
 
-def test_what_is_closed_over_may_be_mapped():
+def test_closed_over_values_may_be_mapped():
     x, weights = sample((3, 4)), sample((5, 3), 1)
     got = jax.jit(
         jax.vmap(lambda w: fuse(lambda x: jnp.sin(x) * w[0] + w[1:].sum(), x, batch_ndim=1))
     )(weights)
-    wanted = jax.vmap(lambda w: jnp.sin(x) * w[0] + w[1:].sum())(weights)
-    np.testing.assert_allclose(got, wanted, rtol=1e-6, atol=1e-6)
+    expected = jax.vmap(lambda w: jnp.sin(x) * w[0] + w[1:].sum())(weights)
+    np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-6)
 
 
-def test_empty_arrays():
-    """A body without joints has angles ``(0, n)``."""
+def test_empty_arrays_are_allowed():
+    """A body without joints has an angle array ``(0, n)``."""
 
     def function(x, none):
         return x + none.sum(0)[None], 2 * none, none > 0
@@ -133,7 +133,7 @@ def test_empty_arrays():
     assert [part.shape for part in nobody] == [(3, 0), (0, 0), (0, 0)]
 
 
-def test_results_that_are_arguments_constants_or_the_same():
+def test_results_may_be_arguments_constants_or_equal():
     def function(x, y):
         return x, jnp.float32(3), y, x[0], x, np.arange(2), jnp.zeros((2, 2), bool), x[::-1]
 
@@ -141,7 +141,7 @@ def test_results_that_are_arguments_constants_or_the_same():
 
 
 @pytest.mark.parametrize("batch", [(1,), (3,), (8,), (21,)])
-def test_precisions_mix(batch, x64):
+def test_precisions_may_mix(batch, x64):
     def mixed(x):
         rough = x.astype(jnp.float32) * 3
         return rough, (rough.astype(jnp.float64) + x) * x, x > 0, (10 * x).astype(jnp.int64)
@@ -149,15 +149,15 @@ def test_precisions_mix(batch, x64):
     assert_agrees(mixed, sample((3, *batch), dtype=np.float64), rtol=1e-14)
 
 
-def test_a_program_of_short_numbers_may_be_computed_in_long_ones(x64):
+def test_a_float32_program_agrees_in_float64(x64):
     def function(x):
         return (x.astype("float64") + 1e-12 - x.astype("float64")).astype("float32") * 1e12
 
     assert_agrees(function, sample((2, 17)), rtol=1e-3)
 
 
-def test_parts_are_fused_with_what_is_around_them():
-    """What a part is given stays as it is, though the sum around it goes on."""
+def test_fused_parts_keep_their_arguments():
+    """The argument of a part is rounded as written, although the outer program adds to it."""
 
     def part(s):
         return jnp.exp(s) * s
@@ -173,13 +173,13 @@ def test_parts_are_fused_with_what_is_around_them():
 
 
 def of_each(row):
-    """Of ``(3, ...)``, with a constant that is not the same for all rows."""
+    """Return a number and a truth value of a row ``(3, ...)``, with different constants."""
     return row * expand_dims_like(np.arange(1.0, 4.0), row) + row.sum(0)[None], row[0] > 0
 
 
 @pytest.mark.parametrize("legs", [(3,), (2, 2)])
-def test_a_part_may_be_for_several_of_each_individual(legs):
-    """Legs are a batch within the individual, given as such or mapped."""
+def test_a_part_may_have_a_batch_within_an_individual(legs):
+    """Legs are a batch within the individual, as batch axes or by `vmap`."""
     x = sample((3, *legs, 5))
 
     def mapped(x):
@@ -189,13 +189,13 @@ def test_a_part_may_be_for_several_of_each_individual(legs):
         return run(x)
 
     for run in (mapped, functools.partial(fuse, of_each, batch_ndim=len(legs))):
-        for got, wanted in zip(fused(run, x), of_each(x), strict=True):
-            np.testing.assert_allclose(got, wanted, rtol=1e-6, atol=1e-6)
+        for got, expected in zip(fused(run, x), of_each(x), strict=True):
+            np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-6)
 
 
-def test_a_symmetric_matrix_is_its_upper_half():
+def test_a_symmetric_matrix_reads_its_upper_half():
     m = sample((3, 3, 4))
     (got,) = fused(symmetric, m)
-    wanted = [[m[min(i, j), max(i, j)] for j in range(3)] for i in range(3)]
-    np.testing.assert_array_equal(got, np.array(wanted))
+    expected = [[m[min(i, j), max(i, j)] for j in range(3)] for i in range(3)]
+    np.testing.assert_array_equal(got, np.array(expected))
     assert symmetric(m) is m

@@ -1,4 +1,4 @@
-"""The entry into native code, called as XLA calls it."""
+"""The entry into native code, called as by XLA."""
 
 import ctypes
 import re
@@ -19,7 +19,7 @@ EXECUTE = 3
 
 
 class Frame:
-    """A call frame of a program with a shared argument, an own one and two results."""
+    """Call frame of a program with a shared argument, an individual argument and two results."""
 
     def __init__(self, stage=EXECUTE):
         def function(x, shared):
@@ -43,7 +43,7 @@ class Frame:
         return self.at([48, 0, 0, x.ctypes.data, x.ndim, self.at(x.shape)])
 
     def at(self, numbers):
-        """Return where in memory numbers of 64 bits stand now."""
+        """Return the address of numbers of 64 bits in memory."""
         self.kept.append((ctypes.c_int64 * len(numbers))(*numbers))
         return ctypes.addressof(self.kept[-1])
 
@@ -65,7 +65,7 @@ def test_only_the_last_stage_computes(stage):
     assert frame.run() is None and not frame.total.any()
 
 
-def test_handler_tells_its_version():
+def test_handler_returns_its_version():
     frame = Frame()
     metadata = (ctypes.c_int64 * 5)(40, 24, 0, -1, -1)
     frame.fields[1] = frame.at([32, 1, 0, ctypes.addressof(metadata)])
@@ -74,8 +74,8 @@ def test_handler_tells_its_version():
 
 
 @pytest.mark.parametrize("version", [(1, 0), (0, 0)])
-def test_xla_refuses_a_handler_of_another_interface(version, monkeypatch):
-    """No call is made whose arguments the handler would misread."""
+def test_xla_rejects_a_handler_of_another_interface(version, monkeypatch):
+    """XLA makes no call with arguments that the handler would misread."""
     monkeypatch.setattr(handler, "_MAJOR", version[0])
     monkeypatch.setattr(handler, "_MINOR", version[1])
     with warnings.catch_warnings(record=True) as caught:

@@ -1,6 +1,6 @@
 """Private names of JAX are used in one file only.
 
-Deprecated ones warn where they are used, which fails whatever test gets there.
+A deprecated name warns at its use, and the warning fails a test.
 """
 
 import ast
@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-# What JAX does not promise to keep; `jax.core` has a few public names, and those move.
+# Modules that JAX does not promise to keep. `jax.core` has a few public names, and those move.
 PRIVATE = "jax.core", "jax.interpreters", "jax.lib", "jaxlib"
 
 
 def dotted(node):
-    """The path of an attribute, such as ``jax.lax.scan``; empty where it begins with no name."""
+    """Return the path of an attribute, such as ``jax.lax.scan``, or "" if no name begins it."""
     if isinstance(node, ast.Name):
         return node.id
     before = dotted(node.value) if isinstance(node, ast.Attribute) else ""
@@ -23,7 +23,7 @@ def dotted(node):
 
 
 def paths(tree):
-    """All that a module imports, and all paths of attributes in it."""
+    """Yield all imports of a module, and all paths of attributes in it."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (each.name for each in node.names)
@@ -31,7 +31,7 @@ def paths(tree):
             yield from (f"{node.module}.{each.name}" for each in node.names)
         elif isinstance(node, ast.Attribute):
             yield dotted(node)
-        # Programs that tests run in a process of their own.
+        # Programs that tests run in a separate process.
         elif isinstance(node, ast.Constant) and "jax._src" in str(node.value):
             yield "jax._src"
 
@@ -58,11 +58,11 @@ def private_names(source):
         "import jax\njax.interpreters.ad",
     ],
 )
-def test_it_is_noticed(source):
+def test_a_private_name_is_found(source):
     assert private_names(source)
 
 
-def test_in_no_file_but_one():
+def test_one_file_alone_uses_private_names():
     found = {}
     for folder in ("evo_cpg", "benchmarks", "tests"):
         for path in (ROOT / folder).rglob("*.py"):

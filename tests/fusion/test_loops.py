@@ -1,4 +1,4 @@
-"""Loops, branches and fixed points of fused functions are those of JAX."""
+"""Loops, branches and fixed points of fused functions agree with JAX."""
 
 import functools
 
@@ -20,7 +20,7 @@ COUNTS = [1, 2, 5, 16, 19]
 
 
 def decay(x, length, reverse=False):
-    """A carry of several types, rows that are read, rows that are stacked, and constants."""
+    """Run a scan with a carry of several types, read rows, stacked rows and constants."""
     rates = jnp.linspace(0.5, 1.5, 7)[:length]
     own = jnp.stack([x[0] * k for k in range(7)])[:length]
     closed = jnp.cos(x[1])
@@ -37,19 +37,19 @@ def decay(x, length, reverse=False):
 
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("length", [0, 1, 2, 7])
-def test_counted_loops(length, reverse):
+def test_counted_loops_agree_with_jax(length, reverse):
     assert_agrees(lambda x: decay(x, length, reverse), sample((3, 5)))
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_loops_of_any_number_of_individuals(count):
+def test_loops_agree_with_jax_for_any_number_of_individuals(count):
     assert_agrees(lambda x: decay(x, 4), sample((3, count)))
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("count", [17, 40, 301])
-def test_loops_that_end_at_different_rounds_for_each(count, dtype):
-    """From 0 to 60 rounds, again and again, with tables, truth values, and loops within."""
+def test_loops_with_individual_numbers_of_rounds_agree_with_jax(count, dtype):
+    """Run 0 to 60 rounds repeatedly, with tables, truth values and inner loops."""
     with jax.enable_x64(dtype is np.float64):
         x = sample((3, count), dtype=dtype)
         rounds = np.random.default_rng(1).geometric(0.2, (4, count)) % 61
@@ -75,8 +75,8 @@ def test_loops_that_end_at_different_rounds_for_each(count, dtype):
         assert_agrees(whole, x, jnp.asarray(rounds, jnp.int32), rtol=1e-5, atol=1e-5)
 
 
-def test_loops_within_loops():
-    """The inner ones use the counter and the carry of the outer ones, and table what they stack."""
+def test_nested_loops_agree_with_jax():
+    """Inner loops use the counter, the carry and the stacked rows of outer loops."""
 
     def outer(carry, i):
         def inner(total, row):
@@ -95,7 +95,7 @@ def test_loops_within_loops():
     )
 
 
-def test_for_loops_and_what_is_stacked_is_read_again():
+def test_stacked_values_may_be_read_again():
     def function(x):
         _, rows = lax.scan(lambda c, _: (c + x, c * x[0]), x, None, length=5)
         again = lax.scan(lambda c, row: (c * 0.5 + row, None), x, rows)[0]
@@ -106,7 +106,7 @@ def test_for_loops_and_what_is_stacked_is_read_again():
     assert_agrees(function, sample((3, 9)), rtol=1e-5)
 
 
-def test_updates_at_the_counter():
+def test_updates_at_the_counter_agree_with_jax():
     def function(x):
         def turn(i, y):
             return lax.dynamic_update_index_in_dim(y, y[(i + 3) % 4] + x[i], i, 0)
@@ -125,12 +125,12 @@ def collatz(start):
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_who_has_finished_stays_as_it_is(count):
-    """From 1 to 111 rounds, side by side; the last vector holds fewer individuals than others."""
+def test_finished_individuals_do_not_change(count):
+    """Run 1 to 111 rounds. The last vector holds fewer individuals than the others."""
     assert_agrees(lambda x: collatz(x[0]), jnp.arange(1, 1 + count)[None] * 27 % 83 + 1)
 
 
-def test_loops_that_never_begin():
+def test_loops_of_no_rounds_agree_with_jax():
     def function(x):
         nothing = lax.while_loop(lambda c: False, lambda c: c + 1, x)
         return nothing, lax.while_loop(lambda c: c[0] > 100, lambda c: c + 1, x)
@@ -139,8 +139,8 @@ def test_loops_that_never_begin():
         assert_agrees(function, sample((2, count)))
 
 
-def test_a_loop_in_which_some_fall_out_of_numbers():
-    """NaN ends the loop of one, and is no concern of the others."""
+def test_nan_ends_the_loop_of_one_individual_only():
+    """NaN makes the condition of one individual false. The other individuals continue."""
 
     def function(x):
         def advance(state):
@@ -155,14 +155,14 @@ def test_a_loop_in_which_some_fall_out_of_numbers():
 BRANCHES = [lambda x: x * 2, lambda x: jnp.sin(x), lambda x: x.at[0].set(7.0)]
 
 
-def test_branches_that_depend_on_the_individual():
+def test_branches_that_depend_on_the_individual_agree_with_jax():
     places = jnp.array([0, 1, 2, -5, 9, 1])
     assert_agrees(lambda x, i: lax.switch(i, BRANCHES, x), sample((2, 6)), places)
     assert_agrees(lambda x: lax.cond(x[0] > x[1], *BRANCHES[:2], x), sample((2, 6)))
 
 
 @pytest.mark.parametrize("place", [-3, 0, 1, 2, 8])
-def test_branches_that_do_not(place):
+def test_uniform_branches_agree_with_jax(place):
     def function(x):
         def turn(c, i):
             return lax.switch(i + place, BRANCHES, c), lax.switch(jnp.int32(place), BRANCHES, x)
@@ -173,7 +173,7 @@ def test_branches_that_do_not(place):
 
 
 def kepler(given):
-    """Angle of a planet, from the eccentricity and the mean angle, by Newton's method."""
+    """Return the angle of a planet from its eccentricity and mean angle, by Newton's method."""
 
     def closer(angle):
         eccentricity, mean = given
@@ -181,14 +181,14 @@ def kepler(given):
         return angle - miss / (1 - eccentricity * jnp.cos(angle)), jnp.abs(miss)
 
     def search(angle):
-        def goes_on(state):
+        def continues(state):
             return (state[1] > 1e-15) & (state[2] < 20)
 
         def advance(state):
             return *closer(state[0]), state[2] + 1
 
         count = jnp.zeros(angle.shape, jnp.int32)
-        found, _, _ = while_each(goes_on, advance, (angle, jnp.ones_like(angle), count))
+        found, _, _ = while_each(continues, advance, (angle, jnp.ones_like(angle), count))
         return found, found
 
     return implicit(search, lambda angle: closer(angle)[0], given[1], given[1])
@@ -197,38 +197,38 @@ def kepler(given):
 PLANETS = jnp.stack([jnp.linspace(0.01, 0.4, 11), jnp.linspace(-2.0, 3.0, 11)])
 
 
-def slopes(given):
-    """The closed form: mean = angle - eccentricity sin(angle)."""
+def derivatives(given):
+    """Return the derivatives in closed form, by mean = angle - eccentricity sin(angle)."""
     angle = kepler(given)
     return jnp.stack([jnp.sin(angle), jnp.ones_like(angle)]) / (1 - given[0] * jnp.cos(angle))[None]
 
 
-def test_searches(x64):
+def test_searches_agree_with_jax(x64):
     given = PLANETS.astype("float64")
     (angle,) = fused(kepler, given)
     np.testing.assert_allclose(angle - given[0] * np.sin(angle), given[1], atol=1e-14)
     assert_agrees(kepler, given, rtol=1e-13)
 
 
-def test_derivatives_of_searches(x64):
-    """Forwards and backwards, of JAX and fused, differentiated outside and within."""
+def test_derivatives_of_searches_equal_the_closed_form(x64):
+    """Check both modes, in JAX and fused, differentiated outside and inside the program."""
     given = PLANETS.astype("float64")
-    wanted = slopes(given)
+    expected = derivatives(given)
     for run in (kepler, functools.partial(fuse, kepler, batch_ndim=1)):
         backward = jax.jit(jax.grad(lambda given, run=run: run(given).sum()))(given)
-        np.testing.assert_allclose(backward, wanted, rtol=1e-11)
+        np.testing.assert_allclose(backward, expected, rtol=1e-11)
         forward = [
             jax.jit(lambda x, d, run=run: jax.jvp(run, (x,), (d,))[1])(given, direction)
             for direction in jnp.broadcast_to(jnp.eye(2)[..., None], (2, *given.shape))
         ]
-        np.testing.assert_allclose(forward, wanted, rtol=1e-11)
+        np.testing.assert_allclose(forward, expected, rtol=1e-11)
     for differentiate in (jax.grad, jax.jacfwd):
         (within,) = fused(differentiate(kepler), given)
-        np.testing.assert_allclose(within, wanted, rtol=1e-11)
+        np.testing.assert_allclose(within, expected, rtol=1e-11)
 
 
-def test_derivatives_of_a_search_by_what_all_share(x64):
-    """Of a pytree, against finite differences."""
+def test_derivatives_of_a_search_by_shared_values(x64):
+    """Compare the derivatives of a pytree with finite differences."""
 
     def settle(gain, x):
         def closer(state):
@@ -271,7 +271,7 @@ def scheduled(function, *values):
     return schedule(eliminate_dead_code(builder.graph(results)))
 
 
-def test_what_nobody_needs_is_not_carried():
+def test_unused_values_are_not_carried():
     def function(x):
         def turn(carry, _):
             useful, waste, apart = carry
@@ -288,7 +288,7 @@ def test_what_nobody_needs_is_not_carried():
     assert [node.op for node in body] == ["mul", "mul"]
 
 
-def test_what_does_not_change_is_computed_before_the_loop():
+def test_invariants_are_computed_before_the_loop():
     def function(x):
         return lax.scan(lambda c, _: (c * jnp.sqrt(x[0] * x[1]), None), x, None, length=3)[0]
 
@@ -299,8 +299,8 @@ def test_what_does_not_change_is_computed_before_the_loop():
     assert {node.op for node in body} == {"mul"}
 
 
-def test_a_loop_within_another_does_not_wait_for_who_is_done_there():
-    """Its condition, for as many rounds as the outer one wants of somebody, holds that one's."""
+def test_inner_loops_skip_individuals_that_left_the_outer():
+    """The inner loop's condition is combined with the outer loop's condition."""
 
     def function(x):
         def inner(y):

@@ -1,4 +1,4 @@
-"""Whatever moves numbers about, at places that are written down or computed."""
+"""Operations that move numbers, at constant or computed places."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from jax import lax
 
 from evo_cpg.fusion.fuse import fuse
 
-# Every kind of operation on places that are known.
+# Every kind of operation at constant places.
 MOVES = {
     "slice": lambda x: x[1:, :2],
     "steps": lambda x: x[::2, ::-1],
@@ -50,16 +50,16 @@ MOVES = {
 
 
 @pytest.mark.parametrize("name", MOVES)
-def test_moving_and_summing(name):
+def test_moves_and_sums_agree_with_jax(name):
     assert_agrees(MOVES[name], sample((3, 3, 5)))
 
 
-# Places that differ from one individual to the next, inside and outside of the array.
+# Places that differ between individuals, inside and outside the array.
 PLACES = jnp.array(
     [[0, 1, 2, 3, -1, -4, 7, 2**31 - 1], [1, 0, -3, 2, 5, 1, -(2**31), 0]], jnp.int32
 )
 
-# What is done at them, of an array ``(4, 3)``.
+# Operations at these places of an array ``(4, 3)``.
 COMPUTED = {
     "slice": lambda x, i: lax.dynamic_slice(x, (i[0], i[1]), (2, 2)),
     "slice of all rows": lambda x, i: lax.dynamic_slice_in_dim(x, i[0], 2, 1),
@@ -87,12 +87,12 @@ COMPUTED = {
 
 
 @pytest.mark.parametrize("name", COMPUTED)
-def test_computed_places(name):
+def test_moves_at_computed_places_agree_with_jax(name):
     assert_agrees(COMPUTED[name], sample((4, 3, 8)), PLACES)
 
 
-def test_places_of_64_bits(x64):
-    """Far outside, where their last 32 bits would be inside."""
+def test_places_of_64_bits_agree_with_jax(x64):
+    """Choose places far outside the array whose last 32 bits would be inside."""
     places = jnp.array([[0, 1, 2**32, 2**32 + 1, -(2**32), 2**62]])
     for length in (1, 3):
         x = sample((length, 6))
@@ -107,7 +107,7 @@ def test_the_first_nan_is_the_largest_and_the_smallest():
     assert_agrees(lambda x: (jnp.argmax(x), jnp.argmin(x), x.max(), x.min()), jnp.asarray(x))
 
 
-def test_a_table_that_all_share_and_one_of_each_individual():
+def test_shared_and_individual_tables_agree_with_jax():
     table = sample((7,), 4)
     places = jnp.arange(20).reshape(2, 10) % 7
 
@@ -117,5 +117,7 @@ def test_a_table_that_all_share_and_one_of_each_individual():
         )
 
     got = look(lambda table, own, i: fuse(lambda own, i: table[i] * own[i], own, i, batch_ndim=1))
-    wanted = look(lambda table, own, i: jax.vmap(lambda own, i: table[i] * own[i], -1, -1)(own, i))
-    np.testing.assert_array_equal(got, wanted)
+    expected = look(
+        lambda table, own, i: jax.vmap(lambda own, i: table[i] * own[i], -1, -1)(own, i)
+    )
+    np.testing.assert_array_equal(got, expected)

@@ -1,4 +1,4 @@
-"""Every operation on scalars, where it is easy and where numbers end, as JAX has it on a CPU."""
+"""Every operation on scalars, at ordinary and extreme numbers, against JAX on a CPU."""
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +11,12 @@ INFINITE = [np.inf, -np.inf, np.nan]
 FLOATS = jnp.array([0, -0.0, 0.5, -0.5, 1.5, 2.5, -2.5, 1, -1, 3.7, 1e-3, 300, 3e9, -3e9, 1e20])
 FLOATS = jnp.concatenate([FLOATS, -jnp.array([7.0, 200, 1e20]), jnp.array(INFINITE)])
 
-# Every one with every other.
+# All pairs of these numbers.
 PAIRS = jnp.stack([x.reshape(-1) for x in jnp.meshgrid(FLOATS, FLOATS)])
 
 
 def pairs(dtype):
-    """Whole numbers next to zero and next to where they end, each with each."""
+    """Return all pairs of integers next to zero and next to the limits of the type."""
     ends = np.iinfo(dtype)
     values = [*range(-4, 5), 7, 8, 31, 32, 33, 40, 63, 64, 100, ends.min, ends.min + 1, ends.max]
     bits = 8 * np.dtype(dtype).itemsize
@@ -39,7 +39,7 @@ OF_TWO_FLOATS = {
 
 
 @pytest.mark.parametrize("name", OF_TWO_FLOATS)
-def test_two_floats(name):
+def test_operations_on_two_floats_agree_with_jax(name):
     assert_agrees(lambda x: OF_TWO_FLOATS[name](x[0], x[1]), PAIRS)
 
 
@@ -60,12 +60,12 @@ OF_ONE_FLOAT = {
 
 
 @pytest.mark.parametrize("name", OF_ONE_FLOAT)
-def test_one_float(name):
+def test_operations_on_one_float_agree_with_jax(name):
     assert_agrees(OF_ONE_FLOAT[name], FLOATS)
 
 
-def test_zero_times_what_is_not_finite_is_zero():
-    """The documented difference: what a creature's zeros multiply is never computed."""
+def test_zero_times_a_non_finite_number_is_zero():
+    """Differs from JAX, as documented: factors of a creature's zeros are never computed."""
     (got,) = fused(lambda x: 0.0 * x, jnp.array([1.0, *INFINITE]))
     np.testing.assert_array_equal(got, np.zeros(4))
 
@@ -90,8 +90,8 @@ OF_TWO_WHOLE = {
 
 
 @pytest.mark.parametrize("dtype", WHOLE[:4])
-def test_two_whole_numbers(dtype):
-    """Also division by zero, overflow, and shifts by more than there are bits."""
+def test_operations_on_two_integers_agree_with_jax(dtype):
+    """Division by zero, overflow and shifts by more than all bits are included."""
 
     def every(x):
         return {name: function(x[0], x[1]) for name, function in OF_TWO_WHOLE.items()}
@@ -100,12 +100,12 @@ def test_two_whole_numbers(dtype):
 
 
 @pytest.mark.parametrize("dtype", ["int64", "uint64"])
-def test_two_long_whole_numbers(dtype, x64):
-    test_two_whole_numbers(dtype)
+def test_operations_on_two_long_integers_agree_with_jax(dtype, x64):
+    test_operations_on_two_integers_agree_with_jax(dtype)
 
 
 @pytest.mark.parametrize("divisor", [0, -1, 1, 3, -8, -(2**31)])
-def test_constant_divisors_and_dividends(divisor):
+def test_constant_divisors_and_dividends_agree_with_jax(divisor):
     constant = np.int32(divisor)
 
     def every(x):
@@ -117,8 +117,8 @@ def test_constant_divisors_and_dividends(divisor):
     assert_agrees(every, pairs("int32"))
 
 
-def test_quotients_of_constants():
-    """XLA itself, compiling the last two, would end the process."""
+def test_quotients_of_constants_agree_with_numpy():
+    """XLA would end the process if it compiled the last two quotients."""
     least = -(2**31)
     cases = [(7, 2, 3, 1), (-7, 2, -3, -1), (7, -2, -3, 1), (5, 0, -1, 5), (least, -1, least, 0)]
     divided = [(np.int32(a), np.int32(b)) for a, b, _, _ in cases]
@@ -131,7 +131,7 @@ def test_quotients_of_constants():
 
 
 @pytest.mark.parametrize("by", [0, 1, 31, 32, 77, -1])
-def test_constant_shifts(by):
+def test_constant_shifts_agree_with_jax(by):
     shifts = lax.shift_left, lax.shift_right_logical, lax.shift_right_arithmetic
 
     def every(x):
@@ -144,7 +144,7 @@ def test_constant_shifts(by):
     assert_agrees(every, pairs("int32"))
 
 
-def test_bits_of_conditions():
+def test_bit_operations_on_conditions_agree_with_jax():
     x = sample((3, 8)) > 0
     x = x.at[0].set(x[1])
     assert_agrees(lambda x: (x[0] & x[1], x[0] | x[2], x[0] ^ x[1], ~x[0], x[0] == x[2]), x)
@@ -155,14 +155,14 @@ def test_bits_of_conditions():
 
 
 @pytest.mark.parametrize("to", [*WHOLE, "bool", "float32"])
-def test_conversions(to):
-    """Of floats what is too large becomes the largest there is, and NaN becomes 0."""
+def test_conversions_agree_with_jax(to):
+    """A float that is too large becomes the largest integer, and NaN becomes 0."""
     sources = [FLOATS, *(jnp.resize(pairs(source)[0], FLOATS.shape) for source in WHOLE)]
     assert_agrees(lambda *values: [x.astype(to) for x in values], *sources)
 
 
 @pytest.mark.parametrize("to", ["int64", "uint64", "float64", "int32"])
-def test_long_conversions(to, x64):
+def test_long_conversions_agree_with_jax(to, x64):
     sources = [jnp.resize(pairs(source)[0], FLOATS.shape) for source in ("int64", "uint64")]
     sources.append(FLOATS.astype("float64"))
     assert_agrees(lambda *values: [x.astype(to) for x in values], *sources)
@@ -171,9 +171,9 @@ def test_long_conversions(to, x64):
 def test_constants_are_converted_like_numbers():
     constants = jnp.array([np.nan, 1e20, -1e20, 2.0**31, 5.7, -5.7])
     for to in ("int32", "uint32"):
-        wanted = constants.astype(to)
+        expected = constants.astype(to)
         (got,) = fused(lambda x, to=to: constants.astype(to) + x, jnp.zeros((1, 3), to))
-        np.testing.assert_array_equal(got, np.repeat(wanted[:, None], 3, 1))
+        np.testing.assert_array_equal(got, np.repeat(expected[:, None], 3, 1))
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])

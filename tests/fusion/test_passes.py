@@ -1,4 +1,4 @@
-"""Each pass of the native back end on small programs, and programs without some of the passes."""
+"""Each pass of the native back end on small programs, and programs without a pass."""
 
 import dataclasses
 import functools
@@ -31,7 +31,7 @@ WIDE = Variant(TARGET, width=8)
 
 
 def program(x):
-    """Sums of products, a counted loop, a loop with a condition and a long branch."""
+    """Compute sums of products, a counted loop, a loop with a condition and a long branch."""
     mixed = x[0] * x[1] + x[2] * x[0] - 0.0 * x[1]
 
     def turn(carry, row):
@@ -57,7 +57,7 @@ def traced(function=program, rows=3):
 
 
 def graph_of(make, rows=3):
-    """Return the graph of some nodes, made of the rows of one argument."""
+    """Return the graph of nodes that are made of the rows of one argument."""
     builder = Builder()
     results = make(builder, *builder.argument((rows,), F32))
     results = results if isinstance(results, tuple) else (results,)
@@ -69,7 +69,7 @@ def ops(graph):
     return [node.op for node in graph.nodes if node.op not in ("input", "constant")]
 
 
-# Passes are left out, one by one.
+# Programs without one pass.
 
 
 @pytest.mark.parametrize("left_out", [each.__name__ for each in PASSES])
@@ -93,7 +93,7 @@ def assert_right():
 
 
 @pytest.mark.parametrize("one", PASSES)
-def test_a_pass_changes_nothing_of_what_it_is_given(one):
+def test_a_pass_does_not_change_its_argument(one):
     before = optimize(traced(), PASSES[: PASSES.index(one)])
     text, nodes = show(before), list(before.nodes)
     after = one(before)
@@ -157,15 +157,15 @@ def less(b, x, y):
 @pytest.mark.parametrize("rule", [rule.name for rules in RULES.values() for rule in rules])
 def test_rewrite_rule(rule):
     builder = Builder()
-    got, wanted = CASES[rule](builder, *builder.argument((2,), F32))
-    assert got is wanted
+    got, expected = CASES[rule](builder, *builder.argument((2,), F32))
+    assert got is expected
     without = {op: [each for each in rules if each.name != rule] for op, rules in RULES.items()}
     builder = Builder(without)
-    got, wanted = CASES[rule](builder, *builder.argument((2,), F32))
-    assert got is not wanted
+    got, expected = CASES[rule](builder, *builder.argument((2,), F32))
+    assert got is not expected
 
 
-def test_constants_fold_and_equal_operations_are_one():
+def test_constants_fold_and_equal_operations_merge():
     builder = Builder()
     x, y = builder.argument((2,), F32)
     assert builder.add(builder.constant(2, F32), builder.constant(1, F32)).value == 3
@@ -175,14 +175,14 @@ def test_constants_fold_and_equal_operations_are_one():
 # Eliminate dead code, schedule.
 
 
-def test_what_no_result_needs_is_left_out():
+def test_unused_operations_are_removed():
     graph = graph_of(lambda b, x, y, z: (b.add(x, y), b.multiply(y, z))[0])
     assert ops(graph) == ["add", "mul"]
     assert ops(eliminate_dead_code(graph)) == ["add"]
     assert len(eliminate_dead_code(graph).nodes) == 3
 
 
-def test_too_many_operations_are_refused(monkeypatch):
+def test_too_many_operations_raise(monkeypatch):
     monkeypatch.setattr(machine_constants, "MOST_OPERATIONS", 2)
     with pytest.raises(Unsupported, match="more than 2 operations"):
         check_size(graph_of(lambda b, x, y, z: b.add(x, b.multiply(y, z))))
@@ -203,7 +203,7 @@ def test_schedule_computes_operands_shortly_before_their_use():
 # Rewrite, verify, show.
 
 
-def test_rewrite_makes_new_users_and_leaves_the_old():
+def test_rewrite_makes_new_users_and_keeps_the_old():
     graph = graph_of(lambda b, x, y, z: b.negate(b.add(x, y)))
     x, _, z, total, negative = graph.nodes
     new = rewrite(graph, {total: Change("sub", (x, z), total.number)})
@@ -219,7 +219,7 @@ def broken(graph, place, **changes):
     return dataclasses.replace(graph, nodes=nodes)
 
 
-def test_verifier_finds_what_is_wrong():
+def test_verifier_finds_invalid_nodes():
     graph = graph_of(lambda b, x, y, z: b.select(less(b, x, y), x, b.multiply(y, z)))
     verify(graph)
     _, y, _, test, _, choice = graph.nodes
@@ -229,10 +229,10 @@ def test_verifier_finds_what_is_wrong():
         (4, {"operands": (y,)}, "has types float32 -> float32, not n n -> n"),
         (4, {"operands": (y, test)}, "has types float32, bool"),
         (4, {"operands": (y, choice)}, "before it is made"),
-        (4, {"uniform": True}, "is the same for all individuals"),
-        (4, {"detail": 3}, "has the detail 3"),
-        (4, {"number": 2}, "greater number"),
-        (4, {"value": 1.0}, "has the value"),
+        (4, {"uniform": True}, "is uniform, but its operand"),
+        (4, {"detail": 3}, "has the wrong detail 3"),
+        (4, {"number": 2}, "greater or equal number"),
+        (4, {"value": 1.0}, "has the wrong value"),
         (5, {"dtype": np.dtype(np.float64)}, "not b a a -> a"),
     ]
     for place, changes, message in wrong:
@@ -242,13 +242,13 @@ def test_verifier_finds_what_is_wrong():
         verify(dataclasses.replace(graph, nodes=graph.nodes[:-1]))
     scheduled = schedule(graph)
     runs = {graph.top: [run._replace(nodes=run.nodes[::-1]) for run in scheduled.runs[graph.top]]}
-    with pytest.raises(InvalidGraph, match="is scheduled before"):
+    with pytest.raises(InvalidGraph, match="which is scheduled later or never"):
         verify(dataclasses.replace(scheduled, runs=runs))
     for kept in (slice(1, None), slice(0, 2)):
         runs = {
             graph.top: [run._replace(nodes=run.nodes[kept]) for run in scheduled.runs[graph.top]]
         }
-        with pytest.raises(InvalidGraph, match="or this is not at all"):
+        with pytest.raises(InvalidGraph, match="which is scheduled later or never"):
             verify(dataclasses.replace(scheduled, runs=runs))
     twice = {graph.top: [run for run in scheduled.runs[graph.top] for _ in range(2)]}
     with pytest.raises(InvalidGraph, match="or twice"):
@@ -263,7 +263,7 @@ def test_verifier_looks_behind_opaque_nodes():
     verify(graph)
     (run,) = graph.runs[graph.top]
     without = dataclasses.replace(graph, runs={graph.top: [run._replace(nodes=run.nodes[1:])]})
-    with pytest.raises(InvalidGraph, match="not at all"):
+    with pytest.raises(InvalidGraph, match="which is scheduled later or never"):
         verify(without)
     total = next(node for node in graph.nodes if node.op == "add")
     nodes = [node for node in graph.nodes if node is not total]
@@ -281,7 +281,7 @@ def test_invalid_graph_names_the_pass(monkeypatch):
     optimize(traced(), [forget])
 
 
-def test_verifier_finds_what_is_wrong_with_loops():
+def test_verifier_finds_invalid_loops():
     graph = optimize(traced(), PASSES[:2])
     verify(graph)
     (loop, *_) = [node for node in graph.nodes if node.op == "loop"]
@@ -296,7 +296,7 @@ def test_verifier_finds_what_is_wrong_with_loops():
     for changes, message in (
         ({"count": None}, "number of rounds or a condition"),
         ({"test": detail.body}, "in another block"),
-        ({"following": tuple(following)}, "several types"),
+        ({"following": tuple(following)}, "different types"),
     ):
         one = dataclasses.replace(loop, detail=detail._replace(**changes))
         nodes = [*graph.nodes[:place], one, *graph.nodes[place + 1 :]]
@@ -322,7 +322,7 @@ def test_program_is_printed_after_each_pass(monkeypatch, capsys):
     ]
 
 
-def test_loops_are_printed_with_what_they_carry():
+def test_loops_are_printed_with_their_carry():
     text = show(optimize(traced()))
     for part in ("= repeat 4", "= while", "= branch", "carry", "next", "write"):
         assert part in text
@@ -364,14 +364,14 @@ def test_values_beyond_the_registers_go_to_memory():
     assert few.frame > 0 and many.frame == 0
 
 
-def test_what_loops_carry_has_a_slot():
+def test_carried_values_have_a_slot():
     def loop(x):
         return jax.lax.scan(lambda c, _: (c * x[0] + c[::-1], None), x, None, length=3)[0]
 
     code = allocate(optimize(traced(loop)), WIDE)
     (item,) = [each for each in code.items if isinstance(each, LoopCode)]
     assert item.loop.count == 3 and item.packed is None and not code.grouped
-    # Three carried values and the input that every round reads, in whole lines of the cache.
+    # Three carried values and the input that every round reads, in full cache lines.
     assert code.size == 4 * machine_constants.CACHE_LINE
 
 

@@ -1,4 +1,4 @@
-"""Random numbers drawn in fused functions are those that JAX draws."""
+"""Random numbers drawn in fused functions equal those of JAX."""
 
 import functools
 
@@ -27,21 +27,21 @@ EXACT = {
 
 
 @pytest.mark.parametrize("name", EXACT)
-def test_to_the_last_bit(name):
+def test_random_numbers_equal_those_of_jax_bit_for_bit(name):
     def draw(seed):
         return EXACT[name](jax.random.key(seed[0]))
 
-    for got, wanted in zip(fused(draw, SEEDS), plain(draw, SEEDS), strict=True):
-        np.testing.assert_array_equal(got, wanted, strict=True)
+    for got, expected in zip(fused(draw, SEEDS), plain(draw, SEEDS), strict=True):
+        np.testing.assert_array_equal(got, expected, strict=True)
 
 
-def test_normal_numbers():
-    """But for the last digits of the inverse of the error function."""
+def test_normal_numbers_agree_with_jax():
+    """Only the last digits of the inverse error function may differ."""
     assert_agrees(lambda seed: jax.random.normal(jax.random.key(seed[0]), (8,)), SEEDS)
 
 
-def test_a_number_for_each_round_and_a_key_that_all_share():
-    """As a controller draws its noise: the same for all, another for each step."""
+def test_random_numbers_of_a_shared_key_agree_with_jax():
+    """Draw as a controller draws its noise: equal for all individuals, new in each step."""
 
     def path(run, words):
         def advance(x, i):
@@ -58,8 +58,8 @@ def test_a_number_for_each_round_and_a_key_that_all_share():
 
     key = jax.random.key_data(jax.random.key(3))
     got = jax.jit(functools.partial(path, lambda f, x: fuse(f, x, batch_ndim=1)))(key)
-    wanted = jax.jit(functools.partial(path, lambda f, x: f(x)))(key)
-    np.testing.assert_allclose(got, wanted, rtol=1e-6)
+    expected = jax.jit(functools.partial(path, lambda f, x: f(x)))(key)
+    np.testing.assert_allclose(got, expected, rtol=1e-6)
 
     def inside(seed):
         return path(lambda f, x: f(x), jax.random.PRNGKey(seed[0]))
@@ -67,14 +67,14 @@ def test_a_number_for_each_round_and_a_key_that_all_share():
     assert_agrees(inside, SEEDS)
 
 
-def test_the_published_vectors():
-    """Of the reference implementation of Salmon et al. (kat_vectors of Random123)."""
+def test_published_threefry_vectors_are_reproduced():
+    """The reference implementation of Salmon et al. lists them (kat_vectors of Random123)."""
     words = [
         ((0, 0), (0, 0), (0x6B200159, 0x99BA4EFE)),
         ((0xFFFFFFFF,) * 2, (0xFFFFFFFF,) * 2, (0x1CB996FC, 0xBB002BE7)),
         ((0x13198A2E, 0x03707344), (0x243F6A88, 0x85A308D3), (0xC4923A9C, 0x483DF7A0)),
     ]
-    for key, counter, wanted in words:
+    for key, counter, expected in words:
         given = (np.uint32(word) for word in (*key, *counter))
         with np.errstate(over="ignore"):
-            assert tuple(int(word) for word in threefry2x32(*given)) == wanted
+            assert tuple(int(word) for word in threefry2x32(*given)) == expected

@@ -1,4 +1,4 @@
-"""Random programs on scalars give what JAX gives, and so do their derivatives."""
+"""Random programs on scalars, and their derivatives, agree with JAX."""
 
 import jax
 import jax.numpy as jnp
@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import lax
 
-PEOPLE = 21
+COUNT = 21
 
-# By the types of operands and of the result: f, i, b. Smooth ones have no large derivatives.
+# Types of the operands and of the result (f, i, b), and the operation. Smooth operations have no
+# large derivatives.
 SMOOTH = {
     "add": ("ff", "f", lambda a, b: a + b),
     "sub": ("ff", "f", lambda a, b: a - b),
@@ -39,7 +40,7 @@ KINKED = {
     "either": ("bb", "b", lambda a, b: a | b),
     "not": ("b", "b", lambda a: ~a),
 }
-# Halved, for XLA ends the process where it finds, compiling, that it divides the least by -1.
+# Dividends are halved: XLA ends the process if, compiling, it divides the least integer by -1.
 WHOLE = {
     "i add": ("ii", "i", lambda a, b: a + b),
     "i sub": ("ii", "i", lambda a, b: a - b),
@@ -67,7 +68,7 @@ NUMPY = {"f": np.float32, "i": np.int32, "b": np.bool_}
 
 @st.composite
 def programs(draw, operations):
-    """What is done to which of the values so far, and which are the results."""
+    """Draw operations on earlier values, and the indices of the results."""
     kinds = [*"fffib"]
     steps = []
     for kind, values in CONSTANTS.items():
@@ -75,11 +76,11 @@ def programs(draw, operations):
         kinds.append(kind)
     for _ in range(draw(st.integers(3, 25))):
         name = draw(st.sampled_from(sorted(operations)))
-        wanted, kind, _ = operations[name]
+        expected, kind, _ = operations[name]
         places = []
-        for each in wanted:
+        for each in expected:
             fitting = [i for i, one in enumerate(kinds) if one == each]
-            # Mostly what was made last, so that the program is deep.
+            # Recent values are preferred, so that the program is deep.
             places.append(fitting[-1 - min(draw(st.integers(0, 6)), len(fitting) - 1)])
         steps.append((name, places))
         kinds.append(kind)
@@ -87,7 +88,7 @@ def programs(draw, operations):
 
 
 def interpreted(program, operations):
-    """The program as a function; of its constants as well, if they are given."""
+    """Return the program as a function, of its constants too if they are passed."""
     steps, results = program
 
     def run(floats, number, flag, *constants):
@@ -106,19 +107,19 @@ def interpreted(program, operations):
 
 def inputs():
     draws = np.random.default_rng(0)
-    whole = draws.integers(-(2**31), 2**31, (1, PEOPLE)).astype(np.int32)
+    whole = draws.integers(-(2**31), 2**31, (1, COUNT)).astype(np.int32)
     whole[0, :9] = [0, 1, -1, 2, 5, -8, 31, 2**31 - 1, -(2**31)]
-    floats = draws.normal(size=(3, PEOPLE)).astype(np.float32)
-    return [jnp.asarray(x) for x in (floats, whole, draws.random((1, PEOPLE)) < 0.5)]
+    floats = draws.normal(size=(3, COUNT)).astype(np.float32)
+    return [jnp.asarray(x) for x in (floats, whole, draws.random((1, COUNT)) < 0.5)]
 
 
 def compare(function, program):
-    """Within what rounding explains: how far JAX itself is from JAX with twice the digits.
+    """Assert that native code is exact within rounding, measured as JAX's error to float64.
 
-    JAX is not told what is constant, lest it makes the same mistakes.
+    JAX gets the constants as arguments, so that it cannot repeat errors of constant folding.
     """
     steps, _ = program
-    known = [np.full((1, PEOPLE), v, NUMPY[k]) for k, v in steps if k in NUMPY]
+    known = [np.full((1, COUNT), v, NUMPY[k]) for k, v in steps if k in NUMPY]
     values = inputs()
     got, rough = fused(function, *values), plain(function, *values, *known)
     with jax.enable_x64(True):
@@ -127,13 +128,13 @@ def compare(function, program):
     for one, other, best in zip(got, rough, exact, strict=True):
         assert one.dtype == other.dtype
         if one.dtype.kind != "f":
-            # Rounding may turn a comparison; whole numbers and flags then follow.
+            # Rounding may change a comparison, and with it integers and flags.
             sure = other == best.astype(other.dtype)
             assert (one != other)[sure].sum() <= 1
             continue
         finite = np.isfinite(other) & np.isfinite(best)
         one, other, best = one[finite], other[finite], best[finite]
-        # Some are lucky, and in JAX nothing was rounded: the usual error counts as well.
+        # JAX may round nothing by chance, so the median error counts too.
         error = np.abs(other - best)
         usual = np.median(error) if error.size else 0.0
         off = np.abs(one - best) > 1e-5 * (1 + np.abs(best)) + 30 * error + 100 * usual
@@ -144,12 +145,12 @@ def check(program, operations):
     compare(interpreted(program, operations), program)
 
 
-def check_slope(program, operations):
-    def slope(floats, *others):
+def check_derivatives(program, operations):
+    def derivatives(floats, *others):
         function = interpreted(program, operations)
         return jax.grad(lambda x: function(x, *others)[0])(floats)
 
-    compare(lambda *values: [slope(*values)], program)
+    compare(lambda *values: [derivatives(*values)], program)
 
 
 EVERY = {**SMOOTH, **KINKED, **WHOLE}
@@ -165,7 +166,7 @@ def test_values(program):
 @settings(max_examples=12)
 @given(programs({**SMOOTH, **KINKED}))
 def test_derivatives(program):
-    check_slope(program, {**SMOOTH, **KINKED})
+    check_derivatives(program, {**SMOOTH, **KINKED})
 
 
 @pytest.mark.slow
@@ -179,4 +180,4 @@ def test_values_of_many(program):
 @settings(max_examples=300)
 @given(programs({**SMOOTH, **KINKED}))
 def test_derivatives_of_many(program):
-    check_slope(program, {**SMOOTH, **KINKED})
+    check_derivatives(program, {**SMOOTH, **KINKED})

@@ -1,4 +1,4 @@
-"""The order of operations, and which values are in registers."""
+"""The order of operations, and the choice of values in registers."""
 
 import functools
 
@@ -19,12 +19,12 @@ from evo_cpg.fusion.passes.schedule import ordered
 from evo_cpg.fusion.unsupported import Unsupported
 
 INPUTS, REGISTERS = 5, 8
-LIMIT = 6  # of eight registers two are spare
+LIMIT = 6  # Two of eight registers are spare.
 
 
 @st.composite
 def programs(draw):
-    """Operations in the order in which they were made, and what is wanted of them."""
+    """Draw operations in the order of their creation, and the results."""
     builder = Builder()
     known = list(builder.argument((INPUTS,), np.float32))
     made = []
@@ -49,8 +49,8 @@ def test_order_computes_all_of_it_operands_first(program):
         assert all(place.get(operand, -1) < place[node] for operand in node.operands)
 
 
-def test_what_frees_most_comes_soon():
-    """Sums of neighbours, made one level after the other: each is added up before the next."""
+def test_operations_that_free_registers_come_early():
+    """Order sums of neighbours, made level by level: each pair is added before the next pair."""
     builder = Builder()
     rows = list(builder.argument((16,), np.float32))
     made = []
@@ -73,10 +73,10 @@ def test_what_frees_most_comes_soon():
 @given(programs())
 @settings(deadline=None)
 def test_no_choice_reads_memory_less_often(program):
-    order, wanted = program
-    steps = [*({*node.operands} for node in order), *({node} for node in wanted)]
+    order, expected = program
+    steps = [*({*node.operands} for node in order), *({node} for node in expected)]
     registers, reads = Registers(REGISTERS), 0
-    registers.expect(order, wanted)
+    registers.expect(order, expected)
     for i, needed in enumerate(steps):
         for node in needed:
             if registers.name(node, True) is None:
@@ -103,7 +103,7 @@ def first_in(since, last):
 
 
 def reads_with(policy, order, steps):
-    """How often memory is read where others leave; what is used no more leaves at once."""
+    """Return the reads of memory under another eviction policy. Unused values leave at once."""
     since, last, reads = {}, {}, 0
     ends = {node: i for i, needed in enumerate(steps) for node in needed}
     for i, needed in enumerate(steps):
@@ -135,8 +135,8 @@ def natively(function, x, instructions="host"):
 
 @pytest.mark.parametrize("instructions", SETS)
 @pytest.mark.parametrize("count", [1, 3, 40])
-def test_many_values_that_wait(count, instructions):
-    """All of a hundred products are needed twice, far apart."""
+def test_many_waiting_values_are_kept(count, instructions):
+    """Each of a hundred products is used twice, far apart."""
 
     def function(x, xp=jnp):
         products = [x[i] * x[i + 1] for i in range(100)]
@@ -149,13 +149,13 @@ def test_many_values_that_wait(count, instructions):
 
     x = np.random.default_rng(0).normal(size=(101, count)).astype(np.float32)
     found = natively(function, x, instructions)
-    for got, wanted in zip(found, function(x, np), strict=True):
-        np.testing.assert_array_equal(got, wanted)
+    for got, expected in zip(found, function(x, np), strict=True):
+        np.testing.assert_array_equal(got, expected)
 
 
 @pytest.mark.parametrize("counted", [True, False])
-def test_values_that_change_places_in_a_loop(counted):
-    """Each place takes over what the next one had, before that is written."""
+def test_values_may_swap_places_in_a_loop(counted):
+    """Each place takes the value of the next place before that value is overwritten."""
     rounds = jnp.array([0.0, 1.0, 2.0, 5.0, 41.0, 3.0])
 
     def function(x, rounds):
@@ -170,5 +170,5 @@ def test_values_that_change_places_in_a_loop(counted):
     x = jnp.arange(40 * 6, dtype=jnp.float32).reshape(40, 6)
     with using(Engine("native")):
         found = jax.jit(functools.partial(fuse, function, batch_ndim=1))(x, rounds)
-    for got, wanted in zip(found, jax.vmap(function, -1, -1)(x, rounds), strict=True):
-        np.testing.assert_array_equal(got, wanted)
+    for got, expected in zip(found, jax.vmap(function, -1, -1)(x, rounds), strict=True):
+        np.testing.assert_array_equal(got, expected)

@@ -1,8 +1,8 @@
-"""Native code and plain JAX on every shipped config: control steps from recorded states.
+"""Native code against plain JAX on every shipped config: control steps from recorded states.
 
-How far two ways to round may be apart depends on the motion: what touches the ground multiplies a
-last digit by thousands within one control step. So what a change of the state's last digits does to
-plain JAX itself is the measure.
+The allowed difference depends on the motion, because contact multiplies a last digit by thousands
+within one control step. The reference is therefore the effect on plain JAX of a change of the
+state's last digits.
 """
 
 from pathlib import Path
@@ -19,10 +19,10 @@ from evo_cpg.simulation.control_step import begin_episode, control_step
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 INDIVIDUALS, TIMES, APART, NUDGES = 10, 10, 20, 8
-# One of two float32 numbers that lie next to each other, relative to the other.
+# Relative distance of neighbouring float32 numbers.
 LAST_DIGIT = 2.0**-23
 SMALL = "iwadate2010_swimmer", ("creature.bodies.1.repeat=1",)
-# Those that evolve with noise have the animals of others.
+# The robust configs have the creatures of other configs.
 EVERY = sorted(p.stem for p in CONFIGS.glob("*.yaml") if not p.stem.endswith("_robust"))
 IN_WATER = "iwadate2010_swimmer", "iwadate2010_salamander_water", "two_eyed_swimmer"
 
@@ -35,7 +35,7 @@ def cases(names):
 
 
 class Trial:
-    """A config's individuals, and one control step of theirs by either engine."""
+    """Individuals of a config, and their control step by either engine."""
 
     def __init__(self, config):
         name, overrides = config
@@ -79,23 +79,23 @@ def numbers(tree):
 
 
 def moved(trial, animal, number, engine="plain"):
-    """What a control step gives, and for what share of it each was off the ground."""
+    """Return the results of a control step, and the fraction of the step without ground contact."""
     animal, effects = getattr(trial, engine)(animal, number)
     return (animal, effects._replace(airborne=())), np.asarray(effects.airborne)
 
 
-def distances(found, wanted):
-    """Of every individual, per array: the largest difference relative to the array's size."""
+def distances(found, expected):
+    """Return each individual's largest difference in every array, relative to the array's size."""
     return np.array(
         [
             np.abs(a - b).reshape(-1, INDIVIDUALS).max(0) / max(np.abs(b).max(), 1e-12)
-            for a, b in zip(numbers(found), numbers(wanted), strict=True)
+            for a, b in zip(numbers(found), numbers(expected), strict=True)
         ]
     )
 
 
 def nudged(animal, generator):
-    """The same state but for its last digits."""
+    """Return the state with changed last digits."""
 
     def nudge(x):
         return x * (1 + LAST_DIGIT * generator.choice([-1.0, 1.0], x.shape)).astype(x.dtype)
@@ -104,31 +104,31 @@ def nudged(animal, generator):
 
 
 @pytest.mark.parametrize("config", cases(EVERY))
-def test_one_control_step_from_a_hundred_recorded_states(config, trials):
+def test_control_steps_agree_to_the_last_digits(config, trials):
     trial, generator = trials(config), np.random.default_rng(0)
     animal, apart, loose, touching = trial.start, [], [], 0
     for index in range(TIMES * APART):
         number = jnp.int32(index)
         if index % APART == 0:
-            wanted, off = moved(trial, animal, number)
+            expected, off = moved(trial, animal, number)
             found, found_off = moved(trial, animal, number, "native")
             near = [moved(trial, nudged(animal, generator), number)[0] for _ in range(NUDGES)]
-            apart.append(distances(found, wanted))
-            loose.append([distances(one, wanted) for one in near])
+            apart.append(distances(found, expected))
+            loose.append([distances(one, expected) for one in near])
             touching += (off == found_off).sum()
         animal = trial.native(animal, number)[0]
     apart, loose = np.array(apart), np.array(loose)
     assert apart.shape[0] * apart.shape[2] == 100
-    # By as much as rounding: typically, and nowhere much more than the last digits bring about.
+    # The median difference is about the effect of the last digits. No difference far exceeds it.
     assert np.median(apart.max(1)) <= 4 * np.median(loose.max(2)) + 1e-6
     assert apart.max() <= 10 * loose.max() + 1e-5
-    # Whether something just touches or just does not, a last digit may decide.
+    # A last digit may decide whether a point just touches.
     assert touching >= 95
 
 
 @pytest.mark.parametrize("config", cases(IN_WATER))
-def test_a_second_in_water(config, trials):
-    """No further apart than by a last digit in every control step; on the ground they part."""
+def test_a_second_in_water_agrees(config, trials):
+    """Compare with changed last digits in every step. Walkers diverge, so they are absent."""
     trial, generator = trials(config), np.random.default_rng(0)
     native = plain = near = trial.start
     for index in range(round(trial.rate)):

@@ -1,4 +1,4 @@
-"""What is spent on native code is measured for whoever wants to know."""
+"""Time spent on native code is measured."""
 
 import functools
 import threading
@@ -41,11 +41,11 @@ def test_other_threads_do_not_count():
 
 
 @pytest.mark.skipif(not engine.is_native(), reason="no native code here")
-def test_the_compiler_counts_for_new_code_alone():
-    """A second function of the same code needs LLVM no more."""
+def test_the_compiler_counts_only_for_new_code():
+    """A second function with equal code needs no LLVM."""
 
     def made():
-        # No other test has this number, so no code of it is there.
+        # No other test uses this number, so its code does not exist yet.
         function = functools.partial(fuse, lambda x: x * 1.2345678 + 8.7654321, batch_ndim=1)
         return jax.jit(functools.partial(function, name="a sum"))
 

@@ -1,8 +1,7 @@
-"""Every shipped config with the native back end and with it switched off: trials, in float64.
+"""Trials of every shipped config with native code and with plain JAX, in float64.
 
-Switched off (`engine: jax`) the simulation is plain JAX, which is what its code says; both must
-come to the same. From single steps to many see `test_shipped_configs`. Without noise, which is
-drawn in float32, of which the last digit differs: see `tests/simulation/test_noise.py`.
+Both engines must agree. `test_shipped_configs` compares single and many steps. Noise is off,
+because it is drawn in float32 and differs in the last digit (`tests/simulation/test_noise.py`).
 """
 
 import dataclasses
@@ -22,23 +21,22 @@ from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-# Those that evolve with noise have the animals of others.
+# The robust configs have the creatures of other configs.
 EVERY = sorted(p.stem for p in CONFIGS.glob("*.yaml") if not p.stem.endswith("_robust"))
-# In water with three of its ten bodies: the others compile longer. One step on the ground is
-# compared in `tests/physics/test_walker_contacts.py`.
+# A swimmer with three of its ten bodies. The other configs compile longer.
+# `tests/physics/test_walker_contacts.py` compares one step on the ground.
 SMALL = pytest.param("iwadate2010_swimmer", ("creature.bodies.1.repeat=1",), id="three bodies")
 STEPS, INDIVIDUALS = 3, 2
 
-# Two ways to round are 2e-16 apart in every operation, and what touches the ground multiplies that
-# by thousands. Found were up to 1e-14 in water and 9e-13 on the ground, of the largest number. What
-# is left of equations that are solved is itself such a difference: its measure is the equations'
-# terms, which are 1 in its unit.
+# Roundings differ by 2e-16 in every operation, and contact multiplies that by thousands. Measured
+# differences were up to 1e-14 of the largest number in water and 9e-13 on the ground. The residual
+# of solved equations is itself such a difference. Its scale is the equations' terms, which are 1.
 TOLERANCE = 1e-11
 RESIDUALS = ("solved_residual", "coulomb_residual")
 
 
 def trial(name, overrides, engine):
-    """What a short trial of some individuals comes to, and the recording of one."""
+    """Return the results of a short trial of some individuals, and the recording of one."""
     path = CONFIGS / f"{name}.yaml"
     config = load_config(path, [f"engine={engine}", *overrides])
     simulation = build_experiment(config, path).simulation
@@ -59,18 +57,18 @@ def trial(name, overrides, engine):
         *[pytest.param(name, (), id=name, marks=pytest.mark.slow) for name in EVERY],
     ],
 )
-def test_the_same_trial_with_native_code_and_without(x64, name, overrides):
-    found, wanted = (trial(name, overrides, engine) for engine in ("native", "jax"))
-    assert found.keys() == wanted.keys()
-    assert np.abs(np.diff(wanted["joint_angle"], axis=0)).max() > 1e-6
-    for key, values in wanted.items():
+def test_native_code_and_jax_give_the_same_trial(x64, name, overrides):
+    found, expected = (trial(name, overrides, engine) for engine in ("native", "jax"))
+    assert found.keys() == expected.keys()
+    assert np.abs(np.diff(expected["joint_angle"], axis=0)).max() > 1e-6
+    for key, values in expected.items():
         size = 1.0 if key in RESIDUALS else np.abs(values).max(initial=0.0)
         np.testing.assert_allclose(
             found[key], values, rtol=0, atol=TOLERANCE * size, strict=True, err_msg=key
         )
 
 
-def test_every_shipped_creature_lives_in_one_of_them():
+def test_every_shipped_creature_is_compared():
     configs = [yaml.safe_load(path.read_text()) for path in CONFIGS.glob("*.yaml")]
     creatures = {f"creatures/{path.name}" for path in (CONFIGS / "creatures").glob("*.yaml")}
     used = [config["creature"] for config in configs]

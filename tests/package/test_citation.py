@@ -1,4 +1,4 @@
-"""CITATION.cff says what the package says of itself, and names the two studies."""
+"""CITATION.cff agrees with the package and names the two studies. The paper's sources exist."""
 
 from importlib import metadata
 
@@ -7,12 +7,12 @@ import yaml
 from tiny_run import REPOSITORY
 
 
-def test_the_citation_is_of_this_package():
+def test_the_citation_agrees_with_the_package():
     citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
     package = metadata.metadata("evo-cpg")
     assert citation["cff-version"] == "1.2.0"
     assert citation["version"] == package["Version"]
-    # Beside ours there is that of three.js.
+    # The package has our licence and the licence of three.js.
     assert package["License-Expression"] == f"{citation['license']} AND MIT"
     assert [author["name"] for author in citation["authors"]] == [package["Author"]]
     assert ",".join(citation["keywords"]) == package["Keywords"]
@@ -20,7 +20,7 @@ def test_the_citation_is_of_this_package():
     assert named == [("Iwadate", 2010), ("Fukui", 2003)]
 
 
-def test_every_source_that_the_paper_names_is_in_its_list():
+def test_the_papers_sources_equal_its_list():
     folder = REPOSITORY / "docs" / "paper"
     text = (folder / "paper.md").read_text().split("---", 2)[2]
     named = {word.strip("[];.,:") for word in text.split() if word.strip("[").startswith("@")}

@@ -1,4 +1,4 @@
-"""Generated parts of the docs are committed and fresh."""
+"""Generated parts of the docs are up to date."""
 
 import sys
 

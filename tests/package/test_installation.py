@@ -1,4 +1,4 @@
-"""An extra is added by the command that suits how the program was installed."""
+"""The command that adds an extra suits the installation: editable or from a wheel."""
 
 import json
 import os
@@ -15,22 +15,22 @@ from evo_cpg.installation import command_for, version_of
 
 
 class Installed:
-    """What pip notes of an installation."""
+    """Stand-in for pip's record of an installation."""
 
-    def __init__(self, told):
-        self._told = told
+    def __init__(self, record):
+        self._record = record
 
     def read_text(self, name):
         assert name == "direct_url.json"
-        return self._told
+        return self._record
 
 
 @pytest.fixture
 def installed(monkeypatch):
-    """Replace what pip has noted."""
+    """Function that replaces pip's record."""
 
-    def replace(told):
-        monkeypatch.setattr(metadata, "distribution", lambda name: Installed(told))
+    def replace(record):
+        monkeypatch.setattr(metadata, "distribution", lambda name: Installed(record))
 
     return replace
 
@@ -39,7 +39,7 @@ def noted(folder, **about):
     return json.dumps({"url": folder.as_uri(), "dir_info": about})
 
 
-def test_in_a_clone_the_program_stays_editable(installed, tmp_path, monkeypatch):
+def test_a_clone_stays_editable(installed, tmp_path, monkeypatch):
     folder = tmp_path / "a clone"
     folder.mkdir()
     (folder / "constraints.txt").touch()
@@ -49,7 +49,7 @@ def test_in_a_clone_the_program_stays_editable(installed, tmp_path, monkeypatch)
         *("-m", "pip", "install", "-c", str(folder / "constraints.txt")),
         *("-e", f"{folder}[mujoco]"),
     ]
-    # In the clone all is named from there.
+    # In the clone, paths are relative to it.
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "executable", str(folder / ".venv" / "bin" / "python"))
     assert command_for("jobs") == (
@@ -60,7 +60,7 @@ def test_in_a_clone_the_program_stays_editable(installed, tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize(
-    "told",
+    "record",
     [
         None,
         "",
@@ -70,13 +70,13 @@ def test_in_a_clone_the_program_stays_editable(installed, tmp_path, monkeypatch)
         '{"url": "file:///clone", "dir_info": {}}',
     ],
 )
-def test_a_wheel_goes_by_its_name(installed, told):
-    installed(told)
+def test_a_wheel_is_installed_by_name(installed, record):
+    installed(record)
     assert command_for("mujoco").endswith(" -m pip install 'evo-cpg[mujoco]'")
     assert shlex.split(command_for("mujoco"))[0] == installation._shown(sys.executable)
 
 
-def test_what_was_never_installed_has_no_version(monkeypatch):
+def test_a_missing_package_has_no_version(monkeypatch):
     assert version_of("numpy") == metadata.version("numpy")
     assert version_of("evo-cpg-of-nobody") == "unknown"
 

@@ -1,4 +1,4 @@
-"""The version, and what it is tested with, are the same wherever they stand."""
+"""Versions of the program and of its dependencies agree in all files."""
 
 import datetime
 import re
@@ -16,7 +16,7 @@ CHANGELOG = (REPOSITORY / "CHANGELOG.md").read_text()
 def test_the_newest_release_is_this_version():
     heads = re.findall(r"^## \[(.+?)\](?: - (\S+))?$", CHANGELOG, re.MULTILINE)
     assert len(heads) == len(re.findall(r"^## ", CHANGELOG, re.MULTILINE))
-    # What comes after it may stand above it.
+    # Unreleased changes may stand above the release.
     if heads[0] == ("Unreleased", ""):
         heads = heads[1:]
     version, date = heads[0]
@@ -28,21 +28,21 @@ def test_the_newest_release_is_this_version():
     assert dates == sorted(dates, reverse=True)
 
 
-def test_what_is_stable_is_so_since_this_major_version():
+def test_stability_starts_with_this_major_version():
     named = set(re.findall(r"[Ss]ince (\d+\.\d+)|Before (\d+\.\d+)", SUPPORT))
     assert {"".join(each) for each in named} == {PROJECT["version"].split(".")[0] + ".0"}
 
 
-def test_what_is_supported_is_what_the_package_asks_for():
+def test_supported_versions_are_the_required_versions():
     oldest, tested = {}, {}
     for line in SUPPORT.splitlines():
         if match := re.match(r"\| (Python|JAX|llvmlite) \| ([\d.]+) \| ([\d.]+)", line):
             oldest[match[1].lower()], tested[match[1].lower()] = match[2], match[3]
-    asked = {"python": PROJECT["requires-python"].removeprefix(">=")}
+    required = {"python": PROJECT["requires-python"].removeprefix(">=")}
     for words in PROJECT["dependencies"]:
         if match := re.match(r"(jax|llvmlite)>=([\d.]+)", words):
-            asked[match[1]] = match[2]
-    assert oldest == asked and set(asked) == {"python", "jax", "llvmlite"}
+            required[match[1]] = match[2]
+    assert oldest == required and set(required) == {"python", "jax", "llvmlite"}
     pins = dict(re.findall(r"^(\S+)==(\S+)", (REPOSITORY / "constraints.txt").read_text(), re.M))
     for name in ("jax", "llvmlite"):
         assert pins[name] == tested[name] or pins[name] == f"{tested[name]}.0"

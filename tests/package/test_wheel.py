@@ -1,4 +1,4 @@
-"""The wheel holds all that the program needs, and works where there is no clone."""
+"""The wheel holds all files that the program needs, and works without a clone."""
 
 import os
 import subprocess
@@ -13,7 +13,7 @@ import pytest
 from evo_cpg.config.shipped import shipped_names
 from tiny_run import PAIR, REPOSITORY
 
-# In an empty folder, with a path that has only the wheel before the dependencies.
+# It runs in an empty folder. The path has the wheel, then the dependencies.
 _LOADS_ALL = """
 import evo_cpg
 from evo_cpg.config.load import load_config
@@ -27,7 +27,7 @@ for name in shipped_names():
 
 
 def build(source: Path, kind: str, into: Path) -> Path:
-    """A wheel or an sdist of a source tree."""
+    """Build a wheel or an sdist of a source tree."""
     command = [sys.executable, "-m", "hatchling", "build", "-t", kind, "-d", str(into)]
     subprocess.run(command, cwd=source, check=True, capture_output=True)
     (made,) = into.iterdir()
@@ -45,13 +45,13 @@ def names(wheel: Path) -> set[str]:
 
 
 def tracked(folder: str) -> set[str]:
-    """Files of a folder of the repository, without what is no part of it."""
+    """Return the files in a folder of the repository, without compiled Python."""
     root = REPOSITORY / folder
     files = (path for path in root.rglob("*") if path.is_file())
     return {str(p.relative_to(REPOSITORY)) for p in files if "__pycache__" not in p.parts}
 
 
-def test_the_wheel_holds_the_package_and_the_configurations_and_nothing_else(wheel):
+def test_the_wheel_holds_only_package_and_configurations(wheel):
     ours = {name for name in names(wheel) if ".dist-info/" not in name}
     configs = {f"evo_cpg/{name}" for name in tracked("configs")}
     assert ours == tracked("evo_cpg") | configs
@@ -59,7 +59,7 @@ def test_the_wheel_holds_the_package_and_the_configurations_and_nothing_else(whe
 
 
 def test_every_configuration_loads_from_the_wheel_alone(wheel, tmp_path):
-    """Small twin of what is slow below."""
+    """Small counterpart of the slow test below."""
     (tmp_path / "empty").mkdir()
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(tmp_path / "wheel")
@@ -77,7 +77,7 @@ def test_every_configuration_loads_from_the_wheel_alone(wheel, tmp_path):
     ]
 
 
-def test_the_wheel_says_what_it_is(wheel):
+def test_the_wheel_has_its_metadata(wheel):
     with zipfile.ZipFile(wheel) as archive:
         (name,) = (name for name in archive.namelist() if name.endswith("/METADATA"))
         text = archive.read(name).decode()
@@ -94,10 +94,10 @@ def test_the_wheel_says_what_it_is(wheel):
 
 
 @pytest.mark.slow
-def test_from_the_wheel_in_an_empty_environment(wheel, tmp_path):
-    """Install it with `constraints.txt` and go from the list of configurations to an audit.
+def test_commands_work_in_an_empty_environment(wheel, tmp_path):
+    """Install the wheel with `constraints.txt`, and run the commands from `configs` to `bench`.
 
-    The wheel that is made from the sdist is installed; it has to have what the clone's has.
+    The installed wheel is built from the sdist. It has the same files as the clone's wheel.
     """
     sdist = build(REPOSITORY, "sdist", tmp_path / "sdist")
     with tarfile.open(sdist) as archive:
@@ -134,22 +134,22 @@ def test_from_the_wheel_in_an_empty_environment(wheel, tmp_path):
     assert (empty / films.strip()).stat().st_size > 500
     assert len(run("evo-cpg", "plot", run_folder).split()) == 3
     assert "lights reached" in run("evo-cpg", "probe", run_folder, "--bearings", "-30,30")
-    # Limits that two bodies on a hinge meet: asked is whether it works.
+    # Two bodies on a hinge pass these limits: the test is that the command works.
     loose = ("half_step=0", "quarter_step=0", "friction=0", "drag=0", "pose=0")
     loose += ("surface_points=0", "precision=0", "other_engine=0", "limp_way=10")
     assert "passes its audit" in run("evo-cpg", "audit", run_folder, *loose)
     run("evo-cpg", "export", run_folder, "run.xml")
     run("evo-cpg", "export", "hexapod", "hexapod.xml")
     assert (empty / "run.xml").is_file() and (empty / "hexapod.xml").is_file()
-    assert "comes out as recorded (exactly)" in run("evo-cpg", "verify", run_folder)
+    assert "is as recorded (exactly)" in run("evo-cpg", "verify", run_folder)
     run("evo-cpg", "resume", run_folder, "--generations", 3)
     rows = (empty / run_folder / "metrics.csv").read_text().splitlines()
     assert [row.split(",")[0] for row in rows[1:]] == ["0", "1", "2"]
     copied = run("evo-cpg", "configs", "copy", "salamander_amphibious").strip()
     assert copied == "salamander_amphibious.yaml"
     assert "16 bodies" in run("evo-cpg", "validate", copied)
-    # What only a clone has.
+    # Only a clone has the benchmarks.
     bench = call("evo-cpg", "bench", "brain")
     assert bench.returncode == 2 and bench.stderr.startswith(
-        "evo-cpg: the benchmark suite is part of a checkout of evo_cpg; there is none in "
+        "evo-cpg: the benchmark suite is part of a checkout of evo_cpg, but "
     )

@@ -1,4 +1,4 @@
-"""Double precision in every test of the physics: the oracles are better than float32."""
+"""Double precision in every test of the physics, because the oracles are better than float32."""
 
 import jax
 import pytest
@@ -6,6 +6,6 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def double_precision():
-    """Every test of the physics runs in float64 unless it makes float32 arrays itself."""
+    """Run every test of the physics in float64, except for arrays that it makes in float32."""
     with jax.enable_x64(True):
         yield

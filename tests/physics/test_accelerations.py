@@ -1,7 +1,7 @@
 """Accelerations of random branching trees against MuJoCo's.
 
-MuJoCo 3's C library solves the same rigid-body equations by the composite rigid-body algorithm
-and a factorised mass matrix, a different algorithm in different coordinates.
+MuJoCo 3's C library solves these rigid-body equations by another algorithm in other coordinates:
+the composite rigid-body algorithm and a factorised mass matrix.
 """
 
 import equinox as eqx
@@ -26,8 +26,8 @@ from evo_cpg.spatial.linear import expand_dims_like
 GRAVITY = 9.81
 TREES_PER_STRUCTURE = 9
 
-# What differs between trees of one structure whose joints have the same axes: a compiled function
-# can take it as an argument.
+# Arrays that differ between trees of one structure and equal joint axes. A compiled function can
+# take them as arguments.
 PARAMETERS = (
     "joint_offset",
     "mass",
@@ -41,12 +41,12 @@ PARAMETERS = (
 
 
 def parameters(tree: Tree) -> list:
-    """The arrays of a tree named by `PARAMETERS`."""
+    """Return the arrays of a tree named by `PARAMETERS`."""
     return [getattr(tree, name) for name in PARAMETERS]
 
 
 def dry_accelerations(tree: Tree, state: State, tau) -> jax.Array:
-    """Root (angular, then linear of its centre) and joint accelerations, without any step."""
+    """Return accelerations of the root (angular, then linear) and the joints, without a step."""
     kin = kinematics(tree, state)
     inertia, bias = body_equations(World(tree, GRAVITY), kin, 0.0)
     passive, derivative = passive_torque(tree, state, 0.0)
@@ -55,7 +55,7 @@ def dry_accelerations(tree: Tree, state: State, tau) -> jax.Array:
 
 
 def relative_errors(number: int, dtype, stiffer: float = 1.0) -> list[float]:
-    """Largest difference from MuJoCo over its largest acceleration, for trees of one structure."""
+    """Return errors relative to MuJoCo's largest acceleration, for trees of one structure."""
     first = build_tree(
         random_creature(np.random.default_rng(0), STRUCTURES[number], axes_seed=number)
     )
@@ -92,23 +92,23 @@ def relative_errors(number: int, dtype, stiffer: float = 1.0) -> list[float]:
 
 @pytest.mark.parametrize("number", range(len(STRUCTURES)))
 def test_random_trees_accelerate_as_in_mujoco(number):
-    """54 trees of all shapes, joints of 1 to 3 axes, springs, dampers and rotors, in float64.
+    """Compare 54 trees with all shapes, joints of 1 to 3 axes, springs, dampers and rotors.
 
-    1e-9 of the largest acceleration is the contract; what both sides' rounding gives is 1e-12.
+    The tolerance is 1e-9 of the largest acceleration. The roundings of both sides give 1e-12.
     """
     assert max(relative_errors(number, jnp.float64)) < 1e-9
 
 
 @pytest.mark.parametrize("number", [1, 3])
 def test_float32_keeps_four_digits(number):
-    """In float32, 2e-4 of the largest acceleration.
+    """In float32 the tolerance is 2e-4 of the largest acceleration.
 
-    Some 1e3 roundings of 6e-8 in systems of condition 1e2 to 1e3; the worst of the 54 trees
-    comes to 5e-5, with joints of three axes at 3 (the structure asserted here) the least exact.
+    The error is some 1e3 roundings of 6e-8 in systems of condition 1e2 to 1e3. The largest error of
+    the 54 trees is 5e-5, in the structure asserted here, whose joints have three axes.
     """
     assert max(relative_errors(number, jnp.float32)) < 2e-4
 
 
 def test_the_comparison_can_fail():
-    """Springs 1 % stiffer exceed the tolerance by far: the oracle is not blind."""
+    """Springs that are 1 % stiffer exceed the tolerance by far."""
     assert min(relative_errors(0, jnp.float64, stiffer=1.01)) > 1e-7

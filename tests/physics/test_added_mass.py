@@ -1,4 +1,4 @@
-"""Added mass against Lamb's and Kirchhoff's equations, momentum and Galileo."""
+"""Added mass against Lamb's and Kirchhoff's equations, momentum and a change of frame."""
 
 import dataclasses
 
@@ -23,12 +23,12 @@ GRAVITY, WATER = 9.81, 1000.0
 
 
 def single(shape: Shape, density: float) -> Creature:
-    """A creature of one body."""
+    """Return a creature of one body."""
     return Creature("single", (Body("b", shape, Material(density)),))
 
 
 def ideal(creature: Creature, gravity: float = 0.0, **water) -> World:
-    """A creature in water without friction, which carries some of it."""
+    """Return the world of a creature in water without drag, but with added mass."""
     return in_water(creature, 1, gravity, form_drag=0.0, skin_drag=0.0, added_mass=True, **water)
 
 
@@ -36,8 +36,8 @@ def ideal(creature: Creature, gravity: float = 0.0, **water) -> World:
 def test_coefficients_of_ellipsoids(axes):
     """Lamb's integrals by Carlson's: alpha = 2/3 abc R_D(b^2, c^2, a^2), M = alpha / (2 - alpha).
 
-    About its long axis a body of revolution carries no water; about the others, when it is slender,
-    as much as it is itself: V (a^2 + b^2) / 5.
+    A body of revolution has no added inertia about its long axis. The added inertia of a slender
+    body about its other axes is the inertia of its own volume, V (a^2 + b^2) / 5.
     """
     a = np.array(axes, float)
     volume = 4 / 3 * np.pi * a.prod()
@@ -56,7 +56,7 @@ def test_coefficients_of_ellipsoids(axes):
 
 
 def test_coefficients_of_other_shapes():
-    """A sphere carries half of what it displaces; a box as its ellipsoid of the same volume."""
+    """A sphere's added mass is half of its water. A box equals its ellipsoid of equal volume."""
     sphere = ellipsoid(Sphere(0.2))
     np.testing.assert_allclose(sphere, [0, 0, 0, *[Sphere(0.2).volume / 2] * 3], rtol=1e-9)
     ball, box = Ellipsoid((0.3, 0.2, 0.1)), Box((0.6, 0.4, 0.2))
@@ -70,7 +70,7 @@ def test_coefficients_of_other_shapes():
 
 @pytest.mark.parametrize("density", [100.0, 3000.0])
 def test_first_acceleration_of_a_sphere(density):
-    """(rho V - m) g / (m + rho V / 2): a bubble rises with 2 g, not with 1000 g."""
+    """The acceleration is (rho V - m) g / (m + rho V / 2): 2 g for a bubble, not 1000 g."""
     world = ideal(single(Sphere(0.1), density), GRAVITY)
     motion = coast(world, resting_state(world.tree, dtype=jnp.float64), 1e-3, 1e-3)
     expected = (WATER - density) * GRAVITY / (density + WATER / 2)
@@ -78,9 +78,9 @@ def test_first_acceleration_of_a_sphere(density):
 
 
 def test_tumbling_ellipsoid_follows_kirchhoff():
-    """(I + M) dV/dt = -V x* (I + M) V in body axes, by an adaptive Runge-Kutta method.
+    """Compare with (I + M) dV/dt = -V x* (I + M) V in body axes by an adaptive Runge-Kutta method.
 
-    The step is of first order: half the step, half the difference.
+    The step is of first order, so half the step gives half the difference.
     """
     shape = Ellipsoid((0.3, 0.2, 0.1))
     world = ideal(single(shape, WATER))
@@ -108,7 +108,7 @@ def test_tumbling_ellipsoid_follows_kirchhoff():
 
 
 def test_impulse_of_a_tree_is_conserved():
-    """Joints are internal: impulse of bodies and water, and its moment, change with h^2 only."""
+    """Joint forces are internal, so impulse and moment of bodies and water change by h^2 only."""
     h = 1e-6
     rng = np.random.default_rng(5)
     world = ideal(random_creature(rng, STRUCTURES[1]))
@@ -135,7 +135,7 @@ def test_impulse_of_a_tree_is_conserved():
 
 
 def test_a_uniform_stream_is_a_moving_frame():
-    """Bodies that move with a stream behave as in still water (Galileo)."""
+    """Bodies that move with a stream behave as in still water (Galilean invariance)."""
     stream = np.array([0.7, -0.4, 0.2])
     creature = random_creature(np.random.default_rng(6), STRUCTURES[0])
     still, moving = ideal(creature), ideal(creature, current=tuple(stream))
@@ -151,8 +151,8 @@ def test_a_uniform_stream_is_a_moving_frame():
     np.testing.assert_allclose(ours, velocity(still, state), rtol=1e-8, atol=1e-8)
 
 
-def test_entry_into_water_takes_momentum_and_exit_leaves_it():
-    """Without weight: m v = (m + rho V / 2) v' on the way in, and v' stays on the way out."""
+def test_water_entry_slows_a_body_and_exit_does_not():
+    """If gravity is zero, m v = (m + rho V / 2) v' on entry, and v' is constant on exit."""
     world = ideal(single(Sphere(0.1), 500.0), surface=0.0)
     state = resting_state(world.tree, (2,), jnp.float64)
     state = dataclasses.replace(
@@ -166,7 +166,7 @@ def test_entry_into_water_takes_momentum_and_exit_leaves_it():
 
 
 def test_water_moves_with_the_centre_of_a_body():
-    """M refers to the working frame, M_o = T^T M T with T from there to the centre of mass."""
+    """M_o = T^T M T in the working frame, with T from this frame to the centre of mass."""
     creature = random_creature(np.random.default_rng(8), STRUCTURES[0])
     tree = build_tree(creature)
     inertia = added_inertia(creature, tree, WATER)[..., 1]

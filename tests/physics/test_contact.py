@@ -19,7 +19,7 @@ from evo_cpg.physics.world import World
 from evo_cpg.spatial.rotation import quaternion_to_matrix
 from on_ground import GRAVITY, H, alone, record, recorder, released
 
-# The lines' stiffness c h is 60 times the mass of a single body at each place that touches.
+# The stiffness c h of each contact point is 60 times the mass of a single body.
 STIFFNESS = 60
 
 SHAPES = {
@@ -28,7 +28,7 @@ SHAPES = {
     "capsule": Capsule(0.05, 0.3),
     "ellipsoid": Ellipsoid((0.15, 0.1, 0.06)),
 }
-# `make test-slow` drops them all.
+# `make test-slow` tests all of them.
 ALL = [
     pytest.param(name, marks=[] if name in ("box", "capsule") else pytest.mark.slow)
     for name in SHAPES
@@ -36,26 +36,26 @@ ALL = [
 
 
 def above(count: int, heights) -> np.ndarray:
-    """Places ``(3, count)`` at given heights over the origin."""
+    """Return places ``(3, count)`` at given heights over the origin."""
     return np.stack([np.zeros(count), np.zeros(count), np.broadcast_to(heights, count)])
 
 
 def kept_speed(restitution: float, places: int) -> float:
-    """Restitution of a body that lands on so many places at once: v+ = e v - (1 + e) v / (1 + k).
+    """Restitution of a body that lands on several points at once: v+ = e v - (1 + e) v / (1 + k).
 
-    The stiffness k = 60 per place takes that much at any h: 2.6 % of a ball's speed at e = 0.6.
+    The stiffness k = 60 per point costs 2.6 % of a ball's speed at e = 0.6, at any h.
     """
     return restitution - (1 + restitution) / (1 + STIFFNESS * places)
 
 
 def random_turns(count: int, seed: int = 0) -> np.ndarray:
-    """Unit quaternions ``(4, count)``."""
+    """Return random unit quaternions ``(4, count)``."""
     turns = np.random.default_rng(seed).normal(size=(4, count))
     return turns / np.linalg.norm(turns, axis=0)
 
 
 def lowest_points(world: World, state: State) -> np.ndarray:
-    """Of every place, ``(3, places, *n)`` in the world."""
+    """Return the lowest points of a body in the world, ``(3, points, *n)``."""
 
     @quick_jit
     def places(state):
@@ -70,15 +70,15 @@ def lowest_points(world: World, state: State) -> np.ndarray:
     [("multiply", 0.32), ("average", 0.6), ("geometric", 0.32**0.5), ("min", 0.4), ("max", 0.8)],
 )
 def test_combination_rules(rule, expected):
-    """Either way round; a material met by its like keeps its value, but for the product."""
+    """A rule is symmetric. Equal materials keep their value, except with products."""
     assert combine(rule, 0.4, 0.8) == pytest.approx(expected, rel=1e-12)
     assert combine(rule, 0.8, 0.4) == pytest.approx(expected, rel=1e-12)
     if rule != "multiply":
         assert combine(rule, 0.4, 0.4) == pytest.approx(0.4, rel=1e-12)
 
 
-def test_a_place_has_the_combined_values():
-    """Of restitution the product with the ground's, which is 1; of frictions geometric means."""
+def test_contact_points_have_the_combined_values():
+    """Restitution is multiplied by the ground's, 1, and frictions are geometric means."""
     world = alone(SHAPES["box"], restitution=0.54, static=0.8, dynamic=0.4)
     np.testing.assert_allclose(world.contact_model.restitution, 0.54, rtol=1e-12)
     np.testing.assert_allclose(world.contact_model.static_friction, 0.8, rtol=1e-12)
@@ -86,10 +86,10 @@ def test_a_place_has_the_combined_values():
 
 
 @pytest.mark.parametrize("name", ["box", "sphere"])
-def test_restitution(name):
-    """Speed after over speed before within 0.05 of the setting, dropped from 0.2 to 1 m.
+def test_restitution_is_the_ratio_of_speeds(name):
+    """The ratio of speeds is within 0.05 of the setting, for drops from 0.2 to 1 m.
 
-    More closely, where anything bounces, it is what the stiffness leaves (`kept_speed`).
+    A body that bounces also keeps the speed of `kept_speed`, to a closer tolerance.
     """
     shape = SHAPES[name]
     drops = np.array([0.2, 0.33, 0.5, 0.71, 1.0])
@@ -101,7 +101,7 @@ def test_restitution(name):
         hit = (np.asarray(support)[:, 2].sum(1) > 0).argmax(0)
         speed = np.asarray(states.velocity)[:, 5]
         columns = np.arange(len(drops))
-        # Without a bounce the step of the impact only brings it down to the ground.
+        # The impact step of a body that does not bounce only moves it down to the ground.
         after = np.maximum(speed[hit, columns], speed[hit + 1, columns])
         ratio = after / -speed[hit - 1, columns]
         np.testing.assert_allclose(ratio, setting, atol=0.05)
@@ -110,11 +110,12 @@ def test_restitution(name):
             np.testing.assert_allclose(ratio, kept_speed(setting, places), atol=0.005)
 
 
+@pytest.mark.slow
 def test_a_bounce_converges_with_the_time_step():
-    """Some 0.3 s after a ball's bounce, errors of height and speed are in proportion to h.
+    """Errors of height and speed 0.3 s after a ball's bounce are proportional to h.
 
-    Closed form with what the stiffness leaves of the restitution at any h. Where in a step the
-    impact falls matters, hence the root mean square over 32 heights of drop.
+    The closed form uses the restitution of `kept_speed`. The error depends on the time of the
+    impact within a step, so it is the root mean square over 32 drop heights.
     """
     setting, end = 0.6, 0.65
     world = alone(SHAPES["sphere"], setting)
@@ -130,14 +131,16 @@ def test_a_bounce_converges_with_the_time_step():
         speed = kept * GRAVITY * fall
         height = speed * since - GRAVITY * since**2 / 2
         found = np.asarray(states.position)[-1, 2] - 0.1, np.asarray(states.velocity)[-1, 5]
-        wanted = height, speed - GRAVITY * since
-        errors.append([np.sqrt(np.mean((f - w) ** 2)) for f, w in zip(found, wanted, strict=True)])
+        expected = height, speed - GRAVITY * since
+        errors.append(
+            [np.sqrt(np.mean((f - w) ** 2)) for f, w in zip(found, expected, strict=True)]
+        )
     order = -np.polyfit(np.log(rates), np.log(errors), 1)[0]
     assert (order > 0.9).all()
 
 
 def on_slope(degrees: float, tall: float):
-    """A block on a slope that falls towards +x; and the direction downhill."""
+    """Return a block on a slope that falls towards +x, and the downhill direction."""
     angle = np.deg2rad(degrees)
     normal = (float(np.sin(angle)), 0.0, float(np.cos(angle)))
     world = alone(Box((0.2, 0.2, tall)), static=0.5, dynamic=0.4, floor=Plane(normal))
@@ -148,7 +151,7 @@ def on_slope(degrees: float, tall: float):
 
 @pytest.mark.parametrize("tall", [0.1, 0.3])
 def test_static_friction_holds(tall):
-    """A degree below atan 0.5 = 26.57 a block creeps less than 0.5 mm/s."""
+    """A block creeps less than 0.5 mm/s at one degree below atan 0.5 = 26.57 degrees."""
     world, state, downhill = on_slope(25.5, tall)
     states, _ = record(world, state, 480)
     place = np.asarray(states.position)[:, :, 0]
@@ -160,7 +163,7 @@ def test_static_friction_holds(tall):
 
 @pytest.mark.parametrize(("degrees", "tall"), [(27.57, 0.3), (35.0, 0.1)])
 def test_dynamic_friction_brakes(degrees, tall):
-    """Beyond it the block slides with g (sin a - mu_d cos a), once above ten Stribeck speeds."""
+    """A sliding block accelerates by g (sin a - mu_d cos a) above ten Stribeck speeds."""
     world, state, downhill = on_slope(degrees, tall)
     states, _ = record(world, state, 480)
     speed = np.asarray(states.velocity)[:, 3:, 0] @ downhill
@@ -175,9 +178,9 @@ def test_dynamic_friction_brakes(degrees, tall):
 
 @pytest.mark.parametrize("name", ["box", "sphere"])
 def test_an_oblique_impact_stays_in_the_friction_cone(name):
-    """The momentum it takes along the ground is at most mu_s times that across it.
+    """The tangential momentum change is at most mu_s times the normal momentum change.
 
-    A fast ball slips throughout, and takes mu_d times as much.
+    A fast ball slips throughout, and the factor is mu_d.
     """
     static, dynamic = 0.5, 0.3
     world = alone(SHAPES[name], 0.5, static, dynamic)
@@ -191,23 +194,23 @@ def test_an_oblique_impact_stays_in_the_friction_cone(name):
     pressed = np.asarray(support)[:, 2].sum(1) > 0
     first = pressed.argmax(0)
     speeds = np.concatenate([velocity[None], np.asarray(states.velocity)])[:, 3:]
-    # One step is the whole impact of a ball; a box touches down corner by corner.
+    # The impact of a ball takes one step. The corners of a box touch down one after another.
     change = speeds[first + 1, :, columns] - speeds[first, :, columns]
     across = change[:, 2] + GRAVITY * H
     taken = np.linalg.norm(change[:, :2], axis=1)
     assert (taken <= 1.03 * static * across).all()
     if name == "sphere":
-        # Four passes leave 2 % of the friction undone at 10 m/s, 0.1 % at 30 m/s.
+        # Four outer updates miss 2 % of the friction at 10 m/s, and 0.1 % at 30 m/s.
         assert taken[-2] == pytest.approx(dynamic * across[-2], rel=0.03)
         assert taken[-1] == pytest.approx(dynamic * across[-1], rel=0.01)
         np.testing.assert_allclose(change[-1, :2], -taken[-1] * np.array([1, -0.4]) / 1.16**0.5)
 
 
 @pytest.mark.parametrize("name", ["sphere", "capsule"])
-def test_sliding_turns_into_rolling(name):
-    """Angular momentum about the ground is kept: v = v0 / (1 + I / m r^2), 5/7 v0 for a ball.
+def test_a_sliding_body_starts_to_roll(name):
+    """Angular momentum about the ground is conserved: v = v0 / (1 + I / m r^2), 5/7 v0 for a ball.
 
-    Until then friction brakes with mu g; afterwards nothing does.
+    Friction brakes with mu g until the body rolls. Then the speed is constant.
     """
     shape, friction = SHAPES[name], 0.5
     world = alone(shape, static=friction, dynamic=friction)
@@ -229,9 +232,9 @@ def test_sliding_turns_into_rolling(name):
 
 
 def test_an_ellipsoid_lies_still_and_rocks():
-    """On its flat side it stays; tilted, it rocks with w^2 = m g (a^2 / c - c) / (I + m c^2).
+    """It rests on its flat side. Tilted, it rocks with w^2 = m g (a^2 / c - c) / (I + m c^2).
 
-    a^2 / c is the radius of curvature under it in the plane of the rocking; it rolls on the spot.
+    The radius of curvature under it is a^2 / c in the plane of the rocking.
     """
     shape = SHAPES["ellipsoid"]
     a, _, c = shape.radii
@@ -255,7 +258,7 @@ def test_an_ellipsoid_lies_still_and_rocks():
 
 
 def test_a_block_rests_on_the_ground_at_its_height():
-    """Under 2 mm deep on ground 1.7 m up, after a fall of 0.2 m, and the ground carries it."""
+    """After a fall of 0.2 m onto ground at 1.7 m it is less than 2 mm deep, and carried."""
     height = 1.7
     world = alone(SHAPES["box"], 0.5, floor=Plane(height=height))
     states, support = record(world, released(world, above(1, height + 0.25)), 720)
@@ -267,12 +270,12 @@ def test_a_block_rests_on_the_ground_at_its_height():
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_a_fall_at_ten_metres_a_second(name):
-    """In any orientation it is never deeper than it would fall in half a step, h v / 2 = 21 mm.
+def test_a_fall_at_ten_metres_per_second_stays_shallow(name):
+    """The depth stays below a fall of half a step, h v / 2 = 21 mm, in any orientation.
 
-    All but a ball (0.7 mm) are set spinning at up to 100 rad/s, and the lowest point of the next
-    step is another one: 9 mm for the box, 20 mm for the flat ellipsoid. An ellipsoid goes on
-    spinning and rocking; the others come to rest, under 2 mm deep.
+    A ball is 0.7 mm deep. The impact spins the other shapes at up to 100 rad/s, so another point is
+    lowest in the next step: 9 mm for the box, 20 mm for the flat ellipsoid. An ellipsoid continues
+    to spin and rock. The other shapes come to rest, less than 2 mm deep.
     """
     world = alone(SHAPES[name], 0.0)
     count = 32
@@ -292,9 +295,9 @@ def test_a_fall_at_ten_metres_a_second(name):
 
 @pytest.mark.parametrize("name", ALL)
 def test_push_out_does_bounded_work(name):
-    """It lifts what is buried, by its depth, and leaves it the energy of the way out, 0.5 m/s.
+    """A buried body gains at most the energy of its depth and of the push-out speed, 0.5 m/s.
 
-    The lowest point of an ellipsoid wanders over it while it is pushed: 0.8 m/s.
+    An ellipsoid gains up to 0.8 m/s, because its lowest point moves over its surface.
     """
     world, count = alone(SHAPES[name], 0.8), 64
     state = released(world, above(count, np.linspace(-0.04, 0.03, count)))
@@ -314,10 +317,10 @@ def test_push_out_does_bounded_work(name):
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_lowest_points(name):
-    """The lowest of the places is the shape's support point, for any orientation.
+def test_the_lowest_contact_point_is_the_support_point(name):
+    """The lowest contact point is the shape's support point, for any orientation.
 
-    Of a box they are four corners, and the others are a third of its height or more above.
+    Four corners of a box are points. The others are higher by at least a third of its height.
     """
     shape, count = SHAPES[name], 300
     world = alone(shape)
@@ -340,8 +343,8 @@ def test_lowest_points(name):
             assert height[~chosen].min() >= height.max() / 3 - 1e-12
 
 
-def test_tangents_are_perpendicular_whichever_way_the_normal_points():
-    """Also of a ceiling: straight down, and nearly so."""
+def test_tangents_are_perpendicular_for_any_normal():
+    """The normals of a ceiling, downwards and nearly downwards, are included."""
     rng = np.random.default_rng(0)
     normal = np.concatenate([rng.normal(size=(3, 40)), [[0.0], [0.0], [-1.0]]], 1)
     normal[:2, :20] *= 0.1

@@ -1,7 +1,7 @@
-"""Contact beside MuJoCo's, where the two models should agree: stiff, without restitution.
+"""Contact against MuJoCo's in cases where the models agree: stiff, without restitution.
 
-MuJoCo's contacts are springs that give way, and its friction lets everything creep; both are made
-stiff here, with short steps on both sides.
+MuJoCo's contacts are soft springs, and its friction creeps. Both are made stiff here, with short
+steps on both sides.
 """
 
 import jax
@@ -30,7 +30,7 @@ STIFF = {"timestep": 1 / 4000, "cone": "elliptic", "impratio": 100, "integrator"
 
 
 def both(creature: Creature, ground: Ground, state: dict, seconds: float):
-    """Our states, supports and the contact points' arms along x; MuJoCo's model and data."""
+    """Return our states, supports and contact offsets along x, and MuJoCo's model and data."""
     tree = build_tree(creature)
     world = World(tree, GRAVITY, contact_model=make_contact_model(creature, tree, ground))
     start = resting_state(tree, (1,), jnp.float64, position=state["position"])
@@ -71,19 +71,19 @@ def block(size, friction):
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.5])
-def test_a_block_slides_as_far(x64, friction):
-    """v^2 / (2 mu g), within 1 %; MuJoCo's within 2 %."""
+def test_a_block_slides_as_far_as_in_mujoco(x64, friction):
+    """The distance is v^2 / (2 mu g) within 1 %, and MuJoCo's within 2 %."""
     ground = Ground(0.0, friction, friction)
     state = {"position": (0.0, 0.0, 0.05), "velocity": (0, 0, 0, 2.0, 0, 0)}
     _, (states, *_), _, data = both(block((0.3, 0.2, 0.1), friction), ground, state, 1.2)
-    wanted = 2.0**2 / (2 * friction * GRAVITY)
-    assert states.position[-1, 0] == pytest.approx(wanted, rel=0.01)
-    assert data.qpos[0] == pytest.approx(wanted, rel=0.02)
+    expected = 2.0**2 / (2 * friction * GRAVITY)
+    assert states.position[-1, 0] == pytest.approx(expected, rel=0.01)
+    assert data.qpos[0] == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.parametrize(("degrees", "stands"), [(17.4, True), (19.5, False)])
-def test_a_tall_block_tips_over_at_the_same_slope(x64, degrees, stands):
-    """At atan(1/3) = 18.4 degrees, where its weight comes over its lower edge."""
+def test_a_tall_block_tips_over_at_mujocos_angle(x64, degrees, stands):
+    """The block tips at atan(1/3) = 18.4 degrees, with its weight over its lower edge."""
     angle = np.deg2rad(degrees)
     normal = (float(np.sin(angle)), 0.0, float(np.cos(angle)))
     ground = Ground(0.0, 1.0, 1.0, floor=Plane(normal))
@@ -96,8 +96,8 @@ def test_a_tall_block_tips_over_at_the_same_slope(x64, degrees, stands):
 
 
 @pytest.mark.slow
-def test_a_stack_carries_its_load_where_it_lies(x64):
-    """A plate with a weight on one side, on a block: the lever's shares, here and there, to 1 %."""
+def test_a_stack_carries_its_load_as_in_mujoco(x64):
+    """A plate on a block carries a weight on one side. The supports follow the lever law to 1 %."""
     joint = Joint(
         "plate", (0.08, 0.0, 0.05), (0.0, 0.0, -0.05), ((0.0, 1.0, 0.0),), (-0.5,), (0.5,),
         stiffness=2000.0, damping=20.0,
@@ -126,8 +126,8 @@ def test_a_stack_carries_its_load_where_it_lies(x64):
         assert found[1] / total == pytest.approx(lever, rel=0.01)
 
 
-def test_a_swinging_leg_hits_the_ground(x64):
-    """A trunk falls on a leg that swings; 0.1 s later both move as in MuJoCo, within 3 %."""
+def test_a_swinging_leg_hits_the_ground_as_in_mujoco(x64):
+    """A trunk falls on a swinging leg. After 0.1 s both move as in MuJoCo, within 3 %."""
     material = Material(500.0, 0.0, 0.8, 0.8)
     joint = Joint(
         "trunk", (0.1, 0.0, -0.1), (-0.2, 0.0, 0.0), ((0.0, 1.0, 0.0),), (-2.5,), (2.5,),
@@ -148,9 +148,9 @@ def test_a_swinging_leg_hits_the_ground(x64):
     tree, (states, support, _), model, data = both(creature, ground, state, 0.1)
     assert (support[:, 2] > 0).any()
     order = dof_order(model, tree)
-    # The trunk turns about y alone, which is the same in its own axes.
+    # The trunk turns about y alone, so its rate is equal in its own axes.
     theirs = np.concatenate([data.qvel[:3], data.qvel[4:5], data.qvel[6 + order]])
     ours = np.concatenate([states.velocity[-1, 3:], states.velocity[-1, 1:2], states.qd[-1]])
     np.testing.assert_allclose(ours, theirs, rtol=0.03, atol=1e-6)
-    # Without the ground it would be another motion.
+    # The motion differs from free fall.
     assert abs(ours[2] - (-1.0 - GRAVITY * 0.1)) > 0.3

@@ -1,4 +1,4 @@
-"""Water that streams differently from place to place."""
+"""Water whose velocity depends on the place."""
 
 import dataclasses
 
@@ -19,7 +19,7 @@ VORTEX = Vortex(centre=(0.5, -0.2), circulation=1.5, core=0.3)
 
 
 def circle(radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places ``(3, n)`` around the vortex, and unit vectors along the circle."""
+    """Return places ``(3, n)`` around the vortex, and unit vectors along the circle."""
     angle = np.arange(200) * 2 * np.pi / 200
     x, y = np.cos(angle), np.sin(angle)
     places = np.stack([0.5 + radius * x, -0.2 + radius * y, np.full(200, 0.7)])
@@ -27,8 +27,8 @@ def circle(radius: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("radius", [0.01, 0.3, 30.0])
-def test_circulation_around_a_vortex(radius):
-    """Gamma r^2 / (r^2 + c^2): all of it far away, half at the core, a solid's inside."""
+def test_circulation_around_a_vortex_equals_the_closed_form(radius):
+    """Gamma r^2 / (r^2 + c^2): Gamma far away, half at the core, rigid rotation inside."""
     places, along = circle(radius)
     velocity = VORTEX.velocity(jnp.asarray(places))
     circulation = (velocity * along).sum(0).mean() * 2 * np.pi * radius
@@ -36,8 +36,8 @@ def test_circulation_around_a_vortex(radius):
     assert np.abs(velocity[2]).max() == 0
 
 
-def test_a_gradient_is_the_jacobian_and_water_keeps_its_volume():
-    """``dv_i / dx_j = G_ij``; with the vortex, the divergence is still 0."""
+def test_the_gradient_is_the_jacobian_and_divergence_is_zero():
+    """``dv_i / dx_j = G_ij``, and the divergence is 0, with the vortex too."""
     gradient = ((0.1, 0.2, 0.3), (0.4, 0.1, 0.6), (0.7, 0.8, -0.2))
     place = jnp.array([0.3, 0.2, -0.4])
 
@@ -50,10 +50,10 @@ def test_a_gradient_is_the_jacobian_and_water_keeps_its_volume():
     assert abs(np.trace(jax.jacfwd(velocity((VORTEX,)))(place))) < 1e-12
 
 
-def test_what_is_carried_takes_the_velocity_of_its_place():
-    """Neutral spheres in a shear and, at its centre, a vortex: each ends with the stream's speed.
+def test_neutral_spheres_reach_the_local_velocity():
+    """Spheres in a shear flow, and in the centre of a vortex, approach the stream's speed as 1 / t.
 
-    The shear is along y, so that none leaves its height; quadratic drag approaches it as 1 / t.
+    The shear is along y, so that the spheres keep their heights. The drag is quadratic.
     """
     shear = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
     creature = Creature("ball", (Body("b", Sphere(0.05), Material(1000.0)),))

@@ -1,10 +1,10 @@
-"""A tree in vacuum without gravity: what is conserved, and how fast the step converges to it.
+"""Conserved quantities and convergence of a tree in vacuum without gravity.
 
-Positions and velocities leapfrog: a velocity is that of half a step before its position. So a path
-begins with a pose half a step later than its velocities, and ends likewise.
+Positions and velocities leapfrog: a velocity belongs to the time half a step before its position.
+So a path begins and ends with a pose half a step later than its velocities.
 
-Momentum and energy of a state are MuJoCo's (`mj_subtreeVel`, `mj_energyVel`), and so is the
-reference path (Runge-Kutta 4 at 1/4000 s).
+MuJoCo computes momentum and energy of a state (`mj_subtreeVel`, `mj_energyVel`) and the reference
+path (Runge-Kutta 4 at 1/4000 s).
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ H = 1 / 120
 
 
 class Vacuum:
-    """MuJoCo's view of a creature without gravity, springs or rotors."""
+    """MuJoCo model of a creature without gravity, springs or rotors."""
 
     def __init__(self, creature: Creature):
         self.tree = build_tree(creature)
@@ -44,7 +44,7 @@ class Vacuum:
         self.data = mujoco.MjData(self.model)
 
     def conserved(self, state: State) -> dict[str, np.ndarray]:
-        """Linear and angular momentum (about the world's origin) and kinetic energy."""
+        """Return linear and angular momentum (about the world's origin) and kinetic energy."""
         load_state(self.model, self.data, self.tree, state)
         mujoco.mj_forward(self.model, self.data)
         mujoco.mj_subtreeVel(self.model, self.data)
@@ -58,7 +58,7 @@ class Vacuum:
         }
 
     def position_after(self, state: State) -> np.ndarray:
-        """Where the root's centre is after `DURATION`."""
+        """Return the position of the root's centre after `DURATION`."""
         load_state(self.model, self.data, self.tree, state)
         for _ in range(round(DURATION / ORACLE_STEP)):
             mujoco.mj_step(self.model, self.data)
@@ -66,12 +66,12 @@ class Vacuum:
 
 
 def at_speed(state: State, factor: float) -> State:
-    """The same pose with all velocities times the factor."""
+    """Return the pose with all velocities multiplied by a factor."""
     return dataclasses.replace(state, velocity=factor * state.velocity, qd=factor * state.qd)
 
 
 def moved_on(state: State, time: float) -> State:
-    """The pose after some time at constant velocities, which stay."""
+    """Return the state after some time at constant velocities."""
     return dataclasses.replace(
         state,
         position=state.position + time * state.velocity[3:],
@@ -81,7 +81,7 @@ def moved_on(state: State, time: float) -> State:
 
 
 def bare(creature: Creature) -> Creature:
-    """The creature with free joints: no springs, dampers or rotors."""
+    """Return the creature with free joints: no springs, dampers or rotors."""
     free = {"stiffness": 0.0, "damping": 0.0, "armature": 0.0}
     bodies = [
         dataclasses.replace(body, joint=body.joint and dataclasses.replace(body.joint, **free))
@@ -92,10 +92,10 @@ def bare(creature: Creature) -> Creature:
 
 @pytest.fixture(scope="module")
 def errors():
-    """Error of each quantity after `DURATION` for each of `STEP_COUNTS`.
+    """Return the error of each quantity after `DURATION` for each of `STEP_COUNTS`.
 
-    Free motion has no time scale of its own: at speeds divided by s and the same step, the path
-    after s times as many steps is that of a step divided by s. So one compiled step serves all.
+    Free motion has no time scale. Dividing all speeds by s, with s times the number of steps, gives
+    the path of a step divided by s. So one compiled step serves all.
     """
     with jax.enable_x64(True):
         rng = np.random.default_rng(5)
@@ -131,13 +131,13 @@ def errors():
 
 @pytest.mark.parametrize("name", ["linear momentum", "angular momentum", "energy", "position"])
 def test_free_motion_converges_at_second_order(errors, name):
-    """Slope of log(error) over log(h) in three halvings: 2 within 0.2."""
-    slope = -np.polyfit(np.log(STEP_COUNTS), np.log(errors[name]), 1)[0]
-    assert abs(slope - 2) < 0.2, (slope, errors[name])
+    """The exponent of the error in h, over three halvings, is 2 within 0.2."""
+    order = -np.polyfit(np.log(STEP_COUNTS), np.log(errors[name]), 1)[0]
+    assert abs(order - 2) < 0.2, (order, errors[name])
 
 
 def test_a_single_body_keeps_its_linear_momentum_exactly():
-    """However it tumbles, the centre of a free body moves at one speed: to rounding."""
+    """The centre of a tumbling free body has a constant velocity, to rounding."""
     tree = build_tree(Creature("box", (Body("b", Box((0.3, 0.2, 0.1)), Material(1000.0)),)))
     start = random_state(tree, np.random.default_rng(1))
     end = after_steps(World(tree, 0.0), start, 200)
@@ -146,8 +146,8 @@ def test_a_single_body_keeps_its_linear_momentum_exactly():
     np.testing.assert_allclose(end.position, travelled, rtol=1e-12)
 
 
-def test_a_sphere_spins_for_ever():
-    """A sphere's angular momentum is along its angular velocity, so both are constant."""
+def test_a_sphere_spins_at_a_constant_rate():
+    """A sphere's angular momentum is parallel to its angular velocity, so both are constant."""
     tree = build_tree(Creature("ball", (Body("b", Sphere(0.1), Material(1000.0)),)))
     start = random_state(tree, np.random.default_rng(2))
     end = after_steps(World(tree, 0.0), start, 200)
@@ -155,7 +155,7 @@ def test_a_sphere_spins_for_ever():
 
 
 def test_free_fall_is_exact():
-    """Semi-implicit Euler under constant g: z_n = z_0 + v_0 n h - g h^2 n (n + 1) / 2, exactly."""
+    """Semi-implicit Euler with constant g gives z_n = z_0 + v_0 n h - g h^2 n (n + 1) / 2."""
     tree = build_tree(Creature("box", (Body("b", Box((0.3, 0.2, 0.1)), Material(1000.0)),)))
     start = random_state(tree, np.random.default_rng(3))
     n = 200
@@ -166,7 +166,7 @@ def test_free_fall_is_exact():
 
 
 def after_steps(world: World, state: State, count: int) -> State:
-    """The state so many steps later; there are no motors."""
+    """Return the state after some steps without motors."""
     rest = jnp.zeros_like(state.qd)
 
     @quick_jit
@@ -176,11 +176,11 @@ def after_steps(world: World, state: State, count: int) -> State:
     return run(state)
 
 
-def test_motors_at_their_limits_leave_the_momentum_alone():
-    """Joint torques are internal: a tree at rest that thrashes about has no momentum, to O(h).
+def test_motors_at_their_limits_do_not_change_the_momentum():
+    """Joint torques are internal, so a thrashing tree that starts at rest has no momentum, to O(h).
 
-    The momentum error per step is that of free motion, second order in h; so over a fixed time
-    halving h halves it, which is what is asserted besides its size.
+    The momentum error of a step is of second order in h, as in free motion. So half the step gives
+    half the error over a fixed time. The test asserts this and the size of the error.
     """
     rng = np.random.default_rng(8)
     motor = Actuator(2.0, 0.2)

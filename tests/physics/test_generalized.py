@@ -1,7 +1,7 @@
 """Generalized coordinates of random trees.
 
-The articulated-body algorithm, which `test_accelerations.py` holds against MuJoCo, solves the same
-equations without a matrix; energy and power do not depend on coordinates.
+The articulated-body algorithm solves these equations without a matrix, and `test_accelerations.py`
+compares it with MuJoCo. Energy and power do not depend on coordinates.
 """
 
 import jax
@@ -24,7 +24,7 @@ GRAVITY = 9.81
 
 @pytest.fixture(scope="module", params=STRUCTURES[1::2], ids=str)
 def found(request):
-    """A tree, and all that is claimed of it, at a random state and under random loads."""
+    """Return a tree and its tested quantities at a random state, under random loads."""
     with jax.enable_x64(True):
         rng = np.random.default_rng(3)
         tree = build_tree(random_creature(rng, request.param))
@@ -55,15 +55,15 @@ def found(request):
         yield torque, load, jax.tree.map(lambda x: np.asarray(x)[..., 0], result)
 
 
-def test_the_equations_are_those_of_the_articulated_bodies(found):
-    """``M y = f`` to 1e-10 of the largest force."""
+def test_equations_agree_with_the_articulated_bodies(found):
+    """``M y = f`` holds to 1e-10 of the largest force."""
     torque, _, it = found
     M = it["M"] + np.diag(np.r_[np.zeros(ROOT_DOFS), np.full(len(torque), 1e-3)])
-    wanted = it["force"] + np.r_[np.zeros(ROOT_DOFS), np.asarray(torque)[:, 0]]
-    assert np.abs(M @ it["y"] - wanted).max() < 1e-10 * np.abs(wanted).max()
+    expected = it["force"] + np.r_[np.zeros(ROOT_DOFS), np.asarray(torque)[:, 0]]
+    assert np.abs(M @ it["y"] - expected).max() < 1e-10 * np.abs(expected).max()
 
 
-def test_the_matrix_is_symmetric_and_gives_the_energy_of_the_bodies(found):
+def test_mass_matrix_is_symmetric_and_gives_the_energy(found):
     _, _, it = found
     np.testing.assert_allclose(it["M"], it["M"].T, rtol=0, atol=1e-12 * np.abs(it["M"]).max())
     angular, linear = it["kin"].angular, it["kin"].linear
@@ -76,14 +76,14 @@ def test_the_matrix_is_symmetric_and_gives_the_energy_of_the_bodies(found):
     assert it["velocity"] @ it["M"] @ it["velocity"] == pytest.approx(energy, rel=1e-12)
 
 
-def test_bodies_move_as_kinematics_says(found):
-    """The Jacobians times the velocities of root and joints."""
+def test_jacobians_give_the_velocities_of_kinematics(found):
+    """The Jacobians times the velocities of root and joints are the body velocities."""
     _, _, it = found
     np.testing.assert_allclose(it["moves"].angular, it["kin"].angular, rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(it["moves"].linear, it["kin"].linear, rtol=1e-12, atol=1e-13)
 
 
-def test_loads_have_the_power_that_they_have_on_the_bodies(found):
+def test_generalized_loads_have_the_power_of_body_loads(found):
     _, (moment, force), it = found
     power = (np.asarray(moment)[..., 0] * it["kin"].angular).sum()
     power += (np.asarray(force)[..., 0] * it["kin"].linear).sum()

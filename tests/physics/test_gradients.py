@@ -27,21 +27,21 @@ H = 1 / 120
 STEPS = 60
 # Wave amplitude (rad/s), frequency (Hz) and C_d.
 PARAMETERS = np.array([3.0, 1.3, 1.1])
-# Relative errors of differences: rounding gives 1e-7 at most, curvature 1e-6 (a quadruped that
-# pushes itself off; 1e-5 at 1e-6, as the square of the difference).
+# Relative errors of central differences: rounding gives at most 1e-7, curvature 1e-6 (a quadruped
+# that pushes itself off). Curvature grows with the square: 1e-5 with a difference of 1e-6.
 DIFFERENCE = 3e-7
 
 
-# Compiling the backward pass of the motors' limits takes over a minute.
+# The backward pass of the motors' limits takes more than a minute to compile.
 LIMITS = pytest.mark.parametrize(
     "torque_limit", [np.inf, pytest.param(50.0, marks=pytest.mark.slow)]
 )
 
 
 def make_swim(torque_limit: float, bodies: int = 3, axes: str = "yz", steps: int = STEPS):
-    """Displacement (m, with weights on x, y and z) and peak torque as functions of `PARAMETERS`.
+    """Return a function from `PARAMETERS` to weighted displacement (m) and peak torque.
 
-    The chain bends both ways; a finite limit is not reached.
+    The chain bends about both axes and does not reach a finite limit.
     """
     world = in_water(box_chain(bodies, axes, Actuator(5.0, torque_limit)))
     joints = bodies - 1
@@ -66,16 +66,17 @@ def make_swim(torque_limit: float, bodies: int = 3, axes: str = "yz", steps: int
 @pytest.mark.slow
 @LIMITS
 def test_gradients_equal_central_differences(torque_limit):
-    """Reverse and forward mode within 1e-6 of (f(p + e) - f(p - e)) / 2e, relative, in float64.
+    """Both modes are within 1e-6 of (f(p + e) - f(p - e)) / 2e, relative, in float64.
 
-    The step has kinks where a point's normal velocity changes sign; the chance that one lies
-    within e of this path is negligible, and both modes would show it.
+    The step has a kink if a point's normal velocity changes sign. A kink within e of this path is
+    very unlikely, and both modes would show it.
     """
     equal_central_differences(make_swim(torque_limit), torque_limit, quick_jit)
 
 
+@pytest.mark.slow
 def test_gradients_with_limited_motors_equal_central_differences():
-    """A pair, compiled as for users."""
+    """Differentiate a pair, compiled as for users."""
     swim = make_swim(50.0, bodies=2, axes="y")
     equal_central_differences(swim, 50.0, jit_as_for_users)
 
@@ -83,28 +84,28 @@ def test_gradients_with_limited_motors_equal_central_differences():
 def equal_central_differences(swim, torque_limit: float, jit) -> None:
     @jit
     def forward(parameters, direction):
-        (value, torque), (slope, _) = jax.jvp(swim, (parameters,), (direction,))
-        return value, slope, torque
+        (value, torque), (gradient, _) = jax.jvp(swim, (parameters,), (direction,))
+        return value, gradient, torque
 
     units = jnp.eye(len(PARAMETERS))
-    differences, slopes = [], []
+    differences, gradients = [], []
     for unit in units:
         (up, *_), (down, *_) = (
             forward(PARAMETERS + sign * DIFFERENCE * unit, unit) for sign in (1, -1)
         )
         differences.append((up - down) / (2 * DIFFERENCE))
-        _, slope, torque = forward(jnp.asarray(PARAMETERS), unit)
-        slopes.append(slope)
+        _, gradient, torque = forward(jnp.asarray(PARAMETERS), unit)
+        gradients.append(gradient)
         assert 0 < torque < torque_limit
     assert np.abs(differences).min() > 1e-4
-    np.testing.assert_allclose(slopes, differences, rtol=1e-6)
+    np.testing.assert_allclose(gradients, differences, rtol=1e-6)
     reverse, _ = jit(jax.grad(swim, has_aux=True))(jnp.asarray(PARAMETERS))
     np.testing.assert_allclose(reverse, differences, rtol=1e-6)
 
 
 @pytest.mark.slow
-def test_a_gradient_through_contact_of_two_balls_equals_central_differences():
-    """Joined by a motor that swings one while the other rolls; compiled as for users."""
+def test_gradients_of_rolling_balls_equal_central_differences():
+    """A motor joins the balls. One swings while the other rolls. Compiled as for users."""
     flesh = Material(500.0, 0.2, 0.6, 0.5)
     motor = Actuator(0.5, 20.0, stiffness=8.0)
     joint = Joint(
@@ -132,7 +133,7 @@ def test_a_gradient_through_contact_of_two_balls_equals_central_differences():
         return state.position @ jnp.array([1.0, 0.7, 0.4]), support.max()
 
     numbers = np.array([0.3, 0.8, 0.5])
-    slope, support = jit_as_for_users(jax.grad(roll, has_aux=True))(jnp.asarray(numbers))
+    gradient, support = jit_as_for_users(jax.grad(roll, has_aux=True))(jnp.asarray(numbers))
     assert support > 1.0
     value = jit_as_for_users(lambda numbers: roll(numbers)[0])
     units = np.eye(len(numbers)) * DIFFERENCE
@@ -140,15 +141,15 @@ def test_a_gradient_through_contact_of_two_balls_equals_central_differences():
         (value(numbers + unit) - value(numbers - unit)) / (2 * DIFFERENCE) for unit in units
     ]
     assert np.abs(differences).min() > 1e-3
-    np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(gradient, differences, rtol=1e-5, atol=1e-8)
 
 
 @pytest.mark.slow
-def test_a_gradient_through_contact_equals_equals_central_differences():
-    """A quadruped of Fukui's that pushes itself off the ground for a quarter of a second.
+def test_a_gradient_through_contact_equals_central_differences():
+    """Differentiate a push-off of Fukui's quadruped, 0.25 s long, by its motors' target angles.
 
-    By the angles that its motors are given. Contacts that open, close or begin to slide are kinks;
-    the chance that one lies within the difference of this path is small.
+    Contacts that open, close or begin to slide are kinks. A kink within the difference of this path
+    is unlikely.
     """
     simulation = build_experiment(load_config(WALKER), WALKER).simulation
     world, h = simulation.world, simulation.step_length
@@ -163,7 +164,7 @@ def test_a_gradient_through_contact_equals_equals_central_differences():
         state, support = jax.lax.scan(advance, start, length=60)
         return state.position @ jnp.array([1.0, 0.7, 0.4]), support.max()
 
-    slope, support = quick_jit(jax.grad(walk, has_aux=True))(jnp.asarray(angles))
+    gradient, support = quick_jit(jax.grad(walk, has_aux=True))(jnp.asarray(angles))
     assert support > 1.0
     value = quick_jit(lambda angles: walk(angles)[0])
     units = np.eye(len(angles)) * DIFFERENCE
@@ -171,19 +172,18 @@ def test_a_gradient_through_contact_equals_equals_central_differences():
         (value(angles + unit) - value(angles - unit)) / (2 * DIFFERENCE) for unit in units
     ]
     assert np.abs(differences).max() > 1e-3
-    np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-8)
+    np.testing.assert_allclose(gradient, differences, rtol=1e-5, atol=1e-8)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("seconds", "difference", "error"), [(1, 3e-9, 1e-5), (2, 1e-9, 1e-4)])
-def test_gradients_of_walkers_equal_central_differences_in_the_median(seconds, difference, error):
-    """16 quadrupeds of Fukui's in postures drawn at random, along one random direction each.
+def test_median_gradients_of_walkers_equal_central_differences(seconds, difference, error):
+    """Differentiate 16 of Fukui's quadrupeds in random postures along a random direction each.
 
-    Contacts that open, close or begin to slide are kinks, so some paths have one within the
-    difference, which is small because changes grow; what is said is the median. After 1 s that is
-    1e-6 for half-widths from 3e-9 to 1e-7: of narrower ones rounding is a larger share (1e-5 at
-    1e-9), in wider ones are kinks (1e-3 at 1e-6). After 2 s changes have grown more, and kinks are
-    within 3e-9 (7e-4).
+    Contacts that open, close or begin to slide are kinks, and some paths have one within the
+    difference. The test therefore uses the median error. After 1 s it is 1e-6 for half-widths from
+    3e-9 to 1e-7. Narrower differences have rounding errors (1e-5 at 1e-9), and wider differences
+    have kinks (1e-3 at 1e-6). After 2 s changes have grown more, and kinks lie within 3e-9 (7e-4).
     """
     simulation = build_experiment(load_config(WALKER), WALKER).simulation
     world, h, count = simulation.world, simulation.step_length, 16
@@ -202,8 +202,8 @@ def test_gradients_of_walkers_equal_central_differences_in_the_median(seconds, d
         state, _ = jax.lax.scan(jax.checkpoint(advance), start, held)
         return state.position[0] + 0.5 * state.position[1]
 
-    slope = quick_jit(jax.grad(lambda x: walk(x).sum()))(jnp.asarray(postures))
-    ours = (np.asarray(slope) * direction).sum((0, 1))
+    gradient = quick_jit(jax.grad(lambda x: walk(x).sum()))(jnp.asarray(postures))
+    ours = (np.asarray(gradient) * direction).sum((0, 1))
     value = quick_jit(walk)
     ahead, behind = (value(postures + sign * difference * direction) for sign in (1.0, -1.0))
     differences = np.asarray(ahead - behind) / (2 * difference)

@@ -1,12 +1,13 @@
-"""The implicit step against the dense solve of the equation that it claims to solve,
+"""The implicit step against a dense solve of its equation,
 
     (M + h sum J_i^T D_i J_i + T) qdd = tau + sum J_i^T f_i - bias.
 
-M, the bias and J come from MuJoCo; drag, buoyancy and the joint torques are summed point by point
-in NumPy from the formulas in the documentation. The bias is the mean of that at the start of the
-step and that with the velocities that a first solution comes to; with contact, or where a motor
-does not stay at its limit or within it, it is that of the start, but for each body's own gyroscopic
-torque.
+MuJoCo computes M, the bias and J. NumPy sums drag, buoyancy and joint torques point by point, from
+the formulas in the documentation.
+
+The bias is the mean of two biases: with the velocities at the start of the step, and with those of
+a first solution. The initial bias alone is used, except for each body's own gyroscopic torque, in
+steps with contact and in steps in which a motor reaches or leaves its limit.
 """
 
 import dataclasses
@@ -51,12 +52,12 @@ class Drag(NamedTuple):
 
 
 def point_drag(world: World, surface, centre, velocity) -> Drag:
-    """Sum of the resistance over a body's surface points, and of its derivative's tangent.
+    """Return the drag summed over a body's surface points, and its derivative D.
 
     Args:
-        world: with water.
-        surface: the points, in the body's geometric frame.
-        centre: of the geometric frame.
+        world: world with water.
+        surface: points, normals and areas in the body's geometric frame.
+        centre: origin of the geometric frame.
         velocity: (angular, linear) at the origin, relative to the water.
     """
     law, half = world.law(fluid.Drag), 0.5 * world.water.density
@@ -81,7 +82,7 @@ def point_drag(world: World, surface, centre, velocity) -> Drag:
 
 
 def gyroscopic_change(inertia, spin):
-    """Mean of w x I w by Kahan's method over a step, less that at its start."""
+    """Return the mean of w x I w over a step by Kahan's method, minus w x I w at its start."""
 
     def of(first, second):
         return (np.cross(first, inertia @ second) + np.cross(second, inertia @ first)) / 2
@@ -92,7 +93,7 @@ def gyroscopic_change(inertia, spin):
 
 
 def at_later_velocities(world: World, states: State, target, angle=None):
-    """The poses with the velocities after a step without contact, and who would touch something."""
+    """Return the states with velocities after a step without contact, and a mask of contacts."""
 
     @quick_jit
     def first(states, target):
@@ -118,17 +119,17 @@ def dense_accelerations(
     ends=None,
     pushes=(),
 ):
-    """Root (angular, linear of its centre) and joint accelerations by a dense solve.
+    """Return root (angular, linear of its centre) and joint accelerations by a dense solve.
 
     Args:
-        creature: the animal.
-        world: it lives in.
-        state: of one individual.
-        later: the same with the velocities after the step; None where those of the start count.
-        torque: of the motors at the present rates.
-        motor_derivative: what the motors add to T.
-        ends: the joints' rates at the end of the step, where a search finds them.
-        pushes: of the ground: number of the body, place and force in the world.
+        creature: the creature.
+        world: its world.
+        state: state of one individual.
+        later: state with the velocities after the step, or None to use the initial velocities.
+        torque: torques of the motors at the present rates.
+        motor_derivative: term of the motors in T.
+        ends: joint rates at the end of the step, if a search finds them.
+        pushes: index of the body, point and force in the world, for every contact.
     """
     tree = world.tree
     model = mujoco_model(creature, {"gravity": f"0 0 {-world.gravity}"})
@@ -175,7 +176,7 @@ def dense_accelerations(
     ahead = q + H * qd
     slope = tree.limit_damping + H * tree.limit_stiffness
     for sign, limit in ((1, tree.upper), (-1, tree.lower)):
-        # At the rates of the end it stops what moves faster than to the limit, or back to it.
+        # A limit acts if the final rate exceeds the rate to the limit, or the return rate.
         beyond = sign * (q - limit)
         back = np.where(beyond > 0, -tree.limit_stiffness * beyond / slope, -beyond / H)
         stops = sign * ends > back if ends is not None else sign * (ahead - limit) > 0
@@ -190,7 +191,7 @@ def dense_accelerations(
 
 
 def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[float, int]:
-    """Largest relative difference over some states, and how many motors were at their limit."""
+    """Return the largest relative error over some states, and the number of saturated motors."""
     rng = np.random.default_rng(number)
     motor = Actuator(2.0, torque_limit, stiffness=5.0)
     creature = random_creature(rng, STRUCTURES[number], limits=0.7, motor=motor, axes_seed=number)
@@ -204,7 +205,7 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
     )
 
     def motor_law(n: int, rate: np.ndarray) -> np.ndarray:
-        """Torque at the end of the step if the rate is then the given one."""
+        """Return the torque at the end of the step for a given final rate."""
         ahead = np.asarray(states.q[:, n]) + H * rate
         return motor.gain * (target[:, n] - rate) + motor.stiffness * (angle[:, n] - ahead)
 
@@ -220,16 +221,16 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
             jax.tree.map(lambda x, n=n: x[..., n], each) for each in (states, afterwards)
         )
         later = None if unlike[n] else later
-        wanted = motor_law(n, np.asarray(state.qd))
-        implicit = np.full_like(wanted, H * (motor.gain + H * motor.stiffness))
+        expected = motor_law(n, np.asarray(state.qd))
+        implicit = np.full_like(expected, H * (motor.gain + H * motor.stiffness))
         applied = np.asarray(effort.torque[:, n])
         ends = np.asarray(new.qd[:, n]) if np.isfinite(torque_limit) else None
         if (np.abs(applied) >= torque_limit).any():
             saturated += int((np.abs(applied) >= torque_limit).sum())
-            wanted, implicit = applied, np.zeros_like(implicit)
-        theirs = dense_accelerations(creature, world, state, later, wanted, implicit, ends)
+            expected, implicit = applied, np.zeros_like(implicit)
+        theirs = dense_accelerations(creature, world, state, later, expected, implicit, ends)
         worst = max(worst, np.abs(ours[:, n] - theirs).max() / np.abs(theirs).max())
-        # Free motors end the step with the torque of their end-of-step rate.
+        # Motors within their limits end the step with the torque of their final rate.
         end = motor_law(n, np.asarray(new.qd[:, n]))
         if (np.abs(applied) < torque_limit).all():
             np.testing.assert_allclose(applied, end, rtol=1e-9, atol=1e-9)
@@ -240,30 +241,29 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
     ("number", "law"), [(1, "normal"), pytest.param(4, "isotropic", marks=pytest.mark.slow)]
 )
 def test_step_solves_its_dense_equation(number, law):
-    """Drag, current, buoyancy, servos, limits and springs at once, to 1e-9 of the largest.
+    """Combine drag, current, buoyancy, servos, limits and springs. The tolerance is 1e-9.
 
-    The systems' condition numbers of up to 1e5 or so leave rounding at about 1e-11. The floor
-    under the tangential speed, 1e-6 m/s, adds its square over that of 1 m/s: 1e-12.
+    Condition numbers of up to about 1e5 give rounding errors of about 1e-11. The floor of the
+    tangential speed, 1e-6 m/s, adds its square relative to 1 m/s: 1e-12.
     """
     worst, _ = worst_error(number, np.inf, law)
     assert worst < 1e-9
 
 
 @pytest.mark.slow
-def test_accelerations_belong_to_the_limited_torques():
-    """With motors at their limits the returned torques, taken as given, yield the accelerations."""
+def test_accelerations_follow_from_the_limited_torques():
+    """The returned torques of motors at their limits yield the accelerations."""
     worst, saturated = worst_error(1, 1.0)
     assert saturated > STATES
     assert worst < 1e-9
 
 
 @pytest.mark.slow
-def test_motors_contacts_limits_and_water_together():
-    """Animals with weak motors on a floor under water move as the reported forces make them.
+def test_motion_follows_from_the_reported_forces():
+    """Creatures with weak motors on a floor under water move by the reported forces.
 
-    These obey their laws: no point is pulled down, friction is within its cone and against the
-    motion of the point, motors give what they can, and whoever is pressed comes to the floor, or
-    parts from another limb.
+    The forces obey their laws. Normal forces are not negative, friction is within its cone, motors
+    apply their clipped torques, and pressed points end the step near the floor.
     """
     rng, friction, count = np.random.default_rng(5), 0.6, 4 * STATES
     creature = random_creature(
@@ -329,13 +329,13 @@ def test_motors_contacts_limits_and_water_together():
         assert (along <= friction * up + (coulomb[n] + 1e-9) * load).all()
         pressed += int((up > 0).sum())
         ends_at += after[up > 0, n].tolist()
-    # The way of a corner that turns by 0.1 rad in the step bends, mostly upwards; down to 3 mm.
+    # A corner that turns by 0.1 rad in the step moves on an arc: mostly upwards, or 3 mm down.
     assert min(ends_at) > -4e-3 and np.median(ends_at) < 1e-2
     assert pressed > count and saturated > count and limbs > 3
 
 
 def test_residuals_have_the_type_of_the_state(x64):
-    """Float32 stays float32 where float64 is switched on, or a scan could not carry them."""
+    """Float32 stays float32 with float64 enabled, because a scan could not carry another type."""
     creature = random_creature(np.random.default_rng(0), STRUCTURES[0])
     tree = build_tree(creature)
     world = World(tree, 9.81, contact_model=make_contact_model(creature, tree, Ground()))

@@ -1,6 +1,6 @@
-"""Limbs that push each other: depth, energy, and derivatives.
+"""Limbs that touch each other: depth, energy and derivatives.
 
-That pushes are equal and opposite is tested in `test_implicit_step`.
+`test_implicit_step` tests that the forces on both limbs are equal and opposite.
 """
 
 import dataclasses
@@ -45,7 +45,7 @@ SHAPES = {
 
 
 def clapper(shape, axes, motor=None):
-    """A trunk with two limbs of two bodies each that can clap together in front of it."""
+    """Return a trunk with two limbs of two bodies that can clap together in front of it."""
     unit = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
     bodies = [Body("trunk", Box((0.2, 0.3, 0.1)), FLESH)]
     for side, name in ((1, "left"), (-1, "right")):
@@ -66,7 +66,7 @@ def clapper(shape, axes, motor=None):
 
 
 def inwards(tree):
-    """Of every degree of freedom, the sign with which it turns its limb inwards, about z."""
+    """Return the sign of each degree of freedom that turns its limb inwards about z."""
     return np.array([-1.0 if name.startswith("left") else 1.0 for name in tree.dof_names])
 
 
@@ -78,7 +78,7 @@ def floating(shape, axes, motor=None):
 
 @functools.cache
 def adrift(shape, axes):
-    """A clapper afloat, and a function: `LEG` steps; states, least gaps, pushes and residuals."""
+    """Return the world, and a function of `LEG` steps: states, least gaps, forces, residuals."""
     world = floating(SHAPES[shape], axes)
 
     def advance(state, _):
@@ -90,7 +90,7 @@ def adrift(shape, axes):
 
 
 def drift(run, start, steps):
-    """What `adrift` gives for so many steps."""
+    """Return the results of `adrift` for a number of steps."""
     found = []
     assert steps % LEG == 0
     for _ in range(steps // LEG):
@@ -100,7 +100,7 @@ def drift(run, start, steps):
 
 
 def claps(world, kick, dtype=jnp.float64):
-    """A start at which the arms swing inwards at some rates, rad/s."""
+    """Return a state with arms that swing inwards, at about ``kick`` rad/s."""
     tree = world.tree
     state = resting_state(tree, (COUNT,), dtype)
     rng = np.random.default_rng(1)
@@ -111,7 +111,7 @@ def claps(world, kick, dtype=jnp.float64):
 
 
 def kinetic_energy(world, states):
-    """Of every individual at every time, J."""
+    """Return the kinetic energy of every individual at every time, J."""
     tree = world.tree
     over_time = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)
     kin = quick_jit(lambda s: kinematics(tree, s))(over_time)
@@ -133,9 +133,9 @@ def kinetic_energy(world, states):
     ],
 )
 def test_limbs_clap_without_passing_through(x64, shape, axes):
-    """The law holds in every step; they are not 3 mm deep; what pushes gives no energy.
+    """Every step is solved, the depth is below 3 mm, and the contact forces add no energy.
 
-    Rounded boxes stick out of ellipsoids by more than they go deeper.
+    Ellipsoids may be 8 mm deep, because their rounded boxes stick out of them.
     """
     world, run = adrift(shape, axes)
     states, gap, force, residual = drift(run, claps(world, 3.0), STEPS)
@@ -147,10 +147,10 @@ def test_limbs_clap_without_passing_through(x64, shape, axes):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_limbs_that_turn_fast_meet_where_they_are_at_the_end_of_the_step(x64, shape):
-    """At 14 rad/s the way of an arm bends by millimetres in a step: they are 2 mm deep at most.
+def test_fast_limbs_stay_shallow(x64, shape):
+    """At 14 rad/s an arm's path bends by millimetres in a step, but limbs are at most 2 mm deep.
 
-    With the sweep of the step's start they were 2.3 (ellipsoids) to 3.6 mm (boxes) deep.
+    The initial velocity-product bias alone made them 2.3 (ellipsoids) to 3.6 mm (boxes) deep.
     """
     world, run = adrift(shape, "z")
     states, gap, _, residual = drift(run, claps(world, 14.0), LEG)
@@ -161,7 +161,7 @@ def test_limbs_that_turn_fast_meet_where_they_are_at_the_end_of_the_step(x64, sh
 
 
 class Clap(SineController):
-    """The limbs of a tree all turn inwards, and back."""
+    """Controller that turns all limbs of a tree inwards and back."""
 
     signs: tuple[float, ...] = ()
 
@@ -173,8 +173,8 @@ class Clap(SineController):
 
 
 @pytest.mark.slow
-def test_a_record_has_the_mean_push_of_every_pair(x64):
-    """Over the physics steps of each control step, of all points of a pair."""
+def test_a_recording_has_the_mean_force_of_every_pair(x64):
+    """The mean is over the physics steps of a control step, the sum over the points of a pair."""
     world, substeps = floating(SHAPES["boxes"], "z", Actuator(0.5, 2.0)), 2
     creature = clapper(SHAPES["boxes"], "z")
     place, pairs, signs = Situation((0.0, 0.0, 0.0)), world.pairs, inwards(world.tree)
@@ -195,8 +195,8 @@ def test_a_record_has_the_mean_push_of_every_pair(x64):
     def advance(carry, k):
         state, warmstart = carry
         wave = genes[0] * jnp.sin(2 * np.pi * genes[1] * (k // substeps) / 60)
-        told = signs[:, None] * wave[None]
-        new, effort = step(world, state, told, H, warmstart=warmstart)
+        commanded = signs[:, None] * wave[None]
+        new, effort = step(world, state, commanded, H, warmstart=warmstart)
         return (new, effort.warmstart), effort.pair_force
 
     start = (
@@ -215,8 +215,8 @@ def test_a_record_has_the_mean_push_of_every_pair(x64):
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_limbs_that_overlap_part_no_faster_than_the_way_out(x64, shape):
-    """What lifts them out of each other does little work, however deep they are: 0.5 m/s."""
+def test_overlapping_limbs_separate_slowly(x64, shape):
+    """The push-out does little work at any depth: the speed stays below 0.5 m/s."""
     world, run = adrift(shape, "z")
     tree, state = world.tree, resting_state(world.tree, (COUNT,), jnp.float64)
     arms = inwards(tree) * [name.split(".")[0].endswith("arm") for name in tree.dof_names]
@@ -232,7 +232,7 @@ def test_limbs_that_overlap_part_no_faster_than_the_way_out(x64, shape):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["native", "jax"])
-def test_gradients_through_limbs_that_push_equal_central_differences(x64, engine):
+def test_gradients_through_touching_limbs_equal_central_differences(x64, engine):
     world = floating(SHAPES["boxes"], "z", Actuator(0.5, 2.0, stiffness=4.0))
     start = claps(world, 4.0)
 
@@ -250,18 +250,18 @@ def test_gradients_through_limbs_that_push_equal_central_differences(x64, engine
         run = quick_jit(ahead)
         _, force = run(none)
         grad = np.asarray(quick_jit(jax.grad(lambda x: ahead(x)[0].sum()))(none))
-        wanted = np.stack([
+        expected = np.stack([
             np.asarray(run(none.at[d].set(1e-6))[0] - run(none.at[d].set(-1e-6))[0]) / 2e-6
             for d in range(len(grad))
         ])  # fmt: skip
     assert (np.asarray(force) > 0).any(0).mean() >= 0.75
-    error = np.linalg.norm(grad - wanted, axis=0) / np.linalg.norm(wanted, axis=0)
+    error = np.linalg.norm(grad - expected, axis=0) / np.linalg.norm(expected, axis=0)
     assert np.median(error) < 1e-6 and np.quantile(error, 0.8) < 1e-4
 
 
 @pytest.mark.parametrize("yaw", [0, 20, 45])
-def test_boxes_that_turn_beside_each_other_do_not_push(yaw):
-    """About one axis, along which they are apart; with a yaw their reach alone does not tell."""
+def test_boxes_that_cannot_touch_are_no_pair(yaw):
+    """They are apart along their common axis. Their reach alone cannot decide this after a yaw."""
     turn = euler_to_matrix(0.0, 0.0, np.radians(yaw))
     bodies = [Body("trunk", Box((0.3, 0.3, 0.05)), FLESH)]
     for side, name in ((1, "left"), (-1, "right")):

@@ -1,4 +1,4 @@
-"""Many pairs of limbs in loops do what few do written out, and many joints in a row hold."""
+"""Loops over many pairs of limbs agree with written-out pairs, and long chains are solved."""
 
 import dataclasses
 
@@ -32,7 +32,7 @@ LIMBS = {
 
 
 def clapper(shape, axes):
-    """A trunk with two limbs of two bodies each that can clap together in front of it."""
+    """Return a trunk with two limbs of two bodies that can clap together in front of it."""
     unit = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
     bodies = [Body("trunk", Box((0.2, 0.3, 0.1)), FLESH)]
     for side, name in ((1, "left"), (-1, "right")):
@@ -55,12 +55,12 @@ def clapper(shape, axes):
 
 @pytest.fixture
 def loops(monkeypatch):
-    """Whether pairs are gone through in loops from here on."""
+    """Return a function that switches loops over pairs on or off."""
     return lambda yes: monkeypatch.setattr(written_out, "_MOST_WRITTEN_OUT", 0 if yes else 10**6)
 
 
 def folded(tree, dtype):
-    """Limbs turned inwards and turning on, so that some push; the root lies still."""
+    """Return states with limbs that turn inwards, so that some touch. The root rests."""
     rng = np.random.default_rng(3)
     inwards = np.array([-1.0 if name.startswith("left") else 1.0 for name in tree.dof_names])
     about_z = np.array([name.endswith("z") for name in tree.dof_names])
@@ -94,17 +94,17 @@ def test_loops_find_the_same_step(x64, loops, shape, axes):
     expected, effort = one_step(world, state)
     loops(True)
     got, its_effort = one_step(world, state)
-    # One point may have left the margin in which points are watched; it does not push.
+    # One point may have left the margin of watched points. It exerts no force.
     pushes = np.asarray(effort.pair_force)
-    assert (pushes.sum(0) > 0).sum() >= 5, "the test is about pushes"
+    assert (pushes.sum(0) > 0).sum() >= 5, "the test needs forces"
     np.testing.assert_allclose(its_effort.pair_force, pushes, rtol=1e-8, atol=1e-8 * pushes.max())
     np.testing.assert_allclose(got.qd, expected.qd, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(got.velocity, expected.velocity, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow
-def test_loops_on_plain_jax(x64, loops):
-    """Individuals with and without pushes side by side, in programs that are not native."""
+def test_loops_on_plain_jax_find_the_same_step(x64, loops):
+    """Mix individuals with and without forces in programs of plain JAX."""
     creature = clapper(LIMBS["capsules"], "z")
     tree = build_tree(creature)
     world = World(tree, 0.0, pairs=make_pairs(creature, tree, SelfCollision()))
@@ -135,8 +135,8 @@ def test_loops_measure_the_same_gaps(x64, loops, shape):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
-def test_points_left_out_do_not_push(x64, loops):
-    """Whatever is not watched in a step is too far away to push, at any rate that limbs reach."""
+def test_points_that_are_not_watched_exert_no_force(x64, loops):
+    """Points that are not watched in a step are too far away to touch, at any reachable rate."""
     creature = clapper(LIMBS["capsules"], "z")
     tree = build_tree(creature)
     pairs = make_pairs(creature, tree, SelfCollision())
@@ -154,17 +154,17 @@ def test_points_left_out_do_not_push(x64, loops):
     watched = np.asarray(jax.jit(watch)(state)[1])
     later = dataclasses.replace(state, q=state.q + H * state.qd)
     gap_later = np.asarray(jax.jit(watch)(later)[0])
-    # A further point may appear where there was none; one of the pair is watched.
+    # A further point may appear, but one point of the pair is watched.
     owners = list(zip(*pairs.owners, strict=True))
     points = [[k for k, own in enumerate(owners) if own == pair] for pair in sorted(set(owners))]
     comes = np.array([gap_later[own].min(0) < 0 for own in points])
     seen = np.array([watched[own].max(0) == 1 for own in points])
-    assert comes.sum() >= 10 and (~seen).sum() >= 10, "the test is about pairs that come near"
+    assert comes.sum() >= 10 and (~seen).sum() >= 10, "the test needs approaching pairs"
     assert seen[comes].all()
 
 
 def snake(count):
-    """Boxes in a row with one upright axis between neighbours, lying on the ground."""
+    """Return boxes in a row on the ground, with one upright axis between neighbours."""
     size = Box((0.1, 0.05, 0.05))
     bodies = [Body("head", size, FLESH)]
     for k in range(1, count):
@@ -184,7 +184,7 @@ def snake(count):
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [18, 40])
 def test_long_snakes_have_the_motion_of_float64(count):
-    """Single precision finds the step that double precision finds, and says that it solved it."""
+    """Single precision finds the step of double precision, and reports it as solved."""
     creature = snake(count)
     tree = build_tree(creature)
     world = World(tree, 9.81, contact_model=make_contact_model(creature, tree, Ground()))

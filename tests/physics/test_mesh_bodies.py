@@ -1,4 +1,4 @@
-"""Bodies of meshes in water and on the ground: against boxes and spheres, Qhull and Archimedes."""
+"""Mesh bodies in water and on the ground, against boxes, spheres, Qhull and Archimedes."""
 
 import dataclasses
 
@@ -35,7 +35,7 @@ def single(shape: Shape, density: float = 500.0) -> Creature:
 
 
 def directions(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Upward vectors ``(3, count)``, those along the axes among them."""
+    """Return upward directions ``(3, count)``, including the axes."""
     up = rng.normal(size=(3, count))
     up[:, :3] = np.eye(3)
     up[:, 3] = 0.02, 0.0, 1.0
@@ -43,7 +43,7 @@ def directions(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def under_water(mesh: ConvexMesh, up: np.ndarray, height: float) -> tuple[float, np.ndarray]:
-    """Volume and first moment below the surface, of the hull of what is left of it (Qhull)."""
+    """Return volume and first moment below the surface, from the hull of this part (Qhull)."""
     (cell,) = mesh.cells()
     points = cell.triangles.reshape(-1, 3)
     z = points @ up + height
@@ -62,13 +62,13 @@ def under_water(mesh: ConvexMesh, up: np.ndarray, height: float) -> tuple[float,
 
 
 def displaced(creature: Creature, pose):
-    """Volume and moment, as NumPy arrays."""
+    """Return displaced volume and moment as NumPy arrays."""
     cells = make_cells(creature, build_tree(creature))
     return jax.tree.map(np.asarray, quick_jit(lambda pose: displacement(cells, pose))(pose))
 
 
 def resistance(world, velocity) -> list[np.ndarray]:
-    """Wrench of the drag and its derivative."""
+    """Return the wrench of the drag and its derivative."""
     return list(
         map(
             np.asarray, quick_jit(lambda v: drag(world.law(Drag), world.water.density, v))(velocity)
@@ -81,7 +81,7 @@ def resistance(world, velocity) -> list[np.ndarray]:
     "mesh", [box_mesh(SIZE), tetrahedron(), wedge(), ball_mesh(0.1, 1)], ids="btwo"
 )
 def test_displaced_volume_and_moment_are_exact(mesh, dtype):
-    """Of the polyhedron cut by the surface, in any position: 1e-6 (Qhull's joggle), 1e-5."""
+    """They equal those of the cut polyhedron in any position, to 1e-6 (Qhull's joggle) or 1e-5."""
     rng = np.random.default_rng(0)
     up = directions(rng, 20)
     height = rng.uniform(-1, 1, 20) * np.ptp(mesh.points @ up, axis=0) / 2
@@ -100,8 +100,8 @@ def test_displaced_volume_and_moment_are_exact(mesh, dtype):
 
 
 @pytest.mark.parametrize(("height", "share"), [(10.0, 0.0), (-10.0, 1.0), (-1e4, 1.0)])
-def test_all_or_nothing_under_water(height, share):
-    """In single precision, far from the surface."""
+def test_a_body_far_from_the_surface_is_wet_or_dry(height, share):
+    """Compute in single precision, far from the surface."""
     creature = single(wedge())
     pose = np.array([0.6, 0.0, 0.8, height], np.float32)[:, None, None]
     found = displaced(creature, pose)
@@ -111,8 +111,8 @@ def test_all_or_nothing_under_water(height, share):
 
 
 @pytest.mark.parametrize("density", [200.0, 500.0, 800.0])
-def test_draught_of_a_box(density):
-    """Archimedes: density over that of water, of its height; let go there it stays."""
+def test_draught_of_a_box_follows_archimedes(density):
+    """The draught is the relative density times the height. Released there, the box stays."""
     world = in_water(single(box_mesh(SIZE), density), surface=0.0)
     height = SIZE[2] * (0.5 - density / WATER)
     state = resting_state(world.tree, (1,), jnp.float64)
@@ -133,7 +133,7 @@ def twist(rng: np.random.Generator, count: int) -> jax.Array:
 
 
 @pytest.mark.parametrize("resolution", [1, 2])
-def test_drag_of_a_box_is_the_box_s(resolution):
+def test_drag_of_a_box_mesh_equals_the_box(resolution):
     velocity = twist(np.random.default_rng(1), 20)
     ours, theirs = (in_water(single(shape), resolution) for shape in (box_mesh(SIZE), Box(SIZE)))
     for found, expected in zip(
@@ -143,24 +143,24 @@ def test_drag_of_a_box_is_the_box_s(resolution):
 
 
 @pytest.mark.parametrize(("resolution", "tolerance"), [(2, 0.05), (4, 0.02)])
-def test_drag_of_a_ball_is_near_the_sphere_s(resolution, tolerance):
-    """C_d + 3 pi/4 C_f times the section, in 50 directions, and hardly a force aside."""
+def test_drag_of_a_ball_mesh_is_near_the_sphere(resolution, tolerance):
+    """It is C_d + 3 pi/4 C_f times the section in 50 directions, with a small side force."""
     mesh = ball_mesh(0.1, 3)
     world = in_water(single(mesh), resolution, form_drag=1.0, skin_drag=0.05)
     rng = np.random.default_rng(2)
-    way = rng.normal(size=(3, 50))
-    way /= np.linalg.norm(way, axis=0)
-    velocity = jnp.asarray(np.concatenate([np.zeros((3, 50)), way])[:, None])
+    direction = rng.normal(size=(3, 50))
+    direction /= np.linalg.norm(direction, axis=0)
+    velocity = jnp.asarray(np.concatenate([np.zeros((3, 50)), direction])[:, None])
     wrench, _ = resistance(world, velocity)
     force = wrench[3:, 0]
     expected = 500 * (1 + 3 * np.pi / 4 * 0.05) * np.pi * 0.1**2
-    along = -(force * way).sum(0)
+    along = -(force * direction).sum(0)
     np.testing.assert_allclose(along, expected, rtol=tolerance)
-    assert np.linalg.norm(force + along * way, axis=0).max() < tolerance * expected
+    assert np.linalg.norm(force + along * direction, axis=0).max() < tolerance * expected
 
 
-def test_added_mass():
-    """A box's is the box's; a turned mesh's is turned with it; a ball's is half of its water."""
+def test_added_mass_of_meshes_equals_the_shapes():
+    """A box mesh equals the box, a turned mesh turns it, and a ball moves half of its water."""
     for shape in (box_mesh(SIZE), Box(SIZE)):
         creature = single(shape)
         found = added_inertia(creature, build_tree(creature), WATER)[..., 0]
@@ -191,7 +191,7 @@ def tumbled(count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("mesh", [box_mesh(SIZE), tetrahedron(), wedge()], ids="btw")
 def test_the_lowest_corner_always_counts(mesh):
-    """The least clearance is that of the lowest vertex, in 200 positions; so is the start's."""
+    """The least clearance, and the start height, are the lowest vertex's in 200 positions."""
     count = 200
     world = alone(mesh)
     state = released(world, np.tile([[0.0], [0.0], [1.0]], count), orientation=(1.0, 0, 0, 0))
@@ -205,7 +205,7 @@ def test_the_lowest_corner_always_counts(mesh):
 
 
 def test_a_box_stands_on_its_four_corners():
-    """However it is turned about the vertical, each carries a quarter of its weight."""
+    """Each corner carries a quarter of the weight, for any turn about the vertical."""
     world = alone(box_mesh(SIZE))
     half = np.deg2rad([0, 10, 45, 70]) / 2
     state = released(world, np.tile([[0.0], [0.0], [0.05]], 4))
@@ -216,8 +216,8 @@ def test_a_box_stands_on_its_four_corners():
     np.testing.assert_allclose(np.asarray(support)[-1, 2], weight / 4, rtol=1e-3)
 
 
-def test_a_dropped_box_comes_to_rest_as_the_box():
-    """From 16 positions: on a face, as high as the box lies on one of its faces; never deep."""
+def test_a_dropped_box_mesh_rests_like_the_box():
+    """A drop from 16 positions ends on a face, at the height of the box, and is never deep."""
     count = 16
     ends, depths = [], []
     for shape in (box_mesh(SIZE), Box(SIZE)):
@@ -238,7 +238,7 @@ def test_a_dropped_box_comes_to_rest_as_the_box():
 
 
 def test_a_ball_rolls_to_rest_without_sinking():
-    """A ball of 162 vertices and 64 corners at 1 m/s: its centre keeps near one radius high."""
+    """The centre of a ball of 162 vertices and 64 corners at 1 m/s stays near one radius high."""
     mesh = ball_mesh(0.1, 2)
     world = alone(mesh)
     start = released(world, [[0.0], [0.0], [0.1]], np.array([[0], [10.0], [0], [1.0], [0], [0]]))
@@ -248,8 +248,8 @@ def test_a_ball_rolls_to_rest_without_sinking():
     assert np.asarray(states.position)[-1, 0, 0] > 0.2
 
 
-def test_on_a_block_and_the_floor():
-    """Where there are obstacles corners count twice, and an ellipsoid: a box rests on a block."""
+def test_a_mesh_touches_a_block_and_the_floor():
+    """A box mesh rests on a block, with points of its corners and of an ellipsoid."""
     block = Block((0.0, 0.0, 0.1), (1.0, 1.0, 0.1), 0.0)
     world = alone(box_mesh(SIZE), obstacles=(block,))
     assert len(world.contact_model.bodies) == 9
@@ -270,8 +270,8 @@ def pair(first: Shape, second: Shape) -> Creature:
 
 
 @pytest.mark.slow
-def test_a_step_fused_is_the_step():
-    """On the ground and at the water's surface at once, in one array or many kernels."""
+def test_a_fused_step_equals_plain_jax():
+    """Step on the ground and at the water's surface at the same time."""
     creature = pair(wedge(), Box(SIZE))
     world = in_water(creature, surface=0.05, added_mass=True)
     world = dataclasses.replace(
@@ -294,8 +294,8 @@ def test_a_step_fused_is_the_step():
 
 
 @pytest.mark.slow
-def test_gradients_at_the_surface():
-    """Of the height after two steps by the height at the start, against central differences."""
+def test_gradients_at_the_surface_equal_central_differences():
+    """Differentiate the height after two steps by the initial height."""
     world = in_water(single(wedge()), surface=0.0)
 
     def height(start):

@@ -24,7 +24,7 @@ SERVO_GAIN, TORQUE_LIMIT = 20.0, 0.3
 
 
 def record(world: World, state: State, targets, h: float = H):
-    """States and efforts at every step under a sequence of target rates."""
+    """Return states and efforts at every step for a sequence of target rates."""
 
     @quick_jit
     def run(state, targets):
@@ -39,7 +39,7 @@ def record(world: World, state: State, targets, h: float = H):
 
 @pytest.fixture(scope="module")
 def thrashing():
-    """64 random individuals with weak motors, chasing random targets that change every step."""
+    """Return steps of 64 random individuals with weak motors and random targets in every step."""
     with jax.enable_x64(True):
         rng = np.random.default_rng(3)
         motor = Actuator(SERVO_GAIN, TORQUE_LIMIT)
@@ -54,7 +54,7 @@ def thrashing():
 
 
 def test_torque_never_exceeds_its_limit(thrashing):
-    """Not by one bit, in 200 steps of 64 individuals; and the limit is often reached."""
+    """The limit holds to the last bit in 200 steps of 64 individuals, and is often reached."""
     _, states, effort, _ = thrashing
     torque = np.abs(np.asarray(effort.torque))
     assert torque.max() == TORQUE_LIMIT
@@ -62,11 +62,11 @@ def test_torque_never_exceeds_its_limit(thrashing):
     assert np.isfinite(np.asarray(states.q)).all()
 
 
-def test_torque_is_the_clipped_law_at_the_end_of_the_step(thrashing):
-    """tau = clip(g (target - qd+)), within 1 % of the limit, for all but 1 in 200 torques.
+def test_torque_is_the_clipped_law_at_the_final_rate(thrashing):
+    """tau = clip(g (target - qd+)) within 1 % of the limit, for all but 1 in 200 torques.
 
-    The passes solve a piecewise linear equation; targets of up to 50 rad/s that change at random
-    from step to step, on light limbs, leave a few unsettled after the last pass.
+    The iterations solve a piecewise linear equation. A few torques of light limbs have not
+    converged after the last one, because random targets of up to 50 rad/s change in every step.
     """
     _, states, effort, targets = thrashing
     law = np.clip(SERVO_GAIN * np.asarray(targets - states.qd), -TORQUE_LIMIT, TORQUE_LIMIT)
@@ -74,17 +74,17 @@ def test_torque_is_the_clipped_law_at_the_end_of_the_step(thrashing):
     assert (residual > 0.01).mean() < 0.005
 
 
-def test_energy_is_that_of_the_applied_torque(thrashing):
-    """E = h |tau (qd + qd+) / 2|: the trapezoidal rule with the torque that the step applied."""
+def test_energy_is_the_work_of_the_applied_torque(thrashing):
+    """E = h |tau (qd + qd+) / 2|, the trapezoidal rule with the applied torque."""
     before, states, effort, _ = thrashing
     expected = H * np.abs(effort.torque * (before + states.qd) / 2).sum(1)
     np.testing.assert_allclose(effort.energy, expected, rtol=1e-12, atol=1e-15)
 
 
 def test_a_limit_that_is_not_reached_changes_nothing():
-    """An individual below its limits moves as without limits, whoever is beside it.
+    """An individual below its limits moves as without limits.
 
-    Its neighbours are overloaded.
+    Its neighbours in the batch are overloaded.
     """
     targets = jnp.asarray(np.tile([[0.01, 0.02, 100.0]], (20, 2, 1)))
     results = []
@@ -94,7 +94,7 @@ def test_a_limit_that_is_not_reached_changes_nothing():
         results.append((states, effort.torque))
     free, limited = results
     for unlimited, tight in zip(jax.tree.leaves(free), jax.tree.leaves(limited), strict=True):
-        # The torques found are imposed by a solve of their own, which rounds differently.
+        # A separate solve applies the torques, and it rounds differently.
         np.testing.assert_allclose(unlimited[..., :2], tight[..., :2], rtol=0, atol=1e-14)
     assert np.abs(free[1][..., 2]).max() > 10 * np.abs(limited[1][..., 2]).max()
 
@@ -102,7 +102,7 @@ def test_a_limit_that_is_not_reached_changes_nothing():
 def spring_pair(
     stiffness: float, damping: float = 0.0, limits: float = 9.0, motor=None
 ) -> Creature:
-    """Two boxes that share their centre and turn against each other about z."""
+    """Return two boxes with a common centre that turn against each other about z."""
     material = Material(1000.0)
     joint = Joint(
         parent="a",
@@ -123,7 +123,7 @@ def spring_pair(
 
 
 def reduced_inertia(creature: Creature) -> float:
-    """I_a I_b / (I_a + I_b), what their relative turning sees."""
+    """Return I_a I_b / (I_a + I_b), the inertia of their relative rotation."""
     first, second = (
         b.shape.inertia(b.material.density * b.shape.volume)[2] for b in creature.bodies
     )
@@ -132,7 +132,7 @@ def reduced_inertia(creature: Creature) -> float:
 
 @pytest.mark.parametrize("damping", [0.0, 0.003])
 def test_spring_is_the_implicit_euler_oscillator(damping):
-    """The step is backward Euler for a linear spring and damper: (q, qd)+ = (1 - h A)^-1 (q, qd).
+    """A spring and damper step by backward Euler: (q, qd)+ = (1 - h A)^-1 (q, qd).
 
     A = [[0, 1], [-k/I, -c/I]] with I = I_a I_b / (I_a + I_b). 100 steps agree to rounding.
     """
@@ -151,8 +151,8 @@ def test_spring_is_the_implicit_euler_oscillator(damping):
     np.testing.assert_allclose(ours, expected[1:], atol=1e-11 * np.abs(expected).max())
 
 
-def test_spring_frequency():
-    """sqrt(k / I) / 2 pi; backward Euler turns by atan(w h) a step, (w h)^2 / 3 = 2e-4 less."""
+def test_spring_frequency_equals_the_closed_form():
+    """It is sqrt(k / I) / 2 pi. Backward Euler turns by atan(w h): (w h)^2 / 3 = 2e-4 slower."""
     creature = spring_pair(0.05)
     omega = np.sqrt(0.05 / reduced_inertia(creature))
     world = World(build_tree(creature), 0.0)
@@ -169,11 +169,11 @@ def test_spring_frequency():
 
 @pytest.mark.parametrize("gain", [1e-4, 0.05])
 def test_soft_limit_holds_a_constant_push(gain):
-    """A constant torque tau past a limit of stiffness k comes to rest tau / k beyond it.
+    """A joint under a constant torque tau rests tau / k beyond a limit of stiffness k.
 
-    k = I w^2 + g w with w = 2 pi 10 Hz, the reduced inertia I and the motor's gain g; damping
-    c = 2 I w. From rest at the limit, a damped spring of ratio z = c / 2 sqrt(I k) overshoots by
-    exp(-pi z / sqrt(1 - z^2)), and the implicit step by less.
+    k = I w^2 + g w with w = 2 pi 10 Hz, the reduced inertia I and the motor's gain g. The damping
+    is c = 2 I w. A damped spring of ratio z = c / 2 sqrt(I k), at rest at the limit, overshoots by
+    exp(-pi z / sqrt(1 - z^2)). The implicit step overshoots less.
     """
     limits, push = 0.5, 0.4
     creature = spring_pair(0.0, limits=limits, motor=Actuator(gain, push))
@@ -193,9 +193,9 @@ def test_soft_limit_holds_a_constant_push(gain):
 
 
 def test_soft_limit_balances_its_own_motor():
-    """A servo without limit that asks for 1 rad/s gets g / (I w^2 + g w) < 1 / w = 0.016 rad.
+    """A servo with a reference of 1 rad/s rests g / (I w^2 + g w) < 0.016 rad beyond its limit.
 
-    However strong it is: here its gain is a thousand times that which matters, I w.
+    The bound 1 / w holds for any gain. The gain here is a thousand times I w.
     """
     limits, rate = 0.5, 2 * np.pi * LIMIT_FREQUENCY
     weak = spring_pair(0.0)
@@ -211,10 +211,10 @@ def test_soft_limit_balances_its_own_motor():
 
 
 def test_soft_limit_stops_a_swing():
-    """Running into the limit at speed v, the angle passes it by less than v / (e w).
+    """A joint that reaches its limit at speed v passes it by less than v / (e w).
 
-    That is the peak of a critically damped spring, v t exp(-w t) at t = 1/w; implicit damping
-    makes it less. The joint comes to rest on the near side or at the limit.
+    This is the peak of a critically damped spring, v t exp(-w t) at t = 1/w. Implicit damping
+    reduces it. The joint rests before or at the limit.
     """
     limits, speed = 0.5, 6.0
     creature = spring_pair(0.0, limits=limits)
@@ -228,7 +228,7 @@ def test_soft_limit_stops_a_swing():
 
 
 def two_boxes(**joint) -> World:
-    """Two equal boxes that turn against each other about z, in a vacuum without gravity."""
+    """Return two equal boxes that turn against each other about z, in vacuum without gravity."""
     box = Box((0.2, 0.1, 0.1))
     joint = Joint("a", (0.1, 0, 0), (-0.1, 0, 0), ((0.0, 0.0, 1.0),), (-9.0,), (9.0,), **joint)
     material = Material(500.0)
@@ -236,8 +236,8 @@ def two_boxes(**joint) -> World:
     return World(build_tree(creature), 0.0)
 
 
-def test_a_dashpot_set_to_the_neutral_angle_is_a_passive_spring_and_damper(x64):
-    """The same motion; that it pulls to other angles is in the dense equation of the step."""
+def test_a_neutral_dashpot_equals_a_passive_spring_and_damper(x64):
+    """Both move equally. The dense equation of the step tests other target angles."""
     dashpot = two_boxes(actuator=Actuator(0.05, stiffness=3.0))
     passive = two_boxes(stiffness=3.0, damping=0.05)
 
@@ -252,16 +252,16 @@ def test_a_dashpot_set_to_the_neutral_angle_is_a_passive_spring_and_damper(x64):
         return np.asarray(quick_jit(lambda s: jax.lax.scan(advance, s, None, 200)[1])(state))
 
     moved = angles(dashpot, jnp.zeros(1))
-    assert moved.max() > 0.05  # It swings.
+    assert moved.max() > 0.05  # The boxes swing.
     np.testing.assert_allclose(moved, angles(passive, None), atol=1e-12)
     np.testing.assert_array_equal(moved, angles(dashpot, None))
 
 
-def test_an_overloaded_dashpot_gives_way_with_its_limit(x64):
-    """Far from its angle it pulls with the limit, and the boxes turn as that torque makes them.
+def test_an_overloaded_dashpot_applies_its_limit(x64):
+    """The torque is the limit at angles far from the target, and it accelerates the boxes.
 
-    In the straight pose the hinge moves aside and the centres of mass stay where they are, so each
-    box resists with its own inertia I to half the joint's acceleration: qdd = 2 tau / I.
+    In the straight pose the hinge moves sideways and the centres of mass do not move. So each box
+    turns with half of the joint's acceleration against its own inertia I: qdd = 2 tau / I.
     """
     limit, count = 0.02, 10
     world = two_boxes(actuator=Actuator(0.05, limit, stiffness=300.0))
@@ -280,9 +280,12 @@ def test_an_overloaded_dashpot_gives_way_with_its_limit(x64):
 
 
 @pytest.mark.parametrize("limit", [25.0, 2.5])
-def test_a_limited_motor_on_a_limb_that_hardly_resists_gives_what_it_works(limit, x64):
-    """A leg that also turns about its own length: held at their limits, the motors would bring it
-    to 1400 rad/s in one step, and velocity products of that are energy from nowhere."""
+def test_a_limited_motor_adds_only_its_work(limit, x64):
+    """The leg also turns about its length, where its inertia is small.
+
+    Torques held at their limits would accelerate it to 1400 rad/s in one step. The velocity
+    products at that rate would add energy.
+    """
     motor = Actuator(0.08 * limit, limit, 3.2 * limit)
     axes = tuple(map(tuple, np.eye(3)))
     most = np.deg2rad(50)
@@ -311,8 +314,8 @@ def test_a_limited_motor_on_a_limb_that_hardly_resists_gives_what_it_works(limit
     assert energy.max() > 1.0 and rise < 0.25 * energy.max()
 
 
-def test_a_joint_without_a_motor_is_at_no_limit(x64):
-    """Beside one with a limited motor that stays within it: steps stay those of second order."""
+def test_a_joint_without_a_motor_keeps_second_order(x64):
+    """Another joint has a limited motor within its limit. The step stays of second order."""
     chain = box_chain(3, "z", Actuator(0.5, 5.0))
     loose = dataclasses.replace(chain.bodies[2].joint, actuator=None)
     bodies = (*chain.bodies[:2], dataclasses.replace(chain.bodies[2], joint=loose))

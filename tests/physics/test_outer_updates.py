@@ -1,4 +1,4 @@
-"""Outer updates of the step solver, each on its own."""
+"""Each outer update of the step solver alone."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -7,15 +7,15 @@ from evo_cpg.physics.outer_updates import Cone, PairBias, reduced
 
 
 def test_cone_iteration_solves_linear_fixed_point_in_three_rounds():
-    """``L = a L + b`` has the solution b / (1 - a); Anderson's acceleration of one is a secant."""
-    slope, offset = 0.6, 2.0
+    """``L = a L + b`` has the solution b / (1 - a), which one secant step (Anderson) finds."""
+    gain, offset = 0.6, 2.0
     cone = Cone.first(jnp.array([[1.0]], jnp.float32))
     plain = 1.0
     for _ in range(3):
-        cone = cone.updated(slope * cone.radius + offset)
-        plain = slope * plain + offset
-    np.testing.assert_allclose(cone.radius, offset / (1 - slope), rtol=1e-6)
-    assert abs(plain - offset / (1 - slope)) > 0.5
+        cone = cone.updated(gain * cone.radius + offset)
+        plain = gain * plain + offset
+    np.testing.assert_allclose(cone.radius, offset / (1 - gain), rtol=1e-6)
+    assert abs(plain - offset / (1 - gain)) > 0.5
     assert int(cone.rounds[0]) == 3
 
 
@@ -24,12 +24,12 @@ def test_first_cone_update_takes_allowed_radius():
     assert float(cone.radius[0, 0]) == 5.0
 
 
-def test_cone_radius_stays_positive():
+def test_cone_radius_is_never_negative():
     cone = Cone.first(jnp.array([[1.0]])).updated(jnp.array([[0.5]])).updated(jnp.array([[0.0]]))
     assert float(cone.radius[0, 0]) == 0.0
 
 
-def test_updates_leave_other_individuals_alone():
+def test_updates_do_not_change_other_individuals():
     mask = jnp.array([True, False])
     cone = Cone.first(jnp.ones((1, 2))).updated_where(mask, 3 * jnp.ones((1, 2)))
     np.testing.assert_array_equal(cone.radius, [[3, 1]])

@@ -1,4 +1,4 @@
-"""Gaps between rounded boxes against their distance by many projections, and their overlap."""
+"""Gaps between rounded boxes against distances by alternating projections, and overlaps."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -21,7 +21,7 @@ PROJECTIONS = 20_000
 
 
 def turned(rng, flat):
-    """Rotations of some boxes; flat ones turn about z alone."""
+    """Return random rotations of boxes. Flat boxes turn about z alone."""
     angles = rng.uniform(-np.pi, np.pi, (COUNT, 3)) * ([0, 0, 1] if flat else [1, 1, 1])
     return np.array([euler_to_matrix(*angle) for angle in angles])
 
@@ -33,7 +33,7 @@ def boxes(centre, rotation, half, radius):
 
 
 def projected(box, point):
-    """The nearest point of a box without its radius."""
+    """Return the nearest point of a box without its radius."""
     centre, half = np.asarray(box.centre).T, np.asarray(box.half_extents).T
     axes = np.moveaxis(np.asarray(box.axes), -1, 0)
     own = np.einsum("pij,pi->pj", axes, point - centre)
@@ -41,7 +41,7 @@ def projected(box, point):
 
 
 def distance(a, b):
-    """Of boxes without their radii."""
+    """Return the distance of boxes without their radii."""
     there = np.asarray(b.centre).T
     for _ in range(PROJECTIONS):
         here, before = projected(a, there), there
@@ -73,7 +73,7 @@ def case(request, x64):
 
 
 def small_turns(rng, degrees):
-    """Rotations by less than so much."""
+    """Return rotations by less than an angle."""
     angles = np.radians(rng.uniform(-degrees, degrees, (COUNT, 3)))
     return np.array([euler_to_matrix(*angle) for angle in angles])
 
@@ -81,8 +81,8 @@ def small_turns(rng, degrees):
 @pytest.mark.parametrize(
     "half", [(0.1, 0.3, 0.01), (0.3, 0.01, 0.3), (0.05, 0.05, 0.05), (0.3, 0.05, 0.05)]
 )
-def test_gaps_of_lines_that_lie_nearly_along_a_box(half, x64):
-    """Against a search along the line: across a beam, over a plate's edge, at its end."""
+def test_gaps_of_nearly_parallel_lines_equal_a_search(half, x64):
+    """Search along the line: across a beam, over a plate's edge and at its end."""
     rng, most, radius = np.random.default_rng(5), 0.2, 0.02
     turn, away = turned(rng, False), rng.normal(scale=0.1, size=(COUNT, 3))
     line = boxes(np.zeros((COUNT, 3)), turn, (most, 0, 0), radius)
@@ -98,7 +98,7 @@ def test_gaps_of_lines_that_lie_nearly_along_a_box(half, x64):
 
 
 def test_gaps_are_distances(case):
-    """Exactly for lines; nearly for rounded boxes; between two corners less, never more."""
+    """Gaps are exact for lines, never too large for boxes, never too small otherwise."""
     name, a, b, found = case
     cores = distance(a, b)
     true, apart = cores - np.asarray(a.radius + b.radius), cores > 1e-4
@@ -114,24 +114,26 @@ def test_gaps_are_distances(case):
         assert np.quantile(error, 0.95) < 4e-4
 
 
-def test_overlap_of_boxes_is_the_least_way_out(case):
-    """No other direction of many leads out of each other sooner."""
+def test_overlap_of_boxes_is_the_least_separating_displacement(case):
+    """No other of many directions separates the boxes by a smaller displacement."""
     name, a, b, found = case
     if "boxes" not in name:
         return
     first, gap = found[0], np.asarray(found[0].gap)
     rng = np.random.default_rng(0)
-    ways = rng.normal(size=(4000, 3)) * ([1, 1, 0] if name == "flat boxes" else [1, 1, 1])
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    directions = rng.normal(size=(4000, 3)) * ([1, 1, 0] if name == "flat boxes" else [1, 1, 1])
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
     reach = [
-        (np.abs(np.einsum("wi,ijp->wjp", ways, box.axes)) * np.asarray(box.half_extents)).sum(1)
+        (np.abs(np.einsum("wi,ijp->wjp", directions, box.axes)) * np.asarray(box.half_extents)).sum(
+            1
+        )
         for box in (a, b)
     ]
-    out = sum(reach) - ways @ np.asarray(b.centre - a.centre)
+    out = sum(reach) - directions @ np.asarray(b.centre - a.centre)
     overlap = gap < 0
     assert overlap.sum() > COUNT / 10
     assert (-gap <= out.min(0) + 1e-9)[overlap].all()
-    # Along its own normal the overlap is what it says.
+    # The overlap along the normal equals the reported overlap.
     normal = np.asarray(first.normal)
     own = sum(
         (np.abs(np.einsum("ip,ijp->jp", normal, box.axes)) * np.asarray(box.half_extents)).sum(0)
@@ -145,16 +147,16 @@ def test_points_lie_a_gap_apart_along_the_normal(case):
     *_, found = case
     for point in found:
         there = np.asarray(point.gap) < 0.9
-        way = np.asarray(point.second - point.first)
+        displacement = np.asarray(point.second - point.first)
         normal = np.asarray(point.normal)
         assert there.any()
         np.testing.assert_allclose(np.linalg.norm(normal[:, there], axis=0), 1.0, atol=1e-5)
-        gap = (way * normal).sum(0)
+        gap = (displacement * normal).sum(0)
         np.testing.assert_allclose(gap[there], np.asarray(point.gap)[there], atol=1e-6)
 
 
 def test_points_lie_on_the_bodies(case):
-    """On the surface of one of the two; where there is an overlap at most so far from the other."""
+    """At least one of the two points lies in or on its body, unless the overlap is deep."""
     _, a, b, found = case
     for point in found:
         gap = np.asarray(point.gap)
@@ -167,8 +169,8 @@ def test_points_lie_on_the_bodies(case):
         assert nearer.max() < 1e-5
 
 
-def test_further_points_of_tilted_flat_boxes_lie_on_both(x64):
-    """Across the axis each place is on its rectangle's outline, so the gap there is right, too."""
+def test_further_points_of_flat_boxes_lie_on_both(x64):
+    """Each point lies on the outline of its rectangle, so its gap is exact too."""
     rng = np.random.default_rng(5)
     away = rng.normal(scale=0.16, size=(COUNT, 3)) * [1, 1, 0.2]
     a = boxes(np.zeros((COUNT, 3)), turned(rng, True), (0.12, 0.04, 0.04), 0.0)
@@ -182,8 +184,8 @@ def test_further_points_of_tilted_flat_boxes_lie_on_both(x64):
         np.testing.assert_allclose(outside.max(0), 0, atol=1e-9)
 
 
-def test_no_point_of_tilted_boxes_that_overhang_is_deeper_than_they_are(x64):
-    """Plates whose lowest corner is beside the other: its place over both is higher than it."""
+def test_points_of_tilted_overhanging_boxes_are_not_too_deep(x64):
+    """The lowest corner of a plate may lie outside the other plate. The point is then higher."""
     rng = np.random.default_rng(6)
     half = np.array([0.18, 0.08, 0.015])
     tilted = np.array(
@@ -197,9 +199,9 @@ def test_no_point_of_tilted_boxes_that_overhang_is_deeper_than_they_are(x64):
     for point in others:
         there = np.asarray(point.gap) < 0.9
         assert there.mean() > 0.3
-        # Where edges cross a little farther apart than the face is, the points stay the face's.
+        # If crossing edges are a little farther apart than the face, the points stay on the face.
         assert (np.asarray(point.gap) >= np.asarray(first.gap) - SAME)[there].all()
-        # On the plane of the face of one and on the lowest face of the other.
+        # The points lie on the face of one box and on the lowest face of the other.
         off = []
         for box, place in ((a, point.first), (b, point.second)):
             local = np.einsum("ijn,in->jn", np.asarray(box.axes), np.asarray(place - box.centre))
@@ -208,8 +210,8 @@ def test_no_point_of_tilted_boxes_that_overhang_is_deeper_than_they_are(x64):
 
 
 @pytest.mark.parametrize("find", [separation_of_boxes, separation_of_flat])
-def test_boxes_that_overhang_touch_where_both_are(find, x64):
-    """Parallel ones, whose lowest corner rounding picks: a bar across a beam, and over its end."""
+def test_points_of_overhanging_boxes_lie_on_both(find, x64):
+    """The boxes are parallel, so rounding picks the lowest corner: a bar across or over a beam."""
     rng = np.random.default_rng(4)
     none = np.tile(np.eye(3), (COUNT, 1, 1))
     half = np.array([0.3, 0.1, 0.05])
@@ -230,5 +232,5 @@ def test_boxes_that_overhang_touch_where_both_are(find, x64):
             inside = np.abs(place - np.asarray(box.centre).T[there]) - half * (box is a)
             inside = inside - other * (box is b)
             assert inside.max() < 1e-3 + 1e-9
-    # They hold both ways across: what they have side by side there, from end to end.
+    # The second points span the common length of the boxes.
     assert (np.asarray(found[1].gap)[least] < 0.9).mean() > 0.9

@@ -1,6 +1,6 @@
-"""Bodies from 0.1 mm to 100 m move as closed forms say, in float32.
+"""Bodies from 0.1 mm to 100 m follow closed forms in float32.
 
-Lengths are measured in the body's own, and times in those in which it falls as far.
+Lengths are relative to the body's length, and times to the time of a fall by that length.
 """
 
 import dataclasses
@@ -36,7 +36,7 @@ def body(shape, density=1000.0):
 
 
 def moved(world, steps, h, height=0.0, velocity=None, qd=None, engine="native"):
-    """States at the end of every step, of one individual in float32."""
+    """Return the state of one individual at the end of every step, in float32."""
     h = float(h)
     start = resting_state(world.tree, (1,), jnp.float32, position=(0.0, 0.0, height))
     if velocity is not None:
@@ -60,7 +60,7 @@ def moved(world, steps, h, height=0.0, velocity=None, qd=None, engine="native"):
 
 @pytest.mark.parametrize(("size", "engine"), [(1e-4, "jax"), *((s, "native") for s in SIZES)])
 def test_a_symmetric_top_precesses(size, engine):
-    """At (I_2 - I_1) / I_2 times its spin; it falls at up to 10 m/s meanwhile."""
+    """The rate is (I_2 - I_1) / I_2 times its spin, while it falls at up to 10 m/s."""
     world = World(build_tree(body(Capsule(size / 6, 2 * size / 3))), GRAVITY)
     states = moved(world, 240, 1 / 240, velocity=[20.0, 3.0, 1.0, 0.0, 0.0, 0.0], engine=engine)
     turn = np.asarray(quaternion_to_matrix(jnp.asarray(states.orientation.T)))
@@ -75,8 +75,8 @@ def test_a_symmetric_top_precesses(size, engine):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_sinking_box_comes_to_its_terminal_speed(size):
-    """``v^2 = (rho_b / rho - 1) g c / C_d``, as its top and its bottom resist."""
+def test_a_sinking_box_reaches_its_terminal_speed(size):
+    """``v^2 = (rho_b / rho - 1) g c / C_d`` with the drag of the top and the bottom."""
     density, drag = 3000.0, 0.5
     world = in_water(
         body(Box((size, 0.7 * size, 0.5 * size)), density), form_drag=drag, skin_drag=0.0,
@@ -88,15 +88,15 @@ def test_a_sinking_box_comes_to_its_terminal_speed(size):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_floating_box_bobs(size):
-    """As a spring of ``rho g a b`` moves it, about the place where it is half under water."""
+def test_a_floating_box_bobs_like_a_spring(size):
+    """The spring has a stiffness of ``rho g a b`` about the half-submerged position."""
     world = in_water(
         body(Box((size, 0.7 * size, 0.5 * size)), 500.0), form_drag=0.0, skin_drag=0.0, surface=0.0
     )
     h = 0.01 * np.sqrt(size / GRAVITY)
     states = moved(world, 400, h, height=0.02 * size)
     rate = np.sqrt(2.0 * GRAVITY / (0.5 * size))
-    # Positions are those half a step after the velocities.
+    # Positions belong to the times half a step after the velocities.
     time = h * (np.arange(400) + 1.5)
     wave = 0.02 * np.cos(rate * time) / np.cos(0.5 * rate * h)
     np.testing.assert_allclose(states.position[:, 2] / size, wave, atol=0.03 * 0.02)
@@ -105,7 +105,7 @@ def test_a_floating_box_bobs(size):
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("on", ["floor", "block"])
 def test_a_box_comes_to_rest_on_the_ground(size, on):
-    """Dropped, it neither sinks in nor tilts."""
+    """A dropped box neither sinks in nor tilts."""
     ground = {"floor": Plane()}
     if on == "block":
         slab = Block((0.0, 0.0, -size), (20.0 * size, 20.0 * size, size))
@@ -118,8 +118,8 @@ def test_a_box_comes_to_rest_on_the_ground(size, on):
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_a_ball_that_slides_comes_to_roll(size):
-    """At 5/7 of the speed that it had."""
+def test_a_sliding_ball_rolls_in_the_end(size):
+    """The final speed is 5/7 of the initial speed."""
     world = alone(Sphere(size / 2))
     speed = 0.5 * np.sqrt(GRAVITY * size)
     states = moved(
@@ -130,7 +130,7 @@ def test_a_ball_that_slides_comes_to_roll(size):
 
 
 def angular_momentum(tree, states):
-    """About the world's origin at each time, ``(times, 3)``."""
+    """Return the angular momentum about the world's origin at each time, ``(times, 3)``."""
     state = jax.tree.map(lambda x: jnp.moveaxis(jnp.asarray(x), 0, -1), states)
     kin = jax.tree.map(np.asarray, kinematics(tree, state))
     total = 0.0
@@ -147,15 +147,15 @@ def angular_momentum(tree, states):
 
 @pytest.mark.parametrize("engine", ["native", "jax"])
 @pytest.mark.parametrize("axes", [1, 2, 3])
-def test_a_claw_of_a_thousandth_keeps_spinning(axes, engine):
-    """On a joint without resistance: the pair keeps its momentum, and the claw hardly its own."""
+def test_a_tiny_claw_keeps_spinning(axes, engine):
+    """A tiny claw on a free joint keeps its rate, and the pair its angular momentum."""
     large, small = 0.5, 0.0005
-    ways = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))[:axes]
+    directions = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))[:axes]
     joint = Joint(
         parent="trunk",
         parent_anchor=(large / 2, 0.0, 0.0),
         child_anchor=(0.0, 0.0, 0.0),
-        axes=ways,
+        axes=directions,
         lower=(-99.0,) * axes,
         upper=(99.0,) * axes,
     )
@@ -171,7 +171,7 @@ def test_a_claw_of_a_thousandth_keeps_spinning(axes, engine):
     states = moved(
         world, 60, 1 / 240, velocity=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], qd=rates, engine=engine
     )
-    # A ball about whose centre the joint is turns at its own rate, and pushes nothing.
+    # The joint is at the ball's centre, so the ball turns at a constant rate without reaction.
     np.testing.assert_allclose(states.qd[:, 0], 5.0, rtol=1e-3)
     momentum = angular_momentum(world.tree, states)
     own = 0.4 * 1000.0 * world.tree.volume[1] * small**2 * 5.0
@@ -179,8 +179,8 @@ def test_a_claw_of_a_thousandth_keeps_spinning(axes, engine):
 
 
 @pytest.mark.parametrize("shape", [Sphere(0.05), Capsule(0.05, 0.2)])
-def test_the_height_over_a_block_has_a_slope_in_float32(shape):
-    """Where an animal starts is found by it."""
+def test_clearance_has_a_derivative_in_float32(shape):
+    """The search for the start height uses this derivative."""
     world = alone(shape, obstacles=(Block((0.0, 0.0, 0.0), (1.0, 1.0, 0.01)),), floor=ABYSS)
 
     @quick_jit
@@ -193,8 +193,8 @@ def test_the_height_over_a_block_has_a_slope_in_float32(shape):
         assert abs(float(rise)) == 1.0
 
 
-def test_inverses_of_any_size():
-    """Of the moments of inertia of a speck, and of those of a hill; others keep their bits."""
+def test_inverses_are_accurate_at_any_scale():
+    """Invert moments of inertia from a speck to a hill."""
     rng = np.random.default_rng(0)
     for size in (1, 2, 3):
         root = rng.normal(size=(size, size, 40))
@@ -210,6 +210,6 @@ def test_inverses_of_any_size():
         )  # fmt: skip
 
 
-def test_usual_numbers_are_not_scaled():
+def test_ordinary_numbers_are_not_scaled():
     assert (np.asarray(toward_one(np.array([1e-9, 1e-3, 1.0, 1e9]))) == 1.0).all()
     assert (np.log2(toward_one(np.array([1e-20, 1e20]))) == [32.0, -32.0]).all()

@@ -1,4 +1,4 @@
-"""Animals stand on slopes as steep as statics allows."""
+"""Creatures stand on slopes almost as steep as statics allows."""
 
 import jax
 import numpy as np
@@ -13,17 +13,17 @@ from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.world import World
 
 
-def test_the_limit_of_statics_is_that_of_a_block():
-    """It slides beyond atan mu, or tips over its lower edge beyond atan (half length / height)."""
+def test_the_limit_of_statics_equals_a_blocks():
+    """A block slides beyond atan mu, or tips beyond atan (half length / height of its centre)."""
     corners = np.array([[x, y, 0] for x in (-0.1, 0.1) for y in (-0.1, 0.1)])
     for height, friction in ((0.05, 0.5), (0.3, 0.5), (0.3, 0.8)):
         standing = Standing(0.0, corners, np.full(4, friction), np.array([0, 0, height]))
-        wanted = np.rad2deg(min(np.arctan(friction), np.arctan(0.1 / height)))
-        assert limit_of_statics(standing) == pytest.approx(wanted, abs=0.15)
+        expected = np.rad2deg(min(np.arctan(friction), np.arctan(0.1 / height)))
+        assert limit_of_statics(standing) == pytest.approx(expected, abs=0.15)
 
 
 def table(friction: float) -> World:
-    """A slab on three legs with balls for feet, hinged and held by dashpots."""
+    """Return a slab on three ball feet that are hinged and held by dashpots."""
     wood = Material(400.0, 0.0, friction, friction)
     bodies = [Body("slab", Box((0.5, 0.4, 0.05)), wood)]
     for name, x, y in (("a", 0.2, 0.15), ("b", 0.2, -0.15), ("c", -0.2, 0.0)):
@@ -45,9 +45,9 @@ def table(friction: float) -> World:
     ("friction", "creep"), [(0.4, 0.5e-3), pytest.param(2.0, 1.5e-3, marks=pytest.mark.slow)]
 )
 def test_a_table_stands_to_a_degree_below_the_limit(friction, creep):
-    """With little friction it is sliding that ends it, with much it tips over.
+    """It slides with little friction, and tips over with much friction.
 
-    That is at 50 degrees, where two of its feet carry all and creep the more.
+    It tips at 50 degrees. Two of its feet then carry all weight, so they creep faster.
     """
     with jax.enable_x64(False):
         stand = stander(table(friction), 1 / 240)
@@ -65,7 +65,7 @@ def test_a_table_stands_to_a_degree_below_the_limit(friction, creep):
     [("fukui2003_model1", 0.5e-3), ("fukui2003_model3", 0.5e-3), ("hexapod", 2.5e-3)],
 )
 def test_walkers_stand_to_a_degree_below_the_limit(name, creep):
-    """The hexapod's light feet are soft along the ground, and four of them carry all by then."""
+    """The hexapod creeps faster: its light feet are soft, and four of them carry all weight."""
     with jax.enable_x64(False):
         simulation = experiment_of(name).simulation
         stand = stander(simulation.world, simulation.step_length)

@@ -1,4 +1,4 @@
-"""Bodies that spin fast in free flight keep energy and momentum, at any step."""
+"""Fast spinning bodies in free flight keep energy and momentum, at any step."""
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from on_ground import alone, released
     ],
 )
 def test_a_tumbling_body_keeps_its_energy_and_momentum(x64, shape, h):
-    """Their size; the direction of the momentum drifts, as positions follow the new velocity."""
+    """The magnitudes are kept. The momentum's direction drifts: positions use the new velocity."""
     world, count = alone(shape), 12
     rng = np.random.default_rng(0)
     spin = rng.normal(size=(3, count))
@@ -39,11 +39,11 @@ def test_a_tumbling_body_keeps_its_energy_and_momentum(x64, shape, h):
     own = np.einsum("ijtn,tin->jtn", turn, np.asarray(velocity)[:, :3])
     momentum = np.einsum("ij,jtn->itn", world.tree.inertia[:3, :3, 0], own)
     energy, size = (own * momentum).sum(0), np.linalg.norm(momentum, axis=0)
-    # As the square of the angle of a step: 40 rad/s turn by 0.17 rad, and by 0.67.
+    # The error grows with the square of the angle of a step: 0.17 or 0.67 rad at 40 rad/s.
     wobble = 0.3 if h > 1 / 100 else 0.02
     assert (energy.max(0) / energy[0]).max() < 1 + wobble
     assert (energy.min(0) / energy[0]).min() > 1 - wobble
     assert (size.max(0) / size.min(0)).max() < 1 + wobble
-    # Nothing grows from one half of the time to the other.
+    # The second half of the time has no larger errors than the first half.
     first, second = np.split(energy, 2)
     assert (second.max(0) / first.max(0)).max() < 1.01

@@ -1,4 +1,4 @@
-"""Nothing passes through the ground, however fast it is and however thin the ground."""
+"""Bodies do not pass through the ground, at any speed and any thickness of the ground."""
 
 import dataclasses
 
@@ -38,14 +38,14 @@ SHAPES = {
     "ellipsoid": (Ellipsoid((0.05, 0.04, 0.03)), 0.03),
     "mesh": (brick(), 0.03),
 }
-# Each has its own rule for its nearest point. `make test-slow` throws them all.
+# Each shape has its own rule for its nearest point. `make test-slow` tests all of them.
 ALL = [
     pytest.param(name, marks=[] if name in ("ball", "box") else pytest.mark.slow) for name in SHAPES
 ]
 
 
 def thrown(world, place, velocity, steps, h=H):
-    """Positions and velocities of bodies that are thrown without a turn, ``(steps, 3 or 6, n)``."""
+    """Return positions and velocities of thrown, level bodies, ``(steps, 3 or 6, n)``."""
     place, velocity = (np.array(x, float).T for x in (place, velocity))
     turning = np.zeros_like(velocity)
     states, _ = record(world, released(world, place, np.concatenate([turning, velocity])), steps, h)
@@ -54,7 +54,7 @@ def thrown(world, place, velocity, steps, h=H):
 
 @pytest.mark.parametrize("name", ALL)
 def test_nothing_falls_through_a_thin_block(name):
-    """2 mm thick, from steps that begin at any distance from it."""
+    """The block is 2 mm thick, and steps begin at any distance from it."""
     shape, half = SHAPES[name]
     world = alone(shape, obstacles=(THIN,), floor=ABYSS)
     speeds = np.repeat(SPEEDS, 4)
@@ -64,19 +64,19 @@ def test_nothing_falls_through_a_thin_block(name):
     assert place[:, 2].min() > half
     fast = (speeds > 10) & (speeds < 50)
     np.testing.assert_allclose(place[-1, 2, fast], 0.001 + half, atol=0.015)
-    # Without restitution they hardly come up again.
+    # They hardly bounce without restitution.
     assert (velocity[-1, 5] < 0.02 * speeds).all()
 
 
 @pytest.mark.parametrize("name", [each for each in ALL if each.values != ("plate",)])
 def test_nothing_falls_through_a_pebble(name):
-    """1 cm in radius; some bodies fall beside it, and pass as if it was not there."""
+    """The radius is 1 cm. Some bodies fall next to it and do not touch it."""
     shape, half = SHAPES[name]
     world = alone(shape, obstacles=(Boulder((0.0, 0.0, 0.0), 0.01),), floor=ABYSS)
     speeds = np.repeat([20.0, 44.0, 100.0], 3)
     height, aside = np.tile([0.3, 0.43, 0.61], 3), np.tile([0.0, 0.0, 0.2], 3)
     start = np.stack([aside, 0 * height, height], 1)
-    # Up to two steps after the contact.
+    # The path ends up to two steps after the contact.
     place, velocity = thrown(world, start, np.outer(speeds, [0.0, 0.0, -1.0]), 12)
     after = np.ceil(height / speeds / H).astype(int) + 2
     met = aside == 0
@@ -88,7 +88,7 @@ def test_nothing_falls_through_a_pebble(name):
 
 def test_a_ball_stops_at_the_first_of_several_walls():
     walls = tuple(Block((1.0 + 0.2 * k, 0.0, 1.0), (0.001, 1.0, 1.0)) for k in range(4))
-    # On a block, too, on which it slides: that touches it all the way.
+    # The ball also slides on a block, which touches it on the whole path.
     path = Block((0.0, 0.0, -0.5), (3.0, 1.0, 0.5))
     world = alone(Sphere(0.05), obstacles=(*walls, path), floor=ABYSS)
     start = [[0.0, 0.0, 0.5], [0.13, 0.2, 1.0], [0.3, 0.0, 1.9], [0.0, 0.0, 0.05], [0.3, 0.0, 2.1]]
@@ -98,7 +98,7 @@ def test_a_ball_stops_at_the_first_of_several_walls():
     assert place[-1, 0, 4] > 2.0
 
 
-def test_a_small_margin_lets_nothing_through():
+def test_a_small_margin_stops_bodies_too():
     world = alone(Sphere(0.05), obstacles=(THIN,), floor=ABYSS, margin=1e-3)
     start = [[0.0, 0.0, 0.3], [0.0, 0.0, 0.3], [0.0, 0.0, 0.0515]]
     place, _ = thrown(world, start, [[0.0, 0.0, -44.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]], 90)
@@ -110,27 +110,27 @@ def test_a_small_margin_lets_nothing_through():
     ("name", "floor"),
     [("ball", "slope"), ("ball", "hills"), ("ball", "cliff"), ("box", "level"), ("box", "cliff")],
 )
-def test_nothing_gets_into_a_floor(name, floor):
-    """Centres stay out of it at 50 m/s, at which they would come to lie 0.2 m deep in a step."""
+def test_no_body_enters_a_floor(name, floor):
+    """Centres stay outside at 50 m/s, although one step would move them 0.2 m into the floor."""
     shape, _ = SHAPES[name]
-    ways = np.arange(41) * 0.05 - 1.0
+    grid = np.arange(41) * 0.05 - 1.0
     ground = {
         "level": Plane(),
         "slope": Shore("x", 0.0, 1.0, 0.0, 1.0),
         "cliff": Shore("x", 0.0, 0.05, 0.0, 1.0),
-        "hills": Relief(0.1 * np.sin(8.0 * ways)[:, None] + np.zeros(41), (-1.0, -1.0), 0.05),
+        "hills": Relief(0.1 * np.sin(8.0 * grid)[:, None] + np.zeros(41), (-1.0, -1.0), 0.05),
     }[floor]
     world = alone(shape, floor=ground)
     start = [[-0.5, 0.0, 0.2], [-0.3, 0.0, 0.2], [-0.3, 0.0, 1.5]]
     speed = [[50.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 0.0, -60.0]]
     place, _ = thrown(world, start, speed, 10)
     depth = np.asarray(ground.distance(jnp.asarray(place.swapaxes(0, 1)))[0])
-    # A ball meets a kink with its centre's plane alone.
+    # In a kink of the floor, a ball touches only the plane under its centre and enters the other.
     assert depth.min() > -0.025
 
 
 def test_a_rod_that_whirls_does_not_pass_a_post():
-    """By a quarter of a turn in a step; the answer is that of steps a fiftieth as long."""
+    """It turns by up to a quarter per step. Steps a fiftieth as long give the same result."""
     post = Block((0.25, 0.12, 0.0), (0.005, 0.005, 1.0))
     world = alone(Capsule(0.02, 0.56), obstacles=(post,), floor=ABYSS)
     spin = np.array([20.0, 50.0, 100.0, 150.0])
@@ -145,8 +145,9 @@ def test_a_rod_that_whirls_does_not_pass_a_post():
     np.testing.assert_allclose(ends[0] / spin, ends[1] / spin, atol=0.06)
 
 
-def test_slow_parts_are_looked_at_where_they_are():
-    """So nothing changes for them: 4 cm in a step is slow with a margin of 5 cm."""
+@pytest.mark.slow
+def test_slow_parts_are_not_swept():
+    """A displacement of 4 cm in a step is slow for a margin of 5 cm."""
     obstacles = THIN, Boulder((0.3, 0.0, 0.0), 0.1)
     floor = Shore("x", 0.0, 1.0, -0.5, 0.5)
     for name in ("ball", "mesh"):
@@ -169,8 +170,8 @@ def test_slow_parts_are_looked_at_where_they_are():
             np.testing.assert_array_equal(swept.gap[:, 0], still.gap[:, 0])
 
 
-def test_a_swept_contact_has_its_slope():
-    """Of v* by height and speed: it is the way to the boulder over the step."""
+def test_a_swept_contact_has_the_right_derivative():
+    """Differentiate v* by height and speed. It is the distance to the boulder over the step."""
     world = alone(Sphere(0.05), obstacles=(Boulder((0.0, 0.0, 0.0), 0.1),), floor=ABYSS)
 
     def rest(height, speed):
@@ -183,7 +184,7 @@ def test_a_swept_contact_has_its_slope():
         ]
 
     value, slopes = quick_jit(jax.value_and_grad(rest, (0, 1)))(0.3, 44.0)
-    # It is up to 2 % more, which makes up for what the law gives way.
+    # It is up to 2 % larger, to compensate for the compliance of the law.
     assert float(value) == pytest.approx(-0.15 / H, rel=0.02)
     assert float(slopes[0]) == pytest.approx(-1.0 / H, rel=0.02)
     assert abs(float(slopes[1])) < 0.02

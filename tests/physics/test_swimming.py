@@ -1,4 +1,4 @@
-"""A ten-body chain swimming with a travelling wave: its speed, its power, and what shelter does."""
+"""Speed, power and effect of shelter of a ten-body chain that swims with a travelling wave."""
 
 import functools
 from typing import NamedTuple
@@ -20,16 +20,16 @@ from resistive_force import PlanarChain
 BODIES, SIZE, GAP = 10, (0.2, 0.1, 0.1), 0.02
 FORM_DRAG, SKIN_DRAG = 1.0, 0.02
 FREQUENCY, AMPLITUDE, LAG = 1.0, 0.4, 2 * np.pi / 10
-# The wave grows over the first second, so that both sides start from rest in the straight pose.
+# The wave grows over the first second, so that both models start from rest in the straight pose.
 GROWTH, DURATION = 1.0, 6.0
 H = 1 / 120
-# Stiff enough for the angles to follow the wave to some 1e-3 rad.
+# The servos are stiff enough to follow the wave to some 1e-3 rad.
 TRACKING_RATE = 30.0
 SERVO_GAIN = 1e4
 
 
 def wave(time, joints, lib):
-    """Angles (rad) and rates (rad/s) of all joints: a wave from head to tail."""
+    """Return angles (rad) and rates (rad/s) of all joints for a wave from head to tail."""
     u = lib.clip(time / GROWTH, 0.0, 1.0)
     size, growth = u * u * (3 - 2 * u), 6 * u * (1 - u) / GROWTH
     omega = 2 * np.pi * FREQUENCY
@@ -39,7 +39,7 @@ def wave(time, joints, lib):
 
 
 class Swim(NamedTuple):
-    """Head path, joint angles and the water's power on every body at every step."""
+    """Head path, joint angles and power of the water on every body, at every step."""
 
     path: np.ndarray
     angles: np.ndarray
@@ -48,7 +48,7 @@ class Swim(NamedTuple):
 
 @functools.cache
 def simulate(h: float, sheltered: bool = True) -> Swim:
-    """The package's chain, its servos tracking the wave with a step of ``h`` (s)."""
+    """Simulate the package's chain, with servos that track the wave, at a step of ``h`` (s)."""
     creature = box_chain(BODIES, "z", Actuator(SERVO_GAIN), SIZE, GAP)
     world = in_water(creature, 3, form_drag=FORM_DRAG, skin_drag=SKIN_DRAG, sheltered=sheltered)
     joints = jnp.arange(world.tree.dof_count)
@@ -59,7 +59,7 @@ def simulate(h: float, sheltered: bool = True) -> Swim:
             [matvec_t(kin.rotation, kin.angular), matvec_t(kin.rotation, kin.linear)]
         )
         wrench, _ = drag(world.law(Drag), world.water.density, velocity)
-        # The rates at the end of the step move the angles.
+        # The final rates of a step move the angles.
         angles, rates = wave((n + 1) * h, joints, jnp)
         state, _ = step(world, state, rates + TRACKING_RATE * (angles - rates * h - state.q), h)
         return state, (state.position[:2], state.q, (wrench * velocity).sum(0))
@@ -72,7 +72,7 @@ def simulate(h: float, sheltered: bool = True) -> Swim:
 
 
 def mean_speed(path: np.ndarray, times: np.ndarray) -> float:
-    """Speed of the head over the last two periods, m/s."""
+    """Return the mean speed of the head over the last two periods, m/s."""
     first = np.searchsorted(times, times[-1] - 2 / FREQUENCY - 1e-9)
     return float(np.linalg.norm(path[-1] - path[first]) / (times[-1] - times[first]))
 
@@ -84,7 +84,7 @@ def simulated_speed(h: float, sheltered: bool = True) -> float:
 
 @functools.cache
 def resistive_speed(sheltered: bool = True) -> float:
-    """Speed by the independent resistive-force calculation."""
+    """Return the speed of the independent resistive-force calculation."""
     chain = PlanarChain(
         BODIES, *SIZE, GAP, 1000.0, 1000.0, FORM_DRAG, SKIN_DRAG, sheltered=sheltered
     )
@@ -94,7 +94,7 @@ def resistive_speed(sheltered: bool = True) -> float:
 
 
 def test_servos_follow_the_wave():
-    """What the comparison rests on: the angles are those prescribed, within 2 mrad of 400."""
+    """The comparison needs this: angles follow the wave of 400 mrad within 2 mrad."""
     times = H * np.arange(1, round(DURATION / H) + 1)
     angles, _ = wave(times[:, None], np.arange(BODIES - 1)[None], np)
     assert np.abs(simulate(H).angles - angles).max() < 2e-3
@@ -102,9 +102,9 @@ def test_servos_follow_the_wave():
 
 @pytest.mark.slow
 def test_speed_agrees_with_resistive_force_theory():
-    """The swimming speed against `resistive_force.PlanarChain`: steps need not be short.
+    """The swimming speed agrees with `resistive_force.PlanarChain`, even at long steps.
 
-    The oracle's lines instead of faces, and 2 mrad of tracking error, are worth some 0.1 %.
+    The oracle has lines instead of faces, and the tracking error is 2 mrad. Both cause some 0.1 %.
     """
     expected = resistive_speed()
     assert simulated_speed(H) == pytest.approx(expected, rel=0.002)
@@ -112,9 +112,9 @@ def test_speed_agrees_with_resistive_force_theory():
 
 
 def test_shelter_makes_the_chain_swim():
-    """With every end face counted the chain is 2.7 times slower, and the oracle says 2.6.
+    """The chain is 2.7 times slower without shelter, and the oracle 2.6 times.
 
-    Each of the nine joints then brakes with two faces.
+    Each of the nine joints then has the drag of two end faces.
     """
     slow, expected = simulated_speed(H, sheltered=False), resistive_speed(sheltered=False)
     assert simulated_speed(H) > 2.5 * slow, slow
@@ -122,7 +122,7 @@ def test_shelter_makes_the_chain_swim():
 
 
 def test_water_only_takes_energy_from_the_swimmer():
-    """The power of drag on every body at every step is negative once the chain moves."""
+    """The power of drag is negative for every body and step after the chain has started."""
     power = simulate(H).power
     assert power.max() <= 0
     assert (power[10:] < 0).all()

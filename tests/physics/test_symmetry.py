@@ -1,4 +1,4 @@
-"""What must not matter: place, heading, and whether individuals are stepped alone or together."""
+"""Invariance to place, heading, and stepping individuals alone or together."""
 
 import equinox as eqx
 import jax
@@ -16,13 +16,13 @@ from evo_cpg.physics.world import World
 H = 1 / 120
 STEPS = 100
 INDIVIDUALS = 4
-# A trunk with a limb of three axes and one of one.
+# A trunk with two limbs, of three axes and of one axis.
 STRUCTURE = ((0, 3), (0, 1))
 
 
 @pytest.fixture(scope="module")
 def animal():
-    """A branching creature with weak motors, springs, limits and a random sequence of targets."""
+    """Return a branching creature with weak motors, springs, limits and random targets."""
     with jax.enable_x64(True):
         rng = np.random.default_rng(12)
         motor = Actuator(2.0, 0.5)
@@ -33,12 +33,12 @@ def animal():
 
 
 def rollout(world: World, state: State, targets) -> State:
-    """The state after all targets."""
+    """Return the state after all targets."""
     return jax.lax.scan(lambda s, t: (step(world, s, t, H)[0], None), state, targets)[0]
 
 
 def moved(state: State, turn: Rotation, shift: np.ndarray) -> State:
-    """The state seen from elsewhere; one individual."""
+    """Return the state of one individual after a rotation and a shift."""
     matrix = turn.as_matrix()
     x, y, z, w = (turn * Rotation.from_quat(np.roll(state.orientation, -1))).as_quat()
     return State(
@@ -59,10 +59,10 @@ def pick(states: State, n: int) -> State:
 
 
 def test_place_and_heading_do_not_matter(animal):
-    """Turning or shifting the start turns or shifts the end: about z with gravity, else any way.
+    """Turns and shifts of the initial state turn and shift the final state.
 
-    All individuals get the same targets. 1e-10 after 100 steps of a motion that is not chaotic
-    within them: rounding is 1e-13 or so.
+    The turn is about z if there is gravity. All individuals get equal targets. The tolerance is
+    1e-10 after 100 steps, in which the motion is not chaotic. Rounding is about 1e-13.
     """
     creature, targets = animal
     targets = jnp.broadcast_to(targets[..., :1], targets.shape)
@@ -93,10 +93,10 @@ def test_place_and_heading_do_not_matter(animal):
                 np.testing.assert_allclose(getattr(end, name), getattr(expected, name), atol=1e-10)
 
 
-def test_alone_together_or_vmapped(animal):
-    """One by one, as a population, and under ``vmap`` with the individuals on the last axis.
+def test_single_batched_and_vmapped_steps_agree(animal):
+    """Step one by one, as a population, and under ``vmap`` with individuals on the last axis.
 
-    The same arithmetic in another order of summation, at most: 1e-12 after 100 steps.
+    At most the order of summation differs. The tolerance is 1e-12 after 100 steps.
     """
     creature, targets = animal
     world = in_water(creature, current=(0.2, 0.1, 0.0))

@@ -1,4 +1,4 @@
-"""Ground that is not flat: distances by their definition, bodies on it against closed forms."""
+"""Uneven ground: distances by their definition, and bodies on it against closed forms."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ SLOPE = 0.2
 
 
 def tilted_grid(slope: float) -> Relief:
-    """Heights of a plane that rises along x, on a grid from -4 to 4 m."""
+    """Return heights of a plane that rises along x, on a grid from -4 to 4 m."""
     x = np.arange(81) * 0.1 - 4.0
     return Relief(np.repeat(slope * x[:, None], 81, 1), (-4.0, -4.0), 0.1)
 
@@ -30,7 +30,7 @@ PARTS = {
 
 @pytest.mark.parametrize("name", PARTS)
 def test_the_normal_is_the_gradient_of_the_distance(name):
-    """Everywhere but on edges; for what rises along x or y too, as its slopes are constant."""
+    """This holds except on edges. Parts that rise along x or y have constant slopes."""
     points = np.random.default_rng(1).uniform(-1, 1, (3, 200))
     part = PARTS[name]
 
@@ -47,7 +47,7 @@ def test_the_normal_is_the_gradient_of_the_distance(name):
 
 @pytest.mark.parametrize("name", ["plane", "boulder", "block"])
 def test_the_distance_leads_to_the_surface(name):
-    """Going back along the normal by the distance ends where the distance is 0."""
+    """A displacement by minus the distance along the normal ends at distance 0."""
     points = np.random.default_rng(2).uniform(-1, 1, (3, 200))
     distance = quick_jit(PARTS[name].distance)
     gap, normal = map(np.asarray, distance(points))
@@ -55,7 +55,7 @@ def test_the_distance_leads_to_the_surface(name):
     np.testing.assert_allclose(left, 0.0, atol=2e-6)
 
 
-def test_the_nearest_part_counts():
+def test_the_distance_is_to_the_nearest_part():
     parts = Plane(), Boulder((0.0, 0.0, 0.0), 1.0)
     gap, normal = quick_jit(lambda points: nearest(parts, points))(np.array([[0.0, 3.0]] * 3))
     np.testing.assert_allclose(gap, [-1.0, 3.0], atol=1e-6)
@@ -81,8 +81,8 @@ def test_a_relief_is_bilinear_and_level_beyond_its_edges():
     np.testing.assert_allclose(normal[:, 0], [0.0, 0.0, 1.0])
 
 
-def test_a_block_slides_down_a_relief_as_down_a_plane():
-    """The same slope given as heights: a = g (sin - mu cos), and never off the ground."""
+def test_a_relief_accelerates_a_block_like_a_plane():
+    """The acceleration is g (sin - mu cos), and the block never leaves the ground."""
     tilt = np.arctan(SLOPE)
     turned = (np.cos(tilt / 2), 0.0, -np.sin(tilt / 2), 0.0)
     world = alone(Box((0.2, 0.2, 0.1)), static=0.1, dynamic=0.1, floor=tilted_grid(SLOPE))
@@ -98,21 +98,21 @@ def test_a_block_slides_down_a_relief_as_down_a_plane():
     np.testing.assert_allclose(above, rest, atol=1e-4)
 
 
-def test_a_ball_runs_into_a_wall_and_comes_back():
-    """Along a frictionless floor; the wall gives back half of the speed."""
+def test_a_ball_bounces_off_a_wall():
+    """The floor has no friction, and the wall returns half of the speed."""
     wall = Block((2.0, 0.0, 0.0), (0.5, 3.0, 1.0))
     world = alone(Sphere(0.1), restitution=0.5, static=0.0, dynamic=0.0, obstacles=(wall,))
     start = released(world, [[1.0], [0.0], [0.1]], np.array([[0.0, 0, 0, 2.0, 0, 0]]).T)
     states, _ = record(world, start, 120)
     x, speed = states.position[:, 0, 0], states.velocity[:, 3, 0]
-    # A step before it would hit it takes the speed of its return.
+    # The step before the impact gets the speed of the return.
     assert 1.4 - 2.0 * H < float(x.max()) < 1.4 + 1e-6
     assert float(speed[-1]) == pytest.approx(-1.0, abs=0.05)
     np.testing.assert_allclose(states.position[:, 2, 0], 0.1, atol=1e-3)
 
 
-def test_bodies_come_to_rest_on_a_block_and_beside_a_boulder():
-    """The box on top of the block, the ball in the corner of boulder and plane."""
+def test_bodies_rest_on_a_block_and_at_a_boulder():
+    """The box rests on the block, and the ball in the corner of boulder and plane."""
     step_up = Block((0.0, 0.0, 0.0), (1.0, 1.0, 0.3))
     world = alone(Box((0.2, 0.2, 0.1)), static=0.8, dynamic=0.8, obstacles=(step_up,))
     states, _ = record(world, released(world, [[0.2], [0.1], [0.5]]), 240)

@@ -1,4 +1,4 @@
-"""Walking and falling animals of nine bodies on the ground."""
+"""Walking and falling creatures on the ground."""
 
 import dataclasses
 from pathlib import Path
@@ -30,7 +30,7 @@ WALKERS, SECONDS = 24, 4.0
 
 
 def mechanics(world: World, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity of the centre of mass and mechanical energy of each individual."""
+    """Return the velocity of the centre of mass and the mechanical energy of each individual."""
     tree = world.tree
     kin = quick_jit(lambda state: kinematics(tree, state))(state)
     rotation, angular, linear, origin = (
@@ -48,7 +48,7 @@ def mechanics(world: World, state: State) -> tuple[np.ndarray, np.ndarray]:
 
 
 def depths(world: World, states: State) -> np.ndarray:
-    """How deep each place is in the ground, ``(steps, places, n)``, m."""
+    """Return the depth of each contact point in the ground, ``(steps, points, n)``, m."""
 
     @quick_jit
     def gaps(state):
@@ -61,12 +61,12 @@ def depths(world: World, states: State) -> np.ndarray:
 
 
 def pressed(world: World, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normal and tangential forces ``(steps, places, n)``, and mu_s times the normal ones.
+    """Return normal and tangential forces ``(steps, points, n)``, and mu_s times the former.
 
-    The problem is solved to 1e-3 of what there is of forces in all but one of 2000 steps (one of
-    10,000 contact steps was measured, docs/models/contact.md; of some 23,000 here that is two), and
-    to a tenth in all. Coulomb's law holds to 1e-2 in 99 % of the contact steps, and to 1 in
-    all; no normal force is negative, and friction is within its cone but for the residual.
+    Assert that no normal force is negative, that friction is within its cone plus the residual, and
+    that residuals relative to the forces are small. The residual of the solution is at most 1e-3 in
+    all but one of 2000 steps, and 0.1 in all (docs/models/contact.md: one of 10,000 contact steps).
+    The residual of Coulomb's law is at most 1e-2 in 99 % of the contact steps, and 1 in all.
     """
     support = np.asarray(effort.contact_frame_force, float)
     across, along = support[:, 2], np.hypot(support[:, 0], support[:, 1])
@@ -88,7 +88,7 @@ def pressed(world: World, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.nd
 
 @pytest.fixture(scope="module")
 def walk():
-    """24 random genomes of Fukui's Model 1 for 4 s in float32; the first only stands."""
+    """Return 4 s of 24 random genomes of Fukui's Model 1 in float32. The first only stands."""
     with jax.enable_x64(False):
         simulation = build_experiment(load_config(CONFIG), CONFIG).simulation
         world, controller = simulation.world, simulation.controller
@@ -129,14 +129,14 @@ def walk():
 
 @pytest.mark.slow
 def test_the_ground_pushes_and_motors_keep_their_limits(walk):
-    """No support is negative, no friction beyond mu_s times it, no torque above 40 N m."""
+    """No normal force is negative, no friction exceeds mu_s times it, no torque exceeds 40 N m."""
     world, states, effort = walk
     across, along, limit = pressed(world, effort)
     torque = np.abs(np.asarray(effort.torque))
     assert (torque <= world.tree.torque_limit[:, None].astype(np.float32)).all()
     for part in jax.tree.leaves(states):
         assert np.isfinite(part).all()
-    # It is a walk that all this was seen in: feet slip, lift off, and motors are at their limits.
+    # The motion is a walk: feet slip and lift off, and motors reach their limits.
     assert 0.02 < (across > 0).mean() < 0.5
     assert (along > 0.99 * limit)[across > 0].mean() > 0.05
     assert torque.max() == 40.0
@@ -144,9 +144,9 @@ def test_the_ground_pushes_and_motors_keep_their_limits(walk):
 
 @pytest.mark.slow
 def test_support_is_weight_and_change_of_momentum(walk):
-    """The impulse of the ground, less that of gravity, is the change of the walkers' momentum.
+    """The impulse of the ground minus the impulse of gravity changes the walkers' momentum.
 
-    Within 1 % of the latter, g t: the joints' motion keeps momentum at first order in h only.
+    The tolerance is 1 % of gravity's impulse. Joint motion conserves momentum to first order in h.
     """
     world, states, effort = walk
     total = np.asarray(effort.contact_frame_force, float).sum((0, 2)) * H / world.tree.mass.sum()
@@ -156,8 +156,8 @@ def test_support_is_weight_and_change_of_momentum(walk):
 
 
 @pytest.mark.slow
-def test_a_standing_animal(walk):
-    """Its feet carry its weight within 2 % (0.1 % on average), and are under 2 mm deep."""
+def test_a_standing_walker_is_carried_by_its_feet(walk):
+    """Its feet carry its weight within 2 % (0.1 % on average), and are less than 2 mm deep."""
     world, states, effort = walk
     support = np.asarray(effort.contact_frame_force, float)[:, 2, :, 0].sum(1)
     weight = world.gravity * world.tree.mass.sum()
@@ -170,7 +170,7 @@ def test_a_standing_animal(walk):
 
 @pytest.mark.slow
 def test_walking_feet_stay_on_the_ground(walk):
-    """Of all places at all times 99.99 % are less than 1 mm deep, and none is deeper than 3 mm."""
+    """Depth is below 1 mm for 99.99 % of all points and times, and below 3 mm for all."""
     world, states, _ = walk
     deep = depths(world, states)
     assert (deep > 1e-3).mean() < 1e-4
@@ -178,7 +178,7 @@ def test_walking_feet_stay_on_the_ground(walk):
 
 
 def legged(legs, segments: int) -> World:
-    """A torso on legs that turn about y, damped by 0.05 N m s/rad, without meeting a limit."""
+    """Return a torso on legs that turn about y, damped by 0.05 N m s/rad, far from limits."""
     flesh = Material(300.0, 0.3, 0.8, 0.8)
     bodies = [Body("torso", Box((0.6, 0.3, 0.16)), flesh)]
     for name, (x, y) in enumerate(legs):
@@ -203,7 +203,7 @@ def legged(legs, segments: int) -> World:
 
 
 def thrown(world: World, count: int, height: float) -> State:
-    """Above the ground in any orientation, moving at some 1 m/s and 1 rad/s."""
+    """Return states above the ground in any orientation, moving at some 1 m/s and 1 rad/s."""
     rng = np.random.default_rng(0)
     turns = rng.normal(size=(4, count))
     state = resting_state(world.tree, (count,), jnp.float64, position=(0.0, 0.0, height))
@@ -217,9 +217,9 @@ def thrown(world: World, count: int, height: float) -> State:
 
 @pytest.mark.slow
 def test_ragdolls_only_lose_energy_and_come_to_rest():
-    """Passive quadrupeds: above its least so far, energy never rises by 1 % of the start's.
+    """The energy of passive quadrupeds never rises by 1 % of its initial value above a minimum.
 
-    After 10 s the torsos lie still; legs on lightly damped joints still swing a little.
+    The torsos rest after 10 s, while legs on lightly damped joints still swing a little.
     """
     world = legged([(0.26, 0.11), (0.26, -0.11), (-0.26, 0.11), (-0.26, -0.11)], segments=2)
     start = thrown(world, 12, 1.0)
@@ -244,7 +244,7 @@ def test_ragdolls_only_lose_energy_and_come_to_rest():
 
 @pytest.fixture(scope="module")
 def tumbling():
-    """Tripods that fall about for half a second, in float32 and compiled as for users."""
+    """Return half a second of tumbling tripods in float32, compiled as for users."""
     with jax.enable_x64(True):
         world = legged([(0.2, 0.0), (-0.2, 0.0)], segments=1)
         start = jax.tree.map(lambda x: np.asarray(x, np.float32), thrown(world, 12, 0.4))
@@ -262,8 +262,9 @@ def tumbling():
         yield world, start, states, effort
 
 
-def test_a_small_animal_is_pushed_within_friction_and_by_as_much_as_it_gains(tumbling):
-    """No support is negative, none beyond the cone; its impulse is the change of momentum."""
+@pytest.mark.slow
+def test_a_tripod_obeys_friction_and_conserves_momentum(tumbling):
+    """Normal forces are not negative, friction is in the cone, impulses change the momentum."""
     world, start, states, effort = tumbling
     across, along, limit = pressed(world, effort)
     support = np.asarray(effort.contact_frame_force, float)
@@ -277,7 +278,7 @@ def test_a_small_animal_is_pushed_within_friction_and_by_as_much_as_it_gains(tum
     assert np.abs(gained - (last - first)).max() < 0.01 * world.gravity * seconds
 
 
-def test_a_small_animal_only_loses_energy_and_stays_on_the_ground(tumbling):
+def test_a_tripod_loses_energy_and_stays_shallow(tumbling):
     world, start, states, _ = tumbling
     _, energy = mechanics(world, jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states))
     _, first = mechanics(world, start)
@@ -290,11 +291,12 @@ def test_a_small_animal_only_loses_energy_and_stays_on_the_ground(tumbling):
     assert 0.02 < (deep > -1e-3).mean() < 0.5
 
 
+@pytest.mark.slow
 def test_an_impact_of_many_limbs_adds_no_energy():
-    """Tripods that hit the ground at 10 m/s while their legs swing at some 10 rad/s.
+    """Tripods hit the ground at 10 m/s while their legs swing at some 10 rad/s.
 
-    The step is so short that nothing but the impact does work. Where a chain of bodies hits with
-    one point, Newton's restitution alone returns more than there was.
+    The step is so short that only the impact does work. Newton's restitution alone would add energy
+    if a chain of bodies hits the ground with one point.
     """
     world = legged([(0.2, 0.0), (-0.2, 0.0)], segments=2)
     state, rng, h = thrown(world, 64, 1.0), np.random.default_rng(3), 1e-6
@@ -322,13 +324,13 @@ def test_an_impact_of_many_limbs_adds_no_energy():
         new, force = hit(state, restitution)
         _, after = mechanics(world, new)
         assert (after <= (1 + 1e-4) * before).all()
-        # It is not that nothing bounces.
+        # The tripods do bounce.
         assert np.median(np.asarray(force)[hits] / dull[hits]) > 1 + 0.5 * restitution
 
 
 @pytest.fixture(scope="module")
 def touching():
-    """Tripods, some of which touch the ground: their world, state, and the unfused step."""
+    """Return world, state and unfused step of tripods, some of which touch the ground."""
     with jax.enable_x64(True):
         world = legged([(0.2, 0.0), (-0.2, 0.0)], segments=1)
         state = thrown(world, 12, 0.3)
@@ -343,20 +345,20 @@ def touching():
 
 @pytest.mark.slow
 def test_a_fused_step_equals_the_unfused_one(touching):
-    """To 1e-9, between a contact or none and several."""
+    """They agree to 1e-9 without contact, with one contact and with several."""
     world, state, plain = touching
     fused, effort = quick_jit(lambda s: step(world, s, jnp.zeros_like(s.q), H))(state)
     touches = (np.asarray(effort.contact_frame_force)[2] > 0).any(0)
     assert 2 < touches.sum() < 12
-    for got, wanted in zip(
+    for got, expected in zip(
         jax.tree.leaves(fused), jax.tree.leaves(quick_jit(plain)(state)), strict=True
     ):
-        np.testing.assert_allclose(got, wanted, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.slow
-def test_derivatives_of_a_step_in_contact(touching):
-    """Reverse mode against central differences, by the velocity at its start."""
+def test_derivatives_of_a_contact_step_equal_central_differences(touching):
+    """Differentiate by the initial velocity, in reverse mode."""
     _, state, plain = touching
     weights = jnp.asarray(np.random.default_rng(1).normal(size=state.velocity.shape))
 
@@ -364,9 +366,9 @@ def test_derivatives_of_a_step_in_contact(touching):
         return (weights * plain(dataclasses.replace(state, velocity=velocity)).velocity).sum()
 
     value = quick_jit(outcome)
-    slope = np.asarray(quick_jit(jax.grad(outcome))(state.velocity))
-    assert np.isfinite(slope).all()
+    gradient = np.asarray(quick_jit(jax.grad(outcome))(state.velocity))
+    assert np.isfinite(gradient).all()
     for axis in range(6):
         change = jnp.zeros_like(state.velocity).at[axis].set(1e-6)
         up, down = (value(state.velocity + sign * change) for sign in (1, -1))
-        np.testing.assert_allclose(slope[axis].sum(), (up - down) / 2e-6, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(gradient[axis].sum(), (up - down) / 2e-6, rtol=1e-5, atol=1e-6)

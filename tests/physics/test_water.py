@@ -18,12 +18,12 @@ H = 1 / 120
 
 
 def single(shape: Shape, density: float) -> Creature:
-    """A creature of one body."""
+    """Return a creature of one body."""
     return Creature("single", (Body("b", shape, Material(density)),))
 
 
 def sink(shape: Shape, density: float, seconds: float, resolution: int = 2, **water) -> np.ndarray:
-    """Velocities ``(steps, 6)`` of a body released at rest; a box needs no more points than 2."""
+    """Return velocities ``(steps, 6)`` of a body released at rest."""
     world = in_water(
         single(shape, density), resolution, form_drag=FORM_DRAG, skin_drag=SKIN_DRAG, **water
     )
@@ -41,7 +41,7 @@ def sink(shape: Shape, density: float, seconds: float, resolution: int = 2, **wa
 
 
 def box_coefficient(size: tuple[float, float, float], law: str) -> float:
-    """Frontal drag coefficient of a box that moves along z; windward and lee faces count."""
+    """Return the frontal drag coefficient of a box that moves along z, including the lee face."""
     front = size[0] * size[1]
     sides = 2 * (size[0] + size[1]) * size[2]
     if law == "isotropic":
@@ -50,10 +50,10 @@ def box_coefficient(size: tuple[float, float, float], law: str) -> float:
 
 
 def sphere_coefficient(law: str) -> float:
-    """C_d + 3 pi/4 C_f: the integrals of |cos|^3 and of sin^3 over a sphere, over its section.
+    """Return C_d + 3 pi/4 C_f: integrals of |cos|^3 and sin^3 over a sphere, per section.
 
     int |cos|^3 dA = pi r^2, and int sin^3 dA = 2 pi r^2 int sin^4 = 3 pi^2 r^2 / 4. The isotropic
-    law sees the whole surface, 4 pi r^2.
+    law uses the whole surface, 4 pi r^2.
     """
     if law == "isotropic":
         return 4 * (FORM_DRAG + SKIN_DRAG)
@@ -62,12 +62,12 @@ def sphere_coefficient(law: str) -> float:
 
 @pytest.mark.parametrize("law", ["normal", "isotropic"])
 @pytest.mark.parametrize("kind", ["box", "sphere"])
-def test_terminal_velocity(kind, law):
+def test_terminal_velocity_equals_the_closed_form(kind, law):
     """v = sqrt(2 (m - rho V) g / (rho A C)).
 
-    A steady speed does not depend on the step. After 12 time constants v / 2 a_0 the tanh that
-    leads to it is within 1e-10 of 1; what is left is the sphere's quadrature of |cos|^3, which
-    has a jump in its third derivative: 3e-5. A box's faces are integrated exactly: 1e-6.
+    A steady speed does not depend on the step. The tanh of the approach is within 1e-10 of 1 after
+    12 time constants v / 2 a_0. The remaining error of a sphere, 3e-5, is the quadrature of
+    |cos|^3, whose third derivative jumps. The quadrature of a box's faces is exact: 1e-6.
     """
     density = 1500.0
     if kind == "box":
@@ -79,18 +79,19 @@ def test_terminal_velocity(kind, law):
     excess = (density - WATER) * shape.volume * GRAVITY
     expected = np.sqrt(2 * excess / (WATER * area * coefficient))
     seconds = 12 * expected / (excess / (density * shape.volume))
-    # A sphere's |cos|^3 needs many points; the isotropic law has the same drag at every one.
+    # A sphere's |cos|^3 needs many points. The isotropic law has equal drag at all points.
     resolution = 6 if (kind, law) == ("sphere", "normal") else 2
     velocity = sink(shape, density, seconds, resolution, law=law)
     assert -velocity[-1, 5] == pytest.approx(expected, rel=tolerance)
-    # The layout of the points is symmetric: it neither drifts nor turns.
+    # The points are symmetric, so the body neither drifts nor turns.
     assert np.abs(np.delete(velocity[-1], 5)).max() < 1e-12
 
 
 def test_approach_to_terminal_velocity_follows_tanh():
     """v(t) = v_inf tanh(a_0 t / v_inf) for quadratic drag from rest, at first order in the step.
 
-    1/120 s is 3 % of the time constant; the linearly implicit step is a few 1e-3 off at most.
+    A step of 1/120 s is 3 % of the time constant. The linearly implicit step has errors of at most
+    a few 1e-3.
     """
     shape, density = Box((0.3, 0.2, 0.1)), 1500.0
     excess = (density - WATER) * shape.volume * GRAVITY
@@ -105,9 +106,9 @@ def test_approach_to_terminal_velocity_follows_tanh():
 @pytest.mark.parametrize("shape", [Box((0.3, 0.2, 0.1)), Capsule(0.05, 0.2)])
 @pytest.mark.parametrize("density", [500.0, 1000.0, 2000.0])
 def test_bodies_sink_float_or_stay(shape, density):
-    """The first step's acceleration is (rho V - m) g / m upwards; without excess nothing moves.
+    """The initial acceleration is (rho V - m) g / m upwards. A neutral body does not move.
 
-    At rest drag is zero; the floor of 1e-6 m/s under the speed leaves 1e-8 of the implicit part.
+    Drag is zero at rest. The floor of the speed, 1e-6 m/s, leaves 1e-8 of the implicit part.
     """
     velocity = sink(shape, density, 10 * H)
     expected = (WATER - density) / density * GRAVITY
@@ -116,8 +117,8 @@ def test_bodies_sink_float_or_stay(shape, density):
     assert np.abs(velocity[:, :5]).max() < 1e-12
 
 
-def test_still_water_in_motion_is_a_current():
-    """A neutral body let go in a stream ends up moving with it (drag ~ 1/t at the end)."""
+def test_a_current_carries_a_neutral_body():
+    """A neutral body finally moves with a stream. Its speed in the water decreases as 1 / t."""
     current = (0.4, -0.3, 0.2)
     velocity = sink(Sphere(0.05), WATER, 20.0, current=current)
     np.testing.assert_allclose(velocity[-1, 3:], current, rtol=0.02)
@@ -125,10 +126,10 @@ def test_still_water_in_motion_is_a_current():
 
 
 @pytest.mark.parametrize("law", ["normal", "isotropic"])
-def test_drag_never_drives(law):
-    """Drag takes energy out of the motion relative to the water, whatever the motion.
+def test_drag_takes_energy_from_any_motion(law):
+    """The power of drag relative to the water is never positive.
 
-    Every point's force opposes a component of its velocity, so F . V <= 0 body by body.
+    Every point's force opposes a component of its velocity, so F . V <= 0 for every body.
     """
     rng = np.random.default_rng(0)
     world = in_water(random_creature(rng, STRUCTURES[4]), law=law)
@@ -150,28 +151,28 @@ def test_drag_never_drives(law):
     assert np.linalg.eigvalsh(full).min() > -1e-9
 
 
-def test_what_is_lost_at_the_end_of_a_step_is_half_the_derivative():
-    """With form drag alone, D = -1/2 df/dV exactly: `jax.jacfwd` of the wrench."""
+def test_implicit_derivative_is_half_the_exact_derivative():
+    """D = -1/2 df/dV exactly for form drag alone, by `jax.jacfwd` of the wrench."""
     world = in_water(single(Ellipsoid((0.2, 0.1, 0.05)), 1000.0), 4, skin_drag=0.0)
     velocity = jnp.asarray(np.random.default_rng(4).normal(size=6))
 
     @quick_jit
     def both(v):
         derivative = drag(world.law(Drag), world.water.density, v[:, None])[1]
-        slope = jax.jacfwd(
+        jacobian = jax.jacfwd(
             lambda v: drag(world.law(Drag), world.water.density, v[:, None])[0][:, 0]
         )(v)
-        return derivative[..., 0], slope
+        return derivative[..., 0], jacobian
 
-    (angular, mixed, linear), slope = map(np.asarray, both(velocity))
+    (angular, mixed, linear), jacobian = map(np.asarray, both(velocity))
     full = np.block([[angular, mixed], [mixed.T, linear]])
-    np.testing.assert_allclose(full, -slope / 2, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(full, -jacobian / 2, rtol=1e-10, atol=1e-12)
 
 
 def test_drag_of_a_turning_sphere_is_friction_alone():
-    """A sphere that spins feels no form drag, and a moment -1/2 rho C_f (3 pi^2/4) r^5 |w| w.
+    """A spinning sphere has no form drag, and a moment -1/2 rho C_f (3 pi^2/4) r^5 |w| w.
 
-    |v_t| = w r sin: moment 1/2 rho C_f w^2 r^3 int sin^3 dA, with int sin^3 dA = 3 pi^2 r^2 / 4.
+    |v_t| = w r sin gives 1/2 rho C_f w^2 r^3 int sin^3 dA, with int sin^3 dA = 3 pi^2 r^2 / 4.
     """
     radius, rate = 0.1, 3.0
     world = in_water(single(Sphere(radius), 1000.0), 12, skin_drag=SKIN_DRAG)

@@ -34,25 +34,25 @@ SHAPES = (
 
 
 def single(shape: Shape, density: float) -> Creature:
-    """A creature of one body."""
+    """Return a creature of one body."""
     return Creature("single", (Body("b", shape, Material(density)),))
 
 
 def floating(shape: Shape, density: float, drag: float = 0.0, **water) -> World:
-    """One body in water whose surface lies at height 0."""
+    """Return one body in water with a surface at height 0."""
     return in_water(
         single(shape, density), form_drag=drag, skin_drag=0.05 * drag, surface=0.0, **water
     )
 
 
 def start(world: World, heights, tilts=None, velocity=None) -> State:
-    """Several individuals of one body.
+    """Return the initial state of several individuals of one body.
 
     Args:
-        world: they live in.
-        heights: of their centres, m.
-        tilts: rotation vectors ``(3, n)``, rad; none where not given.
-        velocity: ``(6, n)``, rest where not given.
+        world: their world.
+        heights: heights of their centres, m.
+        tilts: rotation vectors ``(3, n)``, rad, or None for level bodies.
+        velocity: velocities ``(6, n)``, or None for rest.
     """
     count = len(heights)
     state = resting_state(world.tree, (count,), jnp.float64)
@@ -68,14 +68,14 @@ def start(world: World, heights, tilts=None, velocity=None) -> State:
 
 
 def volume_points(shape: Shape, log2_count: int) -> np.ndarray:
-    """Points ``(n, 3)`` that share a shape's volume equally, from a Sobol sequence in its box."""
+    """Return points ``(n, 3)`` of equal volume in a shape, from a Sobol sequence in its box."""
     unit = scipy.stats.qmc.Sobol(3, seed=0).random_base2(log2_count)
     points = (2 * unit - 1) * shape.half_extents
     return points[shape.distance(points) < 0]
 
 
 def period(signal: np.ndarray, h: float = H) -> float:
-    """Mean time between upward crossings of the mean, s."""
+    """Return the mean time between upward crossings of the mean, s."""
     x = signal - signal.mean()
     before = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
     times = (before - x[before] / (x[before + 1] - x[before])) * h
@@ -85,10 +85,10 @@ def period(signal: np.ndarray, h: float = H) -> float:
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda s: type(s).__name__)
 def test_displaced_volume_and_moment_in_any_position(shape, dtype):
-    """Against the volume and first moment of some 10^5 points that lie under the surface.
+    """Compare with volume and first moment of some 10^5 points under the surface.
 
-    What is off is the box by its blur where an edge or a face enters the water, and the capsule,
-    whose discs and ends are not exact.
+    A box is blurred where an edge or a face enters the water, and the discs and ends of a capsule
+    are not exact.
     """
     rng = np.random.default_rng(0)
     creature = single(shape, 500.0)
@@ -111,14 +111,14 @@ def test_displaced_volume_and_moment_in_any_position(shape, dtype):
         moment = under.sum(0) / len(points)
         arm = np.asarray(found.moment[:, 0, k]) / shape.volume
         assert found.volume[0, k] / shape.volume == pytest.approx(share, abs=tolerance)
-        # What lies along the vertical has no effect.
+        # The vertical component has no effect.
         np.testing.assert_allclose(
             np.cross(arm, up[:, k]), np.cross(moment, up[:, k]), atol=0.003 * size
         )
 
 
 def test_sphere_displaces_its_cap():
-    """pi h^2 (3 r - h) / 3 at a draught h, to rounding."""
+    """The volume is pi h^2 (3 r - h) / 3 at a draught h, to rounding."""
     shape = Sphere(0.1)
     creature = single(shape, 500.0)
     draught = np.linspace(0, 0.2, 11)
@@ -130,11 +130,11 @@ def test_sphere_displaces_its_cap():
 
 
 @pytest.mark.slow
-def test_far_from_the_surface_there_is_none():
-    """A step deep down equals one in water without a surface, one high up a step on dry land.
+def test_far_from_the_surface_it_has_no_effect():
+    """A deep step equals a step in water without a surface, a high step equals a step on land.
 
-    But for rounding, and the floor of 1e-6 m/s under the tangential speed. All have ground far
-    below, for what is in deep water for good has no mean torques of its spin.
+    Differences are rounding and the floor of 1e-6 m/s of the tangential speed. All worlds have
+    ground far below, because a world of deep water alone has no mean torques of the spin.
     """
     creature = random_creature(np.random.default_rng(3), STRUCTURES[0])
     ground = Ground(floor=Plane(height=-1e3))
@@ -159,8 +159,8 @@ def test_far_from_the_surface_there_is_none():
 
 @pytest.mark.parametrize("density", [250.0, 600.0])
 @pytest.mark.parametrize("kind", ["box", "sphere"])
-def test_draught(kind, density):
-    """What sinks in from above comes to rest at Archimedes' draught, within 1 %.
+def test_draught_follows_archimedes(kind, density):
+    """A body that sinks in from above rests at Archimedes' draught, within 1 %.
 
     A box: density / water times its height. A sphere: h^2 (3 r - h) / (4 r^3) = density / water.
     """
@@ -175,7 +175,7 @@ def test_draught(kind, density):
     motion = coast(
         floating(shape, density, drag=1.0), start(floating(shape, density), [0.12]), 20.0, H
     )
-    # Quadratic drag takes long to end the last small bobbing: its mean is at rest.
+    # Quadratic drag damps small bobbing slowly, so the mean is compared.
     assert half - motion.position[-480:, 2, 0].mean() == pytest.approx(draught, rel=0.01)
 
 
@@ -185,7 +185,8 @@ def test_bobbing_and_rolling_periods_of_a_box(density):
 
         T = 2 pi k / sqrt(g GM),   k^2 = (b^2 + c^2) / 12,   GM = b^2 / (12 d) - (c - d) / 2
 
-    about x (likewise about y), with the metacentric height GM = I / V - BG. Drag off; within 3 %.
+    about x and similarly about y, with the metacentric height GM = I / V - BG. There is
+    no drag. Periods of heave agree within 0.2 %, periods of roll and pitch within 1 %.
     """
     a, b, c = size = (0.4, 0.3, 0.2)
     d = c * density / WATER
@@ -202,7 +203,7 @@ def test_bobbing_and_rolling_periods_of_a_box(density):
         angle = motion.orientation[:, axis, axis]
         expected = 2 * np.pi * radius / np.sqrt(GRAVITY * metacentre)
         assert period(angle) == pytest.approx(expected, rel=0.01)
-        # The step neither damps nor drives.
+        # The step neither damps nor excites the motion.
         assert np.ptp(angle[-300:]) == pytest.approx(np.ptp(angle[:300]), rel=0.02)
     assert np.ptp(motion.position[-300:, 2, 0]) == pytest.approx(0.02, rel=0.02)
 
@@ -212,14 +213,14 @@ def test_bobbing_and_rolling_periods_of_a_box(density):
     [(Box((1.0, 0.04, 0.04)), 0.04**2), (Capsule(0.02, 0.96), np.pi * 0.02**2)],
 )
 def test_first_accelerations_of_a_tilted_slender_body(shape, section):
-    """Of a rod tilted by 30 degrees the part below the waterline is lifted, at its middle.
+    """Buoyancy acts on the middle of the submerged part of a rod that is tilted by 30 degrees.
 
-    With the waterline at s along the rod (from its centre; its lower end at -L/2), the lift is
-    rho g A (L/2 + s) with the arm (s - L/2) / 2 cos(tilt). Thickness changes that by some (b/L)^2.
+    If the waterline is at s along the rod (0 at its centre, -L/2 at its lower end), the lift is
+    rho g A (L/2 + s), at the lever (s - L/2) / 2 cos(tilt). Thickness changes this by some (b/L)^2.
     """
     tilt, height, density = np.pi / 6, 0.1, 400.0
     world = floating(shape, density)
-    # About -y the x axis rises.
+    # A turn about -y raises the x axis.
     motion = coast(world, start(world, [height], [[0.0], [-tilt], [0.0]]), H, H)
     length, mass = shape.volume / section, density * shape.volume
     waterline = -height / np.sin(tilt)
@@ -232,12 +233,12 @@ def test_first_accelerations_of_a_tilted_slender_body(shape, section):
 
 
 @pytest.mark.parametrize("shape", [Box((0.4, 0.3, 0.2)), Capsule(0.05, 0.3)])
-def test_energy_across_the_surface(shape):
-    """Tumbling bodies fall in and come out again without drag: their energy stays within 1 %.
+def test_energy_is_conserved_across_the_surface(shape):
+    """Tumbling bodies fall in and emerge without drag, and their energy is constant within 1 %.
 
-    The potential energy of the displaced water is rho g times the depth, summed over the points
-    of its volume. Semi-implicit Euler is the leapfrog, whose velocities belong to the middles of
-    the steps; at a position the mean of the neighbouring two counts.
+    The potential energy of the displaced water is rho g times the depth, summed over the points of
+    its volume. Semi-implicit Euler is the leapfrog, whose velocities belong to the middles of the
+    steps. So the energy at a position uses the mean of two neighbouring velocities.
     """
     density, seconds = 500.0, 3.0
     world = floating(shape, density)
@@ -266,10 +267,10 @@ def test_energy_across_the_surface(shape):
     np.testing.assert_allclose(energies, energies[:1].repeat(len(energies), 0), rtol=0.01)
 
 
-def test_drag_acts_on_what_is_under_water():
-    """A box that is towed level feels drag in proportion to its draught, and none in the air.
+def test_drag_acts_on_the_submerged_part():
+    """Drag of a box that is towed level is proportional to its draught, and zero in the air.
 
-    Of the patches at the waterline a smooth share is wet; halfway up each is exactly a half.
+    The wet fraction of a patch at the waterline is smooth, and exactly 1/2 at half its height.
     """
     world = floating(Box((0.4, 0.4, 0.2)), 500.0, drag=1.0)
     velocity, pose = np.zeros((6, 1, 4)), np.zeros((4, 1, 4))
@@ -289,8 +290,8 @@ def test_drag_acts_on_what_is_under_water():
     assert np.all(np.asarray(derivative[2, 0, 0, 0, :3]) > 0) and derivative[2, 0, 0, 0, 3] == 0
 
 
-def test_gradients_through_the_surface():
-    """Of the height after a fall through the surface, against central differences, to 1e-6."""
+def test_gradients_through_the_surface_equal_central_differences():
+    """Differentiate the height after a fall through the surface, to 1e-6."""
     world = floating(Box((0.3, 0.2, 0.1)), 500.0, drag=1.0, resolution=1)
 
     def depth(parameters):
@@ -318,15 +319,15 @@ def test_gradients_through_the_surface():
     np.testing.assert_allclose(gradient, (values[:3] - values[3:]) / (2 * steps.sum(0)), rtol=1e-5)
 
 
-def test_patches_without_depth_are_refused():
+def test_patches_without_depth_raise():
     world = in_water(single(Sphere(0.1), 500.0))
     pose = jnp.zeros((4, 1)).at[2].set(1.0)
     with pytest.raises(ValueError, match=r"make_patches\(\.\.\., surfacing=True\)"):
         drag(world.law(Drag), world.water.density, jnp.zeros((6, 1)), pose)
 
 
-def test_a_surface_current_carries_what_floats():
-    """A floating box drifts with a current, and stays where it floats."""
+def test_a_surface_current_carries_a_floating_box():
+    """The box drifts with the current at its floating height."""
     world = floating(Box((0.2, 0.2, 0.1)), 500.0, drag=1.0, current=(0.5, -0.2, 0.0))
     motion = coast(world, start(world, [0.0]), 20.0, H)
     np.testing.assert_allclose(motion.velocity[-1, 3:5, 0], [0.5, -0.2], atol=0.01)

@@ -1,4 +1,4 @@
-"""Slopes through a trial: the same with little memory, and forgetful where that is asked for."""
+"""Gradients through a trial: equal with little memory, and faded or cut on request."""
 
 import dataclasses
 
@@ -15,17 +15,17 @@ from evo_cpg.simulation.judge import score
 from evo_cpg.simulation.rollout import rollout
 from trials import experiment
 
-STEPS = 23  # not a whole number of segments
+STEPS = 23  # Not a whole number of segments.
 
 
 def state_of(position, angle) -> State:
-    """All else at rest."""
+    """Return a state at rest with this position and these joint angles."""
     rest = jnp.zeros
     return State(position, jnp.array([1.0, 0, 0, 0]), rest(6), angle, rest(len(angle)))
 
 
 def end_position(push, decay: float, how: Backward, steps: int = STEPS):
-    """q decays while it is pushed; the position adds it up."""
+    """Return the sum of a joint angle that decays while it is pushed."""
 
     def advance(carry, _):
         state, nerves = carry
@@ -41,8 +41,8 @@ def end_position(push, decay: float, how: Backward, steps: int = STEPS):
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("kept", [1.0, 0.9, 0.5])
 @pytest.mark.parametrize("budget", [2**20, 0], ids=["one level", "segments"])
-def test_a_faded_slope_is_that_of_a_system_that_forgets(kept, budget, monkeypatch):
-    # What the position says is never forgotten, so the slope is a sum of the decay's powers.
+def test_faded_gradients_equal_the_closed_form(kept, budget, monkeypatch):
+    # The gradient of the position never fades, so the derivative is a sum of powers of the decay.
     monkeypatch.setattr(machine_constants, "LARGEST_RESIDUALS", budget)
     decay = 0.97
     value, slope = jax.value_and_grad(end_position)(2.0, decay, Backward(kept))
@@ -53,22 +53,22 @@ def test_a_faded_slope_is_that_of_a_system_that_forgets(kept, budget, monkeypatc
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("kept", [None, 0.5])
-def test_on_rough_ways_no_slope_is_steeper_than_ten_times_what_it_says_of_the_place(kept):
-    decay, sensible, by_hand = 3.0, 10.0, 0.0
+def test_gradients_over_rough_ground_are_cut_at_ten_times_the_positions(kept):
+    decay, limit, by_hand = 3.0, 10.0, 0.0
     below = 0.0
     for _ in range(STEPS):
         by_hand += below + 1
-        below = (kept or 1) * min(decay * (below + 1), sensible)
+        below = (kept or 1) * min(decay * (below + 1), limit)
     rough = Backward(kept, rough=True)
     slope = jax.grad(end_position)(2.0, decay, rough)
     assert float(slope) == pytest.approx(by_hand, rel=1e-12)
-    # Where all is gentle it is the exact one.
+    # Gradients that do not grow are not cut.
     gentle, exact = (jax.grad(end_position)(2.0, 0.8, how) for how in (rough, Backward(kept)))
     assert float(gentle) == pytest.approx(float(exact), rel=1e-12)
 
 
 @pytest.mark.parametrize("trouble", [1e15, np.inf, np.nan])
-def test_on_rough_ways_a_moment_without_a_slope_is_left_out(trouble):
+def test_non_finite_gradients_over_rough_ground_are_dropped(trouble):
     def end(push):
         state = state_of(push * jnp.ones(3), push * jnp.ones(1))
         state, _ = Backward(rough=True).forget(state, None)
@@ -77,7 +77,7 @@ def test_on_rough_ways_a_moment_without_a_slope_is_left_out(trouble):
     assert float(quick_jit(jax.grad(end))(0.0)) == pytest.approx(11.0 if trouble == 1e15 else 1.0)
 
 
-def test_on_rough_ways_slopes_of_the_height_fade():
+def test_gradients_of_the_height_fade_over_rough_ground():
     def end(push, how):
         state, _ = how.forget(state_of(push, jnp.zeros(1)), None)
         return state.position @ jnp.array([1.0, 2.0, 3.0])
@@ -88,13 +88,13 @@ def test_on_rough_ways_slopes_of_the_height_fade():
         np.testing.assert_allclose(slope, [1.0, 2.0, height])
 
 
-def test_a_horizon_is_the_time_in_which_a_slope_falls_to_its_eth():
-    share = retention(np.array([2.0, np.inf]), 60.0)
-    np.testing.assert_allclose(share**120, [np.exp(-1), 1.0], rtol=1e-12)
+def test_a_horizon_is_the_time_in_which_gradients_fade_to_1_over_e():
+    kept = retention(np.array([2.0, np.inf]), 60.0)
+    np.testing.assert_allclose(kept**120, [np.exp(-1), 1.0], rtol=1e-12)
 
 
 def slopes(how: Backward | None) -> jax.Array:
-    """Of the fitness of two swimmers by their genes."""
+    """Return the gradient of the fitness of two swimmers with respect to their genes."""
     made = experiment(STEPS).simulation
 
     def fitness(genes):
@@ -106,7 +106,7 @@ def slopes(how: Backward | None) -> jax.Array:
 
 @pytest.fixture(scope="module")
 def plain():
-    """The slopes with everything kept."""
+    """Gradient with all residuals stored."""
     return slopes(None)
 
 
@@ -115,7 +115,7 @@ def plain():
     [pytest.param(2**30, marks=pytest.mark.slow), 0],
     ids=["one level", "segments"],
 )
-def test_a_trial_has_the_slopes_that_it_has_with_everything_kept(budget, plain, monkeypatch):
+def test_gradients_do_not_depend_on_the_memory_budget(budget, plain, monkeypatch):
     monkeypatch.setattr(machine_constants, "LARGEST_RESIDUALS", budget)
     frugal = slopes(Backward(jnp.ones(2)))
     assert np.abs(plain).min() > 1e-5
@@ -123,7 +123,7 @@ def test_a_trial_has_the_slopes_that_it_has_with_everything_kept(budget, plain, 
 
 
 def wave(how: Backward):
-    """A function of 16 numbers, through 900 steps that leave thirty times what they carry on."""
+    """Return a function of 16 numbers over 900 steps, with residuals of thirty times its state."""
 
     def end(push):
         def advance(carry, _):
@@ -140,7 +140,7 @@ def wave(how: Backward):
 
 
 def swim(how: Backward):
-    """The fitness of 16 swimmers after 900 steps, by their genes."""
+    """Return the fitness of 16 swimmers after 900 steps, as a function of their genes."""
     made = dataclasses.replace(experiment().simulation, steps=900)
 
     def fitness(genes):
@@ -163,5 +163,5 @@ def test_segments_take_less_memory_in_long_trials(trial, monkeypatch):
     several = gradient(2**30, copies=2**16)
     assert str(several.jaxpr) == str(gradient(0).jaxpr)
     one_level, segments = memory(gradient(2**30)), memory(several)
-    # Kept are some thirty states, and what some thirty steps of the present segment leave.
+    # Segments store about thirty states, and residuals of about thirty steps.
     assert segments < one_level / 5

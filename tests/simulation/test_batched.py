@@ -1,4 +1,4 @@
-"""Different bodies in one program do what each does alone."""
+"""Different bodies in one program move like each of them alone."""
 
 import functools
 
@@ -19,7 +19,7 @@ from tiny_run import REPOSITORY, TINY
 SWIMMER = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
 WALKER = REPOSITORY / "configs" / "fukui2003_model1.yaml"
 
-# A second in water, a tenth of one on the ground.
+# The trials last a second in water, and a tenth of a second on the ground.
 CASES = {
     "swimmer": (
         SWIMMER,
@@ -46,7 +46,7 @@ CASES = {
         ),
     ),
 }
-# The walker's torso with the upper half of one leg: two bodies to compile, not nine.
+# The hopper is the walker's torso with the upper half of one leg: two bodies to compile, not nine.
 CASES["hopper"] = (
     WALKER,
     ("simulation.steps=6", "evolution.mutated_genes=[2,20]"),
@@ -56,7 +56,7 @@ BODIES = 3
 
 
 def configured(case):
-    """A case's configuration, where it is from, and the numbers that differ."""
+    """Return a case's configuration, the path of its file, and the keys that differ."""
     path, overrides, keys = CASES[case]
     config = load_config(path, list(overrides))
     if case == "hopper":
@@ -66,13 +66,13 @@ def configured(case):
 
 
 def numbers(config, keys, seed=0):
-    """Each within a quarter of the configuration's own."""
+    """Return numbers within a quarter of the configuration's numbers."""
     rng = np.random.default_rng(seed)
     return {key: number_at(config, key) * rng.uniform(0.75, 1.25, BODIES) for key in keys}
 
 
 def compiled(batched):
-    """The trials of bodies that differ as these do, for any of their values."""
+    """Return a compiled trial for any values of the numbers that differ."""
     return jax.jit(lambda values, genes: rollout(batched._replace(values=values), genes))
 
 
@@ -90,13 +90,13 @@ def genes_of(simulation, dtype):
         pytest.param("walker", np.float32, 1e-5, marks=pytest.mark.slow),
     ],
 )
-def test_each_body_does_what_it_does_alone(case, dtype, error, request):
+def test_batched_bodies_equal_single_bodies(case, dtype, error, request):
     if dtype == np.float64:
         request.getfixturevalue("x64")
     config, path, keys = configured(case)
     batched = build_batch(config, path, numbers(config, keys))
     genes = genes_of(batched.common, dtype)
-    # All with the genes of the last, so that only their bodies tell them apart.
+    # All individuals have the genes of the last one, so that only their bodies differ.
     genes = np.repeat(genes[:, -1:], BODIES, axis=1)
     together = compiled(batched)(batched.values, genes)
     same = together.terms
@@ -106,7 +106,7 @@ def test_each_body_does_what_it_does_alone(case, dtype, error, request):
     alone = jax.jit(functools.partial(rollout, batched[last]))(genes[:, last:]).terms
     for name, term in found.items():
         np.testing.assert_allclose(term, alone[name][0], rtol=error, atol=error)
-    # Bodies that do the same would prove nothing.
+    # The bodies differ in their motion.
     assert max(abs(same[name][0] - term) for name, term in found.items()) > 5 * error
 
 
@@ -155,7 +155,7 @@ def test_a_part_of_every_array_may_be_traced(name, overrides):
 @pytest.mark.parametrize(
     "case", ["swimmer", "hopper", pytest.param("walker", marks=pytest.mark.slow)]
 )
-def test_one_program_builds_what_numpy_builds(case):
+def test_a_traced_build_equals_a_numpy_build(case):
     config, path, keys = configured(case)
     given = numbers(config, keys)
     plan = BodyPlan(config, path, {key: values[:1] for key, values in given.items()})
@@ -181,8 +181,9 @@ def test_a_compiled_program_serves_other_bodies():
         np.testing.assert_allclose(term[2], alone.terms[name][0], rtol=1e-5, atol=1e-5)
 
 
-def test_bodies_whose_limbs_meet_others_share_the_pairs():
-    """Legs far apart cannot meet; thick ones overlap from the start; some of each, and neither."""
+@pytest.mark.slow
+def test_bodies_with_different_pairs_check_all_pairs():
+    """One body has legs that cannot meet, one has legs that overlap from the start."""
     path, overrides, _ = CASES["walker"]
     config = load_config(path, list(overrides))
     names = [body.name for body in config.creature.bodies]
@@ -216,7 +217,7 @@ def test_bodies_whose_limbs_meet_others_share_the_pairs():
         for i in range(3):
             simulation = each[i]
             assert pairs(simulation) == pairs(batched.common)
-            # Pairs that overlap from the start are without force.
+            # Pairs that overlap from the start exert no force.
             found = simulation.world.pairs
             idle = np.array(found.owners).T[found.stiffness == 0]
             of = simulation.world.tree.names
@@ -224,19 +225,19 @@ def test_bodies_whose_limbs_meet_others_share_the_pairs():
     apart = with_numbers(config, {k: v[1] for k, v in given.items()}, path)
     wider = BodyPlan(apart, path, {k: v[1:2] * 1.1 for k, v in given.items()})
     assert wider.build(given)[1].tolist() == [False, True, False]
-    with pytest.raises(ConfigError, match="limbs can meet that never do in the others"):
+    with pytest.raises(ConfigError, match="limbs can touch that cannot touch in the other bodies"):
         build_batch(apart, path, {k: v[:1] for k, v in given.items()}, like=wider.batched)
 
 
-def test_the_number_that_may_not_differ_is_named():
+def test_a_number_that_must_not_differ_is_named():
     path, overrides, keys = CASES["swimmer"]
     config = load_config(path, list(overrides))
     density = build_batch(config, path, numbers(config, keys[:1]))
-    with pytest.raises(ConfigError, match=r"form_drag: .*form_drag differs, and is no input"):
+    with pytest.raises(ConfigError, match=r"form_drag: .*form_drag differs, but is not an input"):
         build_batch(config, path, numbers(config, keys[-1:]), like=density)
     with pytest.raises(ConfigError, match="does not exist"):
         build_batch(config, path, {"world.water.from_drag": np.ones(2)})
     with pytest.raises(ConfigError, match="greater than 0"):
         build_batch(config, path, {keys[0]: np.array([1000.0, -1.0])})
-    with pytest.raises(ConfigError, match="all as the configuration has it"):
+    with pytest.raises(ConfigError, match="all simulations equal the configuration"):
         build_batch(config, path, {keys[0]: np.full(2, 1000.0)})

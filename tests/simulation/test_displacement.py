@@ -1,4 +1,4 @@
-"""The way that audits measure beside the terms of a task."""
+"""The displacement that audits measure in addition to the terms of a task."""
 
 import dataclasses
 
@@ -11,8 +11,8 @@ from evo_cpg.simulation.measures import Displacement
 from trials import OneTerm, experiment
 
 
-def test_a_term_of_the_task_that_is_called_way_stays_what_it_is():
-    """An audit of such a run once said that its fitness does not come out as recorded."""
+def test_a_term_of_the_task_named_way_is_not_overwritten():
+    """An audit of such a run once reported that its fitness differs from the recorded fitness."""
     start, place = np.zeros((2, 3)), np.array([[3.0, 0, 0], [4, 0, 1]])
     simulation = with_displacement(
         dataclasses.replace(experiment().simulation, task=OneTerm("way"))

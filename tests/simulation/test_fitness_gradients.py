@@ -1,7 +1,7 @@
-"""The fitness by the genes: reverse mode against central differences, and float32 against float64.
+"""Gradients of the fitness by the genes, against central differences, and float32 against float64.
 
-All that happens in a trial lies between the two: senses, brain, cord, motors, water or ground,
-fitness. The places where there is no slope are shown in `tests/simulation/test_kinks.py`.
+The whole trial is differentiated: senses, brain, cord, motors, water or ground, and fitness.
+`tests/simulation/test_kinks.py` shows the points without a derivative.
 """
 
 import dataclasses
@@ -28,29 +28,29 @@ from trials import experiment
 CONFIGS = Path(__file__).parents[2] / "configs"
 SECONDS = (0.5, 1.0, 2.0)
 SEEDS = 16
-# Of the fitness, over the shortest trial's end, s.
+# Time at the end of a trial over which the task averages the distance, s.
 FINAL_SECONDS = 0.25
-# The yardstick of energy, J: more than any of the animals spends, or it would have no slope.
+# Scale of the energy, J. It exceeds the energy of every animal, because gradients vanish beyond it.
 ENERGY = 5000.0
 
-# Relative, of float64.
+# Largest relative error in float64.
 TOLERANCE = 1e-5
 
-# Individuals and directions for differences, and their half-widths.
+# Numbers of individuals and directions for differences, and half-widths of the differences.
 TRIED, RANDOM_DIRECTIONS, SINGLE_GENES = 3, 4, 4
 WIDTHS = 10.0 ** -np.arange(4, 11)
 
-# Its task knows from the start when each individual stops, which no program for one individual can:
-# JAX goes through the trial, and its parts are native.
+# The initial tally has a different stop for each individual, which no native program of a trial
+# supports. So JAX runs the trial, and its parts are native.
 pytestmark = pytest.mark.filterwarnings("ignore:a trial runs on plain JAX")
 
 
 class Until(Task):
-    """A task that looks at the first part of a trial, in every lane as long as is said.
+    """A task that scores the first part of a trial, with a different length in each lane.
 
     Attributes:
-        task: that judges.
-        stop: control steps that count.
+        task: task that scores this part.
+        stop: number of control steps that count in each lane.
     """
 
     task: Task
@@ -67,14 +67,14 @@ class Until(Task):
 
     def update(self, tally, transition: Transition, steps):
         inner, _, airborne, stop = tally
-        # The task is told that its trial ends where it does.
+        # Step numbers end at ``steps``, as in a trial of this length.
         number = jnp.where(transition.step == 0, 0, transition.step + steps - stop)
         inner = self.task.update(inner, transition._replace(step=number), steps)
         new = inner, transition.before.state.position[2], airborne + transition.airborne, stop
-        goes_on = transition.step < stop
+        counts = transition.step < stop
 
         def choose(old: jax.Array, new: jax.Array) -> jax.Array:
-            return jnp.where(jnp.broadcast_to(goes_on, new.shape), new, old)
+            return jnp.where(jnp.broadcast_to(counts, new.shape), new, old)
 
         return jax.tree.map(choose, tally, new)
 
@@ -90,7 +90,7 @@ class Until(Task):
 
 
 class Angles(PostureController):
-    """The postures of Fukui 2003 with the angles themselves, in rad, for genes."""
+    """The postures of Fukui 2003, with angles in rad as genes."""
 
     def random_genes(self, key, batch, dtype):
         return jax.random.uniform(key, (self.gene_count, *batch), dtype, -0.4, 0.4)
@@ -118,20 +118,20 @@ ANIMALS = {
     "pair": lambda: experiment().simulation,
     "swimmer": lambda: configured("iwadate2010_swimmer"),
     "salamander in water": lambda: configured(SALAMANDER),
-    # Its body is 9 cm thick.
+    # The body is 9 cm thick.
     "salamander at the surface": lambda: configured(SALAMANDER, "world.water.surface=0.05"),
     "quadruped": quadruped,
 }
 
 
 class Animal(NamedTuple):
-    """What is tried.
+    """An animal whose fitness is differentiated.
 
     Attributes:
-        outcome: fitness and terms of genes ``(g, n)``, tried for control steps ``(n,)``.
-        genes: of some individuals, ``(g, SEEDS)``; all of them numbers of float32.
+        outcome: function that returns fitness and terms from genes ``(g, n)`` and stops ``(n,)``.
+        genes: genes of some individuals, ``(g, SEEDS)``, all exact in float32.
         stops: control steps of each of `SECONDS`.
-        slopes: of the fitness by the genes in float64, ``(g, SEEDS, seconds)``.
+        slopes: gradients of the fitness by the genes in float64, ``(g, SEEDS, seconds)``.
     """
 
     outcome: Callable
@@ -154,7 +154,7 @@ def outcome_of(simulation: Simulation) -> Callable:
 
 
 def slopes_of(outcome: Callable, genes: np.ndarray, stops: np.ndarray, dtype: type) -> np.ndarray:
-    """For every individual and number of control steps, a lane each."""
+    """Return gradients for every individual and number of control steps, with a lane for each."""
     each = jnp.asarray(np.tile(stops, genes.shape[1]))
     every = jnp.asarray(np.repeat(genes, len(stops), 1), dtype)
     slopes = quick_jit(jax.grad(lambda g: outcome(g, each)[0].sum()))(every)
@@ -162,7 +162,7 @@ def slopes_of(outcome: Callable, genes: np.ndarray, stops: np.ndarray, dtype: ty
     return np.asarray(slopes, float).reshape(*genes.shape, len(stops))
 
 
-# All but the pair take minutes to compile.
+# All animals except the pair take minutes to compile.
 TRIALS = [
     name if name == "pair" else pytest.param(name, marks=pytest.mark.slow) for name in ANIMALS
 ]
@@ -186,13 +186,12 @@ def animal(request):
 
 
 def closest(differences: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of central differences ``(k, widths)`` the surest, and what they may be off by.
+    """Return the most certain of central differences ``(k, widths)``, and its relative error.
 
-    Wide ones bend with the function, and have kinks between their ends: where a motor comes to its
-    limit several miss the slope by as much, all alike. Narrow ones are rounded. So those are taken
-    that agree with the next narrower ones and are more than noise, and of these the narrowest. The
-    fitness has the noise that the narrowest differences scatter by, or that of a number of about
-    1. All is decided without looking at the gradient.
+    Wide differences bend with the function, or span kinks. At a motor's limit, several have an
+    equal error. Narrow differences have rounding errors. So the narrowest difference is taken that
+    agrees with the next narrower one and exceeds the noise. The noise of the fitness is the scatter
+    of the narrowest differences, or rounding of a number of about 1. The gradient is not used.
     """
     pairs = np.stack([differences[:, :-1], differences[:, 1:]])
     size = np.maximum(np.abs(pairs).mean(0), 1e-300)
@@ -207,7 +206,7 @@ def closest(differences: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def differences_of(animal: Animal, program: Callable, individual: int, seconds: int, directions):
-    """Central differences ``(k, widths)`` along directions ``(g, k)``, in one run."""
+    """Return central differences ``(k, widths)`` along directions ``(g, k)``, from one run."""
     moves = directions[:, :, None, None] * (WIDTHS[:, None] * np.array([1.0, -1.0]))
     genes = animal.genes[:, individual, None, None, None] + moves
     flat = jnp.asarray(genes.reshape(len(genes), -1))
@@ -217,8 +216,8 @@ def differences_of(animal: Animal, program: Callable, individual: int, seconds: 
     return (up - down) / (2 * WIDTHS), terms
 
 
-def test_a_trial_cut_short_is_a_short_trial(x64):
-    """What stops early has the fitness of a trial of that length."""
+def test_a_trial_that_stops_early_equals_a_short_trial(x64):
+    """The fitness equals the fitness of a trial of that length."""
     stops = np.array([20, 45])
     genes = jnp.array([[3.0, 2.0], [1.0, 2.0]])
     simulation = experiment(int(stops.max())).simulation
@@ -242,10 +241,10 @@ def test_a_trial_cut_short_is_a_short_trial(x64):
 
 
 def test_gradients_equal_central_differences(animal):
-    """Where the differences are sure of themselves, which they are in water.
+    """Gradients equal all certain differences. Most differences are certain in water.
 
-    After 2 s of pushing itself about, the quadruped's gradient is thousands of metres per radian
-    and differences settle on nothing: see docs/models/gradients.md.
+    After 2 s on land, the quadruped's gradient is thousands of metres per radian, and differences
+    do not converge (see docs/models/gradients.md).
     """
     name, animal = animal
     on_land = name == "quadruped"
@@ -260,13 +259,13 @@ def test_gradients_equal_central_differences(animal):
             single = np.eye(len(slope))[:, largest[: len(slope)]]
             directions = np.concatenate([random / np.linalg.norm(random, axis=0), single], 1)
             differences, terms = differences_of(animal, program, individual, seconds, directions)
-            wanted, doubt = closest(differences)
+            expected, uncertainty = closest(differences)
             assert ((terms["airborne"] < 1) == on_land).all()
             assert np.linalg.norm(slope) > 1e-3
-            error = np.abs(directions.T @ slope / wanted - 1)
-            sure.append(doubt < TOLERANCE)
+            error = np.abs(directions.T @ slope / expected - 1)
+            sure.append(uncertainty < TOLERANCE)
             assert (error[sure[-1]] < TOLERANCE).all()
-    # In water, all but directions in which the slopes of many genes cancel.
+    # In water, differences are uncertain only if derivatives of many genes cancel.
     assert np.mean(sure) > (0.75 if on_land else 0.95)
 
 
@@ -274,9 +273,9 @@ def test_gradients_equal_central_differences(animal):
     "animal", ["pair", pytest.param("swimmer", marks=pytest.mark.slow)], indirect=True
 )
 def test_gradients_in_float32(animal):
-    """Of whole gradients: one rounding a step, all adding up, is more than the median error.
+    """The median error of gradients is below the sum of one rounding error per step.
 
-    Individuals whose slopes nearly cancel, or that step over a kink by rounding, are farther off.
+    Individuals have larger errors if derivatives nearly cancel, or rounding crosses a kink.
     """
     _, animal = animal
     single = slopes_of(animal.outcome, animal.genes, animal.stops, np.float32)
@@ -285,5 +284,5 @@ def test_gradients_in_float32(animal):
     steps = np.array(SECONDS) * 120
     assert (np.median(error, 0) < steps * np.finfo(np.float32).eps / 2).all()
     assert error.max() < 1e-3
-    # It is float32 indeed.
+    # The computation did use float32.
     assert np.median(error) > 1e-8

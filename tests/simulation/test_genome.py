@@ -1,4 +1,4 @@
-"""What the genes of an individual mean."""
+"""Meaning of the genes of an individual."""
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from trials import SineController, experiment
 
 
 class _Switches(SineController):
-    """Draws its genes as truth values."""
+    """Controller that draws its genes as booleans."""
 
     @property
     def binary(self):
@@ -34,8 +34,8 @@ def test_a_genome_of_another_length_does_not_fit():
     assert genome.misfit(np.zeros(3)) == "the genome has 3 genes, not 2"
 
 
-def test_genes_beside_the_controllers_evolve_and_replay(tmp_path, monkeypatch):
-    """Only `Genome` changes: its last two genes are not the controller's."""
+def test_genes_outside_the_controller_evolve_and_replay(tmp_path, monkeypatch):
+    """Only `Genome` changes. Its last two genes do not belong to the controller."""
     alone = Genome.random
 
     def random(self, key, batch, dtype=jnp.float32):

@@ -1,8 +1,8 @@
-"""Where the fitness has no slope, and what gradients say on either side of such places.
+"""Points without a derivative of the fitness, and gradients on both sides of these points.
 
-Each case is a part of a trial as a function of one number. On either side of a place that is known
-in closed form the gradient equals central differences that stay on that side, and the two sides
-differ: by a kink, or by a jump, which no gradient tells of.
+Each case is a part of a trial as a function of one number. The point is known in closed form. On
+each side, the gradient equals central differences that stay on that side. The sides differ by a
+kink, or by a jump, which no gradient shows.
 """
 
 import dataclasses
@@ -30,17 +30,17 @@ from on_ground import GRAVITY, H, alone, released
 pytestmark = pytest.mark.usefixtures("x64")
 
 RADIUS, FRICTION = 0.1, 0.5
-# What gravity adds to a speed in a step, m/s.
+# Speed that gravity adds in a step, m/s.
 FALL = GRAVITY * H
-# The ground's stiffness on a lone body is so many times its mass over h, and a push at the rim of
-# a ball that may roll changes the speed there 3.5 times as much as that of its centre.
+# Stiffness of the ground against a single body, in units of the body's mass over h. A push at the
+# rim of a rolling ball changes the rim's speed `RIM` times as much as the centre's speed.
 STIFF = 60.0
 RIM = 3.5
 
 
 @functools.cache
 def graded(outcome):
-    """Values and slopes of an outcome by its first argument, compiled."""
+    """Return a compiled function for values and derivatives of an outcome by its first argument."""
 
     def total(x, *given):
         values = outcome(x, *given)
@@ -50,15 +50,15 @@ def graded(outcome):
 
 
 def both_sides(outcome, places, scales, *given) -> tuple[np.ndarray, np.ndarray]:
-    """Values and slopes just below (first) and just above places ``(k,)``.
+    """Return values and derivatives just below (first) and just above places ``(k,)``.
 
-    The slopes are gradients, which have to equal central differences that do not reach the place.
+    Derivatives must equal central differences that do not reach the place.
 
     Args:
-        outcome: of numbers ``(6 k,)``, one by one; places alternate.
-        places: between the sides.
-        scales: over which the outcome changes; the sides lie a ten-thousandth of it away.
-        given: what else the outcome takes.
+        outcome: elementwise function of numbers ``(6 k,)``, with alternating places.
+        places: points between the sides.
+        scales: lengths over which the outcome changes. The sides lie a ten-thousandth of it away.
+        given: further arguments of the outcome.
     """
     places, scales = np.atleast_1d(places), np.atleast_1d(scales)
     away = 1e-4 * scales
@@ -72,18 +72,18 @@ def both_sides(outcome, places, scales, *given) -> tuple[np.ndarray, np.ndarray]
     return here.squeeze(), slopes.squeeze()
 
 
-# Of position and velocity, angular first, of a lone ball.
+# Unit vectors of position and velocity (angular first) of a single ball.
 X_SPEED, Z = np.eye(9)[[6, 2]]
 
 
 def after_a_step(x, start, along, restitution):
-    """What a lone ball's position or velocity is after a step, by what it is before.
+    """Return a component of a single ball's position or velocity after a step.
 
     Args:
-        x: of the one that varies.
-        start: position and velocity (9,), 0 for the one that varies.
-        along: which one varies and is told, 1 among zeros (9,).
-        restitution: of the ball.
+        x: values of this component before the step.
+        start: position and velocity (9,) before the step, 0 for this component.
+        along: unit vector (9,) of this component.
+        restitution: restitution of the ball.
     """
     world = alone(Sphere(RADIUS), static=FRICTION, dynamic=FRICTION)
     given_back = jnp.broadcast_to(restitution, world.contact_model.restitution.shape)
@@ -97,40 +97,40 @@ def after_a_step(x, start, along, restitution):
 
 @pytest.mark.slow
 def test_the_first_touch_is_a_kink():
-    """Above, the height before counts in full; below, the ground takes all but one part in 61."""
+    """The derivative by the initial height is 1 above this point, and 1/61 below."""
     start = np.array([0.0, 0, 0, 0, 0, 0, 0, 0, -1])
-    # What would else be below the ground at the end of the step is held.
+    # The ground holds a ball that would end the step below it.
     values, slopes = both_sides(after_a_step, RADIUS + H * (1.0 + FALL), H, start, Z, 0.0)
     np.testing.assert_allclose(slopes, [1 / (1 + STIFF), 1.0], rtol=1e-9)
     assert np.ptp(values) < 2e-4 * H
 
 
 def test_a_bounce_begins_with_a_jump():
-    """A ball bounces in the step in which it would hit at its present speed, and not before."""
+    """A ball bounces if its speed at the start of a step would carry it into the ground."""
     speed, restitution = 1.0, 0.5
     start = np.array([0.0, 0, 0, 0, 0, 0, 0, 0, -speed])
     values, slopes = both_sides(after_a_step, RADIUS + H * speed, H, start, Z, restitution)
     jump = (1 + restitution) * speed * STIFF / (1 + STIFF) * H
     assert values[0] - values[1] == pytest.approx(jump, rel=1e-3)
-    # Where it bounces, the height before counts; where not yet, it is led down to the ground.
+    # The derivative by the height is 1 if the ball bounces. Otherwise the ground slows the ball.
     np.testing.assert_allclose(slopes, [1.0, 1 / (1 + STIFF)], rtol=1e-9)
 
 
 def test_slipping_begins_with_a_kink():
-    """A ball that lies on the ground is pushed: it sticks, but for one part in 211, or slides."""
+    """A ball sticks after a weak push (its rim keeps 1/211 of its speed), and slides after more."""
     start = np.array([0.0, 0, RADIUS, 0, 0, 0, 0, 0, 0])
     support = FALL * STIFF / (1 + STIFF)
     held = 1 + RIM * STIFF
     place = FRICTION * support * held / STIFF
     values, slopes = both_sides(after_a_step, place, place, start, X_SPEED, 0.0)
-    # The rim keeps 1 / held of its speed, the centre loses what the friction takes.
+    # The rim keeps 1 / held of its speed. The centre loses the impulse of friction.
     assert slopes[0] == pytest.approx(1 - STIFF / held, rel=1e-9)
     assert slopes[1] > slopes[0] + 0.01
     assert np.ptp(values) < 2e-4 * place
 
 
 def test_a_joint_stop_is_a_jump():
-    """Its damper acts at once on a joint that arrives moving; where one rests, it is a kink."""
+    """The damper of the stop acts at once on a moving joint. For a joint at rest it is a kink."""
     world = in_water(box_chain(2, "z", Actuator(1.0), limit=0.5), gravity=0.0)
     speeds = np.array([1.0, 0.0])
 
@@ -140,7 +140,7 @@ def test_a_joint_stop_is_a_jump():
         start = dataclasses.replace(start, q=angle[None], qd=rate[None])
         return step(world, start, jnp.zeros((1, len(angle))), H)[0].qd[0]
 
-    # The stop acts where the joint is beyond it a step ahead.
+    # The stop acts if the joint would be beyond it after the step.
     values, slopes = both_sides(outcome, 0.5 - H * speeds, [0.1, 0.1])
     assert values[0, 0] - values[1, 0] > 0.01
     assert abs(values[0, 1] - values[1, 1]) < 1e-3
@@ -148,10 +148,10 @@ def test_a_joint_stop_is_a_jump():
     assert (slopes[1] < slopes[0] - 1).all()
 
 
-def test_a_face_that_turns_back_in_the_water_is_a_kink():
-    """The step takes the drag's coefficient, c |v|, from the speed before.
+def test_a_reversal_of_motion_in_water_is_a_kink():
+    """The step uses the drag coefficient c |v| of the speed before the step.
 
-    With m v' = m v + h (F - c |v| v'): at v = 0 the slopes are 1 -+ h^2 c F / m^2.
+    m v' = m v + h (F - c |v| v') gives derivatives of 1 -+ h^2 c F / m^2 at v = 0.
     """
     density, area = 500.0, 0.2 * 0.1
     world = in_water(box_chain(1, ""), density=density, skin_drag=0.0)
@@ -164,16 +164,16 @@ def test_a_face_that_turns_back_in_the_water_is_a_kink():
     values, slopes = both_sides(outcome, 0.0, 1e-2)
     volume = area * 0.1
     mass, force = 1000 * volume, (density - 1000) * volume * GRAVITY
-    # Two faces, each with half of rho C_d A.
+    # Each of two faces has half of rho C_d A.
     bend = H**2 * density * area * force / mass**2
     np.testing.assert_allclose(slopes - 1, [bend, -bend], rtol=1e-2)
     assert np.ptp(values) < 1e-5
 
 
 def test_the_waterline_is_no_kink():
-    """Where a box's lower or upper side passes the surface, the slopes meet.
+    """Derivatives agree if a box's lower or upper side is at the surface.
 
-    A hundred times closer to it they differ a hundred times less, as by a curvature.
+    At a hundredth of the distance they differ a hundred times less, because of curvature only.
     """
     world = in_water(box_chain(1, ""), surface=0.0)
 
@@ -194,11 +194,11 @@ def test_the_waterline_is_no_kink():
 
 
 def test_the_largest_rate_is_a_kink():
-    """A joint that stands off centre asks for a rate in proportion, but for no more than that."""
+    """The commanded rate is proportional to the angle off centre, up to the largest rate."""
     settings = BrainCpgSettings(centring=30.0)
     tree = build_tree(box_chain(2, "z", Actuator(5.0)))
     controller = build_brain_cpg(tree, 0, 0, settings)
-    # The brain's outputs are then halves, whatever it senses.
+    # All outputs of the brain are then 0.5, for any senses.
     genes = np.zeros((controller.gene_count, 1))
 
     def outcome(angle):
@@ -226,7 +226,7 @@ def test_a_neuron_that_begins_to_fire_is_a_kink():
 
 
 def test_the_edge_of_a_field_of_view_is_a_kink():
-    """Of cos(pi theta / R) by cos(theta), where it ends at theta = R / 2."""
+    """The derivative of cos(pi theta / R) by cos(theta) jumps to 0 at theta = R / 2."""
     field = 2.0
 
     def outcome(cosine):

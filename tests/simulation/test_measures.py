@@ -1,4 +1,4 @@
-"""Measures of gait against the same numbers taken from a recording."""
+"""Measures of gait equal the numbers computed from a recording."""
 
 import jax
 import numpy as np
@@ -16,7 +16,7 @@ WALKER = REPOSITORY / "configs" / "fukui2003_model1.yaml"
 
 
 def one_leg():
-    """The walker's torso with one of its legs: three bodies to compile, not nine."""
+    """Return the walker's torso with one leg: three bodies to compile, not nine."""
     contents = load_config(WALKER).model_dump(mode="json")
     contents["creature"]["bodies"] = contents["creature"]["bodies"][:3]
     return contents
@@ -30,8 +30,8 @@ def one_leg():
         pytest.param("iwadate2010_swimmer", marks=pytest.mark.slow),
     ],
 )
-def lived(request):
-    """Terms of some animals, and what they did."""
+def evaluated(request):
+    """Evaluation of some animals, and their recordings."""
     on_ground = request.param != "iwadate2010_swimmer"
     names = [name for name in MEASURES if on_ground or name not in GROUND_MEASURES]
     settings = {"simulation.steps": STEPS, "measures": names}
@@ -44,8 +44,8 @@ def lived(request):
     return experiment, on_ground, found, records
 
 
-def test_each_is_what_a_recording_shows(lived):
-    experiment, on_ground, found, records = lived
+def test_measures_equal_numbers_from_a_recording(evaluated):
+    experiment, on_ground, found, records = evaluated
     tree, rate = experiment.world.tree, experiment.parts.simulation.control_rate
     duration = STEPS / rate
     first = [body.name for body in experiment.creature.bodies].index(tree.names[0])
@@ -54,10 +54,10 @@ def test_each_is_what_a_recording_shows(lived):
         motion = record.recording
         measured = {name: float(values[i]) for name, values in found.descriptors.items()}
         root = motion.position[:, first, : 2 if on_ground else 3]
-        way = np.linalg.norm(root[-1] - root[0])
-        # A recording ends at the beginning of the last control step.
+        displacement = np.linalg.norm(root[-1] - root[0])
+        # A recording ends at the start of the last control step.
         slack = float(np.linalg.norm(np.diff(root, axis=0), axis=1).max()) * 1.5
-        assert measured["speed"] == pytest.approx(way / duration, abs=slack / duration)
+        assert measured["speed"] == pytest.approx(displacement / duration, abs=slack / duration)
         assert measured["cost_of_transport"] == pytest.approx(
             measured["power"] / (weight * measured["speed"]), rel=1e-4
         )
@@ -73,8 +73,8 @@ def test_each_is_what_a_recording_shows(lived):
         assert measured["turning"] == pytest.approx(about_the_vertical / duration, abs=0.05)
 
 
-def test_time_on_the_ground(lived):
-    experiment, on_ground, found, _ = lived
+def test_duty_factor_and_airborne_follow_from_contact_forces(evaluated):
+    experiment, on_ground, found, _ = evaluated
     if not on_ground:
         return
     simulation = experiment.parts.simulation
@@ -86,8 +86,8 @@ def test_time_on_the_ground(lived):
         touching = np.array(
             [(force[:, owners == body, i] > 0).any(1) for body in np.unique(owners) if body > 0]
         )
-        share = touching.mean(1)
-        expected = share[share > 0].mean() if (share > 0).any() else 0.0
+        fraction = touching.mean(1)
+        expected = fraction[fraction > 0].mean() if (fraction > 0).any() else 0.0
         assert float(found.descriptors["duty_factor"][i]) == pytest.approx(expected, abs=0.02)
         nothing = (force[:, :, i] == 0).all(1).mean()
         assert float(found.descriptors["airborne"][i]) >= nothing - 0.02

@@ -1,4 +1,4 @@
-"""Noise: as large as it says, each trial's own, and nothing where there is none."""
+"""Noise has its configured size, differs between trials, and costs nothing if it is off."""
 
 import dataclasses
 
@@ -39,14 +39,14 @@ def start(simulation, keys=KEYS, **noise):
     return quick_jit(lambda k: disturb_start(Noise(**noise), world, rest, k))(keys)
 
 
-def test_joints_start_off_their_angles_but_within_their_limits(simulation):
+def test_initial_angles_are_noisy_within_joint_limits(simulation):
     angles = np.asarray(start(simulation, joint_angle=0.2).q)
-    # Of 4000 draws a standard deviation is known to 1.1 %.
+    # 4000 draws give the standard deviation to 1.1 %.
     assert angles.std() == pytest.approx(0.2, rel=0.04)
     assert abs(angles.mean()) < 4 * 0.2 / np.sqrt(COUNT)
     wide = np.asarray(start(simulation, joint_angle=2.0).q)
     assert wide.min() == -1.0 and wide.max() == 1.0
-    # Beyond half a deviation on either side lie 62 %.
+    # 62 % of draws lie beyond half a standard deviation.
     assert (np.abs(wide) == 1.0).mean() == pytest.approx(0.617, abs=0.03)
 
 
@@ -60,8 +60,8 @@ def test_the_root_rolls_and_pitches_but_does_not_turn(simulation):
     np.testing.assert_array_equal(state.q, 0)
 
 
-def test_nobody_starts_in_the_ground():
-    """Who would is lifted until it touches; the others stay where they are."""
+def test_no_animal_starts_in_the_ground():
+    """An animal that would penetrate the ground is lifted until it touches. Others do not move."""
     creature = swimmer(EYES)
     tree = build_tree(creature)
     world = World(tree, 9.81, contact_model=make_contact_model(creature, tree, Ground()))
@@ -80,7 +80,7 @@ def test_nobody_starts_in_the_ground():
 
 
 @pytest.mark.parametrize("rate", [60, 240])
-def test_pushes_add_up_to_a_random_walk_whatever_the_control_rate(simulation, rate):
+def test_pushes_add_up_to_a_random_walk_at_any_control_rate(simulation, rate):
     """After t = 0.5 s the standard deviation of the velocity is push sqrt(t)."""
     noise, rest = Noise(push=0.3), resting_state(simulation.world.tree, (COUNT,), jnp.float32)
 
@@ -95,7 +95,7 @@ def test_pushes_add_up_to_a_random_walk_whatever_the_control_rate(simulation, ra
     assert (velocity[:3] == 0).all()
 
 
-def test_a_trial_draws_its_own_numbers_whoever_else_there_is(simulation):
+def test_noise_of_a_trial_does_not_depend_on_other_trials(simulation):
     noise = {"joint_angle": 0.1, "tilt": 0.1}
     together, alone = start(simulation, **noise), start(simulation, KEYS[:, 7:8], **noise)
     np.testing.assert_array_equal(together.q[:, 7:8], alone.q)
@@ -103,7 +103,7 @@ def test_a_trial_draws_its_own_numbers_whoever_else_there_is(simulation):
     assert len(np.unique(np.asarray(together.q))) > COUNT - 10
 
 
-def test_without_noise_the_program_is_that_of_a_trial_without_keys(simulation):
+def test_programs_without_noise_equal_programs_without_keys(simulation):
     genes, keys = jnp.ones((2, 3)), jnp.asarray(KEYS[:, :3])
 
     def program(simulation, keys):
@@ -115,14 +115,14 @@ def test_without_noise_the_program_is_that_of_a_trial_without_keys(simulation):
     assert program(noisy, keys) != program(noisy, None)
 
 
-def test_friction_differs_evenly_from_trial_to_trial():
+def test_friction_is_uniform_over_trials():
     assert (
         friction_scale_of(Noise(push=1.0), jnp.asarray(KEYS)) is None
         and friction_scale_of(Noise(friction=0.2), None) is None
     )
     friction_scale = np.asarray(friction_scale_of(Noise(friction=0.2), jnp.asarray(KEYS)))
     assert 0.8 <= friction_scale.min() < 0.801 and 1.199 < friction_scale.max() <= 1.2
-    # Of an even spread as many are in each tenth, to four standard deviations.
+    # Each tenth of the range has equally many draws, within four standard deviations.
     counts = np.histogram(friction_scale, 10, (0.8, 1.2))[0]
     assert abs(counts - COUNT / 10).max() < 4 * np.sqrt(COUNT * 0.1 * 0.9)
     np.testing.assert_array_equal(
@@ -132,7 +132,7 @@ def test_friction_differs_evenly_from_trial_to_trial():
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("engine", ["auto", pytest.param("jax", marks=pytest.mark.slow)])
-def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
+def test_noise_of_friction_equals_another_friction_coefficient(engine):
     creature = swimmer(EYES)
     tree = build_tree(creature)
     slope = Ground(floor=Plane((0.3, 0.0, 1.0)), static_friction=0.05, dynamic_friction=0.05)
@@ -154,7 +154,7 @@ def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
     assert np.ptp(np.asarray(found)[-1, 0], axis=-1).max() > 1e-3
 
 
-def test_a_noisy_trial_and_its_recording_are_the_same_trial(simulation):
+def test_the_recording_of_a_noisy_trial_has_the_same_noise(simulation):
     noisy = dataclasses.replace(simulation, noise=Noise(0.1, 0.1, 0.5))
     genes, keys = np.full((2, 4), 2.0, np.float32), KEYS[:, [0, 1, 2, 0]]
     both = JUDGE, Recorder(4)
@@ -162,13 +162,13 @@ def test_a_noisy_trial_and_its_recording_are_the_same_trial(simulation):
     distance = np.asarray(outcome.terms["distance"])
     assert len(np.unique(distance[:3])) == 3 and distance[3] == distance[0]
     place = np.asarray(frames["position"])[:, :, simulation.world.tree.names.index("head")]
-    way = np.linalg.norm(np.array([3.0, 1.0, 0.5])[:, None] - place, axis=1)
-    np.testing.assert_allclose(distance, way.mean(0) / way[0], rtol=1e-5)
+    goal_distance = np.linalg.norm(np.array([3.0, 1.0, 0.5])[:, None] - place, axis=1)
+    np.testing.assert_allclose(distance, goal_distance.mean(0) / goal_distance[0], rtol=1e-5)
 
 
 @pytest.mark.usefixtures("x64")
-def test_chance_is_the_same_with_native_code_and_without(simulation):
-    """It is drawn in float32, whose last digit is 1e-7, and moves the animal by centimetres."""
+def test_noise_is_the_same_with_native_code_and_jax(simulation):
+    """Noise is drawn in float32 (last digit 1e-7), and moves the animal by centimetres."""
     silent = dataclasses.replace(simulation, steps=3)
     noisy = dataclasses.replace(silent, noise=Noise(0.3, 0.3, 2.0))
     genes, keys = jnp.full((2, 3), 2.0), jnp.asarray(KEYS[:, :3])
@@ -179,6 +179,6 @@ def test_chance_is_the_same_with_native_code_and_without(simulation):
             "position"
         ]
 
-    found, wanted = (trial(noisy, engine) for engine in ("native", "jax"))
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
-    assert np.abs(wanted - trial(silent, "native")).max() > 0.05
+    found, expected = (trial(noisy, engine) for engine in ("native", "jax"))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+    assert np.abs(expected - trial(silent, "native")).max() > 0.05

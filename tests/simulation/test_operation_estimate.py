@@ -1,4 +1,4 @@
-"""The estimate of a trial's operations against the code that is written for it."""
+"""The estimate of a trial's operations against the operations in its native code."""
 
 import jax
 import pytest
@@ -12,7 +12,7 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from tiny_run import CONFIG, PAIR, REPOSITORY
 
-# The estimate may be off by this fraction.
+# Largest relative error of the estimate.
 _ERROR = 0.4
 
 _LAND = (*PAIR, "world.water=null", "world.ground={}")
@@ -25,7 +25,7 @@ def simulation_of(*overrides: str, config: str = CONFIG.stem) -> Simulation:
 
 
 def true_operations(simulation: Simulation) -> int:
-    """Count the operations of the programs that code is written by."""
+    """Count the operations of the programs that are compiled to native code."""
     genes = jax.ShapeDtypeStruct((simulation.controller.gene_count, 16), "float32")
     keys = jax.eval_shape(lambda: jax.random.key_data(jax.random.split(jax.random.key(0), 16)).T)
     trial = jax.ShapeDtypeStruct((16,), "int32")
@@ -57,12 +57,12 @@ def test_estimate_is_near_the_true_number_of_shipped_animals(config):
 @pytest.mark.slow
 @pytest.mark.parametrize("segments", [14, 30])
 def test_estimate_is_near_the_true_number_of_long_animals(segments):
-    """One has its pairs written out, the other goes through them in loops."""
+    """One animal has its pairs written out. The other has loops over pairs."""
     many = f"creature.bodies.1.repeat={segments}"
     assert_about(simulation_of(*_LAND, many))
 
 
-def test_every_part_costs_only_where_it_is():
+def test_absent_parts_cost_nothing():
     swimmer, walker = (estimate_operations(simulation_of(*x)) for x in (PAIR, _LAND))
     assert swimmer.water > 0 and swimmer.ground == swimmer.obstacles == swimmer.noise == 0
     assert walker.water == 0 and walker.ground > 0
@@ -74,7 +74,7 @@ def test_every_part_costs_only_where_it_is():
     assert estimate_operations(simulation_of(*_LAND, "simulation.substeps=8")) == walker
 
 
-def test_pairs_cost_nothing_where_they_are_left_out():
+def test_pairs_cost_nothing_without_self_collision():
     many = (*_LAND, "creature.bodies.1.repeat=6")
     touching, apart = (estimate_operations(simulation_of(*x)) for x in (many, (*many, _APART)))
     assert touching.pairs > 0 and apart.pairs == 0

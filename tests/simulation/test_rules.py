@@ -1,4 +1,4 @@
-"""Who breaks a rule is out, in the control step in which it happens."""
+"""An individual that breaks a rule is disqualified in that control step."""
 
 import dataclasses
 
@@ -35,7 +35,7 @@ def kept(world: World, state, energy=0.0, **rules):
     return np.asarray(keep(state, energies)).tolist()
 
 
-def test_speed_is_that_of_the_root_whatever_its_direction(simulation):
+def test_speed_limits_the_root_in_any_direction(simulation):
     rest = resting_state(simulation.world.tree, (3,), jnp.float32)
     linear = np.array([[0.0, 0, 0], [3.0, 0, 4.0], [3.1, 0, 4.0]]).T
     state = dataclasses.replace(
@@ -56,7 +56,7 @@ def built(*overrides):
     return build_experiment(load_config(path, overrides), path)
 
 
-def test_penetration_and_overlap_are_the_deepest():
+def test_the_deepest_penetration_and_overlap_count():
     hexapod = built("audit.disqualify=[penetration, overlap]", "audit.overlap=0.002")
     rules, world = hexapod.simulation.rules, hexapod.simulation.world
     assert rules.penetration == 0.01 and rules.overlap == 0.002 and rules.speed is None
@@ -65,13 +65,13 @@ def test_penetration_and_overlap_are_the_deepest():
     sunk = rest.position - jnp.array([[0.0, 0.0], [0.0, 0.0], [0.009, 0.011]])
     state = dataclasses.replace(rest, position=sunk)
     assert kept(world, state, penetration=rules.penetration) == [True, False]
-    # Legs turned through their neighbours.
+    # Turn legs through their neighbours.
     swung = dataclasses.replace(rest, q=rest.q.at[:, 1].set(1.5))
     assert kept(world, swung, overlap=0.002, pairs=rules.pairs) == [True, False]
 
 
 @pytest.mark.parametrize("engine", ["auto", pytest.param("jax", marks=pytest.mark.slow)])
-def test_who_is_too_fast_in_one_step_is_out_for_good(engine):
+def test_one_step_beyond_the_speed_limit_disqualifies(engine):
     path = CONFIG
     config = load_config(path, [*PAIR, f"engine={engine}", "simulation.steps=40"])
     free = build_experiment(config, path).simulation
@@ -80,15 +80,15 @@ def test_who_is_too_fast_in_one_step_is_out_for_good(engine):
     place = np.asarray(frames["position"])[:, :, 0]
     speed = np.linalg.norm(np.diff(place, axis=0), axis=1).max(0) / STEP
     assert np.asarray(quick_jit(lambda g: rollout(free, g).alive)(genes)).all()
-    # Between the third and the fourth of six.
+    # The limit lies between the third and the fourth speed of six.
     limit = float(np.sort(speed)[2:4].mean())
     bound = dataclasses.replace(free, rules=Rules(speed=limit))
     alive = np.asarray(quick_jit(lambda g: rollout(bound, g).alive)(genes))
-    # Places are seen between control steps and speeds at their ends, so some may be on the edge.
+    # Recorded places give mean speeds, but the rule checks speeds at the ends of control steps.
     np.testing.assert_array_equal(alive, speed <= limit)
 
 
-def test_limits_are_in_the_animals_own_measure():
+def test_limits_scale_with_the_size_and_mass_of_the_animal():
     swimmer = build_experiment(
         load_config(CONFIG, [*PAIR, "audit.disqualify=[speed, power]", "audit.power=50"]), CONFIG
     )
@@ -99,23 +99,23 @@ def test_limits_are_in_the_animals_own_measure():
 
 
 @pytest.mark.parametrize(
-    ("overrides", "told"),
+    ("overrides", "words"),
     [
         (["audit.disqualify=[power]"], "audit.power: is missing"),
-        (["audit.disqualify=[penetration]"], "audit.disqualify: penetration: there is no ground"),
+        (["audit.disqualify=[penetration]"], "audit.disqualify: 'penetration' needs ground"),
         (["audit.disqualify=[sped]"], "audit.disqualify.0: 'sped'"),
         (["audit.half_stp=1"], "did you mean 'half_step'?"),
         (["audit.half_step=-1"], "audit.half_step: -1"),
     ],
 )
-def test_wrong_rules_are_refused(overrides, told):
+def test_wrong_rules_are_refused(overrides, words):
     with pytest.raises(ConfigError) as caught:
         build_experiment(load_config(CONFIG, overrides), CONFIG)
-    assert told in str(caught.value)
+    assert words in str(caught.value)
 
 
-def test_nobody_is_out_in_the_papers_own_configurations():
-    # The salamander is in a paper's figure; its experiments are ours.
+def test_configurations_of_the_papers_have_no_rules():
+    # The salamander is not included: a paper shows it, but its experiments are not from the paper.
     names = "iwadate2010_swimmer", *(f"fukui2003_model{i}" for i in (1, 2, 3))
     for name in names:
         assert load_config(CONFIG.with_name(f"{name}.yaml")).audit.disqualify == []

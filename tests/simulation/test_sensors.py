@@ -1,4 +1,4 @@
-"""Eyes against eq. 1 and plain geometry."""
+"""Sensors against eq. 1, plain geometry and hydrostatics."""
 
 import dataclasses
 
@@ -31,16 +31,16 @@ from trials import EYES, swimmer
 
 
 @given(st.floats(0, np.pi), st.floats(0.1, 2 * np.pi))
-def test_strength_is_eq_1_within_half_the_field_of_view_and_nothing_beyond(angle, field):
+def test_strength_is_eq_1_within_the_field_of_view_and_0_beyond(angle, field):
     strength = float(light_strength(jnp.cos(jnp.array([angle])), jnp.array([field]))[0])
     expected = np.cos(np.pi * angle / field) if angle < field / 2 else 0.0
-    # Where the cosine is flat, float32 resolves the angle to 5e-4 rad.
+    # float32 resolves the angle to 5e-4 rad where the cosine is flat.
     assert strength == pytest.approx(expected, abs=np.pi / field * 6e-4)
     assert 0.0 <= strength <= 1.0
 
 
 @pytest.mark.parametrize("field", [np.pi / 3, np.pi, 2 * np.pi])
-def test_strength_reaches_nothing_exactly_at_the_edge_of_the_field(x64, field):
+def test_strength_is_0_from_the_edge_of_the_field(x64, field):
     angle = np.array([0.0, 0.25, 0.499, 0.5, 0.501]) * field
     angle = np.minimum(angle, np.pi)
     fields = jnp.full(5, field)
@@ -50,7 +50,7 @@ def test_strength_reaches_nothing_exactly_at_the_edge_of_the_field(x64, field):
 
 
 @pytest.mark.parametrize("light", [(3.0, 1.0, 0.5), (-2.0, 4.0, -1.0), (0.3, -0.2, 2.0)])
-def test_eyes_see_by_where_they_are_and_where_they_look(x64, light):
+def test_eyes_see_from_their_place_along_their_axis(x64, light):
     creature = swimmer(EYES)
     tree = build_tree(creature)
     turn, bend = np.array([0.4, -0.3, 1.1]), 0.7
@@ -112,14 +112,14 @@ def test_eyes_in_the_dark_feel_only_the_vertical(x64):
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion (w, x, y, z) of a rotation by less than a half turn."""
+    """Return the unit quaternion (w, x, y, z) of a rotation by less than a half turn."""
     w = np.sqrt(1 + np.trace(rotation)) / 2
     skew = rotation - rotation.T
     return np.array([w, *(np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / (4 * w))])
 
 
-def test_the_skin_feels_the_ground_but_under_water_only_what_presses_harder():
-    """At 0.5 m the water presses with 4.9 kPa on the cross-section of the tail."""
+def test_pressure_sensors_compare_the_ground_with_the_water():
+    """The pressure of the water at 0.5 m is 4.9 kPa on the cross-section of the tail."""
     creature = swimmer(EYES)
     tree = build_tree(creature)
     creature = dataclasses.replace(creature, pressure_sensors=tree.names)
@@ -147,8 +147,8 @@ def test_the_skin_feels_the_ground_but_under_water_only_what_presses_harder():
     np.testing.assert_array_equal(pressure_readings(sensors, afloat, kin, None), np.zeros((2, 3)))
 
 
-def test_depth_gauges_read_the_depth_of_their_own_place(x64):
-    """A head at -0.5 m that is bent down by 0.3 rad; the tail's gauge is far below its scale."""
+def test_depth_gauges_read_the_depth_of_their_place(x64):
+    """The head is at -0.5 m and pitched by 0.3 rad. The tail's gauge is far below its scale."""
     gauges = (
         DepthSensor("head", (0.1, 0.0, 0.02), 2.0),
         DepthSensor("tail", (-0.1, 0.0, 0.0), 0.1),
@@ -172,8 +172,8 @@ def test_depth_gauges_read_the_depth_of_their_own_place(x64):
         np.testing.assert_allclose(depth_readings(sensors, world, kin), expected, rtol=0, atol=1e-9)
 
 
-def test_velocities_are_how_fast_the_bodies_get_on(x64):
-    """Central differences of the poses; a velocity sensor tells them in the body's own axes."""
+def test_velocities_equal_central_differences(x64):
+    """Differences are taken of poses. A velocity sensor returns them in the body's axes."""
     rng = np.random.default_rng(3)
     tree = build_tree(random_creature(rng, ((0, 2), (1, 1), (0, 3), (3, 1))))
     state, h = random_state(tree, rng, (4,)), 1e-6

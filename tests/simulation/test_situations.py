@@ -1,4 +1,4 @@
-"""Each lane lives in the situation of its trial, as a simulation with only that one would."""
+"""Each lane has the situation of its trial, and equals a simulation with this one only."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ from trials import experiment
 from watching import Watcher
 
 STEPS = 30
-# The same light from two sides, one that only the task knows of, and another start.
+# Two places of the light, then another start with the light of the task.
 SITUATIONS = (
     Situation(light=(3.0, 1.0, 0.5)),
     Situation(light=(3.0, -2.0, 0.5)),
@@ -39,8 +39,8 @@ def only(simulation, number: int):
     return dataclasses.replace(simulation, situations=simulation.situations[number : number + 1])
 
 
-def live(simulation, trial=None, keys=None):
-    """All outcomes and motions."""
+def simulate(simulation, trial=None, keys=None):
+    """Return the outcome and the frames of all lanes."""
 
     def run(genes, keys, trial):
         frames = rollout(simulation, genes, keys, trial, Recorder(len(TRIAL)))
@@ -51,42 +51,42 @@ def live(simulation, trial=None, keys=None):
 
 @pytest.fixture(scope="module")
 def together(simulation):
-    return live(simulation, TRIAL)
+    return simulate(simulation, TRIAL)
 
 
-def test_a_lane_does_what_it_would_if_all_had_its_situation(simulation, together):
-    """To the last bit, although places are constants of the program with one situation."""
+def test_a_lane_equals_a_simulation_with_its_situation_only(simulation, together):
+    """They agree to the last bit, although one situation gives constants of the program."""
     outcome, frames = together
     assert outcome.alive.all()
     for number in range(3):
         lanes = number == TRIAL
-        alone, motion = live(only(simulation, number))
+        alone, motion = simulate(only(simulation, number))
         for name, values in outcome.terms.items():
             np.testing.assert_array_equal(values[lanes], alone.terms[name][lanes])
         for name, values in frames.items():
             np.testing.assert_array_equal(values[..., lanes], motion[name][..., lanes])
-    # The situations are not the same to the animals.
+    # Commands differ between the situations.
     one, other = (np.asarray(frames["target_rate"])[..., lane] for lane in (1, 7))
     assert np.abs(one - other).max() > 0.1
 
 
-def test_situations_may_stand_in_any_order(simulation, together):
-    """Each is then chosen by another number, and nothing else changes, to the last bit."""
+def test_the_order_of_situations_does_not_matter(simulation, together):
+    """Only the numbers of the situations change. Results are equal to the last bit."""
     order = (2, 0, 1)
     turned = dataclasses.replace(simulation, situations=tuple(SITUATIONS[i] for i in order))
-    outcome, frames = live(turned, np.argsort(order)[TRIAL])
+    outcome, frames = simulate(turned, np.argsort(order)[TRIAL])
     jax.tree.map(np.testing.assert_array_equal, (outcome, frames), together)
 
 
-def test_equal_situations_given_twice_are_the_same_trial(simulation, together):
+def test_equal_situations_give_equal_trials(simulation, together):
     twice = dataclasses.replace(simulation, situations=SITUATIONS[:1] * 2)
-    outcome, _ = live(twice, TRIAL % 2)
+    outcome, _ = simulate(twice, TRIAL % 2)
     same = TRIAL == 0
     for name, values in outcome.terms.items():
         np.testing.assert_array_equal(values[same], together[0].terms[name][same])
 
 
-def test_animals_start_where_and_as_they_should(simulation, together):
+def test_animals_start_in_their_situations(simulation, together):
     _, frames = together
     motions = [
         as_recording(simulation, frames, ["tail", "head"], lane, int(TRIAL[lane]))
@@ -99,17 +99,17 @@ def test_animals_start_where_and_as_they_should(simulation, together):
     goals = [tuple(motion.goal) for motion in motions]
     assert goals == [(3.0, 1.0, 0.5), (3.0, -2.0, 0.5), (3.0, 1.0, 0.5)]
     for motion in motions:
-        way = np.linalg.norm(motion.position[0, 1] - motion.goal)
-        assert motion.distance[0] == pytest.approx(way, rel=1e-6)
+        goal_distance = np.linalg.norm(motion.position[0, 1] - motion.goal)
+        assert motion.distance[0] == pytest.approx(goal_distance, rel=1e-6)
 
 
-def test_without_numbers_all_are_in_the_first(simulation):
-    given = live(only(simulation, 0))
-    jax.tree.map(np.testing.assert_array_equal, live(simulation), given)
+def test_the_first_situation_is_the_default(simulation):
+    given = simulate(only(simulation, 0))
+    jax.tree.map(np.testing.assert_array_equal, simulate(simulation), given)
 
 
 class Where(Task):
-    """Tells where it was told the light is."""
+    """Task that returns the place of the light."""
 
     light: tuple[float, float, float] | None = (7.0, 8.0, 9.0)
 
@@ -126,21 +126,21 @@ class Where(Task):
         return terms["x"]
 
 
-def test_a_task_of_ones_own_is_told_where_the_light_is(simulation):
+def test_a_users_task_gets_the_place_of_the_light(simulation):
     short = dataclasses.replace(simulation, task=Where(), steps=2)
 
-    def told(simulation, trial):
+    def places(simulation, trial):
         outcome = quick_jit(lambda genes, trial: rollout(simulation, genes, None, trial))
         return np.transpose([outcome(GENES, trial).terms[name] for name in "xyz"])
 
     expected = np.array([(3, 1, 0.5), (3, -2, 0.5), (7, 8, 9)])[TRIAL]
-    np.testing.assert_array_equal(told(short, TRIAL), expected)
+    np.testing.assert_array_equal(places(short, TRIAL), expected)
     single = dataclasses.replace(short, situations=(Situation(),))
-    np.testing.assert_array_equal(told(single, None), np.tile([7.0, 8.0, 9.0], (8, 1)))
+    np.testing.assert_array_equal(places(single, None), np.tile([7.0, 8.0, 9.0], (8, 1)))
 
 
 def test_one_situation_is_a_constant_of_the_program(simulation):
-    """Nothing is looked up, whether or not trials are numbered."""
+    """The program has no look-up, with or without numbers of trials."""
 
     def program(simulation, trial):
         trial = None if trial is None else jnp.asarray(trial)
@@ -156,19 +156,19 @@ def test_one_situation_is_a_constant_of_the_program(simulation):
     assert program(simulation, TRIAL) != single
 
 
-def test_every_trial_has_its_own_noise_on_top_of_its_situation(simulation):
+def test_every_trial_adds_its_noise_to_its_situation(simulation):
     noisy = dataclasses.replace(simulation, noise=Noise(joint_angle=0.1, push=0.3))
-    outcome, frames = live(noisy, TRIAL, KEYS)
+    outcome, frames = simulate(noisy, TRIAL, KEYS)
     angles = np.asarray(frames["joint_angle"])[0]
     assert len(np.unique(angles)) == len(TRIAL)
-    alone, motion = live(only(noisy, 1), None, KEYS)
+    alone, motion = simulate(only(noisy, 1), None, KEYS)
     lanes = TRIAL == 1
     np.testing.assert_array_equal(angles[:, lanes], motion["joint_angle"][0][:, lanes])
     for name, values in outcome.terms.items():
         np.testing.assert_array_equal(values[lanes], alone.terms[name][lanes])
 
 
-def test_one_animal_without_a_population_has_a_situation_too(simulation):
+def test_a_single_individual_has_a_situation(simulation):
     one = quick_jit(lambda genes, trial: rollout(simulation, genes, None, trial))
     all_of_them = one(GENES, TRIAL)
     for lane in (0, 3):

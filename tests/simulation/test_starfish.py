@@ -1,4 +1,4 @@
-"""The shipped starfish under a constant drive: what its cord asks for, its arms do in water."""
+"""The shipped starfish under a constant drive: its arms follow the commanded rhythm in water."""
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +17,7 @@ ARMS = [f"arm{j}_1.y" for j in range(1, 6)]
 
 
 def constant_drive(*changes):
-    """Eight seconds of a starfish whose brain gives every oscillator u = 0.5 and b = 5.5."""
+    """Return 8 s of motion of a starfish whose brain sets u = 0.5 and b = 5.5 everywhere."""
     path = REPOSITORY / "configs/starfish.yaml"
     experiment = build_experiment(load_config(path, ["simulation.steps=480", *changes]), path)
     simulation = experiment.simulation
@@ -38,6 +38,6 @@ def test_arms_of_a_starfish_beat_one_after_the_other():
 
 
 @pytest.mark.slow
-def test_without_the_ring_they_beat_together_as_they_start():
+def test_arms_beat_together_without_the_ring():
     motion = constant_drive("controller.cpg.rings=[]")
     np.testing.assert_allclose(ring_lags(motion, ARMS), 0, atol=2)

@@ -1,7 +1,7 @@
 """A user's task: cost of transport, foot slip and clearance of a walker.
 
-All are recomputed in NumPy from the recorded poses and torques, from the feet's geometry and from
-Newton's second law.
+NumPy recomputes all terms from recorded poses and torques, the feet's geometry and Newton's second
+law.
 """
 
 import equinox as eqx
@@ -26,12 +26,12 @@ from trials import SineController
 
 RATE, STEPS, GRAVITY, RADIUS = 240.0, 240, 9.81, 0.04
 FEET = ("front", "back")
-# Amplitude (rad/s) and frequency (Hz): two that rock and slide, one that stands.
+# Amplitude (rad/s) and frequency (Hz) of two walkers that rock and slide, and one that stands.
 GENES = np.array([[4.0, 6.0, 0.0], [1.5, 2.5, 1.0]], np.float32)
 
 
 class TransportAndSlip(Task):
-    """Energy per weight and way, and how far feet slide while they carry."""
+    """Cost of transport, and distance that feet slide under load."""
 
     light: None = eqx.field(default=None, init=False)
 
@@ -58,8 +58,8 @@ class TransportAndSlip(Task):
         }
 
     def terms(self, tally, steps):
-        way = tally["end"] - tally["start"]
-        length = jnp.sqrt(way[0] ** 2 + way[1] ** 2)
+        displacement = tally["end"] - tally["start"]
+        length = jnp.sqrt(displacement[0] ** 2 + displacement[1] ** 2)
         weight = sum(body.shape.volume * body.material.density for body in WALKER.bodies) * GRAVITY
         return {
             "cost_of_transport": tally["energy"] / (weight * jnp.maximum(length, 1e-3)),
@@ -76,7 +76,7 @@ class TransportAndSlip(Task):
 
 
 def walker() -> Creature:
-    """A box on two feet, one behind the other, held upright by a ball on either side."""
+    """Return a box on two feet, one behind the other, with a ball on each side for balance."""
     legs = []
     for name, x in zip(FEET, (0.15, -0.15), strict=True):
         joint = Joint(
@@ -145,12 +145,12 @@ def test_cost_of_transport_and_slip_follow_from_the_recording(trial, individual)
     middle = (rate + np.vstack([np.zeros_like(rate[:1]), rate[:-1]])) / 2
     energy = np.abs(motion.torque[:STEPS] * middle).sum() / RATE
     centre = (position * mass[:, None]).sum(1) / mass.sum()
-    way = max(np.linalg.norm((centre[-1] - centre[0])[:2]), 1e-3)
-    cost = energy / (mass.sum() * GRAVITY * way)
+    displacement = max(np.linalg.norm((centre[-1] - centre[0])[:2]), 1e-3)
+    cost = energy / (mass.sum() * GRAVITY * displacement)
     assert found["cost_of_transport"] == pytest.approx(cost, rel=5e-3, abs=1e-3)
 
-    # A foot that carries is held at the ground, to a hundredth of a millimetre where it carries
-    # next to nothing; one that has let go is above it.
+    # A foot under load penetrates the ground slightly. Under a tiny load it is within 0.01 mm of
+    # the ground, and without load above it.
     least, most, lift = 0.0, 0.0, 0.0
     for name in FEET:
         i = [body.name for body in WALKER.bodies].index(name)
@@ -166,8 +166,8 @@ def test_cost_of_transport_and_slip_follow_from_the_recording(trial, individual)
     assert most < 1.1 * least + 2e-3
     assert found["lift"] == pytest.approx(lift, abs=1e-4)
 
-    # Newton: what ground and gravity gave is the momentum at the end, from the last two poses; but
-    # that is of half a step earlier, and a leg that swings takes some meanwhile.
+    # The impulses of ground and gravity equal the final momentum (Newton). The last two poses give
+    # the momentum half a step earlier, and a swinging leg changes it meanwhile.
     momentum = mass.sum() * (centre[-1] - centre[-2]) * RATE
     weight = mass.sum() * GRAVITY * STEPS / RATE
     for name, axis, gravity in (("momentum", 2, weight), ("drift", 0, 0.0)):
@@ -176,7 +176,7 @@ def test_cost_of_transport_and_slip_follow_from_the_recording(trial, individual)
         assert impulse - gravity == pytest.approx(momentum[axis], abs=0.2 * mass.sum())
 
 
-def test_those_who_rock_pay_and_slide_and_who_stands_does_not(trial):
+def test_rocking_costs_energy_and_slides_and_standing_does_not(trial):
     terms, _ = trial
     assert (terms["slip"][:2] > 0.08).all() and terms["slip"][2] < 0.02
     assert (terms["cost_of_transport"][:2] > 0.1).all()

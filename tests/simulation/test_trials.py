@@ -1,4 +1,4 @@
-"""Trials: what the task makes of them is recomputed in NumPy from their recordings."""
+"""Trials: NumPy recomputes the terms of the task from recordings."""
 
 import dataclasses
 
@@ -17,25 +17,25 @@ from evo_cpg.simulation.recording import Recorder, as_recording
 from evo_cpg.simulation.rollout import rollout
 from trials import experiment
 
-# Amplitude (rad/s) and frequency (Hz): two swimmers, one that rests, one without a number, one
-# that asks for more than any body can do.
+# Amplitude (rad/s) and frequency (Hz): two swimmers, one at rest, one with NaN, and one with a rate
+# that no body can follow.
 GENES = np.array([[3.0, 2.0, 0.0, np.nan, 1e7], [1.0, 2.0, 1.0, 1.0, 3.0]], np.float32)
-LIVING = 3
+SURVIVORS = 3
 STEPS = 90
 
 
 @pytest.fixture(scope="module")
 def trial():
-    """Outcome and recordings of one step more, which tells the last rates."""
+    """Outcome, and recordings with one more step, for the last rates."""
     short, long = experiment(STEPS).simulation, experiment(STEPS + 1).simulation
     outcome, frames = quick_jit(
-        lambda g: (rollout(short, g), rollout(long, g, observers=Recorder(LIVING)))
+        lambda g: (rollout(short, g), rollout(long, g, observers=Recorder(SURVIVORS)))
     )(GENES)
     names = ["tail", "head"]
-    return outcome, [as_recording(long, frames, names, i) for i in range(LIVING)]
+    return outcome, [as_recording(long, frames, names, i) for i in range(SURVIVORS)]
 
 
-@pytest.mark.parametrize("individual", range(LIVING))
+@pytest.mark.parametrize("individual", range(SURVIVORS))
 def test_terms_follow_from_the_recording(trial, individual):
     outcome, recordings = trial
     terms = {name: float(values[individual]) for name, values in outcome.terms.items()}
@@ -63,7 +63,7 @@ def test_terms_follow_from_the_recording(trial, individual):
     assert terms["light"] == pytest.approx(np.max(strength, 0).mean(), abs=1e-5)
 
 
-def test_the_wave_is_what_the_genes_say(trial):
+def test_the_commanded_wave_follows_the_genes(trial):
     _, recordings = trial
     time = recordings[1].time[:, None]
     assert time[1] == pytest.approx(1 / 60)
@@ -72,26 +72,26 @@ def test_the_wave_is_what_the_genes_say(trial):
     )
     assert recordings[1].dof_names == ("tail.z",)
     assert np.abs(recordings[1].joint_angle).max() > 0.1
-    # The one without drive stays where it is: it is as heavy as the water.
+    # The individual without drive does not move, because its density equals the water's.
     assert np.ptp(recordings[2].position, axis=0).max() < 1e-5
 
 
-def test_the_diverged_are_dead_and_score_nothing(trial):
+def test_diverged_individuals_score_minus_infinity(trial):
     outcome, _ = trial
-    assert np.asarray(outcome.alive).tolist() == [True] * LIVING + [False] * 2
+    assert np.asarray(outcome.alive).tolist() == [True] * SURVIVORS + [False] * 2
     task = experiment(STEPS).simulation.task
     fitness = np.asarray(score(task, outcome, {"energy": jnp.float32(2.0)}))
-    assert (fitness[LIVING:] == -np.inf).all()
-    terms = {name: np.asarray(values[:LIVING]) for name, values in outcome.terms.items()}
+    assert (fitness[SURVIVORS:] == -np.inf).all()
+    terms = {name: np.asarray(values[:SURVIVORS]) for name, values in outcome.terms.items()}
     expected = (
         -np.minimum(terms["distance"], 1.5)
         - 0.2 * np.minimum(terms["energy"] / 2.0, 1.0)
         + 0.5 * terms["light"]
     )
-    np.testing.assert_allclose(fitness[:LIVING], expected, rtol=1e-6)
+    np.testing.assert_allclose(fitness[:SURVIVORS], expected, rtol=1e-6)
 
 
-def test_a_fitness_that_is_no_number_scores_nothing():
+def test_a_fitness_that_is_not_finite_becomes_minus_infinity():
     task = ReachLight((1.0, 0.0, 0.0))
     terms = {name: jnp.array([jnp.nan, jnp.inf, 0.5]) for name in ("distance", "energy", "light")}
     fitness = score(task, Outcome(terms, jnp.ones(3, bool)), {"energy": jnp.float32(1.0)})
@@ -102,8 +102,8 @@ NUMBERS = st.floats(0, 1)
 
 
 @given(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
-def test_no_light_outweighs_the_distance_and_no_thrift_the_light(distance, light, energy, other):
-    # Eq. 10: from the worst to the best of one term against the worst to the best of the next.
+def test_distance_outweighs_light_and_light_outweighs_energy(distance, light, energy, other):
+    # Eq. 10: the full range of a term outweighs the full range of the next one.
     task, scales = ReachLight((1.0, 0.0, 0.0)), {"energy": jnp.float32(4.0)}
 
     def fitness(distance, light, energy):
@@ -126,14 +126,14 @@ def test_no_light_outweighs_the_distance_and_no_thrift_the_light(distance, light
     assert fitness(distance, light, low) >= fitness(distance, light, high)
 
 
-def test_what_exceeds_the_yardsticks_counts_no_further():
+def test_terms_beyond_their_scales_do_not_change_the_fitness():
     task, scales = ReachLight((1.0, 0.0, 0.0)), {"energy": jnp.float32(4.0)}
     terms = {"distance": jnp.array([1.5, 9.0]), "energy": jnp.array([4.0, 1e9])}
     fitness = task.fitness(terms | {"light": jnp.zeros(2)}, scales)
     assert float(fitness[0]) == float(fitness[1]) == pytest.approx(-1.7)
 
 
-def test_the_energy_yardstick_may_be_given():
+def test_the_energy_scale_can_be_given():
     task = ReachLight((1.0, 0.0, 0.0), energy_max=250.0)
     spent = {"energy": jnp.array([5.0, 250.0, jnp.nan])}
     scales = task.scales(spent)
@@ -142,7 +142,7 @@ def test_the_energy_yardstick_may_be_given():
     np.testing.assert_allclose(task.fitness(terms, scales)[:2], [-0.004, -0.2], rtol=1e-6)
 
 
-def test_the_energy_yardstick_is_the_95th_percentile_of_the_living():
+def test_the_energy_scale_is_the_95th_percentile_of_finite_energies():
     task = ReachLight((1.0, 0.0, 0.0))
     energy = np.random.default_rng(0).uniform(1, 5, 40).astype(np.float32)
     given_energy = np.append(energy, [np.nan, np.inf]).astype(np.float32)
@@ -152,7 +152,7 @@ def test_the_energy_yardstick_is_the_95th_percentile_of_the_living():
         assert float(task.scales({"energy": jnp.asarray(idle, jnp.float32)})["energy"]) == 1.0
 
 
-def test_a_blind_animal_lives_its_trial():
+def test_an_animal_without_eyes_completes_its_trial():
     simulation = experiment(2, eyes=()).simulation
     terms = jax.eval_shape(lambda: rollout(simulation, jnp.ones((2, 3)))).terms
     assert {name: values.shape for name, values in terms.items()} == {
@@ -162,8 +162,8 @@ def test_a_blind_animal_lives_its_trial():
     }
 
 
-def test_forces_and_energy_of_a_control_step_are_those_of_its_physics_steps():
-    """Forces are means over them, energy is their sum."""
+def test_a_control_step_has_mean_forces_and_total_energy():
+    """Forces are means over the physics steps. Energy is their sum."""
     finer = dataclasses.replace(experiment(20).simulation, substeps=3)
     genes = GENES[:, :1]
     both = EachPhysicsStep(), Recorder()

@@ -1,4 +1,4 @@
-"""Tasks without a light: their terms from invented motions, from trials, and from a falling box."""
+"""Tasks without a light: terms from made-up motions, from trials, and from a falling box."""
 
 import dataclasses
 
@@ -33,7 +33,7 @@ GENES = np.array([[3.0, 2.0, 0.0], [1.0, 2.0, 1.0]], np.float32)
 
 @pytest.fixture(scope="module")
 def motion():
-    """A walk of random animals, wild enough that no two terms are alike."""
+    """Random motion of some animals, in which no two terms are equal."""
     rng = np.random.default_rng(0)
     position = rng.normal(size=(STEPS, 3, ANIMALS)).cumsum(0) + 5.0
     turns = Rotation.from_quat(rng.normal(size=(STEPS * ANIMALS, 4)))
@@ -41,7 +41,7 @@ def motion():
 
 
 def taken(step, place, turn, airborne):
-    """A control step that begins at a place, of which these tasks see nothing else."""
+    """Return a control step with this initial pose. These tasks use nothing else of it."""
     still = jnp.zeros((6, *place.shape[1:]))
     none = jnp.zeros((0, *place.shape[1:]))
     world = World(build_tree(BOX), 9.81)
@@ -54,14 +54,14 @@ def taken(step, place, turn, airborne):
 
 
 def judged(task, motion):
-    """The terms of an invented motion."""
+    """Return the terms of a made-up motion."""
     position, turns, airborne = motion
     quaternion = turns.as_quat()[:, [3, 0, 1, 2]].reshape(STEPS, ANIMALS, 4)
     tally = task.begin((ANIMALS,), jnp.dtype(jnp.float32), STEPS)
     for k in range(STEPS):
         place, turn = jnp.float32(position[k]), jnp.float32(quaternion[k].T)
-        share = jnp.float32(airborne[k])
-        tally = task.update(tally, taken(jnp.array(k), place, turn, share), STEPS)
+        fraction = jnp.float32(airborne[k])
+        tally = task.update(tally, taken(jnp.array(k), place, turn, fraction), STEPS)
     return task.terms(tally, STEPS)
 
 
@@ -69,15 +69,17 @@ def judged(task, motion):
 def test_distance_is_the_straight_line_over_ground(motion, heading):
     position = motion[0]
     terms = judged(Distance(heading=heading), motion)
-    way = position[-1] - position[0]
-    np.testing.assert_allclose(terms["distance"], np.hypot(way[0], way[1]), rtol=1e-5)
-    np.testing.assert_allclose(terms["forward"], way[0], rtol=1e-5, atol=1e-5)
-    assert (way[0] < 0).any()
+    displacement = position[-1] - position[0]
+    np.testing.assert_allclose(
+        terms["distance"], np.hypot(displacement[0], displacement[1]), rtol=1e-5
+    )
+    np.testing.assert_allclose(terms["forward"], displacement[0], rtol=1e-5, atol=1e-5)
+    assert (displacement[0] < 0).any()
     fitness = Distance(heading=heading).fitness(terms, {})
     np.testing.assert_array_equal(fitness, terms["distance" if heading == "any" else "forward"])
 
 
-def test_a_walk_is_judged_by_tilt_bounce_and_flight(motion):
+def test_a_walk_is_scored_by_tilt_bounce_and_airborne_time(motion):
     position, turns, airborne = motion
     terms = judged(Walk(torso_length=0.6), motion)
     up = turns.apply([0, 0, 1])[:, 2].reshape(STEPS, ANIMALS)
@@ -93,14 +95,14 @@ def test_the_weights_of_a_walk_are_in_torso_lengths(heading):
     weights |= {"bounce_weight": 5.0, "airborne_weight": 7.0}
     task = Walk(torso_length=0.5, heading=heading, **weights)
     terms = {"distance": 4.0, "forward": -3.0, "tilt": 0.1, "bounce": 0.02, "airborne": 0.3}
-    way = 4.0 if heading == "any" else -3.0
+    displacement = 4.0 if heading == "any" else -3.0
     fitness = float(task.fitness({name: jnp.float32(x) for name, x in terms.items()}, {}))
-    assert fitness == pytest.approx(2 * way / 0.5 - 3 * 0.1 - 5 * 0.02 / 0.5 - 7 * 0.3)
+    assert fitness == pytest.approx(2 * displacement / 0.5 - 3 * 0.1 - 5 * 0.02 / 0.5 - 7 * 0.3)
 
 
 @pytest.mark.parametrize("bounce", [0.0, 1e-3])
 def test_a_small_bounce_keeps_its_digits_in_a_long_trial(bounce):
-    """1200 steps at a height of 100 m, in float32."""
+    """The trial has 1200 steps at a height of 100 m, in float32."""
     steps, task = 1200, Walk(torso_length=0.6)
     heights = 100.0 + np.float32(bounce) * np.sign(np.arange(steps) % 2 - 0.5)
     upright = jnp.array([1.0, 0.0, 0.0, 0.0])
@@ -117,8 +119,8 @@ def test_a_small_bounce_keeps_its_digits_in_a_long_trial(bounce):
     assert float(terms["tilt"]) == 0.0
 
 
-def test_a_trial_in_the_dark_has_no_goal_and_its_distance_is_from_the_start():
-    """The same motion as beside the light, which the sine wave does not look at."""
+def test_a_trial_in_the_dark_measures_distance_from_the_start():
+    """The motion is equal with and without a light, because the sine wave ignores the light."""
     lit = experiment(40).simulation
     dark = dataclasses.replace(lit, task=Distance(), situations=(Situation((0.0, 0.0, 0.75)),))
     by_light, in_dark, outcome = quick_jit(
@@ -135,15 +137,15 @@ def test_a_trial_in_the_dark_has_no_goal_and_its_distance_is_from_the_start():
     np.testing.assert_allclose(head[1][0], [0, 0, 0.75], atol=1e-7)
     np.testing.assert_allclose(head[1] - [0, 0, 0.75], head[0], atol=1e-5)
     assert np.isnan(recordings[1].goal).all() and np.isfinite(recordings[0].goal).all()
-    way = np.linalg.norm((head[1] - head[1][0])[:, :2], axis=1)
-    np.testing.assert_allclose(recordings[1].distance, way, atol=1e-7)
-    assert way[-1] > 5e-3
-    assert float(outcome.terms["distance"][0]) == pytest.approx(way[-1], rel=1e-5)
+    distance = np.linalg.norm((head[1] - head[1][0])[:, :2], axis=1)
+    np.testing.assert_allclose(recordings[1].distance, distance, atol=1e-7)
+    assert distance[-1] > 5e-3
+    assert float(outcome.terms["distance"][0]) == pytest.approx(distance[-1], rel=1e-5)
     assert outcome.alive.all()
 
 
-def test_time_in_the_air_is_that_of_a_free_fall():
-    """A box let go 0.5 m above ground that returns nothing: sqrt(2 h / g) of one second."""
+def test_airborne_time_equals_the_free_fall():
+    """A box falls 0.5 m without bouncing, for sqrt(2 h / g) of one second."""
     tree, ground = build_tree(BOX), Ground(restitution=0.0)
     simulation = Simulation(
         world=World(tree, 9.81, contact_model=make_contact_model(BOX, tree, ground)),
@@ -156,13 +158,13 @@ def test_time_in_the_air_is_that_of_a_free_fall():
         situations=(Situation((0.0, 0.0, 0.6)),),
     )
     terms = quick_jit(lambda genes: rollout(simulation, genes))(GENES[:, :1]).terms
-    # It comes down within a physics step of that, and to rest in a few more.
+    # The box lands within a physics step of this time, and rests a few steps later.
     fall = np.sqrt(2 * 0.5 / 9.81)
     assert fall - 1 / 240 < float(terms["airborne"][0]) < fall + 10 / 240
     assert float(terms["distance"][0]) < 1e-6
 
 
-def test_without_ground_all_is_in_the_air():
+def test_the_airborne_fraction_is_1_without_ground():
     simulation = dataclasses.replace(experiment(3).simulation, task=Walk(torso_length=0.2))
     terms = quick_jit(lambda genes: rollout(simulation, genes))(GENES).terms
     np.testing.assert_allclose(terms["airborne"], 1.0, rtol=1e-6)

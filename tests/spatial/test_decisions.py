@@ -1,4 +1,4 @@
-"""Models that are built of known numbers and, with the same choices, of traced ones."""
+"""Models built of known numbers and, with the recorded decisions, of traced numbers."""
 
 import jax
 import jax.numpy as jnp
@@ -10,14 +10,14 @@ from evo_cpg.spatial.numerics import is_traced, xp
 
 
 def build(x, y):
-    """The area of the larger one of two squares, and a root of z^2 = x near by."""
+    """Return the area of the larger of two squares, and a root of z^2 = x."""
     largest = chosen(lambda: int(np.argmax([x, y])))
     area = xp.array([x, y])[largest] ** 2
     root = searched(lambda: float(np.sqrt(x)), lambda root: abs(root * root - x) < 1)
     return area, root - (root * root - x) / (2 * root)
 
 
-def test_what_is_traced_follows_what_was_chosen():
+def test_replay_keeps_the_recorded_decisions():
     with recording_decisions() as choices:
         known = build(2.0, 3.0)
     assert known == (9.0, pytest.approx(np.sqrt(2.0)))
@@ -32,25 +32,25 @@ def test_what_is_traced_follows_what_was_chosen():
             return build(x, 3.0)[1]
 
     assert float(jax.grad(area)(3.0)) == 6.0
-    # Where the other one would be larger it still is this one.
+    # The recorded square is used even if the other square is larger.
     assert float(area(jnp.asarray(1.0))) == 1.0
     np.testing.assert_allclose(jax.grad(root)(2.0), 0.5 / np.sqrt(2.0), rtol=1e-6)
 
 
-def test_notes_are_equal_where_the_same_is_chosen():
-    def noted(x, y):
+def test_records_are_equal_if_their_decisions_are():
+    def recorded(x, y):
         with recording_decisions() as choices:
             build(x, y)
         return choices
 
-    assert noted(2.0, 3.0) == noted(1.0, 4.0)
-    assert noted(2.0, 3.0) != noted(4.0, 3.0)
+    assert recorded(2.0, 3.0) == recorded(1.0, 4.0)
+    assert recorded(2.0, 3.0) != recorded(4.0, 3.0)
     with recording_decisions() as fewer:
         pass
-    assert noted(2.0, 3.0) != fewer
+    assert recorded(2.0, 3.0) != fewer
 
 
-def test_choices_within_choices_are_not_noted():
+def test_decisions_within_decisions_are_not_recorded():
     with recording_decisions() as choices:
         assert chosen(lambda: chosen(lambda: 3) + 1) == 4
     with replaying_decisions(choices):
@@ -66,7 +66,7 @@ def test_an_array_of_known_and_traced_numbers(dtype):
     assert isinstance(xp.array([[1, 2]], float), np.ndarray)
 
 
-def test_scalars_leave_the_precision_to_what_they_meet():
+def test_scalars_do_not_change_the_precision_of_arrays():
     assert type(xp.sin(1.0)) is float
     assert (xp.sin(1.0) * jnp.ones(2, jnp.float32)).dtype == jnp.float32
     np.testing.assert_allclose(jax.jit(xp.linalg.norm)(np.array([3.0, 4.0])), 5.0, rtol=1e-6)

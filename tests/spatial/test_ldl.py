@@ -1,4 +1,4 @@
-"""Symmetric equations: NumPy's answers, their derivatives, and what they cost in fused code."""
+"""Symmetric equations: solutions, derivatives and the cost in fused code."""
 
 import jax
 import jax.numpy as jnp
@@ -15,20 +15,20 @@ from evo_cpg.spatial.ldl import factorize, solve_factorized
 
 
 def definite(count, seed=0):
-    """Symmetric positive definite matrices ``(5, 5, count)``."""
+    """Return symmetric positive definite matrices ``(5, 5, count)``."""
     root = np.random.default_rng(seed).normal(size=(5, 5, count))
     return np.einsum("ikn,jkn->ijn", root, root) + 0.1 * np.eye(5)[..., None]
 
 
-def test_answers_are_numpys(x64):
+def test_solutions_equal_numpys(x64):
     H, b = definite(7), np.random.default_rng(1).normal(size=(5, 7))
-    wanted = np.linalg.solve(np.moveaxis(H, -1, 0), b.T[..., None])[..., 0].T
+    expected = np.linalg.solve(np.moveaxis(H, -1, 0), b.T[..., None])[..., 0].T
     for find in (solve_symmetric, lambda H, b: solve_factorized(factorize(H), b)):
-        np.testing.assert_allclose(quick_jit(find)(H, b), wanted, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(quick_jit(find)(H, b), expected, rtol=1e-10, atol=1e-12)
 
 
-def test_the_factors_are_featherstones(x64):
-    """``L^T D L`` with ones on the diagonal of L, by the lower triangle alone."""
+def test_factors_equal_featherstones(x64):
+    """Compare with ``L^T D L``, L with a unit diagonal, computed from the lower triangle alone."""
     H = definite(1)[..., 0]
     rows, inverse_pivots = factorize(jnp.asarray(np.tril(H)))
     L = np.eye(5)
@@ -37,25 +37,25 @@ def test_the_factors_are_featherstones(x64):
     np.testing.assert_allclose(L.T @ np.diag(1 / inverse_pivots) @ L, H, rtol=1e-12, atol=1e-12)
 
 
-def test_derivatives_are_those_of_the_inverse(x64):
-    """``d(H^-1 b) = H^-1 (db - dH H^-1 b)``, forwards and backwards."""
+def test_derivatives_equal_those_of_the_inverse(x64):
+    """Check ``d(H^-1 b) = H^-1 (db - dH H^-1 b)`` in forward and reverse mode."""
     H, b = definite(1)[..., 0], np.arange(5.0)
     change, other = definite(1, 2)[..., 0], np.ones(5)
     x = np.linalg.solve(H, b)
-    wanted = np.linalg.solve(H, other - change @ x)
+    expected = np.linalg.solve(H, other - change @ x)
     moved = jax.jvp(solve_symmetric, (H, b), (change, other))[1]
-    np.testing.assert_allclose(moved, wanted, rtol=1e-9)
+    np.testing.assert_allclose(moved, expected, rtol=1e-9)
     weights = np.arange(1.0, 6.0)
     by_H, by_b = jax.grad(lambda H, b: weights @ solve_symmetric(H, b), (0, 1))(H, b)
-    assert (by_H * change).sum() + by_b @ other == pytest.approx(weights @ wanted, rel=1e-9)
+    assert (by_H * change).sum() + by_b @ other == pytest.approx(weights @ expected, rel=1e-9)
 
 
-def test_zeros_between_limbs_cost_nothing():
-    """A root with two limbs that do not know of each other: no fill-in, and no operation on it."""
+def test_zeros_between_limbs_cost_no_operations():
+    """Solve for a root with two uncoupled limbs: no fill-in, and no operation on it."""
 
     def limbs(x):
         H = jnp.zeros((5, 5)).at[np.diag_indices(5)].set(10.0 + x[:5])
-        # Unknowns 1 and 2 hang on 0, and so do 3 and 4; 2 also on 1, 4 also on 3.
+        # Unknowns 1 to 4 are coupled to 0, and also 2 to 1 and 4 to 3.
         places = np.array([(1, 0), (2, 0), (2, 1), (3, 0), (4, 0), (4, 3)])
         return factorize(H.at[tuple(places.T)].set(x[5:]))
 
@@ -70,14 +70,14 @@ def test_zeros_between_limbs_cost_nothing():
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("count", [1, 7, 37])
 def test_native_loop_solves_as_numpy_does(monkeypatch, dtype, count):
-    """Some matrices have zeros where others do not, which a vector may not leave out."""
+    """Zeros of only some matrices in a vector may not be skipped."""
     monkeypatch.setattr(machine_constants, "LONGEST_ELIMINATION", 0)
     with jax.enable_x64(dtype is np.float64):
         H, b = definite(count), np.random.default_rng(1).normal(size=(5, count))
         for k in range(0, count, 3):
             H[1:3, 3:, k] = H[3:, 1:3, k] = 0
         H[0, 4] = H[4, 0] = 0
-        wanted = np.linalg.solve(np.moveaxis(H, -1, 0), b.T[..., None])[..., 0].T
+        expected = np.linalg.solve(np.moveaxis(H, -1, 0), b.T[..., None])[..., 0].T
 
         def run(H, b):
             return fuse(solve_symmetric, H, b, batch_ndim=1)
@@ -85,5 +85,5 @@ def test_native_loop_solves_as_numpy_does(monkeypatch, dtype, count):
         program = jax.jit(run).lower(jnp.asarray(H, dtype), jnp.asarray(b, dtype))
         assert "evo_cpg_" in program.as_text()
         got = program.compile()(jnp.asarray(H, dtype), jnp.asarray(b, dtype))
-        scale = np.abs(wanted).max()
-        assert np.abs(got - wanted).max() < (1e-12 if dtype is np.float64 else 1e-4) * scale
+        scale = np.abs(expected).max()
+        assert np.abs(got - expected).max() < (1e-12 if dtype is np.float64 else 1e-4) * scale

@@ -1,4 +1,4 @@
-"""Small matrices, components first, against NumPy on the same matrices, components last."""
+"""Small matrices with components first, against NumPy with components last."""
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ def last(x) -> np.ndarray:
 
 
 def test_products_equal_numpy():
-    """Every product against `@`, to rounding (1e-13)."""
+    """Compare every product with `@`, to rounding (1e-13)."""
     a, b, c, d, v, w = draw(2, 3), draw(3, 4), draw(4, 3), draw(2, 4), draw(3), draw(2)
     pairs = {
         "matmul": (linear.matmul(a, b), last(a) @ last(b)),
@@ -43,7 +43,7 @@ def test_products_equal_numpy():
 
 
 def test_cross_and_skew_equal_numpy():
-    """`numpy.cross` along the first axis, and the same product as a matrix."""
+    """Compare with `numpy.cross` along the first axis, and with the product as a matrix."""
     rng = np.random.default_rng(0)
     a, b = jnp.asarray(rng.normal(size=(2, 3, *BATCH)))
     expected = np.cross(a, b, axis=0)
@@ -53,10 +53,10 @@ def test_cross_and_skew_equal_numpy():
 
 @pytest.mark.parametrize("size", [1, 2, 3])
 def test_closed_form_inverses_equal_numpy(size):
-    """A thousand symmetric positive definite matrices of condition up to 1e3, in float64.
+    """Invert a thousand symmetric positive definite matrices of condition up to 1e3, in float64.
 
-    1e-9 of the largest element: a determinant by cofactors loses as much as the square of the
-    condition number times 1e-16. (A joint of a body ten times as long as thick has some 1e2.)
+    The tolerance is 1e-9 of the largest element. A determinant by cofactors loses up to the square
+    of the condition number times 1e-16. (A joint of a body ten times as long as thick has 1e2.)
     """
     rng = np.random.default_rng(size)
     basis = np.linalg.qr(rng.normal(size=(1000, size, size)))[0]
@@ -68,13 +68,13 @@ def test_closed_form_inverses_equal_numpy(size):
     assert error.max() < 1e-9
 
 
-def test_inverse_of_other_sizes_is_refused():
-    with pytest.raises(ValueError, match="closed-form inverse is for sizes 1 to 3, got 4"):
+def test_inverse_of_other_sizes_raises():
+    with pytest.raises(ValueError, match="needs a matrix of size 1 to 3, got 4"):
         linear.inverse_symmetric(jnp.eye(4))
 
 
 def test_lift_lines_up_the_first_axes():
-    """(3,) against (3, 2, 5): element i meets element i of the first axis, in its precision."""
+    """Match (3,) with the first axis of (3, 2, 5), in the precision of the latter."""
     x = np.ones((3, 2, 5), np.float32)
     lifted = linear.expand_dims_like(np.array([1.0, 2.0, 3.0]), jnp.asarray(x))
     assert lifted.shape == (3, 1, 1)

@@ -29,19 +29,19 @@ def turns(seed: int) -> Rotation:
 
 
 def ours(rotation: Rotation) -> jax.Array:
-    """Quaternions (w, x, y, z), components first."""
+    """Return quaternions (w, x, y, z), components first."""
     return jnp.asarray(np.roll(rotation.as_quat(), 1, axis=-1).T)
 
 
 def test_matrix_of_a_quaternion():
-    """Body to world, as SciPy has it."""
+    """The matrix rotates from body to world, as SciPy's does."""
     rotation = turns(0)
     matrices = np.moveaxis(np.asarray(quaternion_to_matrix(ours(rotation))), -1, 0)
     np.testing.assert_allclose(matrices, rotation.as_matrix(), atol=1e-14)
 
 
 def test_product_turns_by_the_second_first():
-    """a b is b followed by a, which is SciPy's ``a * b``."""
+    """The product a b is b followed by a, like SciPy's ``a * b``."""
     a, b = turns(1), turns(2)
     product = np.asarray(quaternion_product(ours(a), ours(b))).T
     expected = np.roll((a * b).as_quat(), 1, axis=-1)
@@ -51,9 +51,9 @@ def test_product_turns_by_the_second_first():
 
 @pytest.mark.parametrize("speed", [0.0, 1e-9, 1e-3, 0.3, 30.0])
 def test_integration_is_exact_for_a_constant_rate(speed):
-    """exp(h [w]) R for one step of 0.1 s, and 100 of 1 ms give the same, at any speed.
+    """One step of 0.1 s and 100 steps of 1 ms give exp(h [w]) R, at any speed.
 
-    The series below 2 mrad leaves out x^4 / 120 of sin(x) / x: 1e-14. Rounding adds up to 1e-13.
+    Below 2 mrad the series of sin(x) / x omits x^4 / 120, 1e-14. Rounding adds up to 1e-13.
     """
     rng = np.random.default_rng(3)
     omega = rng.normal(size=(3, COUNT))
@@ -71,14 +71,14 @@ def test_integration_is_exact_for_a_constant_rate(speed):
 
 
 def test_integration_has_a_gradient_at_rest():
-    """d(h w / 2) of the vector part at w = 0: h / 2, not NaN."""
+    """The derivative of the vector part, h w / 2, at w = 0 is h / 2, not NaN."""
     identity = jnp.array([1.0, 0.0, 0.0, 0.0])
     slope = jax.jacfwd(lambda w: integrate_quaternion(identity, w, 0.1))(jnp.zeros(3))
     np.testing.assert_allclose(slope, np.vstack([np.zeros(3), 0.05 * np.eye(3)]), atol=1e-15)
 
 
 def test_rotation_about_a_constant_axis():
-    """Rodrigues' formula for an oblique axis and an aligned one."""
+    """Compare with Rodrigues' formula for an oblique axis and an aligned axis."""
     angles = np.linspace(-np.pi, np.pi, COUNT)
     for axis in (np.array([2.0, -1.0, 2.0]) / 3, np.array([0.0, 0.0, -1.0])):
         matrices = axis_rotation(axis, jnp.sin(angles), jnp.cos(angles))
@@ -87,14 +87,14 @@ def test_rotation_about_a_constant_axis():
 
 
 def test_roll_pitch_yaw():
-    """Rz(yaw) Ry(pitch) Rx(roll): SciPy's extrinsic "xyz"."""
+    """Compare Rz(yaw) Ry(pitch) Rx(roll) with SciPy's extrinsic "xyz"."""
     for angles in np.random.default_rng(5).uniform(-3, 3, (10, 3)):
         expected = Rotation.from_euler("xyz", angles).as_matrix()
         np.testing.assert_allclose(euler_to_matrix(*angles), expected, atol=1e-14)
 
 
 def test_euler_angles_of_a_matrix_give_the_matrix():
-    """Also where the pitch is 90 degrees, or all but, and the angles are not unique."""
+    """This also holds at and near a pitch of 90 degrees, where the angles are not unique."""
     poles = [
         euler_to_matrix(roll, pitch, yaw)
         for roll, yaw in ((0.3, -1.1), (2.0, 2.0))

@@ -1,4 +1,4 @@
-"""What XLA is known to compute wrongly it does not, once the package is imported."""
+"""Known faults of XLA do not occur after an import of the package."""
 
 import os
 import subprocess
@@ -19,7 +19,7 @@ assert wrong < 1e-5, wrong
 
 @pytest.mark.parametrize("flags", [None, "--xla_cpu_enable_fast_math=false"])
 def test_thousands_of_products_of_matrices_are_right(flags):
-    """In a process of its own, optimised as for users."""
+    """Run in a separate process, with the optimisation that users have."""
     environment = {key: value for key, value in os.environ.items() if key != "XLA_FLAGS"}
     if flags is not None:
         environment["XLA_FLAGS"] = flags

@@ -1,4 +1,4 @@
-"""Benchmarks as a study: its parts are the suite's cases, and need no runs."""
+"""Benchmarks as a study: parts are the suite's cases, and need no runs."""
 
 import sys
 
@@ -12,12 +12,12 @@ from evo_cpg.studies import benchmarks, provenance
 from evo_cpg.studies.benchmarks import STUDY, SuiteError, bench_suite
 
 
-def test_its_parts_are_the_cases_of_the_suite():
+def test_parts_are_the_cases_of_the_suite():
     assert list(STUDY.parts) == list(suite.CASES)
     assert set(benchmarks._MOVING) == set(suite.ANIMALS)
 
 
-def test_a_part_is_measured_and_tells_how(tmp_path):
+def test_a_part_records_its_tables_and_provenance(tmp_path):
     make(STUDY, ["brain"], tmp_path, True, False, 2)
     text = (tmp_path / "brain.md").read_text()
     told = provenance.read(tmp_path)["brain"]
@@ -33,8 +33,8 @@ def test_a_part_is_measured_and_tells_how(tmp_path):
     assert provenance.problems(tmp_path) == []
 
 
-def test_what_moves_is_drawn_and_what_is_left_is_said(tmp_path, monkeypatch, capsys):
-    """Stopped in the second of three parts: the first one stays."""
+def test_an_interrupt_keeps_finished_parts_and_names_the_rest(tmp_path, monkeypatch, capsys):
+    """The second of three parts is interrupted. The first part has a picture."""
 
     def moving(plan, peak):
         assert plan.quick is False and plan.cores == 2
@@ -49,8 +49,8 @@ def test_what_moves_is_drawn_and_what_is_left_is_said(tmp_path, monkeypatch, cap
     monkeypatch.setitem(suite.CASES, "ga", suite.Case(stopped))
     with pytest.raises(KeyboardInterrupt):
         make(STUDY, ["quadruped", "ga", "brain"], tmp_path, False, False, 2)
-    left = f"interrupted; `evo-cpg reproduce benchmarks ga brain --out {tmp_path}` makes the rest"
-    assert left in capsys.readouterr().err
+    left = f"`evo-cpg reproduce benchmarks ga brain --out {tmp_path}`"
+    assert f"interrupted. Make the rest with {left}" in capsys.readouterr().err
     assert set(provenance.read(tmp_path)["quadruped"]["files"]) == {"quadruped.md", "quadruped.png"}
     text = (tmp_path / "quadruped.md").read_text()
     assert "| physics | 120 | 900 k |" in text
@@ -58,15 +58,15 @@ def test_what_moves_is_drawn_and_what_is_left_is_said(tmp_path, monkeypatch, cap
     assert not (tmp_path / "ga.md").exists()
 
 
-def test_without_a_clone_or_mujoco_it_says_so(tmp_path, monkeypatch):
+def test_a_missing_checkout_or_package_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(evo_cpg, "__file__", str(tmp_path / "evo_cpg" / "__init__.py"))
-    with pytest.raises(SuiteError, match="part of a checkout of evo_cpg; there is none in"):
+    with pytest.raises(SuiteError, match=r"part of a checkout of evo_cpg, but .* is no checkout"):
         make(STUDY, ["brain"], tmp_path / "out", True, False, 2)
     monkeypatch.undo()
-    # As an import fails where something is missing.
+    # None makes the import fail.
     monkeypatch.setitem(sys.modules, "benchmarks.suite", None)
     with pytest.raises(
         SuiteError,
-        match=r"suite needs benchmarks.suite, which `.*\[test\]'` installs",
+        match=r"suite needs benchmarks.suite. Install it: `.*\[test\]'`",
     ):
         bench_suite()

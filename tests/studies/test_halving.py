@@ -1,4 +1,4 @@
-"""Displacements of champions at smaller steps: of what keeps its way, and of what does not."""
+"""Displacements of champions at smaller time steps."""
 
 import jax
 import numpy as np
@@ -9,15 +9,15 @@ from evo_cpg.studies.halving import Displacements, displacements, kept
 from tiny_run import CONFIG, PAIR
 
 
-def test_a_swimmer_goes_as_far_at_half_the_step():
-    """In water motion is no chaos: the step's error is what is left, and falls with the step."""
+def test_a_swimmer_keeps_its_displacement_at_half_the_step():
+    """Motion in water is not chaotic, so the difference falls with the step."""
     config = load_config(CONFIG, [*PAIR, "simulation.steps=240"])
     simulation = build_experiment(config, CONFIG).simulation
     genes = np.asarray(simulation.genome.random(jax.random.key(1), (16,), np.float32)).T
     found = displacements(simulation, genes)
     moves = found.own > 1e-3
     assert moves.sum() > 3
-    found = Displacements(*(way[moves] for way in found))
+    found = Displacements(*(each[moves] for each in found))
     np.testing.assert_allclose(found.hair, found.own, rtol=1e-3)
     first, second = np.abs(found.half - found.own), np.abs(found.quarter - found.half)
     assert first.max() > 1e-6
@@ -25,6 +25,6 @@ def test_a_swimmer_goes_as_far_at_half_the_step():
     assert 0.9 < kept(found.own, found.half) <= 1
 
 
-def test_what_is_kept_is_the_median_share_and_never_more_than_all():
+def test_the_kept_fraction_is_a_median_of_fractions_up_to_1():
     own = np.array([2.0, 4.0, 1.0])
     assert kept(own, np.array([1.0, 5.0, 0.9])) == 0.9

@@ -1,4 +1,4 @@
-"""What studies measure, where the answer is known."""
+"""Measurements of studies, for cases with a known answer."""
 
 from unittest import mock
 
@@ -22,24 +22,24 @@ from evo_cpg.view import search_plots
 from tiny_run import CONFIG, PAIR
 
 
-def test_falls_are_counted_from_the_highest_before():
+def test_falls_are_relative_to_the_highest_before():
     best = np.array([[4.0, 1.0], [2.9, 2.0], [4.0, 3.0], [3.1, 4.0], [1.0, 5.0], [1.0, 6.0]])
     falls, share = fukui2003._falls(best)
-    # Below 3 m in the generations 1, 4 and 5; the other run only rises.
+    # The first run is below 3 m in the generations 1, 4 and 5. The second run only rises.
     np.testing.assert_array_equal(falls, [2, 0])
     assert share == 3 / 12
 
 
-def test_an_animal_that_holds_one_posture_has_one_angle_everywhere():
+def test_one_posture_has_equal_genes_for_all_angles():
     path = shipped("fukui2003_model1").path
     controller = build_experiment(load_config(path), path).simulation.controller
     assert isinstance(controller, PostureController)
     genes = one_posture(controller, 170.0)
-    # Of 110, 130, 150, 170 the fourth, number 3: 011.
+    # 170 is the fourth of 110, 130, 150 and 170: number 3, bits 011.
     np.testing.assert_array_equal(genes.reshape(-1, 3), np.tile([0, 1, 1], (64, 1)))
 
 
-def test_springs_and_legs_change_in_all_eight_boxes():
+def test_overrides_change_springs_and_lengths_of_all_eight_boxes():
     path = shipped("fukui2003_model1").path
     strong = load_config(path, fukui2003._springs(2.0)).creature.bodies
     for body in strong[1:]:
@@ -69,9 +69,12 @@ def test_an_animal_without_drive_stays_where_it_is():
     assert np.abs(controller.cpg_inputs(outputs)[0]).max() < 1e-12
 
 
-def test_tables_of_audits_show_shares_and_reasons():
-    ways = ("own", 2.0), ("b", 1.9), ("b, hard", 1.0)
-    opinions = [{"program": name, "way": way, "upright": 1.0} for name, way in ways]
+def test_audit_tables_show_fractions_and_reasons():
+    displacements = ("own", 2.0), ("b", 1.9), ("b, hard", 1.0)
+    opinions = [
+        {"program": name, "way": displacement, "upright": 1.0}
+        for name, displacement in displacements
+    ]
     row = {
         "seed": 3,
         "passed": False,
@@ -80,8 +83,9 @@ def test_tables_of_audits_show_shares_and_reasons():
         "opinions": opinions,
     }
     every = audit_table("", {"animal": [row]})
-    assert every.head == ["", "seed", "way, m", "in other poses or draws", "at half the step",
-                          "b: over ground, m", "b, hard: over ground, m", "passes"]  # fmt: skip
+    assert every.head == ["", "seed", "displacement, m", "in other poses or draws",
+                          "at half the step", "b: over ground, m", "b, hard: over ground, m",
+                          "passes"]  # fmt: skip
     assert every.rows == [
         ["animal", "3", "2.00", "", "50.0 %", "1.90", "1.00",
          "no: half the step: 50 %, less than 90 %"]
@@ -93,8 +97,8 @@ def test_tables_of_audits_show_shares_and_reasons():
     assert alone.rows[0][-2] == ""
 
 
-def test_a_figure_of_searches_shows_what_their_champions_are_worth(monkeypatch):
-    """As the table beside it does; the history has the luckiest scores."""
+def test_figure_and_table_of_searches_show_expected_fitness(monkeypatch):
+    """The history has the luckiest scores instead."""
     terms = {"distance": 0.4}
     champion = Champion(np.zeros(1), 0.9, 1, terms, {}, lives=16, expected=0.7)
     workshop = mock.create_autospec(Workshop, instance=True)
@@ -108,6 +112,6 @@ def test_a_figure_of_searches_shows_what_their_champions_are_worth(monkeypatch):
     assert made.rows[0][2] == "0.750 (0.700 to 0.800)"
 
 
-def test_a_table_is_one_of_markdown():
+def test_a_table_becomes_markdown():
     shown = markdown(Table("Title:", ["a", "b"], [["1", "2"]]))
     assert shown == "Title:\n\n| a | b |\n| --- | --- |\n| 1 | 2 |"

@@ -1,4 +1,4 @@
-"""Pages of studies show what `evo-cpg reproduce` made, as it made it."""
+"""Pages of studies show unchanged results of `evo-cpg reproduce`."""
 
 import json
 import re
@@ -15,18 +15,18 @@ DOCS = Path(__file__).parents[2] / "docs"
 FOLDER = DOCS / "reproduction"
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)
 STUDIES = sorted(path.parent for path in FOLDER.glob("*/" + provenance.FILE))
-# What a page takes from a study's folder.
+# Tables and figures that a page takes from a study's folder.
 TAKEN = r"(?:```\{figure\}|<!-- begin table) (\S+)"
 GENERATED = re.compile(r"<!-- begin table .*?<!-- end -->", re.S)
 
 
 def own_tables(text: str) -> list[str]:
-    """Heads of the tables that stand in a page itself."""
+    """Return the heads of tables in a text."""
     return re.findall(r"^\|.*\|\n\|(?:\s*:?-+:?\s*\|)+$", text, re.MULTILINE)
 
 
 def faults(page: Path) -> list[str]:
-    """What is wrong with what a page takes from studies."""
+    """Return the problems of tables and figures that a page takes from studies."""
     found = []
     for taken in re.findall(TAKEN, page.read_text()):
         path = (page.parent / taken).resolve()
@@ -43,14 +43,14 @@ def faults(page: Path) -> list[str]:
     return found
 
 
-def test_no_page_of_a_study_has_tables_of_its_own():
+def test_study_pages_have_no_tables_of_their_own():
     pages = [*sorted(FOLDER.glob("*.md")), DOCS / "benchmarks.md"]
     assert len(pages) > 4
     for page in pages:
         assert not own_tables(GENERATED.sub("", page.read_text())), page
 
 
-def test_what_pages_take_is_as_it_was_made():
+def test_pages_take_unchanged_results():
     taken = [name for page in PAGES for name in re.findall(TAKEN, page.read_text())]
     assert len(taken) > 15
     for page in PAGES:
@@ -68,7 +68,7 @@ def test_every_file_of_a_study_has_a_provenance_and_a_caption(folder):
         assert text.count(line) == len(own_tables(text)) > 0, name
 
 
-def test_a_table_that_was_changed_or_is_quick_or_of_nobody_is_found(tmp_path, monkeypatch):
+def test_changed_quick_and_unknown_tables_are_found(tmp_path, monkeypatch):
     shutil.copytree(FOLDER / "starfish", tmp_path / "starfish", ignore=lambda *_: ["runs"])
     monkeypatch.setattr("test_study_pages.FOLDER", tmp_path)
     page = tmp_path / "page.md"
@@ -85,7 +85,7 @@ def test_a_table_that_was_changed_or_is_quick_or_of_nobody_is_found(tmp_path, mo
     (folder / "lags.md").rename(folder / "other.md")
     missing, unknown = provenance.problems(folder)
     assert "lags.md of part lags is missing" in missing
-    assert "other.md is of no part" in unknown
+    assert "other.md belongs to no part" in unknown
     page.write_text("<!-- begin table starfish/other.md -->")
     assert faults(page) == ["starfish/other.md: no part made it"]
     assert own_tables("| a | b |\n|---|:-:|\n") == ["| a | b |\n|---|:-:|"]

@@ -1,4 +1,4 @@
-"""Climbing: Adam as its authors wrote it, and not thrown by slopes that explode."""
+"""Gradient ascent: the published Adam, with a guard against exploding gradients."""
 
 from typing import Any
 
@@ -29,13 +29,13 @@ def climb(loss, start, size: float, slopes: int):
 
 
 def valley(y):
-    """Rosenbrock's."""
+    """Return Rosenbrock's function."""
     return (1 - y[0]) ** 2 + 100 * (y[1] - y[0] ** 2) ** 2
 
 
 @pytest.mark.usefixtures("x64")
-def test_the_steps_are_those_of_the_published_algorithm():
-    # Kingma and Ba 2015, algorithm 1, written out.
+def test_the_steps_equal_the_published_algorithm():
+    # Algorithm 1 of Kingma and Ba 2015.
     y, size, decays = np.array([-1.2, 1.0]), 0.01, (0.9, 0.99)
     mean, square = np.zeros(2), np.zeros(2)
     places = [y]
@@ -46,7 +46,7 @@ def test_the_steps_are_those_of_the_published_algorithm():
         unbiased = mean / (1 - decays[0] ** count), square / (1 - decays[1] ** count)
         y = y - size * unbiased[0] / np.sqrt(unbiased[1])
         places.append(y)
-    # Some places on the way are higher than those before.
+    # Some points are higher than earlier points.
     for slopes, last_is_best in ((1, True), (2, True), (10, True), (30, False), (40, True)):
         best = int(np.argmin([valley(y) for y in places[:slopes]]))
         assert (best == slopes - 1) == last_is_best
@@ -54,14 +54,14 @@ def test_the_steps_are_those_of_the_published_algorithm():
         np.testing.assert_allclose(found, places[best], rtol=1e-9)
 
 
-def test_it_comes_down_a_curved_valley():
+def test_the_solver_descends_a_curved_valley():
     assert valley(climb(valley, [-1.2, 1.0], 0.02, 1500)) < 1e-3
 
 
 @pytest.mark.parametrize("cliff", [1e8, np.nan, np.inf])
-def test_a_cliff_does_not_throw_it_off(cliff):
-    # One huge or undefined slope on the way down: without the guard Adam's second moment, which
-    # remembers it, would hold it back for hundreds of steps, or for ever.
+def test_a_cliff_does_not_stop_the_solver(cliff):
+    # One gradient is huge or undefined. Without the guard, Adam's second moment would keep it and
+    # stop the solver for hundreds of steps, or for ever.
     def loss(y):
         height = jnp.sum(y**2)
         near = jnp.abs(y[0] - 0.7) < 0.006
@@ -71,7 +71,7 @@ def test_a_cliff_does_not_throw_it_off(cliff):
     assert float(jnp.sum(found**2)) < 1e-3
 
 
-def test_the_guard_cuts_only_what_is_out_of_proportion():
+def test_the_guard_cuts_only_much_longer_gradients():
     def after(*lengths):
         guard = clip_long_gradients()
         slope = jnp.zeros(2)
@@ -83,13 +83,13 @@ def test_the_guard_cuts_only_what_is_out_of_proportion():
 
     np.testing.assert_allclose(after(1.0, 9.0), [5.4, 7.2], rtol=1e-6)
     np.testing.assert_allclose(after(1.0, 500.0), [6.0, 8.0], rtol=1e-6)
-    # The mean is 1.9 behind a slope of 10.
+    # The mean length is 1.9 after gradients of length 1 and 10.
     np.testing.assert_allclose(after(1.0, 500.0, 500.0), [11.4, 15.2], rtol=1e-6)
     assert after(1.0, np.nan).tolist() == [0.0, 0.0]
     np.testing.assert_allclose(after(1.0, np.nan, 9.0), [5.4, 7.2], rtol=1e-6)
 
 
-def test_one_that_never_lives_is_worth_nothing_and_stays_where_it_was():
+def test_an_always_infinite_loss_keeps_the_initial_point():
     solver = Climber(search=optimistix.LearningRate(0.1))
     found = optimistix.minimise(
         lambda y, _: jnp.inf + jnp.sum(y), solver, jnp.ones(2), max_steps=3, throw=False
@@ -99,7 +99,7 @@ def test_one_that_never_lives_is_worth_nothing_and_stays_where_it_was():
 
 
 @pytest.mark.slow
-def test_every_individual_climbs_its_own_way_from_where_it_is():
+def test_each_individual_climbs_independently():
     made = experiment(40)
     run = compile_ascent(made, population_mesh(), 6)
     genes = np.array([[1.0, 1.0, 1.4, 0.3], [1.0, 1.0, 0.8, 1.5]], np.float32)
@@ -120,10 +120,10 @@ def test_every_individual_climbs_its_own_way_from_where_it_is():
 
     np.testing.assert_allclose(fitness, judged(best), rtol=1e-4)
     assert (fitness > judged(genes) + 1e-5).all()
-    # The wider steps of the second lane got it further from the same place.
+    # The second lane has larger steps and gets farther from the same place.
     moved = np.abs(best - genes).max(0)
     assert 0 < moved[0] < moved[1]
-    # Each lane for itself.
+    # A lane alone gives the result that it gives among others.
     alone = run(
         genes[:, 2:3],
         ClimbSettings(settings.sizes[2:3], settings.retentions[2:3]),
@@ -132,7 +132,7 @@ def test_every_individual_climbs_its_own_way_from_where_it_is():
     np.testing.assert_allclose(alone.genes[:, 0], best[:, 2], rtol=1e-3)
 
 
-def test_ways_are_spread_over_their_ranges():
+def test_settings_are_spread_over_their_ranges():
     simulation = experiment(600).simulation
     settings = draw_settings(np.random.default_rng(0), simulation, 4000)
     assert 2.9e-4 < settings.sizes.min() < 4e-4 < 8e-3 < settings.sizes.max() < 1.01e-2

@@ -1,4 +1,4 @@
-"""Where compiled programs are kept, and that nothing goes wrong where they cannot be."""
+"""Folder of compiled programs, and cases in which none can be kept."""
 
 import os
 
@@ -20,7 +20,7 @@ def restored_options(monkeypatch, tmp_path):
         jax.config.update(name, value)
 
 
-def test_a_folder_for_this_kind_of_processor(tmp_path):
+def test_programs_have_a_folder_for_each_kind_of_processor(tmp_path):
     folder = keep_compiled_programs()
     assert folder is not None
     assert folder.is_dir()
@@ -34,13 +34,13 @@ def test_the_users_own_folder_stays():
     assert jax.config.jax_compilation_cache_dir == "/somewhere/else"
 
 
-def test_without_a_place_to_write_nothing_is_kept(tmp_path):
+def test_nothing_is_kept_without_a_writable_folder(tmp_path):
     (tmp_path / "cache").write_text("a file where the folder should be")
     assert keep_compiled_programs() is None
     assert jax.config.jax_compilation_cache_dir is None
 
 
-def test_the_oldest_programs_go_first(tmp_path):
+def test_the_oldest_programs_are_deleted_first(tmp_path):
     for age, name in enumerate(("new", "middle", "old")):
         (tmp_path / name).write_bytes(bytes(100))
         os.utime(tmp_path / name, (1000 - age, 1000 - age))
@@ -48,7 +48,7 @@ def test_the_oldest_programs_go_first(tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["middle", "new"]
 
 
-def test_what_another_process_takes_away_meanwhile_is_passed_over(tmp_path):
+def test_files_that_another_process_deletes_are_skipped(tmp_path):
     (tmp_path / "gone").symlink_to("renamed")
     (tmp_path / "there").write_bytes(bytes(100))
     _prune(tmp_path, 50)

@@ -1,7 +1,7 @@
-"""Runs that are repeated have the same bits, and those that are noted for this kind of machine.
+"""Repeated runs have equal bits, which equal the recorded bits of this kind of machine.
 
-`EVO_CPG_NOTE_BITS=1 pytest tests/training/test_determinism.py` notes the bits of this machine, or
-notes them anew after a change of the program that is meant to change them.
+`EVO_CPG_NOTE_BITS=1 pytest tests/training/test_determinism.py` records the bits of this machine.
+Repeat it after a change of the program that is meant to change the bits.
 """
 
 import functools
@@ -45,7 +45,7 @@ KINDS = {
 
 
 def digest(kind: str, folder: Path) -> str:
-    """Of all that a run comes to but times."""
+    """Return the digest of all results of a run, except times."""
     name, settings = KINDS[kind]
     path = CONFIG.with_name(f"{name}.yaml")
     config = load_config(path, settings)
@@ -63,7 +63,7 @@ def digest(kind: str, folder: Path) -> str:
 
 
 def machine(engine) -> str:
-    """What bits depend on, in the tests."""
+    """Return a description of the machine that bits depend on."""
     here = machine_fingerprint(engine, 2)
     versions = [f"{name} {here['versions'][name]}" for name in ("jaxlib", "numpy")]
     flags = []
@@ -85,7 +85,7 @@ EACH_KIND = pytest.mark.parametrize("kind", [_slow(kind) for kind in KINDS])
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory):
-    """Return the digest of a kind's run, which is made once."""
+    """Return a function that returns the digest of a kind's run, which is made once."""
     return functools.cache(lambda kind: digest(kind, tmp_path_factory.mktemp("first")))
 
 
@@ -95,7 +95,7 @@ def test_same_run_has_same_bits(kind, first, tmp_path):
 
 
 @EACH_KIND
-def test_run_has_the_noted_bits(kind, first):
+def test_run_has_the_recorded_bits(kind, first):
     name, settings = KINDS[kind]
     path = CONFIG.with_name(f"{name}.yaml")
     here = machine(build_experiment(load_config(path, settings), path).simulation.engine)
@@ -104,12 +104,12 @@ def test_run_has_the_noted_bits(kind, first):
         noted.setdefault(here, {})[kind] = first(kind)
         NOTED.write_text(json.dumps(noted, indent=1, sort_keys=True) + "\n")
     if kind not in noted.get(here, {}):
-        # Each kind of machine rounds in its own way.
-        pytest.skip(f"no bits are noted for {here}")
+        # Each kind of machine rounds differently.
+        pytest.skip(f"no result of {kind} is recorded for the machine {here}")
     assert first(kind) == noted[here][kind]
 
 
-def test_what_changes_bits_is_named_where_it_differs():
+def test_machine_changes_that_affect_bits_are_named():
     from evo_cpg.fusion.engine import Engine
 
     here = machine_fingerprint(Engine(), 2)

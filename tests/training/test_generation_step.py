@@ -1,4 +1,4 @@
-"""One generation on one device and on two; who dies is counted and never wins."""
+"""One generation on one and two devices. Diverged individuals are counted and never win."""
 
 import dataclasses
 import functools
@@ -39,16 +39,16 @@ def genes(small):
 
 @pytest.fixture(scope="module")
 def run_trials(small):
-    """Trials on two devices, of which the second is needed from the 17th individual on."""
+    """Return trials on two devices. The second is needed from the 17th individual on."""
     return compile_trials(small.simulation, population_mesh(2))
 
 
 @pytest.fixture(scope="module")
 def evaluated(genes, run_trials):
-    """The same 11 individuals, alone on one device, and before 9 others on two."""
+    """Return outcomes of 11 individuals: alone on one device, and with 9 others on two."""
     more = np.concatenate([genes, genes[:, :9] + 0.1], axis=1)
-    crowd = jax.tree.map(lambda x: x[:11], run_trials(more))
-    return run_trials(genes), crowd
+    first = jax.tree.map(lambda x: x[:11], run_trials(more))
+    return run_trials(genes), first
 
 
 def test_two_devices_give_the_same_bits_as_one(evaluated):
@@ -60,13 +60,13 @@ def test_two_devices_give_the_same_bits_as_one(evaluated):
     np.testing.assert_array_equal(one.alive, two.alive)
 
 
-def test_padding_a_population_changes_nobody(small, genes, evaluated):
+def test_padding_a_population_changes_no_result(small, genes, evaluated):
     outcome = jax.jit(lambda g: rollout(small.simulation, g))(genes)
     for name, values in outcome.terms.items():
         np.testing.assert_allclose(evaluated[1].terms[name], values, rtol=1e-5, atol=1e-7)
 
 
-def test_a_replay_is_the_trial_and_its_recording(small, genes, evaluated):
+def test_a_replay_equals_the_trial_and_its_recording(small, genes, evaluated):
     outcome, frames = jax.jit(lambda g: replay(small, 2, g))(genes[:, 4])
     for name, values in evaluated[1].terms.items():
         np.testing.assert_array_equal(outcome.terms[name], values[4:5])
@@ -77,7 +77,7 @@ def test_a_replay_is_the_trial_and_its_recording(small, genes, evaluated):
 
 
 def of_run(generation: Generation, run: int) -> Generation:
-    """What came out of one run; the next populations are left out."""
+    """Return the results of one run, without the next population."""
     parts = generation._replace(next_genes=generation.best_genes)
     return jax.tree.map(lambda x: x[run], parts)
 
@@ -88,7 +88,7 @@ def step(small, run_trials):
     return lambda genes, i, scales: breeding(genes, run_trials(genes), i, scales, ())
 
 
-def test_the_diverged_are_counted_and_never_win_or_set_the_yardstick(small, genes, step):
+def test_diverged_individuals_are_counted_and_never_win_or_set_scales(small, genes, step):
     wild = np.array(genes)
     wild[0, 3], wild[0, 7] = np.nan, 1e7
     old = {"energy": np.float32([123.0])}
@@ -104,7 +104,7 @@ def test_the_diverged_are_counted_and_never_win_or_set_the_yardstick(small, gene
     np.testing.assert_array_equal(result.best_genes, wild[:, order[0]])
     np.testing.assert_array_equal(generation.next_genes[:, :2], wild[:, order[:2]])
     assert np.isfinite(generation.next_genes).all()
-    # After the first generation the yardstick stays.
+    # Scales stay after the first generation.
     later = of_run(step(wild, np.int32(1), old), 0)
     assert float(later.scales["energy"]) == 123.0
     expected = score(small.simulation.task, Outcome(later.terms, later.alive), later.scales)
@@ -125,20 +125,20 @@ def test_seeds_differ_from_the_first_generation_on(small, genes):
     assert (np.asarray(first_population(small._replace(seed=1))) != np.asarray(genes)).all()
 
 
-def test_one_individual_alone_scores_as_it_does_in_company(genes, run_trials, evaluated):
+def test_one_individual_scores_equally_alone_and_among_others(genes, run_trials, evaluated):
     alone = run_trials(genes[:, 6:7])
     for name, values in evaluated[1].terms.items():
         np.testing.assert_array_equal(alone.terms[name], values[6:7])
 
 
 class Lifeless(SineController):
-    """All of whose individuals diverge."""
+    """Controller whose individuals all diverge."""
 
     def random_genes(self, key, batch, dtype):
         return jnp.full((self.gene_count, *batch), jnp.nan, dtype)
 
 
-def test_a_run_in_which_nobody_lives_has_no_champion(small, tmp_path):
+def test_a_run_whose_individuals_all_diverge_has_no_champion(small, tmp_path):
     simulation = dataclasses.replace(small.simulation, controller=Lifeless())
     folder = RunFolder(tmp_path / "run")
     folder.create("", {})

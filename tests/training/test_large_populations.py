@@ -1,4 +1,4 @@
-"""Populations in chunks: how wide they are, that nobody notices, and that memory is bounded."""
+"""Populations in chunks: widths, equal results and bounded memory."""
 
 import dataclasses
 
@@ -29,8 +29,8 @@ SIZE = 25
 
 
 @pytest.fixture(scope="module")
-def crowd():
-    """Individuals that each live twice, with noise."""
+def large():
+    """Return an experiment with two noisy trials of each individual."""
     made = experiment(15, SIZE)._replace(trials=2)
     noisy = dataclasses.replace(made.simulation, noise=Noise(joint_angle=0.1))
     return made._replace(simulation=noisy)
@@ -38,12 +38,12 @@ def crowd():
 
 @pytest.fixture
 def narrow(monkeypatch):
-    """No chunk is wider than one vector."""
+    """Limit chunks to one vector."""
     monkeypatch.setattr(machine_constants, "WIDEST_CHUNK", 1)
 
 
 def idle(count, devices):
-    """Places that a layout leaves empty."""
+    """Return the number of places that a layout leaves empty."""
     block = min(devices, -(-count // LANES)) * chunk_width(count, devices)
     return -count % block
 
@@ -54,9 +54,9 @@ def test_chunks_are_of_full_vectors_and_not_too_wide(count):
     for population in COUNTS:
         width = chunk_width(population, count)
         assert width % LANES == 0 and 0 < width <= widest
-        # A population that is filled up has the layout of the one that was.
+        # A population that fills all places has an equal layout.
         assert chunk_width(population + idle(population, count), count) == width
-        # One vector on each device less would not hold all, unless that saves chunks elsewhere.
+        # Fewer vectors on each device could not hold all, unless this saves chunks elsewhere.
         share = -(-population // count)
         if share <= widest:
             assert width <= -(-share // LANES) * LANES + LANES
@@ -75,7 +75,7 @@ def test_widths_of_usual_populations(population, count, expected):
     assert chunk_width(population, count) == expected
 
 
-def test_graphics_processors_get_all_at_once(monkeypatch):
+def test_a_gpu_computes_its_whole_part_at_once(monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert chunk_width(4000, 1) == 4000 and chunk_width(4000, 3) == 1344
 
@@ -87,13 +87,13 @@ def test_devices_without_a_vector_of_their_own_stay_idle():
 
 
 @pytest.mark.parametrize("count", [1, 31, 32, 33, 70, 96])
-def test_everyone_comes_back_in_order_once(count):
-    """Numbers that name their owner; the places beyond them repeat the last, and are cut off."""
+def test_results_return_in_order_and_once(count):
+    """Each individual returns its number. Places after the last individual are cut off."""
     mesh = population_mesh(2)
-    asked = []
+    blocks = []
 
     def pick(numbers):
-        asked.append(numbers)
+        blocks.append(numbers)
         return (
             np.float32([[0], [100]]) + numbers.astype(np.float32),
             None,
@@ -111,7 +111,7 @@ def test_everyone_comes_back_in_order_once(count):
     run = sharded(flat, mesh, (2, 1, 0), 1)
     found = run_in_blocks(run, Layout(mesh, 16), count, pick)
     np.testing.assert_array_equal(found, 2 * names + 100)
-    places = np.concatenate(asked)
+    places = np.concatenate(blocks)
     assert len(places) == -(-count // 32) * 32
     np.testing.assert_array_equal(places[:count], np.arange(count))
     np.testing.assert_array_equal(places[count:], count - 1)
@@ -120,12 +120,12 @@ def test_everyone_comes_back_in_order_once(count):
     np.testing.assert_array_equal(found, [names + 0.5, names + 100.5])
 
 
-def test_chunks_change_nobody(crowd, narrow):
-    """50 trials in two blocks of 32, against some of them and one alone; to the last bit."""
-    genes = np.asarray(first_population(crowd))
-    keys = np.asarray(generation_keys(crowd, np.int32(1)))
+def test_chunks_change_no_result(large, narrow):
+    """50 trials in two blocks of 32 equal some of the trials, and one alone, to the last bit."""
+    genes = np.asarray(first_population(large))
+    keys = np.asarray(generation_keys(large, np.int32(1)))
     of_each = keys.reshape(-1, SIZE, 2)
-    live = compile_trials(crowd.simulation, population_mesh(2))
+    live = compile_trials(large.simulation, population_mesh(2))
     outcome = live(genes, keys, None, 2)
     assert len(np.unique(outcome.terms["distance"])) > 1.9 * SIZE
     for some in (range(9), range(10, 21), range(16, SIZE)):
@@ -133,10 +133,10 @@ def test_chunks_change_nobody(crowd, narrow):
         for name, values in own.terms.items():
             expected = outcome.terms[name].reshape(SIZE, 2)[some]
             np.testing.assert_array_equal(values, expected.reshape(-1))
-    repeat = jax.jit(lambda *x: replay(crowd, 2, *x)[0])
+    repeat = jax.jit(lambda *x: replay(large, 2, *x)[0])
     for name, values in repeat(genes[:, 17], of_each[:, 17]).terms.items():
         np.testing.assert_array_equal(values, outcome.terms[name][34:36])
-    # An individual that diverges, at the end and so in the empty places too, disturbs nobody.
+    # The last individual diverges, also in the empty places. Others keep their results.
     wild = genes.copy()
     wild[:, -1] = np.nan
     disturbed = live(wild, keys, None, 2)
@@ -146,7 +146,7 @@ def test_chunks_change_nobody(crowd, narrow):
 
 
 def test_more_generations_and_individuals_take_no_more_memory(monkeypatch, tmp_path):
-    """No array stays behind, and there is one program for a block, so its memory is the same."""
+    """No array stays behind, and all blocks use one program, so memory is constant."""
     programs, functions = [], []
 
     def noted(*arguments):

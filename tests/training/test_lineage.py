@@ -1,4 +1,4 @@
-"""The champions of a run on its way: kept, bounded, and the same after a kill."""
+"""Lineage: earlier champions are kept, bounded, and equal after a kill."""
 
 import numpy as np
 import pytest
@@ -19,13 +19,13 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 
 def found_in(generation: int, run: int = 0, genes: int = 2) -> Champion:
-    """A champion that is the better the later it was found."""
+    """Return a champion whose fitness rises with its generation."""
     own = np.full(genes, generation, np.float32)
     return Champion(own, generation / 7, generation, {"way": 2.0}, {"energy": 3.0}, run, 5)
 
 
 def grown(generations, lineage=()) -> list[Champion]:
-    """A lineage in whose every one of these generations a champion was found."""
+    """Return the lineage of a run that found a champion in each of these generations."""
     for generation in generations:
         lineage = extended(lineage, [found_in(generation)])
     return list(lineage)
@@ -45,7 +45,7 @@ def folder(tmp_path):
     return made
 
 
-def test_a_lineage_comes_back_to_the_last_bit(folder):
+def test_a_lineage_is_read_back_exactly(folder):
     lineage = extended([], [found_in(3, 1), found_in(0, 1), found_in(2, 0)])
     assert [(each.run, each.generation) for each in lineage] == [(0, 2), (1, 0), (1, 3)]
     folder.save_lineage(lineage)
@@ -54,7 +54,7 @@ def test_a_lineage_comes_back_to_the_last_bit(folder):
         assert arrays["genes"].shape == (3, 2)
 
 
-def test_measures_that_came_later_are_unknown_before():
+def test_measures_added_later_are_nan_before():
     early, late = found_in(0), found_in(1)._replace(terms={"way": 1.0, "slip": 0.5})
     first, second = read_lineage(
         {k: np.asarray(v) for k, v in lineage_arrays([early, late]).items()}
@@ -62,7 +62,7 @@ def test_measures_that_came_later_are_unknown_before():
     assert np.isnan(first.terms["slip"]) and second.terms["slip"] == 0.5
 
 
-def test_it_is_bounded_and_knows_every_landmark():
+def test_a_lineage_is_bounded_and_exact_at_landmarks():
     lineage = grown(range(3000))
     assert len(lineage) == KEPT
     assert landmarks(300) == [0, 1, 2, 5, 10, 20, 50, 100, 200]
@@ -70,13 +70,13 @@ def test_it_is_bounded_and_knows_every_landmark():
         assert champion_at(lineage, mark).generation == mark
     generations = [each.generation for each in lineage]
     assert generations[0] == 0 and generations[-1] == 2999
-    # No long stretch of the way is without anybody.
+    # No long stretch of generations is without a champion.
     age = np.log1p(generations)
     assert np.diff(age).max() < 0.95
 
 
-def test_landmarks_stay_exact_where_champions_are_rare():
-    """Who is champion at a landmark was found before it."""
+def test_landmarks_stay_exact_if_champions_are_rare():
+    """The champion at a landmark may have been found earlier."""
     generations = sorted({round(1.08**k) + k for k in range(120)})
     lineage = grown(generations)
     assert len(lineage) == KEPT < len(generations)
@@ -87,8 +87,8 @@ def test_landmarks_stay_exact_where_champions_are_rare():
 
 
 @pytest.mark.parametrize("lost", [1, 2])
-def test_generations_done_again_after_a_kill_leave_the_same_lineage(lost):
-    """The file may be one generation ahead of the checkpoint, or two where that was damaged."""
+def test_generations_repeated_after_a_kill_give_an_equal_lineage(lost):
+    """The file may be one generation ahead of the checkpoint, or two if that was damaged."""
     for last in (5, 90, 200):
         whole = grown(range(last))
         back = until(whole, [found_in(last - lost - 1)], last - lost)
@@ -96,20 +96,20 @@ def test_generations_done_again_after_a_kill_leave_the_same_lineage(lost):
         assert_same(grown(range(last - lost, last), back), whole)
 
 
-def test_runs_have_their_own(folder):
+def test_each_run_has_its_own_lineage(folder):
     lineage = grown(range(100)) + [found_in(g, 1) for g in (0, 50)]
     lineage = extended(lineage, [found_in(100, 1)])
     assert sum(each.run == 0 for each in lineage) == KEPT
     assert [each.generation for each in lineage if each.run == 1] == [0, 50, 100]
 
 
-def test_a_champion_that_was_refined_takes_its_place():
+def test_a_refined_champion_replaces_the_original():
     lineage = grown(range(4))
     better = lineage[-1]._replace(fitness=9.0)
     assert_same(until(lineage, [better, None], 4), [*lineage[:-1], better])
 
 
-def test_who_is_shown():
+def test_representatives_are_evenly_spaced():
     lineage = grown((0, 1, 2, 3, 5, 9, 20, 33))
     assert [each.generation for each in representatives(lineage, 4)] == [0, 2, 9, 33]
     assert representatives(lineage, 9) == lineage
@@ -129,18 +129,18 @@ def test_a_missing_or_damaged_lineage_is_named(folder):
         {"term.way": np.float64(1.0)},
     ):
         np.savez(folder.lineage, **(lineage_arrays(lineage) | change))
-        with pytest.raises(RunFolderError, match=r"lineage\.npz is damaged \(its arrays are not"):
+        with pytest.raises(RunFolderError, match=r"lineage\.npz is damaged \(its arrays do not"):
             folder.load_lineage()
     folder.lineage.write_bytes(b"no archive")
-    with pytest.raises(RunFolderError, match=r"damaged \(.+\); the run can go on, but"):
+    with pytest.raises(RunFolderError, match=r"damaged \(.+\)\. The run can continue, but"):
         folder.load_lineage()
 
 
-def test_a_run_whose_lineage_is_lost_goes_on_with_its_champions(folder):
+def test_a_run_with_a_lost_lineage_continues_with_its_champions(folder):
     known = Checkpoint(6, np.zeros((2, 4), np.float32), (found_in(3), None), [], {})
     folder.lineage.write_bytes(b"no archive")
     assert_same(running._lineage_until(folder, known), [found_in(3)])
-    # Of another brain, before config.yaml was changed.
+    # The genes belong to another brain, before a change of config.yaml.
     folder.save_lineage([found_in(2, genes=3)])
     assert_same(running._lineage_until(folder, known), [found_in(3)])
     folder.save_lineage([found_in(1)])

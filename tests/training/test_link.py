@@ -11,7 +11,7 @@ from evo_cpg.training.link import Link
 
 
 class End:
-    """One end of a pair, and the reasons for which it was lost."""
+    """One end of a pair, with the reported reasons of a loss."""
 
     def __init__(self, connection: socket.socket, name: str):
         self.connection, self.reasons = connection, queue.SimpleQueue()
@@ -27,7 +27,7 @@ def pair():
         yield first, second
 
 
-def test_frames_come_in_order_and_whole(pair):
+def test_frames_arrive_in_order_and_complete(pair):
     a, b = (End(each, "the other") for each in pair)
     frames = [b"", b"one", bytes(range(256)) * 20_000]
     for frame in frames:
@@ -49,7 +49,7 @@ def test_a_process_that_leaves_is_not_lost(pair):
     assert b.reasons.empty() and a.reasons.empty()
 
 
-def test_a_process_that_ends_is_gone(pair):
+def test_a_process_that_ends_is_reported(pair):
     _, b = pair[0], End(pair[1], "process 7")
     pair[0].close()
     assert b.reasons.get(timeout=10.0) == "process 7 is gone"
@@ -62,11 +62,11 @@ def test_a_reported_reason_arrives(pair):
     assert b.reasons.get(timeout=10.0) == "process 3 is gone"
 
 
-def test_a_silent_process_is_dead_or_stopped(pair, monkeypatch):
+def test_a_silent_process_is_reported(pair, monkeypatch):
     monkeypatch.setattr(link, "SILENCE", 0.3)
     b = End(pair[1], "process 7")
     for _ in range(4):
-        # Heartbeats of the other end.
+        # Send heartbeats of the other end.
         pair[0].sendall(link._HEAD.pack(link._HEARTBEAT, 0))
         time.sleep(0.15)
     assert b.reasons.empty()

@@ -1,4 +1,4 @@
-"""One process at a time changes a folder, and who is refused learns who that is."""
+"""One process at a time changes a folder. A refused process names the other."""
 
 import json
 import os
@@ -24,7 +24,7 @@ with locked(Path(sys.argv[1])):
 
 
 def hold(folder):
-    """A process that locks a folder and keeps it locked."""
+    """Start a process that locks a folder and keeps it locked."""
     started = subprocess.Popen(
         [sys.executable, "-c", HOLD, folder],
         stdout=subprocess.PIPE,
@@ -35,14 +35,14 @@ def hold(folder):
     return started
 
 
-def test_the_second_process_is_told_who_holds_the_folder(tmp_path):
+def test_the_second_process_names_the_holder_of_the_lock(tmp_path):
     with hold(tmp_path) as holder:
         try:
             words = rf"is in use by process {holder.pid} on {platform.node()} \(`-c {tmp_path}`, "
             with pytest.raises(LockedError, match=words) as refused, locked(tmp_path):
                 pass
             assert "\n" not in str(refused.value)
-            assert str(refused.value).endswith("; wait until that has ended, or end it")
+            assert str(refused.value).endswith(". Wait until that process ends, or end it")
         finally:
             holder.kill()
 
@@ -57,7 +57,7 @@ def test_the_lock_of_a_killed_process_is_released(tmp_path):
     assert not (tmp_path / locks.FILE).exists()
 
 
-def test_a_folder_is_locked_once_and_then_free(tmp_path):
+def test_a_folder_is_locked_once_and_freed(tmp_path):
     with locked(tmp_path):
         assert locks.holds(tmp_path)
         with pytest.raises(LockedError, match="is in use by process"), locked(tmp_path):
@@ -81,7 +81,7 @@ def test_a_shared_lock_lasts_until_the_last_has_left(tmp_path):
 
 
 def test_a_file_that_its_holder_deleted_locks_nothing(tmp_path, monkeypatch):
-    """Two open the file of a third. It ends, one locks the file, and the other makes a new one."""
+    """A process deletes its lock while another has the file open. The other makes a new file."""
     path, opened = tmp_path / locks.FILE, locks._open
 
     def slow(place):
@@ -97,7 +97,7 @@ def test_a_file_that_its_holder_deleted_locks_nothing(tmp_path, monkeypatch):
             pass
 
 
-def test_a_folder_that_is_made_for_nothing_goes_again(tmp_path):
+def test_an_empty_folder_made_for_a_lock_is_deleted(tmp_path):
     with locked(tmp_path / "runs" / "one", make=True):
         assert (tmp_path / "runs" / "one" / locks.FILE).exists()
     assert not (tmp_path / "runs").exists()
@@ -106,9 +106,9 @@ def test_a_folder_that_is_made_for_nothing_goes_again(tmp_path):
     assert [path.name for path in (tmp_path / "runs").rglob("*")] == ["two", "config.yaml"]
 
 
-def test_a_place_that_holds_no_lock_is_refused(tmp_path):
+def test_a_path_that_cannot_hold_a_lock_is_refused(tmp_path):
     (tmp_path / "file").touch()
-    words = "file is a file; choose another --out"
+    words = r"file is a file\. Choose another --out"
     with pytest.raises(OutputError, match=words), locked(tmp_path / "file", make=True):
         pass
     words = r"cannot write .*missing \(No such file"
@@ -117,14 +117,14 @@ def test_a_place_that_holds_no_lock_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"process": "x"}', "[" * 9999, "\xff"])
-def test_a_holder_that_left_no_name_is_another_process(tmp_path, text):
+def test_a_holder_without_a_name_is_another_process(tmp_path, text):
     with locked(tmp_path):
         (tmp_path / locks.FILE).write_text(text, encoding="latin-1")
         with pytest.raises(LockedError, match="is in use by another process"), locked(tmp_path):
             pass
 
 
-def test_what_a_stranger_wrote_into_the_file_stays_one_line(tmp_path):
+def test_text_from_the_lock_file_stays_short_and_printable(tmp_path):
     told = {"process": 1, "host": "a\x1b[2J\nb", "command": "c" * 5000, "since": "now"}
     with locked(tmp_path):
         (tmp_path / locks.FILE).write_text(json.dumps(told))
@@ -134,7 +134,7 @@ def test_what_a_stranger_wrote_into_the_file_stays_one_line(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="locks of POSIX systems")
-def test_without_locks_nobody_is_kept_off(tmp_path, monkeypatch):
+def test_systems_without_locks_refuse_no_process(tmp_path, monkeypatch):
     def unknown(descriptor, kind):
         raise OSError(38, "Function not implemented")
 

@@ -1,4 +1,4 @@
-"""Elites that learn: better in the generation that follows, and each run for itself."""
+"""Elites that learn improve the next generation, independently in each run."""
 
 import numpy as np
 import pytest
@@ -28,23 +28,24 @@ def learned(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_what_elites_learn_shows_in_the_next_generation(learned, tmp_path):
+def test_learning_improves_the_next_generation(learned, tmp_path):
     plain = evolve(MADE._replace(learning=None), tmp_path / "run")
     with_it, without = untimed(learned.history), untimed(plain.history)
-    # Nothing is different before the elites first learn, which is after two generations.
+    # The elites first learn after two generations, so these are equal.
     assert with_it[:2] == without[:2]
-    # All others of the generation that follows are the same two ways.
+    # The next generations differ in their elites only.
     assert with_it[2]["mean"] > without[2]["mean"] + 1e-5
 
 
 @pytest.mark.slow
-def test_a_run_learns_the_same_beside_another(learned, tmp_path):
+def test_learning_does_not_depend_on_other_runs(learned, tmp_path):
     pair = evolve(MADE._replace(seed=SEED - 1, runs=2), tmp_path / "run")
     beside = [row for row in pair.history if row["run"] == 1]
     assert untimed(beside) == untimed(learned.history)
 
 
-def test_a_resumed_run_learns_the_same(learned, tmp_path):
+@pytest.mark.slow
+def test_a_resumed_run_learns_equally(learned, tmp_path):
     folder = RunFolder(tmp_path / "run")
     folder.create("", {})
     train(MADE._replace(generations=1), folder)

@@ -1,4 +1,4 @@
-"""A run that does not fit is refused before it starts."""
+"""A run that does not fit into memory is refused before it starts."""
 
 import dataclasses
 
@@ -18,30 +18,30 @@ def sized(population, runs=1):
     return small._replace(strategy=genetics, runs=runs)
 
 
-def test_what_is_needed_grows_with_genomes_alone():
+def test_memory_grows_with_the_genomes():
     few, many, twice = (memory.needed(sized(*x)) for x in ((10**5,), (2 * 10**5,), (10**5, 2)))
-    # Two genes of four bytes, of which breeding holds several copies.
+    # There are two genes of four bytes. Breeding holds several copies.
     assert 4 * 8 * 10**5 <= many - few == twice - few <= 10 * 8 * 10**5
 
 
-def test_a_map_counts_with_its_cells(monkeypatch):
+def test_the_cells_of_a_map_count(monkeypatch):
     genetics = experiment(population=11).strategy
     axes = tuple(Axis(name, 0.0, 1.0, 300) for name in ("distance", "energy"))
     mapped = experiment()._replace(strategy=Mapped(11, axes, genetics))
-    # Two genes, two descriptors, fitness, generation and number, of four bytes each.
+    # A cell holds two genes, two descriptors, fitness, generation and index, four bytes each.
     assert memory.remembered(mapped) == pytest.approx(7 * 4 * 90_000, rel=1e-3)
     assert memory.needed(mapped) == memory.needed(sized(11)) + 6 * memory.remembered(mapped)
     monkeypatch.setattr(memory, "available", lambda: 2**29 + 2**20)
     with pytest.raises(
         memory.TooLargeError,
-        match=r"of 2 genes, and the 0\.0023 GiB that their search remembers need .* "
-        "no population is small enough",
+        match=r"of 2 genes, and 0\.0023 GiB of search state need .* "
+        "No population fits into the memory",
     ):
         memory.require_memory(mapped)
 
 
-def test_what_evosax_and_pyribs_remember_counts():
-    """A full covariance matrix grows with the square of the genes; a map of pyribs is a second."""
+def test_the_state_of_evosax_and_pyribs_counts():
+    """A covariance matrix grows with the square of the genes. Maps of pyribs take twice as much."""
 
     def of(strategy, genes):
         simulation = experiment().simulation
@@ -59,19 +59,19 @@ def test_what_evosax_and_pyribs_remember_counts():
     matrices = of(Ribs(12, 200, axes, emitters=2, es="cma_es"), 200) - of(
         Ribs(12, 200, axes, emitters=2), 200
     )
-    # Three matrices for each emitter, kept as float64.
+    # Each emitter has three matrices in float64.
     assert matrices == pytest.approx(2 * 3 * 8 * 200**2, rel=0.05)
 
 
-def test_the_machine_is_known():
+def test_the_memory_of_the_machine_is_known():
     there = memory.available()
     assert there is None or there > 2**27
 
 
-def test_a_population_that_does_not_fit_is_refused_with_the_one_that_does(monkeypatch):
+def test_the_error_names_the_largest_population_that_fits(monkeypatch):
     monkeypatch.setattr(memory, "available", lambda: 2**30)
     memory.require_memory(sized(10**6))
-    with pytest.raises(memory.TooLargeError, match=r"allowed here: (\d+)") as caught:
+    with pytest.raises(memory.TooLargeError, match=r"Allowed here: (\d+)") as caught:
         memory.require_memory(sized(10**8, 2))
     most = int(str(caught.value).rsplit(" ", 1)[1])
     memory.require_memory(sized(most, 2))

@@ -1,4 +1,4 @@
-"""Evolving postures in bits, from a configuration to the last population."""
+"""Evolution of postures as bits, from a configuration to the last population."""
 
 import numpy as np
 import yaml
@@ -8,7 +8,7 @@ from evo_cpg.config.load import check_config
 from evo_cpg.training.loop import train
 from evo_cpg.training.run_folder import RunFolder
 
-# Two boxes in water on a dashpot hinge: enough to flap.
+# Two boxes in water on a dashpot hinge can flap.
 FLAPPER = """
 name: flapper
 creature:
@@ -30,7 +30,7 @@ evolution: {type: bits, generations: 4, mutated_genes: [2, 10]}
 
 
 def test_postures_evolve(tmp_path):
-    """The genes stay bits, the seven best are kept, and so the best never gets worse."""
+    """Genes stay bits. The seven best are kept, so the best fitness never falls."""
     experiment = build_experiment(check_config(yaml.safe_load(FLAPPER), "flapper"), "flapper")
     folder = RunFolder(tmp_path / "run")
     folder.create(FLAPPER, {"devices": 1, "seed": 0})
@@ -40,5 +40,5 @@ def test_postures_evolve(tmp_path):
     best = [row["best"] for row in finished.history]
     assert len(best) == 4 and np.all(np.diff(best) >= 0)
     assert all(row["diverged"] == 0 for row in finished.history)
-    # The champion's genome is among those kept, bit for bit.
+    # The population has the champion's exact genome.
     assert (finished.genes == finished.champion.genes[:, None]).all(0).any()

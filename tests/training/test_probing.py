@@ -1,4 +1,4 @@
-"""An animal in situations that it never saw does what it does in each of them alone."""
+"""A probe in several situations gives the results of each situation alone."""
 
 import dataclasses
 
@@ -35,12 +35,12 @@ def simulation():
 
 @pytest.fixture(scope="module")
 def found(simulation):
-    # Neither noise nor what the animal evolved for makes a difference to where it goes.
+    # Neither noise nor the task changes the path.
     noisy = dataclasses.replace(simulation, noise=Noise(0.1, 0.1, 0.5), task=Distance())
     return probe(noisy, GENES, SITUATIONS)
 
 
-def test_lights_are_put_around_the_start_as_high_as_they_were():
+def test_lights_move_around_the_start_at_equal_elevation():
     seen = np.array([seen_from_start(situation) for situation in SITUATIONS])
     elevation = np.arcsin(1 / np.sqrt(11))
     expected = [(d, np.deg2rad(b), elevation) for d in (2, 4) for b in (-60, 10, 80)]
@@ -57,7 +57,7 @@ def test_lights_are_put_around_the_start_as_high_as_they_were():
     assert seen_from_start(kept)[0] == pytest.approx(2)
 
 
-def test_each_situation_comes_out_as_it_does_alone(simulation, found):
+def test_each_situation_gives_the_result_of_a_run_alone(simulation, found):
     assert found.alive.all() and len(found.paths) == 6
     for i in (0, 4):
         alone = dataclasses.replace(simulation, situations=SITUATIONS[i : i + 1])
@@ -69,26 +69,26 @@ def test_each_situation_comes_out_as_it_does_alone(simulation, found):
         )
         path = np.asarray(frames["position"])[:, :, 0, 0]
         np.testing.assert_allclose(found.paths[i], path, atol=1e-5)
-        # What is left is that of the path's last second.
-        way = np.linalg.norm(path - SITUATIONS[i].light, axis=1)
-        assert found.start_distance[i] == pytest.approx(way[0], rel=1e-6)
-        assert found.distance[i] == pytest.approx(way[-60:].mean() / way[0], rel=1e-5)
+        # The remaining distance is the mean of the last second.
+        distance = np.linalg.norm(path - SITUATIONS[i].light, axis=1)
+        assert found.start_distance[i] == pytest.approx(distance[0], rel=1e-6)
+        assert found.distance[i] == pytest.approx(distance[-60:].mean() / distance[0], rel=1e-5)
     assert len(np.unique(found.light)) == 6
 
 
-def test_a_light_is_reached_where_little_is_left_and_the_animal_lives(found):
+def test_a_light_is_reached_if_little_distance_is_left_and_alive(found):
     some = float(np.sort(found.distance)[2])
     assert found.reached(some).sum() == 3 and not found.reached(0.0).any()
     dead = found._replace(alive=np.zeros(6, bool))
     assert not dead.reached(9.0).any()
 
 
-def test_an_animal_that_diverges_has_no_numbers(simulation):
+def test_results_of_a_diverged_animal_are_nan(simulation):
     lost = probe(simulation, np.array([np.nan, 1.0], np.float32), SITUATIONS[:2])
     assert not lost.alive.any() and np.isnan([lost.distance, lost.light]).all()
 
 
-def test_the_blind_see_no_light_and_feel_everything_else(simulation):
+def test_a_blinded_animal_loses_only_its_light_sensors(simulation):
     blind = blinded(simulation)
     tree = simulation.world.tree
     light = jnp.array([3.0, 1.0, 0.5])[:, None]
@@ -106,8 +106,8 @@ def test_the_blind_see_no_light_and_feel_everything_else(simulation):
     assert repr(restored) == repr(simulation)
 
 
-def test_the_blind_go_the_same_way_wherever_the_light_is(simulation, found):
-    """And not the way of those that see."""
+def test_a_blinded_animal_ignores_the_place_of_the_light(simulation, found):
+    """Its path differs from the paths with eyes."""
     unseen = probe(blinded(simulation), GENES, SITUATIONS)
     np.testing.assert_array_equal(unseen.light, 0)
     np.testing.assert_array_equal(unseen.paths, np.broadcast_to(unseen.paths[0], (6, STEPS, 3)))

@@ -1,4 +1,4 @@
-"""Teams of processes: how work is shared out, and what processes tell each other."""
+"""Teams of processes: division of trials, and exchange of results."""
 
 import itertools
 import json
@@ -17,7 +17,7 @@ from tiny_run import environment
 
 
 def parts(count: int, processes: int, trials: int = 1) -> list[slice]:
-    """Of all processes; the class asks JAX for its devices only where there are several."""
+    """Return the parts of all processes, from teams without connections."""
     teams = [Team(0, 1) for _ in range(processes)]
     for index, team in enumerate(teams):
         team.index, team.count = index, processes
@@ -27,7 +27,7 @@ def parts(count: int, processes: int, trials: int = 1) -> list[slice]:
 @pytest.mark.parametrize(
     ("count", "processes", "trials"), [(200, 4, 1), (4096, 7, 1), (100, 3, 3), (64, 4, 8)]
 )
-def test_parts_follow_each_other_and_differ_by_a_vector(count, processes, trials):
+def test_parts_are_contiguous_and_differ_by_a_vector(count, processes, trials):
     found = parts(count, processes, trials)
     assert found[0].start == 0 and found[-1].stop == count
     assert all(a.stop == b.start for a, b in itertools.pairwise(found))
@@ -36,17 +36,17 @@ def test_parts_follow_each_other_and_differ_by_a_vector(count, processes, trials
     vectors = [math.ceil(size / LANES) for size in sizes]
     step = trials // math.gcd(LANES, trials)
     assert max(vectors) - min(vectors) <= step
-    # No process computes a vector that one process alone would not.
+    # All processes together compute as few vectors as one process alone.
     assert sum(vectors) == math.ceil(count * trials / LANES)
 
 
-def test_where_there_are_too_few_the_others_try_the_last_again():
+def test_spare_processes_repeat_the_last_individual():
     found = parts(20, 4)
     assert sum(part == slice(19, 20) for part in found) == 2
     assert slice(0, 16) in found and slice(16, 20) in found
 
 
-def test_a_lone_process_gets_back_what_it_gives():
+def test_a_team_of_one_returns_its_arguments():
     genes, tree = np.ones((3, 20), np.float32), {"a": np.arange(20)}
     assert ALONE.leads
     assert ALONE.part(20) == slice(0, 20)
@@ -57,13 +57,13 @@ def test_a_lone_process_gets_back_what_it_gives():
 
 
 def run(code: str, count: int, compiled: Path, *arguments: object) -> list[str]:
-    """What each of several processes prints, to which the team is known as `team`.
+    """Run code in several processes, and return the output of each.
 
     Args:
-        code: of each.
-        count: of the processes.
-        compiled: where they keep what they compile.
-        arguments: that the code knows under this name.
+        code: code of each process. The name `team` is its team.
+        count: number of processes.
+        compiled: folder of compiled programs.
+        arguments: values of the code's name `arguments`.
     """
     start = f"""
 import json, os, signal, sys, time
@@ -135,19 +135,19 @@ print(json.dumps(told))
 """
 
 
-def test_two_processes_tell_each_other(tmp_path):
+def test_two_processes_exchange_results(tmp_path):
     for out in run(TALK, 2, tmp_path):
         told = json.loads(out)
         assert told[:6] == [True] * 6
         assert told[6:8] == ["", "process 0 unlike 1"]
         assert told[8].endswith(
-            ": the population of generation 4 differs between the processes: process 0 unlike 1; "
-            "processors of different kinds may round differently, so take machines of one kind"
+            ": the population of generation 4 differs between the processes: process 0 unlike 1. "
+            "Processors of different kinds may round differently, so use machines of one kind"
         )
 
 
 @pytest.mark.slow
-def test_four_processes_tell_each_other(tmp_path):
+def test_four_processes_exchange_results(tmp_path):
     for out in run(TALK, 4, tmp_path):
         told = json.loads(out)
         assert told[:6] == [True] * 6
@@ -171,13 +171,15 @@ else:
 """
 
 
-def test_a_stuck_process_is_not_waited_for(tmp_path):
+@pytest.mark.slow
+def test_waiting_for_a_stuck_process_ends(tmp_path):
     lead, other = run(LATE, 2, tmp_path, 1.0, 3.0)
-    words = "process 0 has waited 1 s for a second look; its own took 0.0 s: another process hangs"
+    words = "process 0 has waited 1 s for a second look (its own work took 0.0 s). Another process"
     assert lead.startswith(f"process 0 of 2: {words}")
-    # The lead told it why the team cannot go on.
+    # The lead sent the reason why the team cannot continue.
     assert other.startswith(f"process 1 of 2: {words}")
 
 
-def test_a_late_process_is_waited_for(tmp_path):
+@pytest.mark.slow
+def test_a_late_process_is_awaited(tmp_path):
     assert run(LATE, 2, tmp_path, 120.0, 3.0) == ["done\n", "done\n"]

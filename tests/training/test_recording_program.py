@@ -25,7 +25,7 @@ NOISY = (*TINY, "noise.joint_angle_deg=2", "simulation.trials=3", "seed=77")
 
 @pytest.fixture
 def lowered():
-    """Every program that JAX lowers during the test, and the thread that does."""
+    """Record every program that JAX lowers during the test, and the thread."""
     seen = []
 
     def listen(event: str, seconds: float, **details) -> None:
@@ -44,12 +44,13 @@ def folder_of(path, overrides):
     return build_experiment(load_config(CONFIG, overrides), CONFIG), folder
 
 
+@pytest.mark.slow
 def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered, capsys):
     settings = (*TINY, "seed=76", "audit.after_training=false")
     experiment, folder = folder_of(tmp_path / "run", settings)
     training.evolve_run(Opened(folder, load_config(CONFIG, settings), experiment))
-    who = {name: thread for name, thread in lowered if "replay" in name}
-    assert who and all(thread.startswith("recording") for thread in who.values()), lowered
+    threads = {name: thread for name, thread in lowered if "replay" in name}
+    assert threads and all(thread.startswith("recording") for thread in threads.values()), lowered
     mine = [name for name, thread in lowered if thread == threading.main_thread().name]
     assert any("rollout" in name for name in mine)
     assert not any("replay" in name or "judge" in name for name in mine), mine
@@ -61,8 +62,8 @@ def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered, 
     assert np.array_equal(again[2].position, motion.position)
 
 
-def test_it_is_told_once_and_after_the_first_trials(tmp_path):
-    """Not before: two programs would be compiled at once, and the first generation come later."""
+def test_on_compiled_is_called_once_after_the_first_trials(tmp_path):
+    """Compiling two programs at once would delay the first generation."""
     experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
     told, rows = [], []
     loop.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
@@ -72,7 +73,7 @@ def test_it_is_told_once_and_after_the_first_trials(tmp_path):
 
 
 def test_one_program_replays_any_champion(tmp_path):
-    """With noise of its own for each: compiled before there was any."""
+    """The program is compiled before there is a champion, and each champion has its own noise."""
     experiment, folder = folder_of(tmp_path / "run", NOISY)
     run = replay.compile_replay(experiment, 2)
     champion = loop.train(experiment, folder).champion
@@ -82,8 +83,8 @@ def test_one_program_replays_any_champion(tmp_path):
     assert run(champion._replace(index=champion.index + 1))[0] != fitness
 
 
-def test_an_interrupt_skips_the_first_look_alone(tmp_path, monkeypatch, capsys):
-    """The champion is recorded by then, and the run is finished."""
+def test_an_interrupt_skips_only_the_first_look(tmp_path, monkeypatch, capsys):
+    """The champion is already recorded, and the run is finished."""
     recorded = []
 
     class Interrupted(Recorder):
@@ -106,7 +107,7 @@ def test_an_interrupt_skips_the_first_look_alone(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(("noise", "programs"), [((), 1), (("noise.joint_angle_deg=2",), 2)])
-def test_what_is_left_of_compiling_is_estimated_by_the_first_program(
+def test_remaining_compile_time_is_estimated_from_the_first_program(
     tmp_path, monkeypatch, noise, programs
 ):
     """The recording takes as long as the trials, and so does each program of the first look."""
@@ -131,7 +132,7 @@ def test_what_is_left_of_compiling_is_estimated_by_the_first_program(
         assert recorder.expected_to_record() in (None, 0)
 
 
-def test_how_long_an_animal_took_is_remembered(tmp_path, monkeypatch):
+def test_the_compile_time_of_an_animal_is_recorded(tmp_path, monkeypatch):
     experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
     noted = []
     monkeypatch.setattr(replay, "compile_replay", lambda *_: None)

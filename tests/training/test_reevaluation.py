@@ -1,4 +1,4 @@
-"""Under noise the champion is who is best in fresh draws of chance, and not who was lucky."""
+"""Under noise, the champion is the best individual in fresh draws, not the luckiest."""
 
 import csv
 import dataclasses
@@ -27,7 +27,7 @@ from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 
 NOISE = Noise(joint_angle=0.1, tilt=0.05, push=0.2)
-# Two populations of six, each individual tried twice.
+# Two populations of six, with two trials of each individual.
 MADE = experiment(20, 6, seed=5)._replace(runs=2, trials=2, generations=2)
 NOISY = MADE._replace(simulation=dataclasses.replace(MADE.simulation, noise=NOISE))
 
@@ -37,22 +37,24 @@ def candidate(number: int, fitness: float = 0.0) -> Champion:
 
 
 def fight(contest: Contest, life) -> None:
-    """Rounds until the end; ``life`` of candidate, round and draw gives a fitness."""
+    """Run all rounds. ``life`` returns the fitness from candidate, round and draw."""
     number = 0
     while not contest.done:
         places = contest.places()
         pairs = zip(places.candidates, places.draws, strict=True)
-        contest.take(np.array([life(int(who), number, int(draw)) for who, draw in pairs]))
+        contest.take(
+            np.array([life(int(individual), number, int(draw)) for individual, draw in pairs])
+        )
         number += 1
 
 
 @pytest.mark.parametrize("population", [4, 15, 200])
-def test_the_best_in_the_mean_wins_however_lucky_others_were(population):
+def test_the_best_mean_wins_over_lucky_fitness(population):
     rng = np.random.default_rng(3)
     true = rng.permutation(min(population, 16)).astype(float)
     lucky = [candidate(i, fitness=100.0 - true[i]) for i in range(len(true))]
     contest = Contest(lucky, population)
-    fight(contest, lambda who, *_: true[who] + 0.2 * rng.normal())
+    fight(contest, lambda individual, *_: true[individual] + 0.2 * rng.normal())
     chosen = contest.chosen()
     assert chosen is not None
     assert chosen.index == true.argmax()
@@ -61,7 +63,7 @@ def test_the_best_in_the_mean_wins_however_lucky_others_were(population):
     assert chosen.fitness == 100.0 - true.max()
 
 
-def test_candidates_share_their_draws_and_halve():
+def test_candidates_share_draws_and_are_halved():
     contest = Contest([candidate(i) for i in range(16)], 48)
     places = contest.places()
     np.testing.assert_array_equal(places.candidates, np.repeat(np.arange(16), 3))
@@ -70,24 +72,29 @@ def test_candidates_share_their_draws_and_halve():
     places = contest.places()
     assert sorted(set(places.candidates)) == list(range(8, 16))
     np.testing.assert_array_equal(places.draws, np.tile(np.arange(6), 8))
-    fight(contest, lambda who, *_: float(who))
+    fight(contest, lambda individual, *_: float(individual))
     rows = contest.rows()
-    # 3, 6 and 12 lives.
+    # The rounds have 3, 6 and 12 evaluations.
     assert [row["lives"] for row in rows] == [3] * 8 + [9] * 4 + [21] * 4
     assert [row["chosen"] for row in rows] == [0] * 15 + [1]
     assert max(row["lives"] for row in rows) >= EVALUATIONS
 
 
-def test_who_ends_early_comes_behind_who_does_so_less_often():
+def test_fewer_early_ends_rank_first():
     contest = Contest([candidate(0), candidate(1)], 8)
-    fight(contest, lambda who, number, draw: -np.inf if who == 0 and draw == 0 else 1.0 - who)
+    fight(
+        contest,
+        lambda individual, number, draw: (
+            -np.inf if individual == 0 and draw == 0 else 1.0 - individual
+        ),
+    )
     chosen = contest.chosen()
     assert chosen is not None and (chosen.index, chosen.expected) == (1, 0.0)
     first = contest.rows()[0]
     assert (first["ended_early"], first["expected"]) == (1, 1.0)
 
 
-def test_nobody_is_chosen_of_nobody_and_who_always_ends_early_has_no_mean():
+def test_no_candidates_give_no_champion_and_early_ends_no_mean():
     nobody = Contest([], 4)
     assert nobody.done and nobody.chosen() is None and nobody.rows() == []
     contest = Contest([candidate(0)], 4)
@@ -96,7 +103,7 @@ def test_nobody_is_chosen_of_nobody_and_who_always_ends_early_has_no_mean():
     assert chosen is not None and chosen.expected is None and chosen.worth == -np.inf
 
 
-def test_the_best_of_several_runs_is_one_that_ended_early_least_often():
+def test_the_champion_of_several_runs_has_fewest_early_ends():
     fit, steady, dead = (
         candidate(0, 9.0)._replace(lives=8, expected=5.0, ended_early=2),
         candidate(1, 2.0)._replace(lives=8, expected=1.0),
@@ -114,13 +121,13 @@ def test_equal_genomes_are_one_candidate():
     assert [one.fitness for one in Contest(twins, 8).candidates] == [1.0, 0.5]
 
 
-def test_runs_have_contests_of_their_own():
+def test_each_run_has_its_own_contest():
     contests = [Contest([candidate(0), candidate(1)], 4), Contest([], 4)]
     choice = Choice(contests)
     genes = np.arange(24, dtype=np.float32).reshape(3, 8)
-    crowd = choice.genes(genes)
-    np.testing.assert_array_equal(crowd[:, :4], np.tile([0, 0, 1, 1], (3, 1)))
-    np.testing.assert_array_equal(crowd[:, 4:], genes[:, 4:])
+    population = choice.genes(genes)
+    np.testing.assert_array_equal(population[:, :4], np.tile([0, 0, 1, 1], (3, 1)))
+    np.testing.assert_array_equal(population[:, 4:], genes[:, 4:])
     keys = np.arange(2 * 8 * 3, dtype=np.uint32).reshape(2, -1)
     given = choice.keys(keys, 3).reshape(2, 2, 4, 3)
     own = keys.reshape(2, 2, 4, 3)
@@ -140,11 +147,11 @@ def evolved(tmp_path_factory):
     return folder, train(NOISY, folder, rows.extend), rows
 
 
-def test_a_noisy_run_ends_with_champions_of_fresh_draws(evolved):
+def test_a_noisy_run_chooses_champions_by_fresh_draws(evolved):
     folder, done, rows = evolved
     assert len(rows) == 4 == len(done.history)
     assert done.generation == 2
-    # Fewer than 16 lives: one of the six is left after rounds of 1, 2 and 3 lives.
+    # One of the six is left after rounds of 1, 2 and 3 evaluations, fewer than 16.
     assert all(one is not None and one.lives == 6 for one in done.chosen)
     assert done.champions is done.chosen
     assert all(one is not None and one.expected is None for one in done.records)
@@ -159,11 +166,11 @@ def test_a_noisy_run_ends_with_champions_of_fresh_draws(evolved):
     assert {row["generation"] for row in table} <= {"0", "1", "2"}
 
 
-def test_what_is_expected_of_a_champion_is_its_mean_fitness_in_the_draws_that_it_says(evolved):
+def test_expected_fitness_is_the_mean_over_the_fresh_draws(evolved):
     _, done, _ = evolved
     chosen = done.chosen[1]
     fitness = []
-    # Six candidates have one life each, three two, two three.
+    # Six candidates have one evaluation each, then three have two, and two have three.
     for number, lives in enumerate((1, 2, 3)):
         keys = generation_keys(NOISY, FIRST_ROUND + number)
         assert keys is not None
@@ -177,7 +184,7 @@ def test_what_is_expected_of_a_champion_is_its_mean_fitness_in_the_draws_that_it
     assert chosen.expected == pytest.approx(np.mean(fitness), rel=1e-5)
 
 
-def test_champions_of_fresh_draws_come_out_as_recorded(evolved):
+def test_chosen_champions_replay_as_recorded(evolved):
     _, done, _ = evolved
     for champion in done.chosen:
         fitness, terms, _ = replay_champion(NOISY, champion, jax.local_device_count())
@@ -185,11 +192,11 @@ def test_champions_of_fresh_draws_come_out_as_recorded(evolved):
         assert terms == champion.terms
 
 
-def test_a_run_that_was_stopped_before_the_choice_comes_to_the_same(evolved, tmp_path):
+def test_a_run_stopped_before_the_choice_chooses_equally(evolved, tmp_path):
     _, done, _ = evolved
     folder = RunFolder(tmp_path / "run")
     folder.create("", {})
-    # Without noise nothing is chosen, and a generation is done.
+    # Nothing is chosen without noise.
     silent = train(MADE._replace(generations=1), folder)
     assert silent.chosen == () and silent.champions == silent.records
     other = RunFolder(tmp_path / "other")
@@ -203,7 +210,7 @@ def test_a_run_that_was_stopped_before_the_choice_comes_to_the_same(evolved, tmp
 
 
 def test_sweeps_and_watchers_wait_for_the_choice(evolved, tmp_path):
-    """Stopped with the last generation and before the choice, a run has not come to its end."""
+    """A run that was stopped between the last generation and the choice is not finished."""
     _, done, _ = evolved
     folder = RunFolder(tmp_path / "run")
     folder.create("", {})
@@ -217,7 +224,7 @@ def test_sweeps_and_watchers_wait_for_the_choice(evolved, tmp_path):
         assert (member.generation, member.finished) == (2, finished)
 
 
-def test_a_run_that_goes_on_forgets_whom_it_had_chosen(evolved, tmp_path):
+def test_an_extended_run_chooses_again(evolved, tmp_path):
     _, done, _ = evolved
     folder = RunFolder(tmp_path / "run")
     folder.create("", {})

@@ -1,4 +1,4 @@
-"""A refined champion is better, is measured as in training, and comes out again."""
+"""A refined champion is better, is evaluated as in training, and replays exactly."""
 
 import equinox as eqx
 import numpy as np
@@ -37,7 +37,7 @@ def refined(evolved):
     return champion, compile_refinement(MADE, SETTINGS)(champion, rounds.append), rounds
 
 
-def test_evaluation_repeats_what_training_measured(evolved):
+def test_evaluation_repeats_the_results_of_training(evolved):
     _, checkpoint = evolved
     evaluate = compile_evaluation(MADE, population_mesh(), 2)
     for champion in checkpoint.champions:
@@ -59,13 +59,14 @@ def test_rounds_only_gain_and_add_up(refined):
     assert (after.run, after.index, after.generation) == (*before[5:7], before.generation)
 
 
-def test_a_refined_champion_comes_out_again(refined):
+@pytest.mark.slow
+def test_a_refined_champion_replays_exactly(refined):
     _, after, _ = refined
     fitness, terms, _ = replay_champion(MADE, after, 2)
     assert (fitness, terms) == (after.fitness, after.terms)
 
 
-def test_it_draws_from_its_seed_alone_and_counts_the_fitness_in_this_experiment(refined):
+def test_refinement_depends_on_its_seed_and_ignores_recorded_fitness(refined):
     before, _, rounds = refined
     settings, again = SETTINGS._replace(rounds=1), []
     same = compile_refinement(MADE, settings)(before._replace(fitness=99.0), again.append)
@@ -74,16 +75,16 @@ def test_it_draws_from_its_seed_alone_and_counts_the_fitness_in_this_experiment(
 
 
 @pytest.mark.slow
-def test_numbers_that_are_not_allowed_are_passed_over(evolved):
-    """The pair's drag is free; worlds with the two most promising cannot be built."""
-    champion, asked, rounds = evolved[1].champions[0], [], []
+def test_values_that_cannot_be_built_are_skipped(evolved):
+    """The drag is free. Worlds with its two most promising values cannot be built."""
+    champion, tried, rounds = evolved[1].champions[0], [], []
 
     def with_drag(value):
         return eqx.tree_at(lambda s: s.world.law(Drag).form_drag, MADE.simulation, value)
 
     def rebuild(values):
-        asked.append(values[0])
-        if len(asked) < 3:
+        tried.append(values[0])
+        if len(tried) < 3:
             return None
         return MADE._replace(simulation=with_drag(float(values[0])))
 
@@ -92,12 +93,12 @@ def test_numbers_that_are_not_allowed_are_passed_over(evolved):
     found = compile_refinement(MADE, SETTINGS._replace(rounds=1), free=free)(
         champion, rounds.append
     )
-    assert len(set(asked)) == 3
+    assert len(set(tried)) == 3
     assert found.fitness > champion.fitness
-    assert rounds[0].values == pytest.approx(asked[2])
+    assert rounds[0].values == pytest.approx(tried[2])
 
 
-def test_lanes_set_out_with_the_free_numbers_of_their_parents(evolved):
+def test_lanes_start_with_the_free_numbers_of_their_parents(evolved):
     champion = evolved[1].champions[0]
     parents = [
         _Parent(champion._replace(genes=np.full(2, place)), np.array([place]))
@@ -109,7 +110,7 @@ def test_lanes_set_out_with_the_free_numbers_of_their_parents(evolved):
     np.testing.assert_allclose(starts[0], starts[2], atol=1e-2)
 
 
-def test_the_folder_takes_it_in(evolved, refined, tmp_path):
+def test_the_folder_replaces_the_champion_of_the_run(evolved, refined, tmp_path):
     _, checkpoint = evolved
     _, after, _ = refined
     folder = RunFolder(tmp_path / "run")
@@ -131,6 +132,6 @@ def test_the_folder_takes_it_in(evolved, refined, tmp_path):
     np.testing.assert_array_equal(kept.genes[:, 11], after.genes)
     best = max(kept.champions, key=lambda one: one.fitness)
     assert folder.load_champion()[0].fitness == best.fitness >= first.fitness
-    # Evolution goes on from it.
+    # Evolution continues from the refined champion.
     final = train(MADE._replace(generations=3), folder)
     assert final.champions[1].fitness >= after.fitness

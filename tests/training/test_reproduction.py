@@ -1,4 +1,4 @@
-"""A small seeded version of the study of Iwadate 2010; docs/reproduction has the full one."""
+"""Small seeded version of the study of Iwadate 2010. docs/reproduction has the full study."""
 
 from pathlib import Path
 
@@ -16,10 +16,10 @@ CONFIG = Path(__file__).parents[2] / "configs" / "iwadate2010_swimmer.yaml"
 
 @pytest.mark.slow
 def test_a_swimmer_evolves_to_reach_the_light_with_a_wave_along_its_body(tmp_path):
-    """Half the paper's population for 15 generations; a motionless animal keeps 100 %.
+    """Evolve half the paper's population for 15 generations. A motionless animal keeps 100 %.
 
-    The full study finds 10 to 70 degrees at every gap. So early the wave runs from head to tail
-    at every gap and has that lag on average; single gaps may still be shorter.
+    The full study finds 10 to 70 degrees at every gap. After these few generations, the lag is
+    positive at every gap and in this range on average. Single lags may be shorter.
     """
     overrides = ["evolution.population=96", "evolution.elites=10", "evolution.generations=15"]
     config = load_config(CONFIG, overrides)

@@ -1,4 +1,4 @@
-"""Processes that come together, or do not, and what each is told; threads stand for them."""
+"""Processes that connect, or do not, and the errors of each. Threads play the processes."""
 
 import json
 import socket
@@ -14,7 +14,7 @@ COMMON = {"the version of jax": "1.2"}
 
 
 def meet(*members: tuple[int, int, dict], port: int, timeout: float = 5.0, names=()) -> list:
-    """What comes of each member: the number, the count and what it has; an error as its words."""
+    """Return the connections or the error text of each member: number, count, common values."""
     results: list = [None] * len(members)
 
     def one(place: int, index: int, count: int, common: dict) -> None:
@@ -30,7 +30,7 @@ def meet(*members: tuple[int, int, dict], port: int, timeout: float = 5.0, names
     ]
     for thread in threads:
         thread.start()
-        # In this order, so that it is known who comes second.
+        # The pause fixes the order in which they connect.
         time.sleep(0.1)
     for thread in threads:
         thread.join()
@@ -41,7 +41,7 @@ def test_the_lead_is_connected_to_all():
     second, lead, first = meet((2, 3, COMMON), (0, 3, COMMON), (1, 3, COMMON), port=free_port())
     assert sorted(lead) == [1, 2] and list(first) == list(second) == [0]
     for index, other in ((1, first), (2, second)):
-        # A frame that follows the lead's answer at once is not swallowed.
+        # A frame that follows the lead's answer at once is not lost.
         lead[index].sendall(bytes([index]))
         other[0].sendall(bytes([10 + index]))
         assert (other[0].recv(9), lead[index].recv(9)) == (bytes([index]), bytes([10 + index]))
@@ -49,32 +49,32 @@ def test_the_lead_is_connected_to_all():
         connection.close()
 
 
-def test_who_did_not_come_is_said_by_name():
+def test_a_missing_process_is_named():
     names = ("ant", "bee", "cat")
     lead, other = meet((0, 3, COMMON), (1, 3, COMMON), port=free_port(), timeout=0.6, names=names)
-    assert "of 3 processes 1 did not come to localhost:" in lead
-    assert "within 0.6 s: process 2 (cat); --join-timeout allows them longer" in lead
+    assert "1 of 3 processes did not connect to localhost:" in lead
+    assert "within 0.6 s: process 2 (cat). Allow more time with --join-timeout" in lead
     assert other == lead
 
 
-def test_many_who_did_not_come_are_counted():
+def test_many_missing_processes_are_counted():
     (lead,) = meet((0, 9, COMMON), port=free_port(), timeout=0.2)
     assert "process 1, process 2, process 3, process 4, process 5 and 3 more" in lead
 
 
-def test_a_lead_that_does_not_come():
+def test_a_missing_lead_is_named():
     (other,) = meet((1, 2, COMMON), port=free_port(), timeout=0.3)
-    assert "process 0 did not come within 0.3 s: nobody answers at localhost:" in other
+    assert "process 0 did not answer within 0.3 s at localhost:" in other
 
 
-def test_a_host_that_nobody_knows():
+def test_an_unknown_host_is_named():
     with pytest.raises(
         JoinError, match=r"name of the lead's host is not known: no-such-host\.invalid"
     ):
         call_roll(Place(1, 2, "no-such-host.invalid", 4000), COMMON, 1.0)
 
 
-def test_a_port_in_use():
+def test_a_port_in_use_is_named():
     with socket.create_server(("", 0)) as server:
         port = server.getsockname()[1]
         with pytest.raises(
@@ -83,7 +83,7 @@ def test_a_port_in_use():
             call_roll(Place(0, 2, "localhost", port), COMMON, 1.0)
 
 
-def test_who_listens_is_not_the_lead():
+def test_a_listener_that_is_not_the_lead_is_named():
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def hang_up() -> None:
@@ -97,35 +97,35 @@ def test_who_listens_is_not_the_lead():
             call_roll(place, COMMON, 1.0)
 
 
-def test_a_number_given_twice():
+def test_a_duplicate_number_is_refused():
     lead, first, second = meet((0, 3, COMMON), (1, 3, COMMON), (1, 3, COMMON), port=free_port())
     assert lead == first == second
-    assert lead.startswith("two processes have the number 1: the one of ")
+    assert lead.startswith("two processes have the number 1: one on host ")
 
 
-def test_a_number_beyond_the_last():
+def test_a_number_beyond_the_last_is_refused():
     lead, other = meet((0, 2, COMMON), (2, 2, COMMON), port=free_port())
     assert lead == other
-    assert lead.startswith("there is no process 2 among 2, counted from 0: the one of ")
+    assert lead.startswith("there is no process 2 among 2, counted from 0. It runs on host ")
 
 
-def test_different_counts():
+def test_different_counts_are_refused():
     lead, other = meet((0, 2, COMMON), (1, 3, COMMON), port=free_port())
     assert lead == other
     assert lead.startswith(
-        "the number of processes differs between the processes: 2 in process 0, 3 in process 1, "
+        "the number of processes differs between the processes: 2 in process 0, 3 in process 1 "
     )
 
 
-def test_different_versions():
+def test_different_versions_are_refused():
     lead, other = meet((0, 2, COMMON), (1, 2, {"the version of jax": "1.3"}), port=free_port())
     assert lead == other
     assert lead.startswith(
-        "the version of jax differs between the processes: 1.2 in process 0, 1.3 in process 1, "
+        "the version of jax differs between the processes: 1.2 in process 0, 1.3 in process 1 "
     )
 
 
-def test_strangers_are_not_counted():
+def test_other_programs_are_not_counted():
     port = free_port()
 
     def disturb() -> None:

@@ -1,4 +1,4 @@
-"""Run folders: what a kill at any moment leaves behind is read back or passed over."""
+"""Run folders: files are read back, or skipped, after a kill at any moment."""
 
 import csv
 import json
@@ -33,7 +33,7 @@ RECORDING = Recording(
 
 
 def checkpoint(done: int, *champions: Champion | None) -> Checkpoint:
-    """The state after so many generations."""
+    """Return a checkpoint after a number of generations."""
     rows = [{"generation": i, "best": -1.0 / (i + 1), "diverged": i} for i in range(done)]
     genes = np.full((2, 4), done, np.float32)
     champions = champions or (CHAMPION,)
@@ -41,7 +41,7 @@ def checkpoint(done: int, *champions: Champion | None) -> Checkpoint:
 
 
 def assert_same(given: Checkpoint | None, expected: Checkpoint) -> None:
-    """Two checkpoints are equal to the last bit and type."""
+    """Check that two checkpoints are equal to the last bit and type."""
     assert given is not None
     np.testing.assert_array_equal(given.genes, expected.genes)
     assert given.genes.dtype == expected.genes.dtype
@@ -58,13 +58,13 @@ def assert_same(given: Checkpoint | None, expected: Checkpoint) -> None:
 
 
 def files(folder: RunFolder) -> set[str]:
-    """Everything that is not a folder."""
+    """Return the paths of all files of a folder."""
     return {str(p.relative_to(folder.path)) for p in folder.path.rglob("*") if p.is_file()}
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> RunFolder:
-    """A run that was just begun."""
+    """Return the folder of a new run."""
     made = RunFolder(tmp_path / "runs" / "a")
     made.create("name: a\n", {"seed": 3})
     return made
@@ -80,12 +80,12 @@ def test_a_new_folder_holds_its_config_and_meta(folder):
     assert folder.load() is None
     with pytest.raises(RunFolderError, match="a has no finished generation yet"):
         folder.history()
-    with pytest.raises(RunFolderError, match="a has no champion yet; train it first"):
+    with pytest.raises(RunFolderError, match=r"a has no champion yet\. Train it first"):
         folder.load_champion()
 
 
 @pytest.mark.parametrize("champion", [CHAMPION, None])
-def test_checkpoints_come_back_to_the_last_bit(folder, champion):
+def test_checkpoints_are_read_back_exactly(folder, champion):
     for done in (1, 2, 3):
         folder.save(checkpoint(done, champion))
         assert_same(folder.load(), checkpoint(done, champion))
@@ -97,7 +97,7 @@ def test_checkpoints_come_back_to_the_last_bit(folder, champion):
     np.testing.assert_array_equal(folder.history()["best"], [-1, -1 / 2, -1 / 3])
 
 
-def test_the_table_is_that_of_the_history_whatever_was_written_before(folder):
+def test_metrics_equal_the_history_after_any_earlier_table(folder):
     rows = checkpoint(4).history
     other = [{**row, "diverged": 9} for row in rows]
     for history in (rows[:1], rows[:3], rows, rows[:2], other, other[:1], rows):
@@ -113,8 +113,8 @@ def test_a_column_may_have_any_name(folder):
         assert list(csv.DictReader(file)) == [{"generation": "0", 'best_"a", b\nc': "1.5"}]
 
 
-def test_a_history_that_grows_is_kept_whole_whatever_was_saved_before(folder):
-    """Columns that are known already are not taken apart again; numbers may become fractions."""
+def test_a_growing_history_is_saved_completely(folder):
+    """Known columns are extended, not converted again. Integers may become real numbers."""
     rows = [{"generation": i, "best": i if i < 3 else i + 0.5, "worst": -1.0} for i in range(8)]
     for done in (1, 2, 4, 5, 8):
         given = Checkpoint(done, np.zeros((2, 3)), (None,), rows[:done], {})
@@ -128,7 +128,7 @@ def test_a_history_that_grows_is_kept_whole_whatever_was_saved_before(folder):
 
 
 @pytest.mark.parametrize("champions", [(CHAMPION, None), (None, CHAMPION), (None, None)])
-def test_champions_of_several_runs_come_back(folder, champions):
+def test_champions_of_several_runs_are_read_back(folder, champions):
     folder.save(checkpoint(2, *champions))
     assert_same(folder.load(), checkpoint(2, *champions))
     assert folder.champion.exists() == any(champions)
@@ -140,7 +140,7 @@ def test_the_champion_is_the_best_of_all_runs(folder):
     assert folder.load_champion()[0].run == 2
 
 
-def test_a_checkpoint_from_before_there_were_several_runs_is_read(folder):
+def test_a_checkpoint_of_a_version_without_several_runs_is_read(folder):
     folder.save(checkpoint(2))
     (path,) = (folder.path / "checkpoints").iterdir()
     with np.load(path) as file:
@@ -152,7 +152,7 @@ def test_a_checkpoint_from_before_there_were_several_runs_is_read(folder):
     assert_same(folder.load(), checkpoint(2, CHAMPION._replace(index=0)))
 
 
-def test_the_champion_comes_back_with_its_motion_and_digests(folder):
+def test_the_champion_is_read_back_with_its_motion_and_digests(folder):
     folder.save_champion(CHAMPION)
     assert folder.load_champion()[1] is None
     folder.save_champion(CHAMPION, RECORDING)
@@ -178,25 +178,25 @@ def test_the_champion_comes_back_with_its_motion_and_digests(folder):
         {"scales": {"energy": 3.001}},
     ],
 )
-def test_the_digest_covers_everything_that_is_recorded(change):
+def test_the_digest_covers_all_recorded_results(change):
     assert outcome_digest(CHAMPION) != outcome_digest(CHAMPION._replace(**change))
 
 
 def damaged(whole: bytes) -> list[bytes]:
-    """A file cut off at many places, with a byte flipped at many places, and no file at all."""
+    """Return damaged contents: cut off or with a flipped byte at many places, zeros, and text."""
     places = range(0, len(whole), max(1, len(whole) // 60))
     flipped = [whole[:i] + bytes([whole[i] ^ 0xFF]) + whole[i + 1 :] for i in places]
     return [whole[:i] for i in places] + flipped + [b"\0" * len(whole), b"not an archive"]
 
 
-def test_a_damaged_checkpoint_is_passed_over_for_the_one_before(folder):
+def test_the_previous_checkpoint_replaces_a_damaged_one(folder):
     folder.save(checkpoint(1))
     folder.save(checkpoint(2))
     newest = folder.path / "checkpoints" / "generation_000002.npz"
     for content in damaged(newest.read_bytes()):
         newest.write_bytes(content)
         found = folder.load()
-        # A flipped byte may lie where nobody reads; then the checkpoint is whole.
+        # A flipped byte may be unused. Then the checkpoint is whole.
         assert_same(found, checkpoint(found.generation if found else 1))
     newest.write_bytes(b"")
     assert_same(folder.load(), checkpoint(1))
@@ -204,22 +204,22 @@ def test_a_damaged_checkpoint_is_passed_over_for_the_one_before(folder):
     assert_same(folder.load(), checkpoint(2))
 
 
-def test_no_array_is_lost_in_the_list_of_a_checkpoint_without_a_word(folder):
-    """Where an entry of the archive's list claims a comment, what follows it would be gone."""
+def test_an_incomplete_list_of_arrays_damages_a_checkpoint(folder):
+    """An entry of the archive's list that claims a comment would hide the entries after it."""
     folder.save(checkpoint(1))
     folder.save(checkpoint(2))
     newest = folder.path / "checkpoints" / "generation_000002.npz"
     whole = newest.read_bytes()
     entries = [i for i in range(len(whole)) if whole.startswith(b"PK\1\2", i)]
     assert len(entries) > 10
-    # Behind the last there is none.
+    # No entry follows the last.
     for entry in entries[:-1]:
         place = entry + 32  # the length of its comment
         newest.write_bytes(whole[:place] + b"\xff" + whole[place + 1 :])
         assert_same(folder.load(), checkpoint(1))
 
 
-def test_a_run_none_of_whose_checkpoints_can_be_read_does_not_begin_anew(folder):
+def test_a_run_without_readable_checkpoints_does_not_restart(folder):
     folder.save(checkpoint(1))
     folder.save(checkpoint(2))
     older, newest = sorted((folder.path / "checkpoints").iterdir())
@@ -231,13 +231,13 @@ def test_a_run_none_of_whose_checkpoints_can_be_read_does_not_begin_anew(folder)
         folder.load()
     assert str(refused.value).startswith(
         f"{folder.path / 'checkpoints'}: no checkpoint can be read (generation_000002.npz: Is a "
-        "directory; generation_000001.npz: File is not a zip file); make them readable"
+        "directory, generation_000001.npz: File is not a zip file). Make them readable"
     )
     older.write_bytes(whole)
     assert_same(folder.load(), checkpoint(1))
 
 
-def test_a_checkpoint_that_is_taken_away_while_it_is_looked_for_is_not_damaged(folder):
+def test_a_checkpoint_deleted_meanwhile_is_not_damaged(folder):
     folder.save(checkpoint(1))
     (path,) = (folder.path / "checkpoints").iterdir()
     path.unlink()
@@ -254,7 +254,7 @@ def test_generations_of_seven_digits_come_after_those_of_six(folder):
     assert kept == ["generation_1000000.npz", "generation_999999.npz"]
 
 
-def test_a_damaged_champion_is_named_with_the_way_out(folder):
+def test_a_damaged_champion_is_named_with_the_remedy(folder):
     folder.save_champion(CHAMPION)
     for content in damaged(folder.champion.read_bytes()):
         folder.champion.write_bytes(content)
@@ -268,7 +268,7 @@ def test_a_damaged_champion_is_named_with_the_way_out(folder):
 
 
 def emptied(path, name):
-    """Write a file anew with one of its arrays empty."""
+    """Rewrite a file with one of its arrays empty."""
     with np.load(path) as arrays:
         told = dict(arrays)
     told[name] = np.zeros((0,) * max(1, told[name].ndim), told[name].dtype)
@@ -282,9 +282,9 @@ def test_an_empty_array_damages_a_checkpoint(folder):
     with np.load(path) as arrays:
         names = [name for name in arrays if name == "genes" or name.startswith("history.")]
     assert len(names) > 2
-    history = "the columns of its history are empty or not equally long"
+    history = "the columns of its table of generations are empty or differ in length"
     words = dict.fromkeys(names, history)
-    words |= {"genes": "it is no checkpoint", "champion.genes": "it holds no genome"}
+    words |= {"genes": "it is not a checkpoint", "champion.genes": "it holds no genome"}
     for name, problem in words.items():
         path.write_bytes(whole)
         emptied(path, name)
@@ -294,7 +294,7 @@ def test_an_empty_array_damages_a_checkpoint(folder):
 
 def test_a_champion_with_other_genes_damages_a_checkpoint(folder):
     folder.save(checkpoint(2, CHAMPION._replace(genes=np.ones(3, np.float32))))
-    words = "a champion has another number of genes than the population"
+    words = "a champion and the population differ in their number of genes"
     with pytest.raises(RunFolderError, match=words):
         folder.load()
 
@@ -304,11 +304,11 @@ def test_a_history_without_rows_damages_a_checkpoint(folder):
     (path,) = (folder.path / "checkpoints").iterdir()
     for name in ("generation", "best", "diverged"):
         emptied(path, f"history.{name}")
-    with pytest.raises(RunFolderError, match="columns of its history are empty"):
+    with pytest.raises(RunFolderError, match="columns of its table of generations are empty"):
         folder.load()
 
 
-def test_the_lock_of_a_killed_process_is_no_file_of_anybodys(tmp_path):
+def test_the_lock_of_a_killed_process_is_ignored(tmp_path):
     (tmp_path / ".lock").write_text("{}")
     made = RunFolder(tmp_path)
     with made.locked(new=True):
@@ -331,7 +331,7 @@ def test_an_empty_array_damages_a_champion(folder):
             folder.load_champion()
 
 
-def test_a_file_of_another_kind_in_its_place_is_damaged(folder):
+def test_a_file_of_another_kind_counts_as_damaged(folder):
     folder.save(checkpoint(1))
     folder.save_lineage([CHAMPION])
     (newest,) = folder.path.glob("checkpoints/*.npz")
@@ -344,7 +344,7 @@ def test_a_file_of_another_kind_in_its_place_is_damaged(folder):
         folder.load()
 
 
-def test_numbers_that_json_has_no_words_for_are_null(folder):
+def test_numbers_that_are_not_finite_become_null(folder):
     folder.write_json("x.json", {"a": [1.5, float("nan")], "b": {"c": -float("inf")}, "d": "nan"})
     told = json.loads((folder.path / "x.json").read_text())
     assert told == {"a": [1.5, None], "b": {"c": None}, "d": "nan"}
@@ -366,7 +366,7 @@ def test_json_of_another_type_is_named(tmp_path, text, words):
     path = tmp_path / "x.json"
     path.write_text('{"a": [1, 2]}')
     assert read_json(path, dict[str, list[int]]) == {"a": [1, 2]}
-    # The name of a file that is not UTF-8.
+    # This is the name of a file that is not UTF-8.
     path.write_text('{"a": "\\udcff"}')
     assert read_json(path, dict[str, Any]) == {"a": "\udcff"}
     path.write_text(text)
@@ -374,7 +374,7 @@ def test_json_of_another_type_is_named(tmp_path, text, words):
         read_json(path, dict[str, list[int]])
 
 
-def test_what_a_killed_write_leaves_is_harmless(folder):
+def test_files_of_a_killed_write_are_harmless(folder):
     folder.save(checkpoint(1))
     for name in (".champion.npz.x1", "checkpoints/.generation_000009.npz.x2", ".config.yaml.x3"):
         (folder.path / name).write_bytes(b"half a fi")
@@ -384,11 +384,11 @@ def test_what_a_killed_write_leaves_is_harmless(folder):
 
 
 class Killed(BaseException):
-    """Stands for the end of the process."""
+    """Exception in place of the end of the process."""
 
 
 def killing_at(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the process end just before its n-th file reaches its place."""
+    """Raise `Killed` just before the n-th file is moved to its place."""
     replace, calls = run_folder.os.replace, iter(range(count + 1))
 
     def replace_or_die(source, target):
@@ -399,14 +399,14 @@ def killing_at(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_folder.os, "replace", replace_or_die)
 
 
-def test_a_kill_in_a_new_folder_leaves_one_that_can_be_begun_or_resumed(tmp_path, monkeypatch):
+def test_a_kill_in_a_new_folder_allows_a_start_or_resume(tmp_path, monkeypatch):
     path = tmp_path / "a"
     folder = RunFolder(path)
     with monkeypatch.context() as patch:
         killing_at(0, patch)
         with pytest.raises(Killed):
             folder.create("name: a\n", {})
-    # No config.yaml yet: the same command may be given again, whatever the kill left.
+    # There is no config.yaml yet, so the command may be repeated.
     (path / ".config.yaml.x").write_bytes(b"na")
     with monkeypatch.context() as patch:
         killing_at(1, patch)
@@ -427,7 +427,7 @@ def test_a_kill_while_saving_leaves_the_old_state_or_the_new(folder, monkeypatch
         killing_at(writes, patch)
         with pytest.raises(Killed):
             folder.save(checkpoint(2, newer))
-    # champion.npz, then the checkpoint, then metrics.csv.
+    # The order of files is champion.npz, the checkpoint, metrics.csv.
     expected = checkpoint(1) if writes < 2 else checkpoint(2, newer)
     assert_same(folder.load(), expected)
     folder.load_champion()
@@ -435,16 +435,14 @@ def test_a_kill_while_saving_leaves_the_old_state_or_the_new(folder, monkeypatch
 
 
 @pytest.mark.parametrize("writes", range(7))
-def test_a_kill_while_a_refined_champion_comes_in_leaves_all_of_it_or_nothing(
-    folder, monkeypatch, writes
-):
+def test_a_kill_while_replacing_a_champion_leaves_all_files_or_none(folder, monkeypatch, writes):
     folder.save(checkpoint(1, CHAMPION))
     better = CHAMPION._replace(fitness=CHAMPION.fitness + 0.5)
     with monkeypatch.context() as patch:
         killing_at(writes, patch)
         with pytest.raises(Killed):
             folder.replace_champion(better, "name: b\n")
-    # As the next command finds it. Three files gather, then they are decided on, then moved.
+    # The next command opens the folder. Three files are written, renamed together, then moved.
     folder = RunFolder(folder.path)
     folder.require()
     expected, config = (CHAMPION, "name: a\n") if writes < 4 else (better, "name: b\n")
@@ -452,7 +450,7 @@ def test_a_kill_while_a_refined_champion_comes_in_leaves_all_of_it_or_nothing(
     assert champion.fitness == folder.load().champion.fitness == expected.fitness
     assert folder.config.read_text() == config
     assert digests["config_sha256"] == folder.config_digest()
-    # Whatever gathered in vain is in nobody's way.
+    # Files of the killed attempt do not disturb the next.
     folder.replace_champion(better, "name: b\n")
     assert folder.load_champion()[0].fitness == better.fitness
     assert not [name for name in files(folder) if "/." in f"/{name}"]
@@ -460,13 +458,15 @@ def test_a_kill_while_a_refined_champion_comes_in_leaves_all_of_it_or_nothing(
 
 def test_used_and_unusable_places_are_refused(folder, tmp_path):
     before = files(folder)
-    with pytest.raises(RunFolderError, match=r"already holds a run; go on with `evo-cpg resume "):
+    with pytest.raises(
+        RunFolderError, match=r"already holds a run\. Continue with `evo-cpg resume "
+    ):
         folder.create("name: b\n", {})
     assert files(folder) == before and folder.config.read_text() == "name: a\n"
     (tmp_path / "note.txt").write_text("mine")
-    with pytest.raises(RunFolderError, match="is not empty and holds no run; choose another"):
+    with pytest.raises(RunFolderError, match=r"is not empty and holds no run\. Choose another"):
         RunFolder(tmp_path).create("", {})
-    with pytest.raises(RunFolderError, match=r"note.txt is a file; choose another --out"):
+    with pytest.raises(RunFolderError, match=r"note.txt is a file\. Choose another --out"):
         RunFolder(tmp_path / "note.txt").create("", {})
     for path in (tmp_path / "note.txt" / "run", "/proc/run", tmp_path / ("x" * 300)):
         with pytest.raises(OutputError, match=r"cannot write .* \(.+\)"):

@@ -1,4 +1,4 @@
-"""Several runs side by side are the lone runs; several trials are averaged and come out again."""
+"""Several runs equal single runs. Several trials are averaged and replay exactly."""
 
 import dataclasses
 import functools
@@ -35,7 +35,7 @@ NOISE = Noise(joint_angle=0.1, tilt=0.05, push=0.2)
 
 
 def alone(seed: int):
-    """A lone run."""
+    """Return an experiment with a single run."""
     return experiment(20, SIZE, seed=seed)._replace(generations=GENERATIONS)
 
 
@@ -45,7 +45,7 @@ def noisy(made):
 
 PAIR = alone(SEED)._replace(runs=2)
 REAL, BITS = PAIR.strategy, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, (1, 2))
-# Every individual of two noisy runs lives twice.
+# Every individual of two noisy runs has two trials.
 NOISY = noisy(PAIR)._replace(trials=2, generations=2)
 
 
@@ -58,7 +58,7 @@ def evolve(experiment, path):
 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory):
-    """Two runs side by side, evolved."""
+    """Evolve two runs together."""
     return evolve(PAIR, tmp_path_factory.mktemp("pair") / "run")
 
 
@@ -71,7 +71,7 @@ def untimed(rows):
     return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
 
 
-def test_first_genomes_are_those_of_the_lone_runs():
+def test_first_genomes_equal_the_single_runs():
     both = [np.asarray(first_population(alone(seed))) for seed in (SEED, SEED + 1)]
     np.testing.assert_array_equal(first_population(PAIR), np.concatenate(both, axis=1))
     last = alone(2**31 - 2)
@@ -90,7 +90,7 @@ def test_first_genomes_are_those_of_the_lone_runs():
         pytest.param(BITS, 3, marks=pytest.mark.slow),
     ],
 )
-def test_runs_are_bred_as_if_each_were_alone(genetics, trials):
+def test_breeding_several_runs_equals_breeding_each_alone(genetics, trials):
     rng = np.random.default_rng(0)
     places = (2, SIZE * trials)
     genes = rng.integers(0, 2, (2, 2 * SIZE)).astype(np.float32)
@@ -109,8 +109,8 @@ def test_runs_are_bred_as_if_each_were_alone(genetics, trials):
             {k: v[chosen].reshape(-1) for k, v in terms.items()}, alive[chosen].ravel()
         )
         own = genes.reshape(2, 2, SIZE)[:, chosen].reshape(2, -1)
-        yardsticks = {name: values[chosen] for name, values in scales.items()}
-        return breeding(np.int32(seed), own, outcome, np.int32(index), yardsticks, ())
+        own_scales = {name: values[chosen] for name, values in scales.items()}
+        return breeding(np.int32(seed), own, outcome, np.int32(index), own_scales, ())
 
     for index in (0, 4):
         together = bred(several, SEED, slice(0, 2), index)
@@ -123,8 +123,8 @@ def test_runs_are_bred_as_if_each_were_alone(genetics, trials):
             np.testing.assert_array_equal(one, other)
 
 
-def test_runs_evolve_as_if_each_were_alone(pair, tmp_path):
-    """Up to rounding, which depends on how many animals a device computes at a time."""
+def test_evolving_several_runs_equals_evolving_each_alone(pair, tmp_path):
+    """Results are equal up to rounding, which depends on the width of a chunk."""
     _, done = pair
     assert [(row["generation"], row["run"]) for row in done.history] == [
         (generation, run) for generation in range(GENERATIONS) for run in (0, 1)
@@ -154,7 +154,7 @@ def test_the_folder_keeps_the_champion_of_every_run_and_shows_the_best(pair):
     assert folder.metrics.read_text().startswith("generation,run,best,")
 
 
-def test_a_stopped_noisy_run_goes_on_exactly(noisy_pair, tmp_path):
+def test_a_resumed_noisy_run_equals_an_uninterrupted_one(noisy_pair, tmp_path):
     _, done = noisy_pair
     evolve(NOISY._replace(generations=1), tmp_path / "run")
     _, resumed = evolve(NOISY, tmp_path / "run")
@@ -162,7 +162,7 @@ def test_a_stopped_noisy_run_goes_on_exactly(noisy_pair, tmp_path):
     assert untimed(resumed.history) == untimed(done.history)
 
 
-def test_every_champion_comes_out_as_recorded_with_its_own_noise(noisy_pair):
+def test_every_champion_replays_as_recorded_with_its_noise(noisy_pair):
     _, done = noisy_pair
     for champion in done.champions:
         fitness, terms, _ = replay_champion(NOISY, champion, 2)
@@ -171,8 +171,8 @@ def test_every_champion_comes_out_as_recorded_with_its_own_noise(noisy_pair):
     assert replay_champion(NOISY, other, 2)[0] != champion.fitness
 
 
-def test_more_trials_than_a_chunk_has_places_are_replayed_exactly():
-    """One individual with 40 trials, which two devices share."""
+def test_more_trials_than_a_chunk_holds_replay_exactly():
+    """One individual has 40 trials, which two devices share."""
     single = noisy(experiment(20, 1))._replace(trials=40)
     assert chunk_width(40, 2) < 40
     genes = np.asarray(first_population(single))
@@ -205,7 +205,7 @@ def test_random_keys_belong_to_seed_generation_individual_and_trial():
     assert generation_keys(alone(SEED), np.int32(2)) is None
 
 
-def test_fitness_and_terms_are_means_and_who_dies_once_is_dead():
+def test_fitness_is_a_mean_and_one_diverged_trial_disqualifies():
     task, scales = PAIR.simulation.task, {"energy": jnp.float32(2.0)}
     rng = np.random.default_rng(1)
     terms = {name: rng.random((4, 3), dtype=np.float32) for name in ("distance", "energy", "light")}
@@ -234,7 +234,7 @@ def test_fitness_and_terms_are_means_and_who_dies_once_is_dead():
 
 
 class Whole(SineController):
-    """Its genes are drawn as integers, or as truth values."""
+    """Controller whose genes are drawn as integers or Boolean values."""
 
     kind: str = eqx.field(static=True, default="int32")
 
@@ -243,7 +243,7 @@ class Whole(SineController):
 
 
 class Rounded(RealGenetics):
-    """Asks for integers."""
+    """Strategy that returns integers."""
 
     def ask(self, key, state):
         genes, state = super().ask(key, state)
@@ -251,7 +251,7 @@ class Rounded(RealGenetics):
 
 
 @pytest.mark.parametrize("kind", ["int32", "bool"])
-def test_genes_are_real_numbers_however_they_are_drawn_and_asked_for(kind):
+def test_genes_become_real_numbers(kind):
     made = alone(SEED)
     simulation = dataclasses.replace(made.simulation, controller=Whole(kind=kind))
     genetics = Rounded(**{f.name: getattr(REAL, f.name) for f in dataclasses.fields(REAL)})
@@ -264,20 +264,20 @@ def test_genes_are_real_numbers_however_they_are_drawn_and_asked_for(kind):
     assert told.next_genes.dtype == np.float32
 
 
-def test_a_term_that_is_a_truth_value_has_the_share_of_trials_as_its_mean():
+def test_the_mean_of_a_boolean_term_is_the_fraction_of_trials():
     found = jnp.array([[True, True], [True, False], [False, False]])
     _, mean = judge(OneTerm("fell"), Outcome({"fell": found}, jnp.ones((3, 2), bool)), {})
     np.testing.assert_array_equal(mean.terms["fell"], [1, 0.5, 0])
 
 
 class Unjudged(OneTerm):
-    """Of which no fitness is a number."""
+    """Task whose fitness is always NaN."""
 
     def fitness(self, terms, scales):
         return terms[self.name] * jnp.nan
 
 
-def test_who_lived_did_not_diverge_whatever_his_fitness(tmp_path):
+def test_a_nan_fitness_does_not_count_as_diverged(tmp_path):
     made = alone(SEED)
     simulation = dataclasses.replace(made.simulation, task=Unjudged("x"))
     _, done = evolve(made._replace(simulation=simulation, generations=1), tmp_path / "run")

@@ -14,7 +14,7 @@ pytest.importorskip("tensorboardX")
 
 
 def checksum(data: bytes) -> int:
-    """CRC-32C (Castagnoli) as TFRecord masks it, bit by bit."""
+    """Return the CRC-32C (Castagnoli) with the mask of TFRecord."""
     register = 0xFFFFFFFF
     for byte in data:
         register ^= byte
@@ -25,7 +25,7 @@ def checksum(data: bytes) -> int:
 
 
 def events(path) -> list:
-    """Of a file that must be whole."""
+    """Return the events of a file, and check that it is whole."""
     from tensorboardX.proto.event_pb2 import Event
 
     data, found = path.read_bytes(), []
@@ -40,7 +40,7 @@ def events(path) -> list:
 
 
 def told(path) -> dict[int, dict[str, float]]:
-    """Scalars by generation."""
+    """Return the scalars by generation."""
     first, *rest = events(path)
     assert first.file_version == "brain.Event:2"
     steps = [event.step for event in rest]
@@ -55,7 +55,7 @@ def row(generation: int, **more: float) -> dict[str, float]:
 FILE = "tensorboard/events.out.tfevents.evo-cpg"
 
 
-def test_rows_come_back_by_the_names_of_their_columns(tmp_path):
+def test_rows_are_read_back_by_column_name(tmp_path):
     scalars = Scalars(tmp_path)
     scalars.add([row(0)])
     scalars.add([row(1, best_distance=math.nan)])
@@ -64,7 +64,7 @@ def test_rows_come_back_by_the_names_of_their_columns(tmp_path):
     assert found == {0: {"best": 0.0, "mean": -1.0}, 1: {"best": 0.5, "mean": -1.0}}
 
 
-def test_runs_side_by_side_have_a_file_each(tmp_path):
+def test_each_run_has_its_own_file(tmp_path):
     scalars = Scalars(tmp_path)
     scalars.add([row(0, run=0), row(0, run=1)])
     scalars.close()
@@ -74,8 +74,8 @@ def test_runs_side_by_side_have_a_file_each(tmp_path):
 
 
 @pytest.mark.parametrize("left", [b"", b"x" * 5, b"rubbish" * 40])
-def test_a_resumed_run_writes_its_file_anew(tmp_path, left):
-    """No generation is there twice or left out, whatever a kill left of the file."""
+def test_a_resumed_run_rewrites_its_file(tmp_path, left):
+    """No generation is missing or duplicated, for any file that a kill leaves."""
     scalars = Scalars(tmp_path)
     scalars.add([row(i) for i in range(3)])
     scalars.close()
@@ -86,7 +86,7 @@ def test_a_resumed_run_writes_its_file_anew(tmp_path, left):
     scalars.add([row(4)])
     scalars.close()
     assert sorted(told(path)) == [0, 1, 2, 3, 4]
-    # Without the column of seconds the old rows take as many bytes as before.
+    # Old rows without the column of seconds have an equal number of bytes.
     Scalars(tmp_path, [row(i) for i in range(3)]).close()
     assert len(path.read_bytes()) == len(before)
 
@@ -99,8 +99,8 @@ def test_earlier_generations_keep_their_distance_in_time(tmp_path):
     assert times == pytest.approx([-50.0, -30.0, 0.0], abs=5.0)
 
 
-def test_what_was_taken_back_is_taken_back(tmp_path):
-    """The newest checkpoint was damaged, and the run goes on from the one before it."""
+def test_generations_lost_with_a_checkpoint_are_removed(tmp_path):
+    """The newest checkpoint was damaged, so the run continues from the previous one."""
     scalars = Scalars(tmp_path)
     scalars.add([row(i) for i in range(5)])
     scalars.close()
@@ -119,5 +119,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboardX.proto.event_pb2", None)
-    with pytest.raises(MissingWriterError, match=r"-m pip install .*\[tensorboard\]'` installs it"):
+    with pytest.raises(
+        MissingWriterError, match=r"Install it: `.*-m pip install .*\[tensorboard\]'`"
+    ):
         require_writer()

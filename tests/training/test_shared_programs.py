@@ -1,4 +1,4 @@
-"""What tests share is told apart by content."""
+"""Tests share compiled programs of equal content."""
 
 from evo_cpg.training import loop, memetic, running
 from evo_cpg.training.devices import population_mesh
@@ -19,14 +19,14 @@ def programs(made):
 def test_equal_parts_share_programs_and_others_do_not():
     first, again = programs(experiment(20)), programs(experiment(20))
     assert first == again
-    # Neither the number of generations nor learning is part of a program.
+    # A program depends neither on the number of generations nor on learning.
     later = experiment(20)._replace(generations=9, learning=Learning(2, 2, 4))
     assert programs(later) == first
     for other in (experiment(21), experiment(20, eyes=())):
         assert not set(programs(other)) & set(first)
 
 
-def test_a_test_that_replaces_something_has_programs_of_its_own(monkeypatch):
+def test_a_test_with_monkeypatch_shares_no_programs(monkeypatch):
     del monkeypatch
     first, again = programs(experiment(20)), programs(experiment(20))
     assert not set(first) & set(again)

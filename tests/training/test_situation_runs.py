@@ -1,4 +1,4 @@
-"""Individuals that live through several situations: means, resuming, replays to the last bit."""
+"""Individuals in several situations: means, resuming and exact replays."""
 
 import csv
 import dataclasses
@@ -66,7 +66,7 @@ def untimed(rows):
 
 
 def test_fitness_and_terms_are_means_over_the_situations(evolved):
-    """Of the first generation, from separate simulations with one situation each."""
+    """Compare the first generation with separate simulations of one situation each."""
     made, folder, done = evolved
     genes = np.asarray(first_population(made))
     keys = generation_keys(made, np.int32(0))
@@ -89,13 +89,13 @@ def test_fitness_and_terms_are_means_over_the_situations(evolved):
         assert float(row["mean"]) == pytest.approx(fitness[own].mean(), rel=1e-4)
         for name, values in terms.items():
             assert float(row[f"best_{name}"]) == pytest.approx(values[own][best], rel=1e-4)
-    # The yardstick is that of all trials of a run.
+    # The scale is measured over all trials of a run.
     energy = np.array([one.terms["energy"] for one in lone]).reshape(3, made.runs, SIZE)
     expected = np.percentile(np.moveaxis(energy, 1, 0).reshape(made.runs, -1), 95, axis=1)
     np.testing.assert_allclose(scale, expected, rtol=1e-4)
 
 
-def test_a_stopped_run_goes_on_exactly(evolved, tmp_path):
+def test_a_resumed_run_equals_an_uninterrupted_one(evolved, tmp_path):
     made, _, done = evolved
     evolve(made._replace(generations=1), tmp_path / "run")
     _, resumed = evolve(made, tmp_path / "run")
@@ -103,14 +103,14 @@ def test_a_stopped_run_goes_on_exactly(evolved, tmp_path):
     assert untimed(resumed.history) == untimed(done.history)
 
 
-def test_champions_come_out_as_recorded_and_are_shown_in_any_trial(evolved):
+def test_champions_replay_as_recorded_in_any_trial(evolved):
     made, _, done = evolved
     for trial, champion in zip((2, 0), done.champions, strict=False):
         fitness, terms, motion = replay_champion(made, champion, 2, trial)
         assert (fitness, terms) == (champion.fitness, champion.terms)
         situation = SITUATIONS[trial]
         assert tuple(motion.goal) == situation.light
-        # The head comes second.
+        # The head is the second body.
         np.testing.assert_allclose(motion.position[0, 1], situation.start_position, atol=1e-6)
         heading = situation.start_heading
         facing = np.cos(heading), np.sin(heading), 0
@@ -118,8 +118,8 @@ def test_champions_come_out_as_recorded_and_are_shown_in_any_trial(evolved):
 
 
 @pytest.mark.parametrize(("devices", "noise"), [(2, None), (1, Noise(joint_angle=0.1))])
-def test_more_situations_than_a_chunk_has_places_are_replayed_exactly(devices, noise):
-    """One individual with 40 trials, in chunks of fewer on two devices."""
+def test_more_situations_than_a_chunk_holds_replay_exactly(devices, noise):
+    """One individual has 40 trials, in smaller chunks."""
     lights = np.random.default_rng(2).uniform(-3, 3, (40, 3))
     made = in_situations(tuple(Situation(light=tuple(place)) for place in lights), 1, noise)
     genes = np.asarray(first_population(made))
@@ -134,7 +134,7 @@ def test_more_situations_than_a_chunk_has_places_are_replayed_exactly(devices, n
         np.testing.assert_array_equal(replayed.terms[name], values)
 
 
-def test_situations_are_numbered_only_where_there_are_several():
+def test_only_several_situations_are_numbered():
     assert situation_numbers(MADE).tolist() == [0, 1, 2]
     assert situation_numbers(in_situations(SITUATIONS[:1])) is None
     assert situation_numbers(in_situations(SITUATIONS[:1], trials=4)) is None

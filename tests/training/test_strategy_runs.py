@@ -1,4 +1,4 @@
-"""Runs with any strategy: several side by side, stopped and gone on with, told when they fail."""
+"""Runs with any strategy: several runs, resuming, and errors."""
 
 import importlib
 import importlib.util
@@ -70,7 +70,7 @@ def untimed(rows):
         for name in STRATEGIES
     ],
 )
-def test_a_stopped_run_goes_on_to_the_same_bits(name, tmp_path):
+def test_a_resumed_run_has_the_bits_of_an_uninterrupted_one(name, tmp_path):
     strategy = STRATEGIES[name]()
     whole = train(made(strategy), folder_at(tmp_path / "whole"))
     train(made(strategy, 2), folder_at(tmp_path / "stopped"))
@@ -85,8 +85,8 @@ def test_a_stopped_run_goes_on_to_the_same_bits(name, tmp_path):
     np.testing.assert_array_equal(whole.champion.genes, again.champion.genes)
 
 
-def test_runs_draw_their_own_numbers(tmp_path):
-    """The second run is the one that has its seed."""
+def test_each_run_draws_from_its_own_seed(tmp_path):
+    """The second of two runs equals a single run with its seed."""
     both = train(made(MAP), folder_at(tmp_path / "both"))
     lone = made(MAP)._replace(runs=1, seed=1)
     alone = train(lone, folder_at(tmp_path / "alone"))
@@ -96,7 +96,7 @@ def test_runs_draw_their_own_numbers(tmp_path):
 
 
 class Blank(Strategy):
-    """Asks for numbers at first, and for none in generation 2."""
+    """Strategy that returns NaN from generation 2 on."""
 
     population: int = eqx.field(static=True)
 
@@ -111,10 +111,10 @@ class Blank(Strategy):
         return state[0], state[1] + 1
 
 
-def test_a_strategy_that_asks_for_no_numbers_ends_the_run_and_loses_nothing(tmp_path):
+def test_nan_genomes_end_the_run_and_keep_earlier_generations(tmp_path):
     folder = folder_at(tmp_path)
     blank = made(Blank(SIZE))
-    with pytest.raises(StrategyError, match=r"Blank asked for genomes .* generation 2 \(24 of 24"):
+    with pytest.raises(StrategyError, match=r"Blank returned genomes .* generation 2 \(24 of 24"):
         train(blank, folder)
     kept = folder.load()
     assert kept is not None and kept.generation == 1 and len(kept.history) == RUNS
@@ -122,7 +122,7 @@ def test_a_strategy_that_asks_for_no_numbers_ends_the_run_and_loses_nothing(tmp_
 
 def test_a_checkpoint_of_another_strategy_is_refused(tmp_path):
     train(made(MAP, 1), folder_at(tmp_path))
-    with pytest.raises(StrategyError, match="what another strategy remembers"):
+    with pytest.raises(StrategyError, match="the state of another strategy"):
         train(made(Islands(SIZE, GENETICS, 2, 2, 1)), folder_at(tmp_path))
 
 
@@ -130,7 +130,7 @@ def test_a_checkpoint_of_another_strategy_is_refused(tmp_path):
     ("name", "prefix"),
     [("map_elites", ""), pytest.param("pyribs", "archive.", marks=pytest.mark.slow)],
 )
-def test_a_map_holds_whom_the_trials_saw(name, prefix, tmp_path):
+def test_a_map_holds_the_champion_of_each_run(name, prefix, tmp_path):
     """The elite of the cell with the highest fitness is the champion of its run."""
     done = train(made(STRATEGIES[name]()), folder_at(tmp_path))
     state = {key.removeprefix(prefix): value for key, value in done.state.items()}
@@ -152,8 +152,8 @@ def test_states_are_named_by_their_paths():
 
 
 @pytest.mark.parametrize("name", ["map_elites", "pyribs"])
-def test_anybody_on_the_map_lives_again(name, tmp_path):
-    """With the fitness and the descriptors that he had."""
+def test_every_elite_of_a_map_replays_as_recorded(name, tmp_path):
+    """Fitness and descriptors are equal."""
     several = made(STRATEGIES[name]())
     done = train(several, folder_at(tmp_path))
     found = gait_map(several, done, 1)
@@ -163,12 +163,12 @@ def test_anybody_on_the_map_lives_again(name, tmp_path):
         one = elite(several, done, tuple(cell.tolist()), 1)
         fitness, terms, _ = replay_champion(several, one, len(jax.devices()))
         assert one.fitness == np.float32(found.fitness[tuple(cell)])
-        # Of one individual in a hundred the replay rounds the last bit otherwise.
+        # The replay rounds the last bit differently for one individual in a hundred.
         assert abs(fitness - one.fitness) <= 2.5e-7 * abs(one.fitness)
         assert {name: terms[name] for name in one.terms} == one.terms
         for axis, place in zip(found.axes, cell, strict=True):
             low, high = axis.edges[place : place + 2]
-            # Cells are told apart in float32.
+            # Cells are computed in float32.
             assert low <= one.terms[axis.name] + 1e-6 or place == 0
             assert one.terms[axis.name] - 1e-6 <= high or place == axis.cells - 1
 
@@ -181,15 +181,15 @@ def test_metrics_have_their_names(name, tmp_path):
     assert ("coverage" in done.history[0]) == (name in ("map_elites", "pyribs"))
 
 
-def test_who_is_not_on_the_map_is_said(tmp_path):
+def test_empty_and_missing_cells_are_named(tmp_path):
     several = made(MAP, 1)
     done = train(several, folder_at(tmp_path))
-    with pytest.raises(StrategyError, match=r"no cell 5,0; a cell is distance 0 to 4, energy 0 to"):
+    with pytest.raises(StrategyError, match=r"no cell 5,0\. Allowed: distance 0 to 4, energy 0 to"):
         elite(several, done, (5, 0), 0)
-    with pytest.raises(StrategyError, match=r"no cell 1; a cell is"):
+    with pytest.raises(StrategyError, match=r"no cell 1\. Allowed: "):
         elite(several, done, (1,), 0)
     empty = np.argwhere(np.isnan(gait_map(several, done, 0).fitness))[0]
-    with pytest.raises(StrategyError, match=r"is empty; the nearest that is not is \d,\d"):
+    with pytest.raises(StrategyError, match=r"is empty\. The nearest filled cell is \d,\d"):
         elite(several, done, tuple(empty.tolist()), 0)
     islands = made(Islands(SIZE, GENETICS, 2, 2, 1))
     assert gait_map(islands, done, 0) is None

@@ -293,10 +293,10 @@ def test_an_audit_has_a_panel_of_paths_only_with_mujoco():
         figure.draw_without_rendering()
     wide = [figure.axes[0].get_position().width for figure in (with_, without)]
     assert wide[0] < 0.6 and wide[1] > 0.8
-    shares = without.axes[1]
-    assert rows_of(shares) == ["way kept at half the step"]
-    assert shares.patches[0].get_width() == pytest.approx(97)
-    assert [text.get_text().strip() for text in shares.texts] == ["> 90"]
+    fractions = without.axes[1]
+    assert rows_of(fractions) == ["way kept at half the step"]
+    assert fractions.patches[0].get_width() == pytest.approx(97)
+    assert [text.get_text().strip() for text in fractions.texts] == ["> 90"]
 
 
 def test_every_path_from_mujoco_has_its_own_colour():

@@ -139,10 +139,10 @@ def test_the_animal_crosses_the_picture_from_side_and_top(creature, recording, w
     assert np.abs(place).max() < 0.95
     # The path goes to the right. Points above the animal (side) or to its left (top) are higher in
     # the picture.
-    way = recording.goal - clip.position[0].mean(0)
-    way /= np.linalg.norm(way)
-    upward = {"side": [0.0, 0.0, 1.0], "top": [-way[1], way[0], 0.0]}[view]
-    points = camera.focus[:, None] + 0.1 * np.stack([0 * way, way, upward])
+    towards = recording.goal - clip.position[0].mean(0)
+    towards /= np.linalg.norm(towards)
+    upward = {"side": [0.0, 0.0, 1.0], "top": [-towards[1], towards[0], 0.0]}[view]
+    points = camera.focus[:, None] + 0.1 * np.stack([0 * towards, towards, upward])
     middle, ahead, up = project(camera, points, 1280 / 720).swapaxes(0, 1)
     assert np.allclose(middle, 0, atol=1e-9)
     assert (ahead[:, 0] > 0.01).all() and np.abs(ahead[:, 1]).max() < 1e-3
@@ -152,8 +152,8 @@ def test_the_animal_crosses_the_picture_from_side_and_top(creature, recording, w
 def test_the_side_camera_looks_over_a_stone(creature, recording):
     """The low camera rises if a stone would hide the animal. The top camera does not."""
     middle = recording.position.reshape(-1, 3).mean(0)
-    way = recording.goal - recording.position[0].mean(0)
-    aside = np.array([way[1], -way[0], 0.0]) / np.linalg.norm(way)
+    towards = recording.goal - recording.position[0].mean(0)
+    aside = np.array([towards[1], -towards[0], 0.0]) / np.linalg.norm(towards)
     stone = Boulder(tuple(middle + 2.5 * aside - [0, 0, 1.0]), 1.6)
     ground = Ground(floor=Plane(height=-1.0), obstacles=(stone,))
     elevations = {}

@@ -43,14 +43,14 @@ def body_size(case: Case) -> Iterator[LintWarning]:
     low, high = _BODIES
     for (key, entry, _), edge in zip(case.bodies(), edges, strict=True):
         if not low <= edge <= high:
-            likely = f"in mm it would be {edge / 1000:g} m, in cm {edge / 100:g} m"
+            likely = f"In mm it would be {edge / 1000:g} m, in cm {edge / 100:g} m"
             if edge < low:
-                likely = "is it in km, or divided by 1000 twice?"
-            problem = f"a body of {edge:g} m; plausible are {low:g} to {high:g} m; {likely}"
+                likely = "Is it in km, or divided by 1000 twice?"
+            problem = f"a body of {edge:g} m. Plausible: {low:g} to {high:g} m. {likely}"
         elif len(edges) >= _SEVERAL and not 1 / _UNLIKE <= edge / middle <= _UNLIKE:
             problem = (
-                f"a body of {edge:g} m among others of {middle:g} m; plausible is up to "
-                f"{_UNLIKE:g} times as much or as little; is it in another unit than m?"
+                f"a body of {edge:g} m, but the median is {middle:g} m. Plausible: up to "
+                f"{_UNLIKE:g} times larger or smaller. Is it in another unit than m?"
             )
         else:
             continue
@@ -78,15 +78,15 @@ def masses(case: Case) -> Iterator[LintWarning]:
         if above is not None and carried[body.name] > _CARRIES * mass[above]:
             yield case.warning(
                 (*key, "joint", "parent"),
-                f"a body of {mass[above]:.2g} kg that carries a limb of {carried[body.name]:.2g} "
-                f"kg; float32 resolves up to {_CARRIES:g} times its mass; make the heavier body "
-                "the parent",
+                f"a body of {mass[above]:.2g} kg carries a limb of {carried[body.name]:.2g} kg. "
+                f"float32 resolves up to {_CARRIES:g} times the body's mass. Make the heavier "
+                "body the parent",
             )
         if total > _LIGHTER * own:
             yield case.warning(
                 (*key, "material"),
-                f"a body of {own:.2g} kg on a creature of {total:.2g} kg; float32 resolves down to "
-                f"{1 / _LIGHTER:g} of its mass; is it in another unit than m?",
+                f"a body of {own:.2g} kg on a creature of {total:.2g} kg. float32 resolves down to "
+                f"{1 / _LIGHTER:g} of the creature's mass. Is a size in another unit than m?",
             )
 
 
@@ -98,18 +98,16 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
             widest = max(abs(lower), abs(upper))
             if widest <= np.pi + ROUNDING:
                 problem = (
-                    f"the joint turns by {widest:g} degrees at most; plausible are 5 to 180; as "
-                    f"radians it would be {np.rad2deg(widest):.3g} degrees"
+                    f"the joint turns by at most {widest:g} degrees. Plausible: 5 to 180. If it "
+                    f"is in radians, write {np.rad2deg(widest):.3g}"
                 )
             elif widest > TURN:
                 problem = (
-                    f"the joint turns by {widest:g} degrees; plausible is up to {TURN:g}; "
-                    f"converted twice? then it was {np.deg2rad(widest):.3g}"
+                    f"the joint turns by {widest:g} degrees. Plausible: up to {TURN:g}. If it was "
+                    f"converted twice, write {np.deg2rad(widest):.3g}"
                 )
             elif lower > 0 or upper < 0:
-                problem = (
-                    "the neutral pose, 0 degrees, is beyond the limits, which will jerk it back"
-                )
+                problem = "the neutral pose, 0 degrees, is beyond the limits, which jerk the joint"
             else:
                 continue
             yield case.warning((*joint.key, "limits_deg"), problem)
@@ -123,21 +121,21 @@ def postures(case: Case) -> Iterator[LintWarning]:
     given: Any = case.config.controller
     if given.type != "postures":
         return
-    # Too many bits are refused later; the limit avoids an overflow.
+    # The limit avoids an overflow. Too many bits are rejected later.
     reach = given.angle_step * (2.0 ** min(given.bits_per_joint, 60) - 1)
     if reach <= 2 * np.pi:
         yield case.warning(
             ("controller", "angle_step"),
-            f"all angles of a joint lie within {reach:.3g} degrees; plausible are 10 to 180; as "
-            f"radians a step would be {np.rad2deg(given.angle_step):.3g} degrees: write that",
+            f"all angles of a joint lie within {reach:.3g} degrees. Plausible: 10 to 180. If the "
+            f"step is in radians, write {np.rad2deg(given.angle_step):.3g}",
         )
     for name in ("lowest_angle", "neutral_angle"):
         angle = getattr(given, name)
         if 0 < abs(angle) <= 2 * np.pi and angle != round(angle):
             yield case.warning(
                 ("controller", name),
-                "angles of postures are degrees, 180 straight on by default; as radians it would "
-                f"be {np.rad2deg(angle):.3g} degrees: write that",
+                "angles of postures are in degrees, and 180 is straight by default. If it is in "
+                f"radians, write {np.rad2deg(angle):.3g}",
             )
 
 
@@ -148,21 +146,21 @@ def no_motor(case: Case) -> Iterator[LintWarning]:
     if joints and all(joint.given.actuator is None for joint in joints):
         yield case.warning(
             (*joints[0].key, "actuator"),
-            "no joint has a motor, so the controller moves nothing; give the joints that it is to "
-            "move a motor, such as actuator: {gain: 1}",
+            "no joint has a motor, so the controller moves nothing. Give joints a motor, such as "
+            "actuator: {gain: 1}",
         )
 
 
 @rule
 def no_rate(case: Case) -> Iterator[LintWarning]:
-    """Warn of a controller that commands a rate of 0 for every joint."""
+    """Warn of a `rate_gain` of 0, with which the controller moves no joint."""
     # Pyright cannot follow a class that is created at import.
     given: Any = case.config.controller
     if given.type == "brain_cpg" and given.rate_gain == 0:
         yield case.warning(
             ("controller", "rate_gain"),
-            "the rhythm sets a rate of 0 for every joint, so the animal stays in its neutral pose; "
-            "plausible are 1 to 20 rad/s",
+            "the rhythm sets a rate of 0 for every joint, so the animal stays in its neutral pose. "
+            "Plausible: 1 to 20 rad/s",
         )
 
 
@@ -187,7 +185,7 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
     turn, key = max(found)
     problem = (
         f"the motors are too weak to move anything: the strongest turns its own body by {turn:.2g} "
-        f"degrees in the {time:.3g} s of a trial; torques are in N m"
+        f"degrees in the {time:.3g} s of a trial. Torques are in N m"
     )
     yield case.warning(key, problem)
 
@@ -201,12 +199,12 @@ def repeated_place(case: Case) -> Iterator[LintWarning]:
         if joint.repeat == 1 or abs(fits) > _OUT * parent.shape.half_extents.max():
             continue
         if abs(gap) > _OUT * body.shape.half_extents.max():
-            side = "outside of" if gap > 0 else "inside"
+            side = "outside" if gap > 0 else "inside"
             yield case.warning(
                 (*joint.key, "at"),
-                f"repeat takes this place for every body of the row: on {parent.name!r}, on which "
-                f"the first one hangs, it fits, but it lies {abs(gap):.3g} m {side} {body.name!r}, "
-                "on which the next one hangs; give the first body an entry of its own",
+                f"repeat uses this position for all bodies of the row. It fits {parent.name!r}, "
+                f"which carries the first, but lies {abs(gap):.3g} m {side} {body.name!r}, which "
+                "carries the next. Give the first body its own entry",
             )
 
 
@@ -218,9 +216,9 @@ def repeated_turn(case: Case) -> Iterator[LintWarning]:
         if joint.repeat > 1 and most >= _CURLS:
             yield case.warning(
                 (*joint.key, "rotation_deg"),
-                f"repeat turns every body of the row by {most:g} degrees against the one before "
-                f"it; plausible are less than {_CURLS:g}; to turn the row as a whole give the "
-                "first body an entry of its own",
+                f"repeat turns every body of the row by {most:g} degrees relative to its "
+                f"predecessor. Plausible: less than {_CURLS:g}. To turn the row as a whole, give "
+                "the first body its own entry",
             )
 
 
@@ -230,7 +228,7 @@ def far_places(case: Case) -> Iterator[LintWarning]:
     places: list[tuple[Key, str, Body, Triple]] = []
     for joint in case.joints():
         parent, body, built = joint.parent, joint.body, joint.built
-        on = f"{parent.name!r}, on which {body.name!r} hangs"
+        on = f"{parent.name!r}, the parent of {body.name!r}"
         places.append(((*joint.key, "at"), on, parent, built.parent_anchor))
         places.append(((*joint.key, "child_at"), f"{body.name!r} itself", body, built.child_anchor))
     for kind in ("light_sensors", "depth_sensors"):
@@ -241,14 +239,14 @@ def far_places(case: Case) -> Iterator[LintWarning]:
     for key, whose, body, place in places:
         (x, y, z), gap = body.shape.half_extents, _gap(body.shape, place)
         most = max(x, y, z)
-        likely = "places count from the body's centre, so half its size reaches its surface"
+        likely = "Positions count from the body's centre, so half its size reaches its surface"
         if gap > 100 * most:
-            likely = "places are in m: is this in mm?"
+            likely = "Positions are in m. Is this in mm?"
         if gap > _OUT * most:
             yield case.warning(
                 key,
-                f"lies {gap:.3g} m outside of body {whose}, which reaches to {x:.3g}, {y:.3g}, "
-                f"{z:.3g} m; {likely}",
+                f"lies {gap:.3g} m outside body {whose}. The body reaches to {x:.3g}, {y:.3g}, "
+                f"{z:.3g} m. {likely}",
             )
 
 

@@ -24,8 +24,8 @@ def light_without(case: Case) -> Iterator[LintWarning]:
     for i in range(len(case.config.creature.light_sensors)):
         yield case.warning(
             ("creature", "light_sensors", i, "body"),
-            f"a task of type {task.type!r} has no light, so this eye sees none (it still tells how "
-            "far it is tilted); leave the eye out, or choose a task with a light: reach_light",
+            f"a task of type {task.type!r} has no light, so this eye senses only its own "
+            "tilt. Leave the eye out, or choose a task with a light: reach_light",
         )
 
 
@@ -35,20 +35,20 @@ def light_unseen(case: Case) -> Iterator[LintWarning]:
     config = case.config
     if config.task.goal is None:
         return
-    instead = "or choose a task without a light, such as task: {type: distance}"
+    instead = "a task without a light, such as task: {type: distance}"
     if not config.controller.uses_senses:
         yield case.warning(
             ("task", "type"),
             f"a controller of type {config.controller.type!r} senses nothing, so the animal cannot "
-            f"steer towards the light; take a controller that does, such as brain_cpg, {instead}",
+            f"steer towards the light. Choose a controller with senses (brain_cpg), or {instead}",
         )
     elif not config.creature.light_sensors and not any(
         isinstance(sensor, CustomConfig) for sensor in config.creature.sensors
     ):
         yield case.warning(
             ("creature", "light_sensors"),
-            "the task rewards coming near to a light (reach_light, the default), but the animal "
-            f"has no eye; add one, such as light_sensors: [{{body: {case.root}}}], {instead}",
+            "the task rewards approaching a light (reach_light, the default), but the animal has "
+            f"no eye. Add light_sensors: [{{body: {case.root}}}], or choose {instead}",
         )
 
 
@@ -70,9 +70,9 @@ def light_never_in_view(case: Case) -> Iterator[LintWarning]:
             yield case.warning(
                 ("creature", "light_sensors", i, "axis"),
                 f"the eye looks {high:.0f} degrees above the horizon and sees "
-                f"{given.field_of_view_deg / 2:g} to each side; no light comes nearer than "
-                f"{nearest:.0f}, whichever way the animal faces; turn the axis, such as [1, 0, 0] "
-                "straight ahead, or widen field_of_view_deg",
+                f"{given.field_of_view_deg / 2:g} to each side. Lights stay {nearest:.0f} degrees "
+                "or more away at any heading. Turn the axis (straight ahead: [1, 0, 0]), or widen "
+                "field_of_view_deg",
             )
 
 
@@ -96,7 +96,7 @@ def touch_without_ground(case: Case) -> Iterator[LintWarning]:
     for i in range(len(named)):
         yield case.warning(
             ("creature", "pressure_sensors", i),
-            "there is no ground to press against it, so it always feels 0; give the world a "
+            "there is no ground to press against it, so it always reads 0. Give the world a "
             "ground (world.ground: {}), or leave the sensor out (pressure_sensors: [])",
         )
 
@@ -117,8 +117,8 @@ def touch_inside(case: Case) -> Iterator[LintWarning]:
             if outer != inner and (body.shape.distance(own) < 0).all():
                 yield case.warning(
                     ("creature", "pressure_sensors", i),
-                    f"the body lies inside of {body.name!r}, which touches the ground before it; "
-                    f"put the sensor on {body.name!r}",
+                    f"the body lies inside {body.name!r}, which touches the ground first. "
+                    f"Put the sensor on {body.name!r}",
                     name,
                 )
 
@@ -134,7 +134,7 @@ def depth_without_surface(case: Case) -> Iterator[LintWarning]:
     for i in range(len(case.config.creature.depth_sensors)):
         yield case.warning(
             ("creature", "depth_sensors", i, "body"),
-            f"{lacks}, so this gauge always reads 0; set {likely}, or leave the gauge out",
+            f"{lacks}, so this gauge always reads 0. Set {likely}, or leave the gauge out",
         )
 
 
@@ -152,8 +152,8 @@ def depth_out_of_scale(case: Case) -> Iterator[LintWarning]:
             yield case.warning(
                 ("creature", "depth_sensors", i, "full_scale"),
                 f"the water is {deepest:.3g} m deep, so this gauge never reads more than "
-                f"{deepest / gauge.full_scale:.2g}; plausible is about the water's depth; lengths "
-                "are in m: is this in mm?",
+                f"{deepest / gauge.full_scale:.2g} of full scale. Plausible: about the water's "
+                "depth. Lengths are in m. Is this in mm?",
             )
 
 
@@ -174,7 +174,7 @@ def controller_without_senses(case: Case) -> Iterator[LintWarning]:
         if names:
             yield case.warning(
                 ("creature", kind),
-                f"a controller of type {controller.type!r} senses nothing; leave them out, or "
-                "take one that does: brain_cpg",
+                f"a controller of type {controller.type!r} senses nothing. Leave the sensors "
+                "out, or choose a controller with senses: brain_cpg",
                 names,
             )

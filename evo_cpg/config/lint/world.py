@@ -12,7 +12,7 @@ from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfi
 from evo_cpg.creature.creature import lowest_height
 
 # Largest movement by gravity in a physics step, as a fraction of a body's half thickness. At 0.6
-# the body sinks into the ground by 0.05. At 2 a floating body never comes to rest.
+# the body sinks into the ground by 0.05. At 2 a floating body never rests.
 _SINK = 0.5
 
 # Largest size of an obstacle, in lengths of the creature.
@@ -38,8 +38,8 @@ def step_length(case: Case) -> Iterator[LintWarning]:
         yield case.warning(
             ("simulation", "substeps"),
             f"body {name!r} is {2 * half:.2g} m thick and falls {world.gravity * h * h:.2g} m in a "
-            f"physics step of {h:.2g} s; it would sink into the ground or bob for ever; plausible "
-            f"are {int(np.ceil(enough))} and more",
+            f"physics step of {h:.2g} s. It would sink into the ground or bob forever. Plausible: "
+            f"{int(np.ceil(enough))} or more",
         )
 
 
@@ -54,8 +54,8 @@ def obstacle_size(case: Case) -> Iterator[LintWarning]:
         if edge > most:
             yield case.warning(
                 ("world", "ground", "obstacles", i, name),
-                f"{edge:g} m beside a creature of {case.length:.2g} m; plausible is up to "
-                f"{most:.2g} m; lengths are in m: is this in mm?",
+                f"{edge:g} m next to a creature of {case.length:.2g} m. Plausible: up to "
+                f"{most:.2g} m. Lengths are in m. Is this in mm?",
             )
 
 
@@ -71,18 +71,18 @@ def floor_bumps(case: Case) -> Iterator[LintWarning]:
     if not boxes or ground is None:
         return
     (edge, name), floor = max(boxes), ground.floor
-    problem = f"body {name!r} is {edge:.3g} m long and feels the floor by its corners alone"
+    problem = f"body {name!r} is {edge:.3g} m long and touches the floor only with its corners"
     if isinstance(floor, HillsConfig) and floor.height > 0 and floor.length < edge:
         key = "world", "ground", "floor", "length"
-        yield case.warning(key, f"{problem}; plausible are hills of {edge:.3g} m and more")
+        yield case.warning(key, f"{problem}. Plausible: {edge:.3g} m or more")
     if isinstance(floor, ReliefConfig):
         height = _bump(np.array(floor.heights), round(edge / (2 * floor.spacing)))
         if height > _BUMP * edge:
             key = "world", "ground", "floor", "spacing"
             yield case.warning(
                 key,
-                f"{problem}, and a bump of {height:.2g} m has room between them: bodies pass "
-                "through it; shorter bodies would feel it",
+                f"{problem}. A bump of {height:.2g} m fits between them, and passes through the "
+                "body. Use shorter bodies",
             )
 
 
@@ -107,8 +107,8 @@ def friction(case: Case) -> Iterator[LintWarning]:
         if given.dynamic_friction > given.static_friction:
             yield case.warning(
                 (*key, "dynamic_friction"),
-                f"more than static_friction ({given.static_friction:g}); what slides is held less "
-                "than what rests; were the two swapped?",
+                f"more than static_friction ({given.static_friction:g}), but sliding bodies have "
+                "less friction than resting ones. Were the two swapped?",
             )
 
 
@@ -120,7 +120,7 @@ def water_by_default(case: Case) -> Iterator[LintWarning]:
         return
     yield case.warning(
         ("world", "water"),
-        "unless it is written, there is water everywhere, so the ground lies under water; write "
+        "without this key there is water everywhere, so the ground lies under water. Write "
         "water: null for dry land, water: {surface: 0} for water up to a height, or water: {} for "
         "water everywhere",
         "left out",
@@ -135,7 +135,7 @@ def water_below_ground(case: Case) -> Iterator[LintWarning]:
         return
     yield case.warning(
         ("world", "water", "surface"),
-        f"the ground is nowhere lower than {lowest:.3g} m, so there is no water above it; raise "
+        f"the lowest ground is at {lowest:.3g} m, so the water covers no ground. Raise "
         "the surface, lower the ground (world.ground.floor), or leave the water out (water: null)",
     )
 
@@ -147,7 +147,7 @@ def nothing_to_hold_it(case: Case) -> Iterator[LintWarning]:
     if world.gravity and world.water is None and world.ground is None and not world.forces:
         yield case.warning(
             ("world", "gravity"),
-            "there is neither water nor ground, so the animal falls from start to end; give the "
+            "there is neither water nor ground, so the animal falls from start to end. Give the "
             "world a ground (ground: {}) or water (water: {}), or set gravity to 0",
         )
 
@@ -159,7 +159,7 @@ def ground_without_weight(case: Case) -> Iterator[LintWarning]:
     if not world.gravity and world.water is None and world.ground is not None:
         yield case.warning(
             ("world", "gravity"),
-            "without gravity nothing holds the animal on the ground; the earth has 9.81 m/s^2",
+            "without gravity nothing holds the animal on the ground. Earth has 9.81 m/s^2",
         )
 
 
@@ -169,11 +169,11 @@ def start_above(case: Case) -> Iterator[LintWarning]:
     world, clearance = case.config.world, case.config.simulation.start_clearance
     key, most = ("simulation", "start_clearance"), _FALL * case.length
     if world.ground is None and clearance:
-        problem = "there is no ground, so this changes nothing; give the world a ground, or leave "
-        yield case.warning(key, f"{problem}it out")
+        problem = "there is no ground, so this changes nothing. Leave it out, or give the world a "
+        yield case.warning(key, f"{problem}ground")
     elif world.ground is not None and world.gravity and clearance > most:
-        problem = f"the animal of {case.length:.2g} m falls from that height; plausible is up to "
-        yield case.warning(key, f"{problem}{most:.2g} m; lengths are in m: is this in mm?")
+        problem = f"the animal of {case.length:.2g} m falls from that height. Plausible: up to "
+        yield case.warning(key, f"{problem}{most:.2g} m. Lengths are in m. Is this in mm?")
     water = world.water
     if world.ground is None and world.gravity and water is not None and water.surface is not None:
         height = float(lowest_height(case.creature)) - water.surface
@@ -181,7 +181,7 @@ def start_above(case: Case) -> Iterator[LintWarning]:
             yield case.warning(
                 ("world", "water", "surface"),
                 f"the animal of {case.length:.2g} m starts {height:.3g} m above the water, at "
-                f"height 0, and falls in; plausible is up to {most:.2g} m",
+                f"height 0, and falls in. Plausible: up to {most:.2g} m",
             )
 
 
@@ -192,7 +192,7 @@ def walk_without_ground(case: Case) -> Iterator[LintWarning]:
     if task.needs_ground and case.config.world.ground is None:
         yield case.warning(
             ("task", "type"),
-            "there is no ground to walk on, so the animal counts as airborne all the time; give "
+            "there is no ground to walk on, so the animal always counts as airborne. Give "
             "the world a ground (world.ground: {}), or choose task: {type: distance}",
         )
 
@@ -203,7 +203,7 @@ def selection(case: Case) -> Iterator[LintWarning]:
     evolution = case.config.evolution
     lexicase = isinstance(evolution, RealEvolutionConfig) and evolution.selection == "lexicase"
     if lexicase and case.config.trial_count == 1:
-        problem = "individuals have but one trial; give several in simulation.trials, or take rank"
+        problem = "individuals have only one trial. Give several in simulation.trials, or use rank"
         yield case.warning(("evolution", "selection"), problem)
 
 
@@ -214,7 +214,7 @@ def trials_alike(case: Case) -> Iterator[LintWarning]:
     if isinstance(trials, int):
         alike, count, hint = True, trials, "one is run"
     else:
-        alike, count, hint = trials.count(trials[0]) == len(trials), len(trials), "one would do"
+        alike, count, hint = trials.count(trials[0]) == len(trials), len(trials), "one is enough"
     if case.config.noise.silent and alike and count > 1:
-        problem = f"without noise all {count} trials are alike, so {hint}; give noise, or a list of"
+        problem = f"without noise all {count} trials are alike, so {hint}. Give noise, or a list of"
         yield case.warning(("simulation", "trials"), f"{problem} situations that differ", count)

@@ -28,13 +28,11 @@ def _as_read_again(options: dict[str, Any]) -> dict[str, Any]:
         if isinstance(value, dict):
             for key in value:
                 if not isinstance(key, str):
-                    raise ValueError(
-                        f"{place} has the key {key!r}; allowed: keys that are text, such as '{key}'"
-                    )
+                    raise ValueError(f"{place} has the key {key!r}. Allowed: text, such as '{key}'")
             return {str(key): plain(each, f"{place}.{key}") for key, each in value.items()}
         raise ValueError(
-            f"{place} is a {type(value).__name__}; allowed: text, numbers, true, false, null, and "
-            "lists and mappings of them"
+            f"{place} is a {type(value).__name__}. Allowed: text, numbers, true, false, null, and "
+            "lists and mappings of these"
         )
 
     return {key: plain(value, key) for key, value in options.items()}
@@ -57,7 +55,7 @@ class CustomConfig(Section):
     ]
     options: Options = Field(default_factory=dict)
 
-    # The needs of a user's own class are unknown here.
+    # Nothing is known about the needs of a user's own class. These values pass every check.
     goal: ClassVar[None] = None
     needs_ground: ClassVar[bool] = False
     body_keys: ClassVar[tuple[str, ...]] = ()
@@ -69,7 +67,7 @@ class CustomConfig(Section):
 
         Args:
             kind: required base class.
-            about: keyword arguments, of which the constructor gets those that it names.
+            about: further keyword arguments. The constructor gets those that are its parameters.
 
         Raises:
             KeyProblem: the class does not exist, or cannot be built.
@@ -91,7 +89,7 @@ class CustomConfig(Section):
             # Any error comes from the user's class. The message of a KeyError is only the key.
             known = isinstance(error, (TypeError, ValueError))
             words = f"{error}" if known else f"{type(error).__name__}: {error}"
-            problem = f"{self.type} cannot be built with them ({words})"
+            problem = f"{self.type} cannot be built with these options ({words})"
             raise KeyProblem(("options",), problem) from None
 
 

@@ -61,17 +61,17 @@ class Entry(NamedTuple):
                 return f"{key}: the root, which has no joint, cannot be {adjective}"
             if copied and mark in inherited:
                 return (
-                    f"{key}: is copied with its parent {self.parent!r} already, whose name has "
-                    f"{{{mark}}}"
+                    f"{key}: leave it out, because the body is copied with its parent "
+                    f"{self.parent!r}, whose name contains {{{mark}}}"
                 )
             if mark in inherited and not there:
                 return (
-                    f"name: is copied with its parent {self.parent!r}, and needs {{{mark}}} in "
-                    f"its name too, got {self.name!r}"
+                    f"name: must contain {{{mark}}}, because the body is copied with its parent "
+                    f"{self.parent!r}, got {self.name!r}"
                 )
             # {i} is allowed without `repeat`: a row may have one body.
             if there and not copied and mark not in inherited and mark != "i":
-                return f"name: {{{mark}}} stands for nothing in {self.name!r} without `{key}`"
+                return f"name: {{{mark}}} has no value in {self.name!r} without `{key}`"
         return None
 
 
@@ -110,7 +110,7 @@ def copies(entries: Sequence[Entry]) -> list[Copy]:
         each = entry.repeat * entry.radial * (2 if entry.mirror else 1)
         count = sum(map(len, found.values())) + parents * each
         if count > _MOST:
-            raise ValueError(f"bodies: {count} bodies with {entry.name!r}; allowed: up to {_MOST}")
+            raise ValueError(f"bodies: {count} bodies with {entry.name!r}. Allowed: up to {_MOST}")
 
     while True:
         before = len(found)

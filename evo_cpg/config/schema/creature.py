@@ -78,7 +78,7 @@ class BodyConfig(Section):
         material: name of one of the creature's materials.
         joint: joint to the parent (the root has none).
         repeat: number of equal bodies in a row, counted from 1 by ``{i}``: the first hangs on
-            the joint's ``parent``, each other one on its predecessor.
+            the joint's ``parent``, every other body on its predecessor.
         radial: number of such rows, at equal angles about the parent's vertical axis, which
             ``{j}`` counts from 1, counterclockwise from above.
         mirror: normal of the parent's plane in which the bodies are mirrored: ``y`` for limbs
@@ -104,8 +104,8 @@ class BodyConfig(Section):
             offset = self.joint.at["xyz".index(self.mirror)]
             if offset < 0:
                 raise ValueError(
-                    f"mirror: write the {SIDES[self.mirror][0]} one, whose joint.at has a positive "
-                    f"{self.mirror}, got {offset:g}"
+                    f"mirror: write the {SIDES[self.mirror][0]} body, whose joint.at has a "
+                    f"positive {self.mirror}, got {offset:g}"
                 )
         return self
 
@@ -257,16 +257,16 @@ class CreatureConfig(Section):
                 raise KeyProblem(
                     ("bodies", copy.entry, "name"),
                     f"two bodies are called {copy.name!r}, the other one in "
-                    f"creature.bodies.{first}; every body needs a name of its own",
+                    f"creature.bodies.{first}. Every body needs a unique name",
                 )
         for key, name in self._references():
             valid = list(self.materials) if key[-1] == "material" else list(owners)
             # A name with placeholders stands for bodies, and is in no list of names.
             if name in valid or (key[-1] != "material" and copies_named(name, everything)):
                 continue
-            problem = f"{name!r} does not exist; {nearest(name, valid)}"
+            problem = f"{name!r} does not exist: {nearest(name, valid)}"
             if "*" in name:
-                problem = f"{problem}; a name here may have placeholders such as {{i}}, but no *"
+                problem = f"{problem}. A name here may contain placeholders such as {{i}}, but no *"
             raise KeyProblem(key, problem)
 
     def _references(self) -> Iterator[tuple[Key, str]]:
@@ -294,5 +294,5 @@ class CreatureConfig(Section):
 
 
 def _image(vector: Triple, copy: Copy) -> Triple:
-    """Return a position or direction in the frame of a body, mirrored if the body is."""
+    """Return a vector in body axes for a copy of the body: reflected if the copy is mirrored."""
     return reflected(vector, copy.mirror) if copy.mirror else vector

@@ -53,14 +53,14 @@ class IslandsConfig(Section):
         """
         if population % self.count:
             raise ValueError(
-                f"islands.count: a population of {population} cannot be shared equally by "
+                f"islands.count: a population of {population} cannot be divided equally among "
                 f"{self.count} islands"
             )
         size = population // self.count
         if size < 2 or elites >= size:
             raise ValueError(
-                f"islands.count: each of {self.count} islands has {size} of the population of "
-                f"{population}; it needs at least {max(2, elites + 1)}"
+                f"islands.count: each of {self.count} islands gets {size} of the {population} "
+                f"individuals, but needs at least {max(2, elites + 1)}"
             )
         if self.migrants >= size:
             raise ValueError(
@@ -103,7 +103,7 @@ class MapSection(Section):
     def _check_map(self) -> "MapSection":
         names = [axis.name for axis in self.axes]
         if len(set(names)) < len(names):
-            raise ValueError(f"axes: each must have a name of its own, got {', '.join(names)}")
+            raise ValueError(f"axes: names must be unique, got {', '.join(names)}")
         cells = math.prod(axis.cells for axis in self.axes)
         if cells > _MOST_CELLS:
             raise ValueError(f"axes: a map has at most {_MOST_CELLS} cells, got {cells}")
@@ -220,7 +220,7 @@ class RealEvolutionConfig(MapSection):
                 f"got {self.learning.elites or 1}"
             )
         if self.islands and self.learning:
-            raise ValueError("learning: the elites of islands cannot learn; leave out one")
+            raise ValueError("learning: cannot be combined with islands. Leave out one of the two")
         return self
 
 
@@ -365,13 +365,13 @@ class PyribsConfig(MapSection):
         self.require_axes()
         if self.population % self.emitters:
             raise ValueError(
-                f"emitters: a population of {self.population} cannot be shared equally by "
+                f"emitters: a population of {self.population} cannot be divided equally among "
                 f"{self.emitters} emitters"
             )
         if self.population < 2 * self.emitters:
             raise ValueError(
-                f"emitters: each of {self.emitters} needs two individuals or more, and the "
-                f"population is {self.population}"
+                f"emitters: each of {self.emitters} emitters needs at least two individuals, but "
+                f"the population is {self.population}"
             )
         return self
 
@@ -413,7 +413,7 @@ class EvosaxConfig(MapSection):
         except ImportError as error:
             raise _missing("evosax", error) from None
         if self.algorithm not in known:
-            problem = f"evosax has no {self.algorithm!r}; {nearest(self.algorithm, known)}"
+            problem = f"evosax has no {self.algorithm!r}: {nearest(self.algorithm, known)}"
             raise KeyProblem(("algorithm",), problem)
         try:
             return self.into(
@@ -491,7 +491,7 @@ def _require_enough(genome: Genome, mutated: tuple[int, int]) -> None:
 
 def _missing(extra: str, error: ImportError) -> KeyProblem:
     """Return the error for an extra whose package cannot be imported."""
-    problem = f"'{extra}' is not installed here ({error}); `{command_for(extra)}` installs it"
+    problem = f"'{extra}' is not installed here ({error}). Install it with `{command_for(extra)}`"
     return KeyProblem(("type",), problem)
 
 

@@ -42,7 +42,7 @@ class ExperimentConfig(Section):
         str,
         *pattern(
             r"^[^./\\\x00][^/\\\x00]*$",
-            "must be the name of a folder: not empty, without / and \\, no dot at its beginning",
+            "must be the name of a folder: not empty, without / and \\, not beginning with a dot",
         ),
     ]
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0

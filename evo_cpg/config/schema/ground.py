@@ -132,7 +132,7 @@ class HillsConfig(FloorSection):
         count = self.size / self.spacing + 1
         if not 2 <= count <= MOST_HEIGHTS:
             raise ValueError(
-                f"size / spacing gives {count:.0f} heights along each side; allowed: 2 to "
+                f"size / spacing gives {count:.0f} heights along each side. Allowed: 2 to "
                 f"{MOST_HEIGHTS}"
             )
         return self
@@ -143,7 +143,7 @@ class ReliefConfig(FloorSection):
 
     Attributes:
         type: ``relief``.
-        heights: rows of heights along x, at most 256 each way, m; ``file`` can replace them.
+        heights: rows of heights along x, at most 256 along each axis, m; ``file`` can replace them.
         spacing: spacing of the grid, m.
         corner: x and y of the first height, m; if left out, the grid is centred on the origin.
     """
@@ -170,7 +170,8 @@ class ReliefConfig(FloorSection):
             raise ValueError(f"rows must be equally long, got {sorted(lengths)}")
         if not all(2 <= count <= MOST_HEIGHTS for count in (len(heights), *lengths)):
             raise ValueError(
-                f"{len(heights)} x {lengths.pop()} heights; allowed: 2 to {MOST_HEIGHTS} each way"
+                f"{len(heights)} x {lengths.pop()} heights. Allowed: 2 to {MOST_HEIGHTS} along "
+                "each axis"
             )
         return heights
 

@@ -62,7 +62,7 @@ def _require_regular(directions: np.ndarray, lower: float, upper: float) -> None
     margin = _SINGULARITY_MARGIN_DEG
     if np.hypot(cosine, sine) < np.sin(np.radians(margin)):
         raise ValueError(
-            f"axes: the middle one of three must be {margin:g} degrees at least from the others"
+            f"axes: the middle one of three must be at least {margin:g} degrees from the others"
         )
     # The first angle above the lower limit at which they lie in one plane.
     plane = np.degrees(np.arctan2(sine, cosine)) + 90.0
@@ -70,8 +70,8 @@ def _require_regular(directions: np.ndarray, lower: float, upper: float) -> None
     if plane < upper + margin - 1e-6:
         near = plane - 180.0 if lower + upper < 2 * plane else plane
         raise ValueError(
-            f"limits_deg: where the middle one of three axes turns by {plane:.4g} degrees, they "
-            f"lie in one plane; allowed for it: {near + margin:.4g} to "
+            f"limits_deg: the three axes lie in one plane if the middle one turns by {plane:.4g} "
+            f"degrees. Allowed for it: {near + margin:.4g} to "
             f"{near + 180.0 - margin:.4g}, got {lower:g} to {upper:g}"
         )
 
@@ -110,15 +110,15 @@ class JointConfig(Section):
         limits = self.limits
         if len(limits) != len(self.axes):
             raise ValueError(
-                f"limits_deg gives {len(limits)} pairs for {len(self.axes)} axes; "
-                "give one pair for all, or one for each"
+                f"limits_deg gives {len(limits)} pairs for {len(self.axes)} axes. "
+                "Give one pair for all axes, or one for each"
             )
         for lower, upper in limits:
             if not lower < upper:
                 raise ValueError(f"limits_deg: {lower:g} is not below {upper:g}")
         directions = np.array(self.directions)
         if np.linalg.matrix_rank(directions, tol=1e-6) < len(directions):
-            raise ValueError("axes: they must be independent of each other and not zero")
+            raise ValueError("axes: must be linearly independent and not zero")
         if len(self.axes) == 3:
             _require_regular(directions, *limits[1])
         return self

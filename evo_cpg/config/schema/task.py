@@ -44,7 +44,7 @@ class LightConfig(OpenSection):
         given = self.model_dump()
         if self.at is not None and len(given) > 1:
             others = ", ".join(name for name in given if name != "at")
-            raise ValueError(f"at is a place in the world; leave out {others}, or at")
+            raise ValueError(f"at is a position in the world. Leave out {others}, or at")
         return self
 
     def over(self, other: "LightConfig") -> "LightConfig":
@@ -125,7 +125,7 @@ class ReachLightConfig(_TaskSection):
     def _check(self) -> "ReachLightConfig":
         if not self.distance_weight > self.light_weight > self.energy_weight:
             raise ValueError(
-                "eq. 10 asks for distance_weight > light_weight > energy_weight, got "
+                "eq. 10 requires distance_weight > light_weight > energy_weight, got "
                 f"{self.distance_weight:g}, {self.light_weight:g}, {self.energy_weight:g}"
             )
         return self

@@ -25,7 +25,7 @@ class TypicalRange(NamedTuple):
         high: largest typical value.
         unit: unit of both limits.
         units: other likely units, with their factors to ``unit``.
-        about: a value to compare with, reported if no other unit fits.
+        about: sentence with a value to compare with, reported if no other unit fits.
     """
 
     low: float
@@ -41,11 +41,9 @@ class TypicalRange(NamedTuple):
         likely = self.about
         for unit, factor in self.units.items():
             if self.low <= value * factor <= self.high:
-                likely = (
-                    f"in {unit} it would be {round(value * factor, 3):g} {self.unit}: write that"
-                )
+                likely = f"If it is in {unit}, write {round(value * factor, 3):g}"
                 break
-        return f"plausible are {self.low:.3g} to {self.high:g} {self.unit}; {likely}"
+        return f"plausible: {self.low:.3g} to {self.high:g} {self.unit}. {likely}"
 
 
 class Direction(NamedTuple):
@@ -63,29 +61,28 @@ class Direction(NamedTuple):
             (off < ROUNDING) & (meant != 0) & crooked
         ).all():
             words = ", ".join(f"{angle:g}" for angle in meant)
-            return (
-                f"in degrees this is hardly a turn; as radians it would be {words} degrees; "
-                "write degrees"
-            )
+            return f"in degrees this is hardly a turn. If it is in radians, write {words}"
         if np.abs(given).max() > TURN:
-            return f"plausible are -{TURN:g} to {TURN:g} degrees; converted twice? write degrees"
+            return (
+                f"plausible: -{TURN:g} to {TURN:g} degrees. Was it converted twice? Write degrees"
+            )
         return None
 
 
 # The ranges cover solids from foam to osmium, and liquids from petrol to the Dead Sea.
 _DENSITIES = {"g/cm^3": 1000.0, "g/m^3": 1e-3}
-SOLID = TypicalRange(20.0, 23_000.0, "kg/m^3", _DENSITIES, "water has 1000")
-LIQUID = TypicalRange(500.0, 2000.0, "kg/m^3", _DENSITIES, "water has 1000")
+SOLID = TypicalRange(20.0, 23_000.0, "kg/m^3", _DENSITIES, "Water has 1000")
+LIQUID = TypicalRange(500.0, 2000.0, "kg/m^3", _DENSITIES, "Water has 1000")
 
 # The strongest gravity of a planet of the sun is 24.8 m/s^2 (Jupiter).
-GRAVITY = TypicalRange(0.0, 30.0, "m/s^2", {"cm/s^2": 0.01}, "the earth has 9.81")
+GRAVITY = TypicalRange(0.0, 30.0, "m/s^2", {"cm/s^2": 0.01}, "Earth has 9.81")
 
 # A narrower field of view is a slit, and is probably given in radians.
 VIEW = TypicalRange(
-    2 * np.pi + ROUNDING, TURN, "degrees", {"radians": np.rad2deg(1.0)}, "a slit sees no light"
+    2 * np.pi + ROUNDING, TURN, "degrees", {"radians": np.rad2deg(1.0)}, "A slit sees no light"
 )
 
 # Joints of animals and robots turn at up to 20 rad/s, the fastest servos at 60.
 RATE = TypicalRange(
-    -60.0, 60.0, "rad/s", {"degrees per second": np.deg2rad(1.0)}, "fast servos reach 60"
+    -60.0, 60.0, "rad/s", {"degrees per second": np.deg2rad(1.0)}, "Fast servos reach 60"
 )

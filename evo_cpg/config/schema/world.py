@@ -80,8 +80,8 @@ class WaterConfig(Section):
             total = sum(gradient[i][i] for i in range(3))
             if abs(total) > _TRACE_TOLERANCE * max(abs(x) for row in gradient for x in row):
                 raise ValueError(
-                    "water keeps its volume, so the diagonal must add up to 0 (a shear has none: "
-                    f"[[0, 0, 0.5], [0, 0, 0], [0, 0, 0]]); it adds up to {total:g}"
+                    f"water keeps its volume, so the diagonal must add up to 0, got {total:g}. A "
+                    "shear has a zero diagonal: [[0, 0, 0.5], [0, 0, 0], [0, 0, 0]]"
                 )
         return gradient
 

@@ -30,8 +30,8 @@ def print_llvm(code: Code) -> tuple[str, int]:
 class _Printer:
     """Writer of the functions, one for each stretch, and of the driver that calls them.
 
-    With a group, the driver calls a function for all vectors of the group. In a packed loop and in
-    a branch per vector, ``grouped`` is false and each call is for one vector.
+    If vectors form groups, the driver calls a function for all vectors of a group. In a packed loop
+    and in a branch per vector, ``grouped`` is false and each call is for one vector.
     """
 
     def __init__(self, code: Code):

@@ -84,9 +84,10 @@ def host(requested: str | None = None) -> Target:
     sets = machine_constants.INSTRUCTION_SETS
     names = [name for name, each in sets.items() if has.issuperset(each.needs)]
     if not names:
-        raise Unsupported(f"it knows no vectors of {platform.machine()}")
+        known = ", ".join(sets)
+        raise Unsupported(f"{platform.machine()} has none of the instruction sets {known}")
     if requested is not None and requested not in names:
-        raise Unsupported(f"this processor has no {requested}; it has {', '.join(names)}")
+        raise Unsupported(f"this processor has no {requested}. Allowed: {', '.join(names)}")
     name = requested or names[0]
     kept = {each for each in has if not each.startswith(_LARGER.get(name, ()))}
     flags = [f"{'+' if each in kept else '-'}{each}" for each in sorted(has - {"neon", "fma"})]

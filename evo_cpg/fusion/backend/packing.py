@@ -1,11 +1,11 @@
 """Pack individuals together in loops with a different number of rounds for each individual.
 
-Without packing, a vector repeats the loop until its last individual is done, and computes all lanes
-for one. So the vectors of a *group* enter such a loop together. Each vector runs separately while
+A vector alone would repeat the loop until its last individual is done, and compute all lanes for
+one. So the vectors of a *group* enter such a loop together. Each vector runs separately while
 many of its individuals are active. The remaining active individuals then move, one by one, into the
 lanes of a packed vector in scratch memory. When an individual is done, the next takes its lane. All
-values that the loop reads move to the packed vector, and carried values move back. With AVX-512,
-one instruction compresses the chosen numbers of a vector, and the first lanes are filled vector by
+values that the loop reads move to the packed vector, and carried values move back. One instruction
+of AVX-512 compresses the chosen numbers of a vector, so that the first lanes are filled vector by
 vector.
 
 An individual's values do not depend on the lane, so its bits do not depend on its neighbours.

@@ -16,7 +16,7 @@ from evo_cpg.fusion.backend.writer import TYPES, Writer
 from evo_cpg.fusion.ir.graph import Node
 
 SCRATCH, FRAME = "%scratch", "%frame"
-"""Pointers to a vector's own memory, and to the memory that vectors share."""
+"""Pointers to a vector's own memory and to the memory that vectors share."""
 
 _BOOL, _BYTE, _INDEX = np.dtype(bool), np.dtype(np.int8), np.dtype(np.int32)
 

@@ -114,7 +114,7 @@ class Builder:
         return self._new(op, (), np.dtype(dtype), block, uniform)
 
     def opaque(self, node: Node, block: Block | None = None, part: int | None = None) -> Node:
-        """Return an opaque node for the same number, of which only the type is known.
+        """Return an opaque node for the same number. Only the type of the number is known.
 
         A constant is returned unchanged.
 

@@ -1,8 +1,8 @@
 """Elementary functions of float32 as basic arithmetic without branches.
 
 Each is a pure elementwise function of one or two arrays of float32. It traces to operations that a
-vector unit performs for all lanes at once: additions, products, quotients, roots, roundings,
-comparisons, selections, conversions and integer operations on the bits.
+vector unit performs for all lanes at once. These are arithmetic, roots, roundings, comparisons,
+selections, conversions and integer operations on the bits.
 
 The argument is first reduced to a short interval, where a polynomial approximates the result. The
 table writes k for an integer. The constants that k multiplies are sums of parts. All parts but the
@@ -323,7 +323,7 @@ FLOAT32: dict[str, Callable[..., Array]] = {
         erf, erf_inv, cbrt, sinh, cosh, asinh, acosh, atanh,
     )
 }  # fmt: skip
-"""The functions by the names of JAX's primitives."""
+"""Elementary functions by the names of JAX's primitives."""
 
 
 def _exp_parts(x: Array, greatest: int) -> tuple[Array, Array]:

@@ -40,7 +40,8 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
     if length == 0:
         return [*start, *(np.empty((0, *aval.shape), object) for aval in stacked)]
     if length * sum(aval.size for aval in stacked) > machine_constants.LONGEST_LISTS:
-        raise Unsupported(f"a loop of {length} rounds stacks more than native code keeps")
+        most = machine_constants.LONGEST_LISTS
+        raise Unsupported(f"a loop of {length} rounds stacks more than {most} numbers")
 
     def one_round(index: Node, carried: list[Any]) -> list[Any]:
         row = [_row(builder, x, index) for x in read]
@@ -192,7 +193,7 @@ def _without_sums(builder: Builder, trace: Trace, branch: ClosedJaxpr, given: li
     before = [len(x.added) for x in given if isinstance(x, Sums)]
     results = trace(builder, branch, given)
     if before != [len(x.added) for x in given if isinstance(x, Sums)]:
-        raise Unsupported("a branch that adds to an array where the condition does not hold")
+        raise Unsupported("a branch adds to an array even if its condition is false")
     return results
 
 

@@ -143,7 +143,7 @@ def _equation(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
         return trace_closed(builder, internals.random_program(equation), operands)
     if all(node.value is not None for operand in operands for node in operand.flat):
         return _evaluate(builder, equation, operands)
-    raise Unsupported(f"it has no rule for {name}")
+    raise Unsupported(f"no rule for {name}")
 
 
 # Rules of primitives that hold programs.
@@ -204,7 +204,7 @@ _PROGRAMS: dict[str, Callable[[Builder, Any, Arrays], Arrays]] = {
     eliminate_p.name: _elimination,
     "custom_linear_solve": _linear_solve,
 }
-"""Rules of primitives that hold programs, from equations and operands to results."""
+"""Rules of primitives that hold programs. A rule maps an equation and operands to results."""
 
 
 def _evaluate(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
@@ -245,7 +245,7 @@ def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
     if dtype == np.float64 and name == "logistic":
         return elementwise(functools.partial(_logistic, builder), *operands)
     if dtype != np.float64 or name not in LIBRARY:
-        raise Unsupported(f"it has no {name} of {dtype}")
+        raise Unsupported(f"no rule for {name} of {dtype}")
     return elementwise(lambda *x: builder.make(name, x, dtype), *operands)
 
 
@@ -394,7 +394,7 @@ _ELEMENTWISE: dict[str, Callable[..., Node]] = {
     "rsqrt": lambda b, x: b.apply("div", b.constant(1, x.dtype), b.apply("sqrt", x)),
     "square": lambda b, x: b.power(x, 2),
 }
-"""Rules of primitives on scalars, from a builder and nodes to a node."""
+"""Rules of primitives on scalars. A rule maps a builder and nodes to a node."""
 
 _RULES: dict[str, Rule] = {
     **MOVES,
@@ -417,4 +417,4 @@ _RULES: dict[str, Rule] = {
     "round": _rounded,
     "select_n": _select_n,
 }
-"""Rules of primitives on arrays, from operands and parameters to results."""
+"""Rules of primitives on arrays. A rule maps operands and parameters to results."""

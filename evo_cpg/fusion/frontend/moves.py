@@ -92,7 +92,7 @@ def _gather_at_computed_places(builder, x, indices, params):
     """Gather one window for each row of indices. Offsets within the window are fixed."""
     numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
     if numbers.operand_batching_dims:
-        raise Unsupported("it has no gather with batch dimensions at computed places")
+        raise Unsupported("no rule for a gather with batch dimensions at computed places")
     rows = indices.reshape(-1, indices.shape[-1]) if indices.ndim else indices.reshape(1, 1)
     filled = "FILL" in str(params["mode"])
     fill = params["fill_value"]
@@ -183,7 +183,7 @@ def _unstack(builder, operands, params):
 
 
 def _pad(builder, operands, params):
-    """Pad between and around the elements. Negative padding around the elements cuts."""
+    """Pad between and around the elements. Negative padding removes elements at the ends."""
     x, value = operands
     shape, inside, kept = [], [], []
     for count, (low, high, inner) in zip(x.shape, params["padding_config"], strict=True):
@@ -200,7 +200,7 @@ def _scatter(builder, operands, params, combine=lambda old, new: new):
     """Put elements at constant places. A gather by JAX finds the places."""
     x, indices, updates = operands
     if any(node.value is None for node in indices.flat):
-        raise Unsupported("it has no scatter to computed places")
+        raise Unsupported("no rule for a scatter to computed places")
     numbers = params["dimension_numbers"]
     alone = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
     window = iter([updates.shape[i] for i in numbers.update_window_dims])
@@ -241,7 +241,7 @@ def add_to_sums(builder: Builder, operands: list, params: dict) -> list:
     sums, indices, updates = operands
     places = indices.reshape(-1)
     if not all(node.uniform for node in places):
-        raise Unsupported("it adds to places that differ from individual to individual")
+        raise Unsupported("no rule for adding to places that differ between individuals")
     for place, value in zip(places, updates.reshape(-1), strict=True):
         builder.accumulate(sums, builder.convert(place, np.int32), value)
     return [sums]

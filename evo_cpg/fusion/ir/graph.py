@@ -232,7 +232,7 @@ def rewrite(graph: Graph, changes: Mapping[Node, Change]) -> Graph:
 
 
 NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside"}
-"""Nodes that are known without computing anything, and other names of nodes."""
+"""Operations without code: their values are known, or they are other names of nodes."""
 
 
 def resolve(node: Node) -> Node:

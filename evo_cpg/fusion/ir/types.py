@@ -47,7 +47,7 @@ ARITHMETIC: dict[str, Operation] = {
     **_each("select", "b a a -> a"),
     **_each("convert bitcast", "a -> *"),
 }
-"""One scalar from others. Most have the names of JAX's primitives."""
+"""Operations that compute one scalar from others. Most have the names of JAX's primitives."""
 
 LIBRARY: dict[str, Operation] = {
     **_each(

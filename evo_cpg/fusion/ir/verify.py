@@ -26,7 +26,7 @@ def verify(graph: Graph) -> Graph:
     last = 0.0
     for node in graph.nodes:
         if node.number <= last:
-            raise InvalidGraph(f"{node!r} comes behind a node with a greater number")
+            raise InvalidGraph(f"{node!r} follows a node with a greater or equal number")
         last = node.number
         _check_type(node)
         kept = graph.kept.get(node, range(len(node.operands)))
@@ -79,7 +79,7 @@ def _check_schedule(graph: Graph, block: Block, computed: set[Node]) -> None:
 def _check_computed(node: Node, operands: Iterable[Node], computed: set[Node]) -> None:
     for operand in map(resolve, operands):
         if operand.op not in NO_CODE and operand not in computed:
-            raise InvalidGraph(f"{node!r} is scheduled before {operand!r}, or this is not at all")
+            raise InvalidGraph(f"{node!r} needs {operand!r}, which is scheduled later or never")
 
 
 def _check_use(node: Node, operand: Node, known: set[Node]) -> None:
@@ -89,7 +89,7 @@ def _check_use(node: Node, operand: Node, known: set[Node]) -> None:
     if node.op != "totals" and not _encloses(operand.block, node.block):
         raise InvalidGraph(f"{node!r} uses {operand!r}, which is computed in another block")
     if node.uniform and not operand.uniform:
-        raise InvalidGraph(f"{node!r} is the same for all individuals, {operand!r} is not")
+        raise InvalidGraph(f"{node!r} is uniform, but its operand {operand!r} is not")
 
 
 def _check_type(node: Node) -> None:
@@ -102,9 +102,9 @@ def _check_type(node: Node) -> None:
         given = ", ".join(map(str, dtypes[:-1]))
         raise InvalidGraph(f"{node!r} has types {given} -> {node.dtype}, not {operation.signature}")
     if not isinstance(node.detail, operation.detail or type(None)):
-        raise InvalidGraph(f"{node!r} has the detail {node.detail!r}")
+        raise InvalidGraph(f"{node!r} has the wrong detail {node.detail!r}")
     if (node.op == "constant") != (node.value is not None):
-        raise InvalidGraph(f"{node!r} has the value {node.value!r}")
+        raise InvalidGraph(f"{node!r} has the wrong value {node.value!r}")
 
 
 @functools.cache
@@ -133,12 +133,12 @@ def _check_loop(graph: Graph, node: Node, known: set[Node]) -> None:
     if loop.test.parent is not node.block or loop.body.parent is not loop.test:
         raise InvalidGraph(f"{node!r} has its test or its body in another block")
     if graph.loops.get(loop.test) is not node or graph.loops.get(loop.body) is not node:
-        raise InvalidGraph(f"{node!r} is not known as the loop of its blocks")
+        raise InvalidGraph(f"{node!r} is not recorded as the loop of its blocks")
     if (loop.count is None) != (loop.condition is not None):
-        raise InvalidGraph(f"{node!r} needs either a number of rounds or a condition")
+        raise InvalidGraph(f"{node!r} must have either a number of rounds or a condition")
     for k in kept:
         if len({each[k].dtype for each in (node.operands, loop.carried, loop.following)}) > 1:
-            raise InvalidGraph(f"{node!r} carries values of several types at place {k}")
+            raise InvalidGraph(f"{node!r} carries values of different types at place {k}")
     needed = [loop.following[k] for k in kept] + ([loop.condition] if loop.condition else [])
     for part in needed:
         if part not in known or not _encloses(part.block, loop.body):

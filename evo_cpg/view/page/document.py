@@ -14,11 +14,11 @@ from typing import Any
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.view.page import movement, origin
 from evo_cpg.view.page.html import Html, join, tag
-from evo_cpg.view.page.subject import Motion, Subject
+from evo_cpg.view.page.subject import RecordedMotion, Subject
 from evo_cpg.view.page.words import number, with_unit
 
 
-def document(subject: Subject, motion: Motion) -> str:
+def document(subject: Subject, motion: RecordedMotion) -> str:
     """Return the whole page."""
     sections = [
         ("gait", "How it moves", movement.gait(motion)),
@@ -72,7 +72,7 @@ def _changed(subject: Subject) -> Html | None:
     return tag("p", f"{subject.changed}. {words}", class_="failed")
 
 
-def _viewer(motion: Motion) -> Html:
+def _viewer(motion: RecordedMotion) -> Html:
     views = [("side", "Side"), ("top", "Top"), ("behind", "Behind"), ("front", "Front")]
     buttons = [tag("button", word, type="button", data_view=key) for key, word in views]
     paces = [

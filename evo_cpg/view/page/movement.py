@@ -11,7 +11,7 @@ from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.page import charts
 from evo_cpg.view.page.html import Html, join, long_table, table, tag
-from evo_cpg.view.page.subject import Motion, Subject
+from evo_cpg.view.page.subject import RecordedMotion, Subject
 from evo_cpg.view.page.words import number
 from evo_cpg.view.plots import joint_signals_figure, path_figure
 
@@ -21,7 +21,7 @@ _LEAST_SHOWN, _MOST_SHOWN, _STRIDES_SHOWN = 2.0, 8.0, 6.0
 _PLACES = 400
 
 
-def gait(motion: Motion) -> Html:
+def gait(motion: RecordedMotion) -> Html:
     """Show footfalls, the wave along the body, and the path."""
     numbers, recording = motion.numbers, motion.recording
     window = _window(recording, numbers.frequency)
@@ -74,7 +74,7 @@ def gait(motion: Motion) -> Html:
     return join(*parts)
 
 
-def signals(subject: Subject, motion: Motion) -> Html | None:
+def signals(subject: Subject, motion: RecordedMotion) -> Html | None:
     """Show joint angles, the controller's signals, and phase lags, or None without joints."""
     recording, numbers = motion.recording, motion.numbers
     if not recording.dof_names:
@@ -122,7 +122,7 @@ def signals(subject: Subject, motion: Motion) -> Html | None:
     return join(*parts)
 
 
-def effort(motion: Motion) -> Html:
+def effort(motion: RecordedMotion) -> Html:
     """Show power, speed and torques."""
     recording, numbers, clip = motion.recording, motion.numbers, motion.clip
     figure = charts.effort_figure(recording.time, numbers.power, clip.time, clip.speed)

@@ -8,12 +8,12 @@ from typing import Any
 from evo_cpg.training.run_folder import refinements
 from evo_cpg.view.page import charts
 from evo_cpg.view.page.html import Html, join, long_table, table, tag
-from evo_cpg.view.page.subject import Motion, Subject
+from evo_cpg.view.page.subject import RecordedMotion, Subject
 from evo_cpg.view.page.words import cell, listed, number, quantity, without_folders
 from evo_cpg.view.plots import fitness_figure
 
 
-def evolution(subject: Subject, motion: Motion) -> Html:
+def evolution(subject: Subject, motion: RecordedMotion) -> Html:
     """Show fitness over the generations, and the champion's fitness and terms."""
     rows = [[name, number(value)] for name, value in subject.champion.items()]
     words = (

@@ -98,8 +98,8 @@ class Subject(NamedTuple):
     made: str
 
 
-class Motion(NamedTuple):
-    """Motion of the animal.
+class RecordedMotion(NamedTuple):
+    """Recorded motion of the animal, with its numbers and pictures.
 
     Attributes:
         recording: the motion.

@@ -1,4 +1,4 @@
-"""What the library says of work that takes long, and when it says nothing."""
+"""Progress lines of the library, and cases without any."""
 
 import io
 import sys
@@ -11,7 +11,7 @@ from evo_cpg.api import progress
 
 
 class Terminal(io.StringIO):
-    """A stream that is a terminal."""
+    """Stream that is a terminal."""
 
     def isatty(self) -> bool:
         return True
@@ -19,7 +19,7 @@ class Terminal(io.StringIO):
 
 @pytest.fixture
 def streams(monkeypatch):
-    """Let standard error be another one, and no line wait for long."""
+    """Replace standard error, and shorten the time before a line."""
     monkeypatch.setattr(progress, "_SOON", 0.02)
     monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
 
@@ -36,7 +36,7 @@ def take_long():
         progress.threading.Event().wait(0.2)
 
 
-def test_a_terminal_is_told_what_takes_long(streams):
+def test_a_terminal_shows_long_work(streams):
     said = streams(Terminal())
     take_long()
     first, last = said.getvalue().splitlines()
@@ -44,7 +44,7 @@ def test_a_terminal_is_told_what_takes_long(streams):
     assert last.startswith("evo_cpg: compiling: 0.") and last.endswith(" s")
 
 
-def test_what_is_soon_done_is_not_told(streams):
+def test_short_work_prints_nothing(streams):
     said = streams(Terminal())
     with progress.working("compiling"):
         pass
@@ -52,14 +52,14 @@ def test_what_is_soon_done_is_not_told(streams):
 
 
 @pytest.mark.parametrize(("stream", "on"), [(io.StringIO(), None), (Terminal(), False)])
-def test_nobody_is_told_who_did_not_ask(streams, stream, on):
+def test_a_pipe_prints_nothing_and_progress_can_be_switched_off(streams, stream, on):
     said = streams(stream)
     evo.show_progress(on)
     take_long()
     assert said.getvalue() == ""
 
 
-def test_a_pipe_and_a_notebook_are_told_if_they_ask(streams, monkeypatch):
+def test_requested_progress_and_notebooks_print_lines(streams, monkeypatch):
     said = streams(io.StringIO())
     evo.show_progress(True)
     take_long()
@@ -71,7 +71,7 @@ def test_a_pipe_and_a_notebook_are_told_if_they_ask(streams, monkeypatch):
     assert said.getvalue().startswith("evo_cpg: compiling ...")
 
 
-def test_a_failure_and_a_closed_stream_stay_what_they_are(streams):
+def test_a_failure_passes_through_and_a_closed_stream_is_ignored(streams):
     said = streams(Terminal())
     with pytest.raises(KeyError), progress.working("compiling"):
         progress.threading.Event().wait(0.1)
@@ -81,7 +81,7 @@ def test_a_failure_and_a_closed_stream_stay_what_they_are(streams):
     take_long()
 
 
-def test_a_search_says_how_far_it_is_every_ten_seconds(streams, monkeypatch):
+def test_a_search_prints_progress_every_ten_seconds(streams, monkeypatch):
     said = streams(Terminal())
     clock = iter(np.arange(0.0, 100.0, 4.0))
     monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock))

@@ -1,6 +1,6 @@
-"""Surroundings that lack something: no home, no locale, no permission, nowhere to print.
+"""Systems that lack something: a home, a UTF-8 locale, a permission, or an output stream.
 
-Most are made in this process. Those that only a new process has are tried with quick commands.
+Most tests change this process. Tests that need a new process use quick commands.
 """
 
 import contextlib
@@ -34,8 +34,8 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="of POSIX systems")
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 SMALL = (*PAIR, "evolution.generations=2")
 
-# Another user, whom no file of the system knows. This user may read everything, since the
-# interpreter may lie in a folder of root's, but writes only where anybody may.
+# Another user, without an entry in the files of the system. This user may read everything, because
+# the interpreter may lie in a folder of root. It may write only where every user may.
 STRANGER = (
     *("setpriv", "--reuid=54321", "--regid=54321", "--clear-groups"),
     *("--inh-caps=-all,+dac_read_search", "--ambient-caps=+dac_read_search"),
@@ -44,7 +44,7 @@ STRANGER = (
 
 @pytest.fixture(scope="module")
 def stranger():
-    """Begin of a command line that another user runs."""
+    """Return the start of a command line that another user runs."""
     if not hasattr(os, "geteuid") or os.geteuid() != 0:
         pytest.skip("only root can become another user")
     if shutil.which("setpriv") is None:
@@ -66,7 +66,7 @@ def deleted_working_folder():
 
 
 def run(*arguments, prefix=(), compiled=None, without=(), **changed):
-    """`evo-cpg` as a process: exit code, output, complaints."""
+    """Run `evo-cpg` as a process, and return exit code, standard output and standard error."""
     own = (environment(compiled) if compiled else os.environ) | {"PYTHONPATH": str(REPOSITORY)}
     own = {name: value for name, value in (own | changed).items() if name not in without}
     command = [*prefix, sys.executable, "-m", "evo_cpg", *map(str, arguments)]
@@ -105,7 +105,7 @@ def test_without_a_home_matplotlib_gets_a_folder(homeless):
     assert system.is_writable(Path(os.environ["MPLCONFIGDIR"]))
 
 
-def test_who_has_a_home_keeps_matplotlib_there(monkeypatch, tmp_path):
+def test_with_a_home_matplotlib_keeps_its_folder(monkeypatch, tmp_path):
     monkeypatch.delenv("MPLCONFIGDIR", raising=False)
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("USERPROFILE", str(tmp_path))
@@ -113,7 +113,7 @@ def test_who_has_a_home_keeps_matplotlib_there(monkeypatch, tmp_path):
     assert "MPLCONFIGDIR" not in os.environ
 
 
-def test_another_user_without_a_home_gets_by(stranger):
+def test_another_user_without_a_home_runs_commands(stranger):
     missing = ("HOME", "XDG_CACHE_HOME")
     code, out, err = run("validate", "starfish", prefix=stranger, without=missing)
     assert (code, err) == (0, "") and " genes\n" in out
@@ -136,9 +136,9 @@ def test_another_user_without_a_home_trains(stranger, compiled):
 # No permission
 
 
-def test_what_another_user_may_not_write_is_one_line(stranger, finished_run):
+def test_a_missing_permission_is_one_line(stranger, finished_run):
     with tempfile.TemporaryDirectory() as place:
-        # Everybody may look into it.
+        # Every user may read the folder.
         os.chmod(place, 0o755)
         folder = shutil.copytree(finished_run, Path(place) / "run")
         code, out, err = run("resume", folder, prefix=stranger)
@@ -149,7 +149,7 @@ def test_what_another_user_may_not_write_is_one_line(stranger, finished_run):
         assert err.endswith(f"evo-cpg: cannot write {place}/new (Permission denied)\n")
 
 
-def test_who_may_not_write_looks_on_without_a_picture(cli, finished_run, monkeypatch):
+def test_watch_without_permission_to_write_draws_no_picture(cli, finished_run, monkeypatch):
     def refuse(self, champion, now):
         raise OutputError("cannot write watch.png (Permission denied)")
 
@@ -160,7 +160,7 @@ def test_who_may_not_write_looks_on_without_a_picture(cli, finished_run, monkeyp
     assert err == "evo-cpg: warning: no picture: cannot write watch.png (Permission denied)\n"
 
 
-def test_without_temporary_files_complaints_go_nowhere(monkeypatch):
+def test_without_temporary_files_the_scratch_file_is_empty(monkeypatch):
     def none(*args, **options):
         raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
 
@@ -171,7 +171,7 @@ def test_without_temporary_files_complaints_go_nowhere(monkeypatch):
         assert file.read() == b""
 
 
-def test_a_sandbox_that_hides_the_cores_has_some(monkeypatch):
+def test_cores_are_counted_if_the_affinity_is_hidden(monkeypatch):
     def refused(number):
         raise PermissionError(errno.EPERM, "Operation not permitted")
 
@@ -221,7 +221,7 @@ def test_without_a_working_folder_other_paths_are_refused(cli, words, expected):
 
 
 @posix
-def test_names_are_utf8_whatever_the_locale():
+def test_names_are_utf8_in_every_locale():
     code = """
 import os, sys
 from evo_cpg.system import as_utf8, name_of, named
@@ -234,7 +234,7 @@ assert as_utf8("name=\\udcc3\\udca9") == "name=\\u00e9"
     python(code, **ASCII)
 
 
-def test_names_that_are_no_utf8_stay_as_they_are(tmp_path):
+def test_names_that_are_not_utf8_stay_unchanged(tmp_path):
     assert system.as_utf8("größe") == "größe"
     assert system.name_of(system.named("größe·鮫")) == "größe·鮫"
     assert system.name_of(system.named("bad\udcff")) == "bad\udcff"
@@ -244,6 +244,7 @@ def test_names_that_are_no_utf8_stay_as_they_are(tmp_path):
     assert (tmp_path / "table.csv").read_bytes() == b"bad\xff," + "größe".encode()
 
 
+@pytest.mark.slow
 @posix
 def test_without_utf8_commands_read_and_name_files(tmp_path):
     path = tmp_path / "größe·鮫.yaml"
@@ -260,7 +261,7 @@ def test_without_utf8_commands_read_and_name_files(tmp_path):
 
 @pytest.mark.slow
 @posix
-def test_without_utf8_a_run_goes_through(compiled, tmp_path):
+def test_without_utf8_a_run_is_trained_and_verified(compiled, tmp_path):
     given = {"compiled": compiled, **ASCII}
     folder = tmp_path / "größe"
     assert run("train", CONFIG, *SMALL, "name=é·鮫", "--out", folder, **given)[0] == 0
@@ -271,7 +272,7 @@ def test_without_utf8_a_run_goes_through(compiled, tmp_path):
         assert code == 0, err
 
 
-def test_a_setting_that_is_no_utf8_is_refused(cli):
+def test_a_setting_that_is_not_utf8_is_refused(cli):
     code, _, err = cli("validate", CONFIG, "name=\udcff")
     assert code == 2
     assert err == "evo-cpg: command line: name: '\\udcff' is not UTF-8 text\n"
@@ -282,10 +283,10 @@ def test_a_setting_that_is_no_utf8_is_refused(cli):
 
 @needs_full
 @pytest.mark.parametrize("which", ["out", "err", "both"])
-def test_training_finishes_where_nothing_can_be_printed(which, tmp_path, finished_run):
+def test_training_finishes_if_output_is_lost(which, tmp_path, finished_run):
     folder = tmp_path / "run"
     with open(FULL, "wb", buffering=0) as full, pytest.MonkeyPatch.context() as patch:
-        # The devices that this process has.
+        # This process already has its devices.
         for module in ("cli.champions", "training.devices"):
             patch.setattr(f"evo_cpg.{module}.use_cores", lambda count=None: 2)
         patch.setattr(streams, "protect", lambda: None)
@@ -303,7 +304,7 @@ def test_training_finishes_where_nothing_can_be_printed(which, tmp_path, finishe
 
 
 @needs_full
-def test_a_command_whose_answer_is_lost_fails():
+def test_a_command_whose_output_is_lost_fails():
     with open(FULL, "wb") as full:
         words = [sys.executable, "-m", "evo_cpg", "configs"]
         done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, check=False)
@@ -313,7 +314,7 @@ def test_a_command_whose_answer_is_lost_fails():
 
 
 @posix
-def test_who_stops_reading_is_no_fault():
+def test_a_closed_pipe_is_no_error():
     reading, writing = os.pipe()
     os.close(reading)
     words = [sys.executable, "-m", "evo_cpg", "configs"]
@@ -323,7 +324,7 @@ def test_who_stops_reading_is_no_fault():
 
 
 @posix
-def test_a_watcher_whom_nobody_reads_ends():
+def test_a_closed_pipe_is_detected_at_the_next_line():
     reading, writing = os.pipe()
     stream = streams.opened(writing, None)
     with pytest.MonkeyPatch.context() as patch:
@@ -337,7 +338,7 @@ def test_a_watcher_whom_nobody_reads_ends():
 
 
 @posix
-def test_no_file_takes_the_number_of_a_closed_stream(tmp_path):
+def test_no_file_gets_the_number_of_a_closed_stream(tmp_path):
     code = f"""
 import os, sys
 for number in (0, 1, 2):
@@ -355,7 +356,7 @@ with open({str(tmp_path / "file")!r}, "w") as file:
 
 
 @posix
-def test_a_stream_keeps_its_encoding_and_escapes_the_rest():
+def test_a_stream_escapes_characters_outside_its_encoding():
     reading, writing = os.pipe()
     like = io.TextIOWrapper(io.BytesIO(), encoding="ascii", line_buffering=True)
     with streams.opened(writing, like) as stream:
@@ -370,21 +371,21 @@ def test_a_stream_keeps_its_encoding_and_escapes_the_rest():
 # No device
 
 
-def test_a_platform_that_is_absent_is_one_line(monkeypatch):
+def test_a_missing_platform_is_one_line(monkeypatch):
     def none():
         raise RuntimeError("Unable to initialize backend 'cuda'")
 
     monkeypatch.setattr(jax, "devices", none)
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
     expected = (
-        "JAX finds no device to compute on (JAX_PLATFORMS is 'cuda'); set JAX_PLATFORMS to 'cpu', "
+        "JAX finds no device to compute on (JAX_PLATFORMS is 'cuda'). Set JAX_PLATFORMS to 'cpu', "
         "or unset it"
     )
     assert message_for(AssertionError()) == expected
     assert message_for(RuntimeError("Unable to initialize backend 'cuda'")) == expected
 
 
-def test_version_is_told_without_a_device(monkeypatch):
+def test_version_is_printed_without_a_device(monkeypatch):
     def none(engine):
         raise AssertionError
 
@@ -397,11 +398,11 @@ def test_training_without_a_device_writes_nothing(tmp_path):
     folder = tmp_path / "run"
     code, out, err = run("train", CONFIG, *SMALL, "--out", folder, JAX_PLATFORMS="nonsense")
     assert (code, out) == (2, "") and err.count("\n") == 1
-    assert "(JAX_PLATFORMS is 'nonsense'); set JAX_PLATFORMS to 'cpu'" in err
+    assert "(JAX_PLATFORMS is 'nonsense'). Set JAX_PLATFORMS to 'cpu'" in err
     assert not folder.exists()
 
 
-# In words
+# Messages for errors
 
 
 @pytest.mark.parametrize(
@@ -414,12 +415,12 @@ def test_training_without_a_device_writes_nothing(tmp_path):
         (TimeoutError(), "TimeoutError"),
         (
             UnicodeEncodeError("ascii", "größe", 2, 4, "ordinal not in range"),
-            "'gr\\xf6\\xdfe' cannot be written in ascii; choose a locale with UTF-8, such as "
+            "'gr\\xf6\\xdfe' cannot be written in ascii. Choose a locale with UTF-8, such as "
             "LC_ALL=C.UTF-8, or another name",
         ),
         (ValueError("a fault"), None),
         (RuntimeError("a fault"), None),
     ],
 )
-def test_what_the_system_refuses_is_said_and_faults_are_not_hidden(error, words):
+def test_only_errors_of_the_user_or_system_have_a_message(error, words):
     assert message_for(error) == words

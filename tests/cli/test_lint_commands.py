@@ -1,4 +1,4 @@
-"""What is hardly meant is said by the commands that read a config, or refused with --strict."""
+"""Unlikely values in a configuration: a warning, or an error with --strict. And --version."""
 
 import platform
 
@@ -13,8 +13,8 @@ from tiny_run import CONFIG, PAIR, REPOSITORY
 GRAMS = "creature.materials.body.density=1"
 RADIANS = "task.light.bearing_deg=0.524"
 SAID = (
-    f"{CONFIG}: creature.materials.body.density: 1: plausible are 20 to 23000 kg/m^3; in "
-    "g/cm^3 it would be 1000 kg/m^3: write that\n"
+    f"{CONFIG}: creature.materials.body.density: 1: plausible: 20 to 23000 kg/m^3. "
+    "If it is in g/cm^3, write 1000\n"
 )
 
 
@@ -31,10 +31,10 @@ def test_validate_takes_settings_for_every_file(cli):
     assert (code, out.count("\n")) == (0, 2)
     code, out, err = cli("validate", CONFIG, "seed=-1")
     assert (code, out) == (2, "")
-    assert f"{CONFIG}: seed: -1: input should be greater than or equal to 0" in err
+    assert f"{CONFIG}: seed: -1: must be greater than or equal to 0" in err
     code, out, err = cli("validate", "seed=3")
     assert (code, out) == (2, "")
-    assert "seed=3 is a setting; name a configuration file, too" in err
+    assert "seed=3 is a setting. Name a configuration file, too" in err
 
 
 @pytest.mark.parametrize(
@@ -51,28 +51,28 @@ def test_strict_refuses_before_anything_is_written(cli, tmp_path, monkeypatch, c
     assert not list(tmp_path.iterdir())
 
 
-def test_strict_takes_what_is_plausible(cli):
+def test_strict_accepts_plausible_values(cli):
     code, out, err = cli("validate", "--strict", CONFIG)
     assert (code, err) == (0, "")
     assert out.startswith(str(CONFIG))
 
 
-def test_train_and_preview_warn_and_go_on(cli, tmp_path):
+def test_train_and_preview_warn_and_continue(cli, tmp_path):
     heavy = "creature.materials.body.density=19"
     code, _, err = cli("preview", CONFIG, heavy, "-o", tmp_path / "body.png", "--size", "64x36")
     assert code == 0
-    assert "evo-cpg: warning: " in err and "plausible are 20" in err
+    assert "evo-cpg: warning: " in err and "plausible: 20 to" in err
     assert (tmp_path / "body.png").is_file()
     run = tmp_path / "run"
     code, _, err = cli("train", CONFIG, *PAIR, "evolution.generations=1", RADIANS, "--out", run)
     assert code == 0
-    assert "task.light.bearing_deg: 0.524: in degrees this is hardly a turn; as radians" in err
-    # Of the one hinge of this animal, once.
+    assert "task.light.bearing_deg: 0.524: in degrees this is hardly a turn. If it is in" in err
+    # This animal has one hinge, so there is one warning about oscillators.
     assert err.count(f"{CONFIG}: coupled to no other oscillator, and at rest under a") == 1
     assert (run / "champion.npz").is_file()
 
 
-def test_the_version_is_that_of_the_package(cli):
+def test_version_names_the_program_and_its_packages(cli):
     from importlib import metadata
 
     code, out, err = cli("--version")
@@ -88,7 +88,7 @@ def test_the_version_is_that_of_the_package(cli):
         assert llvm_version() in engine
 
 
-def test_the_version_says_why_there_is_no_native_code(monkeypatch):
+def test_version_says_why_there_is_no_native_code(monkeypatch):
     from evo_cpg.api.version import version
 
     reason = "llvmlite is not installed"
@@ -102,7 +102,7 @@ def test_the_version_says_why_there_is_no_native_code(monkeypatch):
     assert last.startswith("engine: plain JAX; ") and last.endswith(reason)
 
 
-def test_the_version_names_the_commit_of_a_checkout(tmp_path):
+def test_version_names_the_commit_of_a_checkout(tmp_path):
     import subprocess
 
     from evo_cpg.api.version import commit_of
@@ -112,15 +112,15 @@ def test_the_version_names_the_commit_of_a_checkout(tmp_path):
     assert commit_of(tmp_path) is None
     (tmp_path / ".git").rmdir()
     subprocess.run(["git", "init", "-q", tmp_path], check=True)
-    who = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
+    author = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
     (tmp_path / "file").write_text("one")
     subprocess.run(["git", "-C", tmp_path, "add", "file"], check=True)
-    subprocess.run(["git", "-C", tmp_path, *who, "commit", "-qm", "x"], check=True)
+    subprocess.run(["git", "-C", tmp_path, *author, "commit", "-qm", "x"], check=True)
     command = ["git", "-C", str(tmp_path), "rev-parse", "HEAD"]
     head = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     commit = commit_of(tmp_path)
     assert commit and head.startswith(commit) and len(commit) >= 4
     (tmp_path / "file").write_text("two")
     assert commit_of(tmp_path) == f"{commit}-dirty"
-    # Where only other files count it is as it was.
+    # If only other files count, nothing has changed.
     assert commit_of(tmp_path, ("other",)) == commit
