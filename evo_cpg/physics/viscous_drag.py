@@ -59,7 +59,11 @@ from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Local friction coefficients 0.664 Re^-1/2 (Blasius) and 0.0592 Re^-1/5 (Prandtl), the Reynolds
 # number of the transition, and the power of its weight.
-_LAMINAR, _TURBULENT, _TRANSITION, _SHARPNESS = 0.664, 0.0592, 5e5, 4
+_LAMINAR, _TURBULENT, _TRANSITION, _STEEPNESS = 0.664, 0.0592, 5e5, 4
+
+# A single body has one Re_x for its whole length. The transition begins at its rear, where x is
+# larger: this factor fits the mean friction of a plate with a transition at 5e5.
+_ALONE = 1.5
 
 # Re_x below which the boundary layer fades out, because creeping flow has all the friction.
 _CREEPING = 0.05
@@ -96,6 +100,7 @@ class Wetted(NamedTuple):
         friction: G, ``(6, 6)``.
         creep: R, ``(6, 6)``.
         fade: rate below which the boundary layer fades out, over the kinematic viscosity, 1/m^2.
+        transition: Re_x of the transition to turbulent friction.
         diameter: thickness of the body, m.
         dip: depth of the dip of form drag.
     """
@@ -108,6 +113,7 @@ class Wetted(NamedTuple):
     friction: Float[Numbers, "6 6"]
     creep: Float[Numbers, "6 6"]
     fade: Float[Numbers, " 1"]
+    transition: Float[Numbers, " 1"]
     diameter: Float[Numbers, " 1"]
     dip: Float[Numbers, " 1"]
 
@@ -215,7 +221,7 @@ class ViscousDrag(ForceLaw):
         along = jnp.where(moving[:1] > 0, each(patch.forward), each(patch.backward))
         speed = product(own.speed, squares) + _SPEED_FLOOR
         rate = jnp.sqrt(product(own.rate, squares) + squares[:1] * along + _RATE_FLOOR)
-        friction = (self.factor * density) * _friction(speed, rate, viscosity, own.fade[0])
+        friction = (self.factor * density) * _friction(own, speed, rate, viscosity)
         y = jnp.sqrt(speed) * (own.diameter[0] / (_DIP_RE * viscosity))
         dip = 1.0 - own.dip[0] * 4.0 * y / ((1.0 + y) * (1.0 + y))
         creep = jnp.full_like(speed, self.factor * self.viscosity)
@@ -238,12 +244,13 @@ def _blocks(matrix: Numbers, flat: Array) -> Array:
     return blocks(jnp.asarray(matrix, flat.dtype)).reshape(27, 1)
 
 
-def _friction(speed: Array, rate: Array, viscosity: Number, fade: Number) -> Array:
+def _friction(own: Wetted, speed: Array, rate: Array, viscosity: Number) -> Array:
     """Return ``1/2 c_f s`` at a squared speed ``s^2`` and a rate ``s / x``, m/s."""
-    laminar = (0.5 * _LAMINAR) * jnp.sqrt(viscosity) * rate / jnp.sqrt(rate + fade * viscosity)
-    relative = speed / (rate * (viscosity * _TRANSITION))
-    ratio = _TURBULENT / _LAMINAR * _TRANSITION**0.3 * jnp.exp(0.3 * jnp.log(relative))
-    power = relative**_SHARPNESS
+    fading = rate / jnp.sqrt(rate + own.fade[0] * viscosity)
+    laminar = (0.5 * _LAMINAR) * jnp.sqrt(viscosity) * fading
+    reynolds = speed / (rate * viscosity)
+    ratio = _TURBULENT / _LAMINAR * jnp.exp(0.3 * jnp.log(reynolds))
+    power = (reynolds / own.transition[0]) ** _STEEPNESS
     return laminar * (1.0 + power / (1.0 + power) * (ratio - 1.0))
 
 
@@ -419,6 +426,7 @@ def _wetted(
         friction=friction,
         creep=(axes.T * creep) @ axes,
         fade=xp.array([_CREEPING * xp.sqrt(inverse[1] * inverse[2])]),
+        transition=xp.array([_TRANSITION if len(shape.axes) > 1 else _TRANSITION / _ALONE]),
         diameter=xp.array([2 * xp.sqrt(half[1] * half[2])]),
         dip=xp.array([_DIP * (1 - shape.sharpness)]),
     )
