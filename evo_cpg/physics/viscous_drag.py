@@ -85,7 +85,7 @@ _SHARP = 0.99
 _TINY = 1e-9
 
 # Operations of native code per body, and per point of form drag without and with a surface.
-_BODY, _FORM_POINT, _SURFACE_POINT = 330.0, 27.0, 38.0
+_BODY, _FORM_POINT, _SURFACE_POINT = 240.0, 27.0, 38.0
 
 
 class Wetted(NamedTuple):
