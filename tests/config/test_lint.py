@@ -44,6 +44,12 @@ MISTAKES = {
         "world.water.density",
         "If it is in g/cm^3, write 1025",
     ),
+    "viscosity in mPa s": (
+        CONFIG,
+        ["world.water.viscosity=1"],
+        "world.water.viscosity",
+        "If it is in mPa s, write 0.001",
+    ),
     "water like air": (CONFIG, ["world.water.density=80"], "world.water.density", "Water has 1000"),
     "box in mm": (
         CONFIG,
