@@ -22,6 +22,7 @@ from evo_cpg.control.couplings import CouplingError, UnfitError
 from evo_cpg.creature.creature import Creature, CreatureError, length_of
 from evo_cpg.creature.self_collision import PlanPairs, SelfCollision
 from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.slender import slender_chains
 from evo_cpg.creature.surface import PointLayout, outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.evolution.islands import Islands
@@ -35,6 +36,7 @@ from evo_cpg.physics.contact_model import make_contact_model
 from evo_cpg.physics.fluid import Drag, Patch, make_patches
 from evo_cpg.physics.force_law import ForceLaw
 from evo_cpg.physics.pairs import make_pairs
+from evo_cpg.physics.reactive_thrust import LEAST_BODIES, reactive_water
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
@@ -312,8 +314,7 @@ def _build_world(
     if water:
         patches = _surface_points(water, creature, tree, layout)
         forces.append(Drag(water.form_drag, water.skin_drag, patches, water.law))
-        if water.added_mass:
-            forces.append(AddedMass(added_inertia(creature, tree, water.density)))
+        forces += _moved_water(water, creature, tree, layout)
     for i, given in enumerate(config.world.forces):
         own = _build_part(given, ForceLaw, ("world", "forces", i), creature=creature, tree=tree)
         forces.append(own)
@@ -330,6 +331,31 @@ def _build_world(
         cells=make_cells(creature, tree) if water and water.surface is not None else (),
         pairs=watched and make_pairs(creature, tree, watched),
     )
+
+
+def _moved_water(
+    water: WaterConfig, creature: Creature, tree: Tree, layout: PointLayout
+) -> list[ForceLaw]:
+    """Build added mass and reactive thrust. Slender chains have the added mass of their sections.
+
+    Raises:
+        KeyProblem: there is no slender chain.
+    """
+    laws = list[ForceLaw]()
+    inertia = added_inertia(creature, tree, water.density) if water.added_mass else None
+    if water.reactive_thrust:
+        chains = slender_chains(creature)
+        slender, law = reactive_water(creature, tree, chains, water.density, layout == "complete")
+        if law is None:
+            raise KeyProblem(
+                ("world", "water", "reactive_thrust"),
+                f"means nothing: no chain has {LEAST_BODIES} bodies joined end to end",
+            )
+        others = np.zeros((6, 6, tree.body_count)) if inertia is None else inertia
+        each = range(tree.body_count)
+        inertia = xp.stack([slender.get(i, others[..., i]) for i in each], -1)
+        laws.append(law)
+    return laws if inertia is None else [AddedMass(inertia), *laws]
 
 
 def _surface_points(
