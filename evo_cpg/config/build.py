@@ -22,7 +22,6 @@ from evo_cpg.control.couplings import CouplingError, UnfitError
 from evo_cpg.creature.creature import Creature, CreatureError, length_of
 from evo_cpg.creature.self_collision import PlanPairs, SelfCollision
 from evo_cpg.creature.shapes import Surface
-from evo_cpg.creature.slender import slender_chains
 from evo_cpg.creature.surface import PointLayout, outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.evolution.islands import Islands
@@ -341,21 +340,19 @@ def _moved_water(
     Raises:
         KeyProblem: there is no slender chain.
     """
-    laws = list[ForceLaw]()
-    inertia = added_inertia(creature, tree, water.density) if water.added_mass else None
-    if water.reactive_thrust:
-        chains = slender_chains(creature)
-        slender, law = reactive_water(creature, tree, chains, water.density, layout == "complete")
-        if law is None:
-            raise KeyProblem(
-                ("world", "water", "reactive_thrust"),
-                f"means nothing: no chain has {LEAST_BODIES} bodies joined end to end",
-            )
-        others = np.zeros((6, 6, tree.body_count)) if inertia is None else inertia
-        each = range(tree.body_count)
-        inertia = xp.stack([slender.get(i, others[..., i]) for i in each], -1)
-        laws.append(law)
-    return laws if inertia is None else [AddedMass(inertia), *laws]
+    own = np.zeros((6, 6, tree.body_count))
+    if water.added_mass:
+        own = added_inertia(creature, tree, water.density)
+    if not water.reactive_thrust:
+        return [AddedMass(own)] if water.added_mass else []
+    found = reactive_water(creature, tree, water.density, own, layout == "complete")
+    if found is None:
+        raise KeyProblem(
+            ("world", "water", "reactive_thrust"),
+            f"means nothing: no chain has {LEAST_BODIES} bodies joined end to end",
+        )
+    inertia, law = found
+    return [AddedMass(inertia), law]
 
 
 def _surface_points(

@@ -44,7 +44,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature, neutral_pose
-from evo_cpg.creature.slender import SlenderChain
+from evo_cpg.creature.slender import SlenderChain, slender_chains
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part, blocks
 from evo_cpg.physics.per_body import take
@@ -190,26 +190,26 @@ class ReactiveThrust(ForceLaw):
 def reactive_water(
     creature: Creature,
     tree: Tree,
-    chains: tuple[SlenderChain, ...],
     density: Number,
+    others: Float[Numbers, "6 6 b"],
     every_edge: bool = False,
-) -> tuple[dict[int, Float[Numbers, "6 6"]], ReactiveThrust | None]:
-    """Return the inertia of the water around slender chains, and the law of what they shed.
+) -> tuple[Float[Numbers, "6 6 b"], ReactiveThrust] | None:
+    """Return the inertia M of the water around each body, and the law of what chains shed.
 
     Args:
         creature: the animal.
         tree: tree of the creature.
-        chains: its chains. Those of fewer than `LEAST_BODIES` bodies do not count.
         density: density of the water, kg/m^3.
+        others: M of bodies outside chains of at least `LEAST_BODIES` bodies, in working frames.
         every_edge: whether to keep edges that shed nothing, for the common layout of a batch.
 
     Returns:
-        M by the index of the body in the tree, and the law, or None without a slender chain.
+        M in working frames and the law, or None without a slender chain.
     """
     _, rotations = neutral_pose(creature)
     inertias: dict[int, Numbers] = {}
     places, edges = [], []
-    for chain in chains:
+    for chain in slender_chains(creature):
         if len(chain.bodies) < LEAST_BODIES:
             continue
         found = sections(creature, chain, density)
@@ -221,9 +221,11 @@ def reactive_water(
             places.append(body)
             edges.append((point, tangent, found.directions[k].T, masses))
     if not edges:
-        return inertias, None
+        return None
+    each = range(tree.body_count)
+    inertia = xp.stack([inertias.get(i, others[..., i]) for i in each], -1)
     stacked = Edges(*(xp.stack(column, -1) for column in zip(*edges, strict=True)))
-    return inertias, ReactiveThrust(tuple(places), stacked)
+    return inertia, ReactiveThrust(tuple(places), stacked)
 
 
 def _shedding(
