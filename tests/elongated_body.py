@@ -13,6 +13,11 @@ recoil, so that force and moment of the water change the momentum of the plate:
 
     int m_b h_tt dx + d/dt int m w dx + U m w(L) = 0,
     int x m_b h_tt dx + d/dt int x m w dx - U int m w dx + U L m w(L) = 0.
+
+Skin friction acts along the midline, whose points move along themselves at
+``u = (U - h_t h_x) / s`` with ``s^2 = 1 + h_x^2``. Its mean force along x is ``<k |u| u>`` per
+length of x. This is the only term of finite amplitude. The friction of a straight plate, k U^2,
+would make a wave of 0.1 m swim 10 % faster.
 """
 
 import dataclasses
@@ -23,8 +28,8 @@ from scipy.optimize import brentq
 
 Envelope = Callable[[np.ndarray], np.ndarray]
 
-# Points along the plate.
-_POINTS = 4001
+# Points along the plate, and phases of a period.
+_POINTS, _PHASES = 1001, 32
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,10 +82,21 @@ class Plate:
         w = 2j * np.pi * self.frequency * h[-1] + speed * np.gradient(h, x, edge_order=2)[-1]
         return 0.25 * self.added_mass * speed * abs(w) ** 2
 
-    def swimming_speed(self, drag: float, recoil: bool = True) -> float:
-        """Speed at which the mean thrust equals ``drag U^2``."""
+    def friction(self, speed: float) -> float:
+        """Mean skin friction at the speed U, over k."""
+        x, h = self.midline()
+        a, b = self.recoil(speed)
+        h = h + a + b * x
+        turn = np.exp(2j * np.pi * np.arange(_PHASES) / _PHASES)[:, None]
+        slope = (np.gradient(h, x, edge_order=2) * turn).real
+        rate = (2j * np.pi * self.frequency * h * turn).real
+        u = (speed - rate * slope) / np.sqrt(1 + slope**2)
+        return float(np.trapezoid((np.abs(u) * u).mean(0), x))
+
+    def swimming_speed(self, friction: float) -> float:
+        """Speed at which the mean thrust equals the friction of k per length."""
         fastest = 2.0 * self.frequency * self.wavelength
-        return brentq(lambda u: self.thrust(u, recoil) - drag * u * u, 1e-6, fastest)
+        return brentq(lambda u: self.thrust(u) - friction * self.friction(u), 1e-6, fastest)
 
     def _imbalance(self, x: np.ndarray, h: np.ndarray, speed: float) -> np.ndarray:
         """Force and moment about the nose that a midline lacks."""

@@ -24,6 +24,8 @@ from evo_cpg.physics.world import World
 WATER = 1000.0
 LENGTH, HEIGHT, THICKNESS = 1.0, 0.1, 0.01
 GROWING, CONSTANT = (lambda x: 0.1 + 0.9 * x * x), np.ones_like
+# Swimming speeds over the speed of the wave, and instants of a period.
+SPEEDS, PHASES = (0.3, 0.5, 0.7, 0.9), 24
 
 
 def eel(segments: int, motor: Actuator | None = None, axes: str = "z") -> Creature:
@@ -113,3 +115,108 @@ def test_a_rigid_chain_feels_lighthills_force_and_moment():
     found = quick_jit(lambda time: water_on(world, tumbling, time))(time)
     assert float(u[-1]) > 1.0 and np.abs(expected).min() > 0.02
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def waving(segments: int, envelope, amplitude: float):
+    """A plate held at a speed along x, whose midline is a wave of 1 Hz and 1 m.
+
+    Returns a function of the speed that returns a motion.
+    """
+    x = np.linspace(0.0, LENGTH, segments + 1)
+    size = amplitude * envelope(x)
+
+    def motion(speed, time):
+        height = size * jnp.sin(2 * jnp.pi * (x - time))
+        heading = -jnp.arctan(jnp.diff(height) * segments / LENGTH)
+        cosine, sine = jnp.cos(heading[0]), jnp.sin(heading[0])
+        half, none = LENGTH / segments / 2, jnp.zeros(())
+        place = jnp.stack([speed * time - half * cosine, height[0] - half * sine, none])
+        turn = jnp.stack([jnp.cos(heading[0] / 2), none, none, jnp.sin(heading[0] / 2)])
+        return place, turn, jnp.diff(heading)
+
+    return lambda speed: functools.partial(motion, speed)
+
+
+@functools.cache
+def held_thrust(segments: int, envelope, amplitude: float = 0.05) -> np.ndarray:
+    """Mean force along x over a period at `SPEEDS`, over that of elongated-body theory."""
+    world, motion = ideal(eel(segments)), waving(segments, envelope, amplitude)
+
+    @quick_jit
+    def forces(speeds):
+        def at(case):
+            return water_on(world, motion(case[0]), case[1])[3]
+
+        times = jnp.arange(PHASES) / PHASES
+        grid = jnp.stack(jnp.broadcast_arrays(speeds[:, None], times[None]), -1)
+        return jax.lax.map(at, grid.reshape(-1, 2)).reshape(grid.shape[:2])
+
+    theory = plate(envelope, amplitude)
+    expected = [theory.thrust(speed, recoil=False) for speed in SPEEDS]
+    return np.asarray(forces(jnp.array(SPEEDS)).mean(1)) / expected
+
+
+def plate(envelope, amplitude: float) -> Plate:
+    """The plate of elongated-body theory."""
+    masses = ideal(eel(3)).law(ReactiveThrust).edges.masses
+    own = WATER * HEIGHT * THICKNESS
+    return Plate(lambda x: amplitude * envelope(x), 1.0, 1.0, own, float(masses[0, 1]))
+
+
+def test_thrust_of_a_held_plate():
+    """Elongated-body theory for a wave of 1 m/s and 0.05 m, at 0.3 to 0.9 of its speed: 1 %."""
+    np.testing.assert_allclose(held_thrust(20, CONSTANT), 1.0, atol=0.02)
+
+
+@pytest.mark.slow
+def test_thrust_of_a_held_plate_with_a_growing_wave():
+    """5 % with 40 segments; with U/V = 0.9 thrust is an eighth of its two parts."""
+    np.testing.assert_allclose(held_thrust(40, GROWING), 1.0, atol=0.06)
+
+
+@pytest.mark.slow
+def test_held_thrust_converges_with_the_segments():
+    """In second order, and in first order if the wave grows at the tail, whose end is straight."""
+    for envelope, order in ((CONSTANT, 2.0), (GROWING, 1.0)):
+        thrust = [held_thrust(n, envelope) for n in (10, 20, 40)]
+        ratio = (thrust[0] - thrust[1]) / (thrust[1] - thrust[2])
+        assert np.abs(np.log2(ratio) - order).max() < 0.25, ratio
+
+
+FRICTION = 0.02
+WAVES = tuple((envelope, size) for envelope in (GROWING, CONSTANT) for size in (0.02, 0.05, 0.1))
+
+
+@functools.cache
+def swimming_speeds(segments: int, h: float, seconds: float = 12.0) -> np.ndarray:
+    """Mean speeds of a free plate with each of `WAVES`, m/s; servos bend it."""
+    motor = Actuator(1e3)
+    world = in_water(
+        eel(segments, motor), 1, 0.0, form_drag=0.0, skin_drag=FRICTION, reactive_thrust=True
+    )
+    x = np.linspace(0.0, LENGTH, segments + 1)
+    midlines = [size * envelope(x) * np.exp(-2j * np.pi * x) for envelope, size in WAVES]
+    slopes = jnp.asarray(np.diff(np.stack(midlines, -1), axis=0) * segments / LENGTH)
+
+    def angles(time):
+        u = jnp.clip(time / 2, 0.0, 1.0)
+        wave = (slopes * jnp.exp(2j * jnp.pi * time)).real
+        return -jnp.diff(jnp.arctan(u * u * (3 - 2 * u) * wave), axis=0)
+
+    def advance(state, n):
+        q, qd = jax.jvp(angles, ((n + 1) * h,), (1.0,))
+        # The rates at the end of the step move the angles.
+        return step(world, state, qd + 30.0 * (q - qd * h - state.q), h)[0], state.position
+
+    start = resting_state(world.tree, (len(WAVES),), jnp.float64)
+    steps = jnp.arange(round(seconds / h) + 1)
+    path = np.asarray(quick_jit(lambda s: jax.lax.scan(advance, s, steps))(start)[1])
+    return np.linalg.norm(path[-1] - path[-1 - round(2 / h)], axis=0) / 2
+
+
+def test_free_swimming_with_recoil():
+    """The speed of elongated-body theory: two envelopes, three amplitudes."""
+    drag = 0.5 * WATER * FRICTION * 2 * (HEIGHT + THICKNESS)
+    expected = [plate(*wave).swimming_speed(drag) for wave in WAVES]
+    print(swimming_speeds(20, 1 / 120) / expected, expected)
+    np.testing.assert_allclose(swimming_speeds(20, 1 / 120), expected, rtol=0.11)
