@@ -5,10 +5,10 @@ bodies, and the distance from its nose sets the boundary layer.
 
 Two bodies are linked if the joint lies between them: the direction from one centre to the joint and
 on to the other centre turns by at most 45 degrees, and if neither body is four times as wide as the
-other. A body has at most two links, on opposite sides. Of several candidates it takes the widest
-ones. So a trunk continues in its tail and not in a fin. Equally wide candidates on the same side,
-such as the two lobes of a fluke, are a fork, which ends the chain. Every body belongs to exactly
-one chain, which may have one body only.
+other. A body has at most two links, on opposite sides. Of several candidates it takes those whose
+widths are most alike its own. So a trunk continues in its tail and not in a fin. Equally alike
+candidates on the same side, such as the two lobes of a fluke, are a fork, which ends the chain.
+Every body belongs to exactly one chain, which may have one body only.
 
 The nose is the end that points forward, along +x. In a chain that stands across, such as a leg, it
 is the end nearer to the root.
@@ -31,8 +31,8 @@ _STRAIGHT, _OPPOSITE = 0.7, -0.5
 # Largest ratio of the widths of linked bodies.
 _SIMILAR = 4.0
 
-# Ratio of the widths of two candidates above which they count as equally wide.
-_AS_WIDE = 0.99
+# Ratio of the likeness of two candidates above which they count as equally alike.
+_EQUALLY = 0.99
 
 # Least length of a centreline, m. A body without size has no direction.
 _LEAST_LENGTH = 1e-12
@@ -162,19 +162,21 @@ def _links(
         ways = {
             link: _unit(_place(creature, pose, link) - centre) for link in straight if body in link
         }
-        size = {link: min(widths[link]) for link in ways}
+        alike = {link: min(widths[link]) / max(widths[link]) for link in ways}
         pairs = list(itertools.combinations(ways, 2))
         opposite = [pair for pair in pairs if np.dot(*(ways[x] for x in pair)) < _OPPOSITE]
         forked = {
             link
             for pair in pairs
             if pair not in opposite
-            and min(size[x] for x in pair) > _AS_WIDE * max(size[x] for x in pair)
+            and min(alike[x] for x in pair) > _EQUALLY * max(alike[x] for x in pair)
             for link in pair
         }
         choices = [*((link,) for link in ways), *opposite]
         single = [links for links in choices if not forked.intersection(links)]
-        kept.append(set(max(single, key=lambda links: sum(size[x] for x in links), default=())))
+        # Squares, so that one like body counts more than two half as wide.
+        best = max(single, key=lambda links: sum(alike[x] ** 2 for x in links), default=())
+        kept.append(set(best))
     return [link for link in straight if all(link in kept[body] for body in link)]
 
 
@@ -233,8 +235,10 @@ def _chain(
             for j in (k - 1, k)
         ]
         known = next(end for end in ends if end is not None)
-        # The free end lies on the line from the joint through the centre.
-        outward = -_unit(known)
+        # The free end lies on the line from the joint through the centre. A body without size has
+        # no such line.
+        size = xp.linalg.norm(known)
+        outward = xp.where(size > _LEAST_LENGTH, -_unit(known), np.array([1.0, 0.0, 0.0]))
         free = outward * (outward @ shape.support(outward))
         front.append(free if ends[0] is None else ends[0])
         rear.append(free if ends[1] is None else ends[1])
