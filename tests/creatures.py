@@ -160,7 +160,9 @@ def in_water(
     }
     patches = make_patches(tree, surfaces, surfaces, law, surface is not None)
     forces = (Drag(form_drag, skin_drag, patches, law),)
-    moved = added_inertia(creature, tree, density) if added_mass else np.zeros((6, 6, len(tree.names)))
+    moved = (
+        added_inertia(creature, tree, density) if added_mass else np.zeros((6, 6, len(tree.names)))
+    )
     if reactive_thrust:
         found = reactive_water(creature, tree, density, moved)
         assert found is not None

@@ -85,7 +85,9 @@ def chain_inertia(
     inertias = {}
     for k, body in enumerate(chain.bodies):
         i = tree.names.index(creature.bodies[body].name)
-        section = xp.einsum("k,ki,kj->ij", found.masses[k], found.directions[k], found.directions[k])
+        section = xp.einsum(
+            "k,ki,kj->ij", found.masses[k], found.directions[k], found.directions[k]
+        )
         middle = (chain.front[k] + chain.rear[k]) / 2 + tree.com[:, i]
         # Two Gauss points are exact: M is quadratic along the centreline.
         reach = chain.tangents[k] * chain.lengths[k] / np.sqrt(12)

@@ -16,14 +16,14 @@ FLESH = Material(1000.0)
 
 def limb(name: str, shape: Shape, parent: str, at, child_at) -> Body:
     """A body with a hinge."""
-    return Body(name, shape, FLESH, Joint(parent, at, child_at, ((0.0, 0.0, 1.0),), (-1.0,), (1.0,)))
+    return Body(
+        name, shape, FLESH, Joint(parent, at, child_at, ((0.0, 0.0, 1.0),), (-1.0,), (1.0,))
+    )
 
 
 def named(creature: Creature) -> list[list[str]]:
     """The names of the bodies of each chain."""
-    return [
-        [creature.bodies[i].name for i in chain.bodies] for chain in slender_chains(creature)
-    ]
+    return [[creature.bodies[i].name for i in chain.bodies] for chain in slender_chains(creature)]
 
 
 TRUNK = Body("trunk", Box((0.4, 0.1, 0.1)), FLESH)
@@ -49,7 +49,9 @@ def test_the_root_may_be_in_the_middle():
 
 def test_fins_start_their_own_chains():
     fins = [
-        limb(f"fin{side}", Box((0.1, 0.2, 0.01)), "trunk", (0.1, 0.05 * s, 0.0), (0.0, -0.1 * s, 0.0))
+        limb(
+            f"fin{side}", Box((0.1, 0.2, 0.01)), "trunk", (0.1, 0.05 * s, 0.0), (0.0, -0.1 * s, 0.0)
+        )
         for side, s in (("+", 1), ("-", -1))
     ]
     dorsal = limb("dorsal", Box((0.2, 0.01, 0.1)), "trunk", (0.0, 0.0, 0.05), (0.0, 0.0, -0.05))

@@ -15,13 +15,13 @@ from benchmarks.mujoco_model import mujoco_model
 from creatures import box_chain, in_water, quick_jit, random_state
 from elongated_body import Plate
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
+from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics import root
 from evo_cpg.physics.added_mass import AddedMass
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.fluid import Drag
-from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics.force_law import in_body_axes
 from evo_cpg.physics.kinematics import kinematics, motion_of_bodies
 from evo_cpg.physics.reactive_thrust import ReactiveThrust
@@ -210,7 +210,12 @@ class Swim(NamedTuple):
 def swim(segments: int, h: float, seconds: float = 12.0) -> Swim:
     """Free plates that servos bend."""
     world = in_water(
-        eel(segments, Actuator(1e3)), 1, 0.0, form_drag=0.0, skin_drag=FRICTION, reactive_thrust=True
+        eel(segments, Actuator(1e3)),
+        1,
+        0.0,
+        form_drag=0.0,
+        skin_drag=FRICTION,
+        reactive_thrust=True,
     )
     x = np.linspace(0.0, LENGTH, segments + 1)
     midlines = [size * envelope(x) * np.exp(-2j * np.pi * x) for envelope, size in WAVES]
@@ -239,9 +244,7 @@ def swim(segments: int, h: float, seconds: float = 12.0) -> Swim:
 
     start = resting_state(world.tree, (len(WAVES),), jnp.float64)
     steps = jnp.arange(round(seconds / h) + 1)
-    path, *powers = map(
-        np.asarray, quick_jit(lambda s: jax.lax.scan(advance, s, steps))(start)[1]
-    )
+    path, *powers = map(np.asarray, quick_jit(lambda s: jax.lax.scan(advance, s, steps))(start)[1])
     window = round(2 / h)
     speed = np.linalg.norm(path[-1] - path[-1 - window], axis=0) / 2
     return Swim(speed, *(each[-1 - window : -1].mean(0) for each in powers))
@@ -277,7 +280,12 @@ def test_swimming_hardly_depends_on_the_segments():
 
 def patchwork() -> Creature:
     """A chain in space: a capsule, and boxes of which one has a large section."""
-    shapes = [Box((0.2, 0.05, 0.1)), Capsule(0.04, 0.1), Box((0.15, 0.12, 0.05)), Ellipsoid((0.1, 0.02, 0.05))]
+    shapes = [
+        Box((0.2, 0.05, 0.1)),
+        Capsule(0.04, 0.1),
+        Box((0.15, 0.12, 0.05)),
+        Ellipsoid((0.1, 0.02, 0.05)),
+    ]
     bodies = []
     for i, shape in enumerate(shapes):
         joint = None
@@ -450,7 +458,9 @@ def test_wrenches_turn_and_move_with_the_animal():
         velocity=jnp.concatenate([matrix @ state.velocity[:3], matrix @ state.velocity[3:]]),
     )
     expected, _ = wrenches(world, state)
-    np.testing.assert_allclose(wrenches(world, moved)[0], expected, atol=1e-9 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        wrenches(world, moved)[0], expected, atol=1e-9 * np.abs(expected).max()
+    )
 
 
 def test_a_uniform_current_is_a_moving_frame():

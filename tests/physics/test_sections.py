@@ -1,5 +1,7 @@
 """Added mass of the sections of chains, and the edges at which chains shed water."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +21,7 @@ WATER = 1000.0
 def row(*shapes: Shape) -> Creature:
     """Shapes end to end, the first in front."""
     bodies = [Body("b0", shapes[0], Material(WATER))]
-    for i, (ahead, own) in enumerate(zip(shapes, shapes[1:], strict=False), start=1):
+    for i, (ahead, own) in enumerate(itertools.pairwise(shapes), start=1):
         joint = Joint(
             f"b{i - 1}",
             (-ahead.half_extents[0], 0.0, 0.0),
