@@ -15,6 +15,7 @@ from evo_cpg.config.load import check_config, dump_config, load_config
 from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.physics.added_mass import AddedMass
+from evo_cpg.physics.reactive_thrust import ReactiveThrust
 from evo_cpg.physics.fluid import Drag
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.walk import Distance, Walk
@@ -571,9 +572,22 @@ def test_water_with_a_surface_is_built():
     assert everywhere.cells == () and everywhere.law(AddedMass) is None
 
 
+def test_water_with_reactive_thrust_is_built():
+    tail = {"name": "tail{i}", "repeat": 3}
+    data = small(world={"water": {"reactive_thrust": True}})
+    data["creature"]["bodies"][1] |= tail
+    world = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.world
+    assert [type(law) for law in world.forces] == [Drag, AddedMass, ReactiveThrust]
+    assert world.law(ReactiveThrust).bodies[:2] == (0, 3)
+
+
 @pytest.mark.parametrize(
     ("water", "expected"),
     [
+        (
+            {"reactive_thrust": True},
+            "world.water.reactive_thrust: means nothing: no chain has 3 bodies joined end to end",
+        ),
         ({"surfce": 0}, "world.water.surfce: unknown key; did you mean 'surface'?"),
         (
             {"current_gradient": [[0.2, 0, 0], [0, 0.1, 0], [0, 0, 0]]},

@@ -93,6 +93,21 @@ def edges(creature: Creature):
     return found[1]
 
 
+def test_bodies_outside_of_chains_keep_their_own_added_mass():
+    """A chain of two bodies is too short, too."""
+    long, short = row(*[Capsule(0.05, 0.2)] * 3), row(*[Capsule(0.05, 0.2)] * 2)
+    fin = Joint("b0", (0.0, 0.05, 0.0), (0.0, -0.1, 0.0), ((1.0, 0.0, 0.0),), (-1.0,), (1.0,))
+    creature = Creature(
+        "fish", (*long.bodies, Body("fin", Box((0.05, 0.2, 0.01)), Material(WATER), fin))
+    )
+    tree, others = build_tree(creature), np.ones((6, 6, 4))
+    found = reactive_water(creature, tree, WATER, others)
+    assert found is not None
+    kept = (found[0] == 1.0).all((0, 1))
+    assert [name for name, own in zip(tree.names, kept, strict=True) if own] == ["fin"]
+    assert reactive_water(short, build_tree(short), WATER, others[..., :2]) is None
+
+
 def test_equal_bodies_shed_at_both_ends_alone():
     law = edges(row(*[Box((0.2, 0.05, 0.1))] * 4))
     assert law.bodies == (0, 3)
