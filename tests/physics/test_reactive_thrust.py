@@ -258,9 +258,15 @@ def test_free_swimming_with_recoil():
 
 
 def test_motors_pay_for_friction_and_wake():
-    """0.1 % of their work is left over, and 2 % where the animal still gathers speed."""
+    """0.1 % of their work is left over, and 2 % where the animal still gathers speed.
+
+    The wake has the power of elongated-body theory within 25 %.
+    """
     found = swim(20, 1 / 120)
     left = found.motors + found.friction + found.wake
+    cases = zip(WAVES, found.speed, strict=True)
+    theory = [plate(*wave).wake_power(speed) for wave, speed in cases]
+    np.testing.assert_allclose(-found.wake, theory, rtol=0.25)
     assert (found.wake < 0).all() and (np.abs(left) < [0.03, *[2e-3] * 5] * found.motors).all()
 
 
@@ -272,9 +278,9 @@ def test_swimming_converges_in_second_order_with_the_step():
 
 @pytest.mark.slow
 def test_swimming_hardly_depends_on_the_segments():
-    """10 segments are within 2 % of 20, and 20 within 1.5 % of 40."""
+    """10 segments are within 2.5 % of 20, and 20 within 1.5 % of 40."""
     few, some, many = (swim(n, 1 / 120).speed for n in (10, 20, 40))
-    np.testing.assert_allclose(few, some, rtol=0.02)
+    np.testing.assert_allclose(few, some, rtol=0.025)
     np.testing.assert_allclose(some, many, rtol=0.015)
 
 
