@@ -159,12 +159,12 @@ def _links(
 
     kept: list[set[_Link]] = []
     for body, centre in enumerate(centres):
-        ways = {
+        toward = {
             link: _unit(_place(creature, pose, link) - centre) for link in straight if body in link
         }
-        alike = {link: min(widths[link]) / max(widths[link]) for link in ways}
-        pairs = list(itertools.combinations(ways, 2))
-        opposite = [pair for pair in pairs if np.dot(*(ways[x] for x in pair)) < _OPPOSITE]
+        alike = {link: min(widths[link]) / max(widths[link]) for link in toward}
+        pairs = list(itertools.combinations(toward, 2))
+        opposite = [pair for pair in pairs if np.dot(*(toward[x] for x in pair)) < _OPPOSITE]
         forked = {
             link
             for pair in pairs
@@ -172,7 +172,7 @@ def _links(
             and min(alike[x] for x in pair) > _EQUALLY * max(alike[x] for x in pair)
             for link in pair
         }
-        choices = [*((link,) for link in ways), *opposite]
+        choices = [*((link,) for link in toward), *opposite]
         single = [links for links in choices if not forked.intersection(links)]
         # Squares, so that one like body counts more than two half as wide.
         best = max(single, key=lambda links: sum(alike[x] ** 2 for x in links), default=())

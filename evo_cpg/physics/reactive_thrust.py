@@ -67,7 +67,7 @@ _SPEED_FLOOR = 1e-12
 _NO_DIFFERENCE, _MISSING = 1e-9, 1e-9
 
 # Operations of native code per edge.
-_EDGE = 250.0
+_EDGE = 70.0
 
 
 class Edges(NamedTuple):

@@ -15,8 +15,8 @@ from evo_cpg.config.load import check_config, dump_config, load_config
 from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.physics.added_mass import AddedMass
-from evo_cpg.physics.reactive_thrust import ReactiveThrust
 from evo_cpg.physics.fluid import Drag
+from evo_cpg.physics.reactive_thrust import ReactiveThrust
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.walk import Distance, Walk
 from tiny_run import CONFIG, REPOSITORY
