@@ -35,6 +35,7 @@ from evo_cpg.physics.contact_model import make_contact_model
 from evo_cpg.physics.fluid import Drag, make_patches
 from evo_cpg.physics.force_law import ForceLaw
 from evo_cpg.physics.pairs import make_pairs
+from evo_cpg.physics.reactive_thrust import LEAST_BODIES, reactive_water
 from evo_cpg.physics.viscous_drag import ViscousDrag, make_viscous_drag
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
@@ -314,8 +315,7 @@ def _build_world(
     water, forces = config.world.water, list[ForceLaw]()
     if water:
         forces.append(_drag(water, creature, tree, layout))
-        if water.added_mass:
-            forces.append(AddedMass(added_inertia(creature, tree, water.density)))
+        forces += _moved_water(water, creature, tree, layout)
     for i, given in enumerate(config.world.forces):
         own = _build_part(given, ForceLaw, ("world", "forces", i), creature=creature, tree=tree)
         forces.append(own)
@@ -332,6 +332,29 @@ def _build_world(
         cells=make_cells(creature, tree) if water and water.surface is not None else (),
         pairs=watched and make_pairs(creature, tree, watched),
     )
+
+
+def _moved_water(
+    water: WaterConfig, creature: Creature, tree: Tree, layout: PointLayout
+) -> list[ForceLaw]:
+    """Build added mass and reactive thrust. Slender chains have the added mass of their sections.
+
+    Raises:
+        KeyProblem: there is no slender chain.
+    """
+    own = np.zeros((6, 6, tree.body_count))
+    if water.added_mass:
+        own = added_inertia(creature, tree, water.density)
+    if not water.reactive_thrust:
+        return [AddedMass(own)] if water.added_mass else []
+    found = reactive_water(creature, tree, water.density, own, layout == "complete")
+    if found is None:
+        raise KeyProblem(
+            ("world", "water", "reactive_thrust"),
+            f"means nothing: no chain has {LEAST_BODIES} bodies joined end to end",
+        )
+    inertia, law = found
+    return [AddedMass(inertia), law]
 
 
 def _drag(

@@ -5,9 +5,10 @@ bodies, and the distance from its nose sets the boundary layer.
 
 Two bodies are linked if the joint lies between them: the direction from one centre to the joint and
 on to the other centre turns by at most 45 degrees, and if neither body is four times as wide as the
-other. A body has at most two links, on opposite sides. Of several candidates it takes the widest
-ones. So a trunk continues in its tail and not in a fin. Every body belongs to exactly one chain,
-which may have one body only.
+other. A body has at most two links, on opposite sides. Of several candidates it takes those whose
+widths are most alike its own. So a trunk continues in its tail and not in a fin. Equally alike
+candidates on the same side, such as the two lobes of a fluke, are a fork, which ends the chain.
+Every body belongs to exactly one chain, which may have one body only.
 
 The nose is the end that points forward, along +x. In a chain that stands across, such as a leg, it
 is the end nearer to the root.
@@ -29,6 +30,12 @@ _STRAIGHT, _OPPOSITE = 0.7, -0.5
 
 # Largest ratio of the widths of linked bodies.
 _SIMILAR = 4.0
+
+# Ratio of the likeness of two candidates above which they count as equally alike.
+_EQUALLY = 0.99
+
+# Least length of a centreline, m. A body without size has no direction.
+_LEAST_LENGTH = 1e-12
 
 # Cosine of the largest angle between a chain and +x at which its front end is the nose.
 _FORWARD = 0.5
@@ -55,7 +62,7 @@ class SlenderChain(NamedTuple):
     @property
     def tangents(self) -> Float[Numbers, "n 3"]:
         """Unit vector along each body's centreline towards the nose, in the body's frame."""
-        return (self.front - self.rear) / self.lengths[:, None]
+        return (self.front - self.rear) / xp.maximum(self.lengths, _LEAST_LENGTH)[:, None]
 
     @property
     def length(self) -> Number:
@@ -152,14 +159,23 @@ def _links(
 
     kept: list[set[_Link]] = []
     for body, centre in enumerate(centres):
-        own = [link for link in straight if body in link]
-        pairs = [
-            pair
-            for pair in itertools.combinations(own, 2)
-            if np.dot(*(_unit(_place(creature, pose, link) - centre) for link in pair)) < _OPPOSITE
-        ]
-        choices = [*((link,) for link in own), *pairs]
-        best = max(choices, key=lambda links: sum(min(widths[x]) for x in links), default=())
+        toward = {
+            link: _unit(_place(creature, pose, link) - centre) for link in straight if body in link
+        }
+        alike = {link: min(widths[link]) / max(widths[link]) for link in toward}
+        pairs = list(itertools.combinations(toward, 2))
+        opposite = [pair for pair in pairs if np.dot(*(toward[x] for x in pair)) < _OPPOSITE]
+        forked = {
+            link
+            for pair in pairs
+            if pair not in opposite
+            and min(alike[x] for x in pair) > _EQUALLY * max(alike[x] for x in pair)
+            for link in pair
+        }
+        choices = [*((link,) for link in toward), *opposite]
+        single = [links for links in choices if not forked.intersection(links)]
+        # Squares, so that one like body counts more than two half as wide.
+        best = max(single, key=lambda links: sum(alike[x] ** 2 for x in links), default=())
         kept.append(set(best))
     return [link for link in straight if all(link in kept[body] for body in link)]
 
@@ -219,8 +235,10 @@ def _chain(
             for j in (k - 1, k)
         ]
         known = next(end for end in ends if end is not None)
-        # The free end lies on the line from the joint through the centre.
-        outward = -_unit(known)
+        # The free end lies on the line from the joint through the centre. A body without size has
+        # no such line.
+        size = xp.linalg.norm(known)
+        outward = xp.where(size > _LEAST_LENGTH, -_unit(known), np.array([1.0, 0.0, 0.0]))
         free = outward * (outward @ shape.support(outward))
         front.append(free if ends[0] is None else ends[0])
         rear.append(free if ends[1] is None else ends[1])

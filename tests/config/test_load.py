@@ -16,6 +16,7 @@ from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.physics.added_mass import AddedMass
 from evo_cpg.physics.fluid import Drag
+from evo_cpg.physics.reactive_thrust import ReactiveThrust
 from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.walk import Distance, Walk
@@ -581,9 +582,22 @@ def test_water_with_a_surface():
     assert everywhere.cells == () and everywhere.law(AddedMass) is None
 
 
+def test_water_with_reactive_thrust_is_built():
+    tail = {"name": "tail{i}", "repeat": 3}
+    data = small(world={"water": {"reactive_thrust": True}})
+    data["creature"]["bodies"][1] |= tail
+    world = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.world
+    assert [type(law) for law in world.forces] == [Drag, AddedMass, ReactiveThrust]
+    assert world.law(ReactiveThrust).bodies[:2] == (0, 3)
+
+
 @pytest.mark.parametrize(
     ("water", "expected"),
     [
+        (
+            {"reactive_thrust": True},
+            "world.water.reactive_thrust: means nothing: no chain has 3 bodies joined end to end",
+        ),
         ({"surfce": 0}, "world.water.surfce: unknown key: did you mean 'surface'?"),
         (
             {"viscosity": 0.001, "skin_drag": 0.1},

@@ -97,6 +97,14 @@ def test_elements_of_a_swimmer():
     check_elements(config, keys)
 
 
+@pytest.mark.usefixtures("x64")
+@pytest.mark.slow
+def test_numbers_of_a_swimmer_with_reactive_thrust():
+    settings = ("world.water.reactive_thrust=true", "simulation.substeps=1")
+    keys = ["world.water.density", "creature.bodies.0.shape.size.0", "creature.bodies.1.joint.at.0"]
+    check_elements(load_config(CONFIG, [*TINY, *settings]), keys)
+
+
 SHAPES = """
 name: shapes
 materials: {wood: {density: 600, static_friction: 0.7}}

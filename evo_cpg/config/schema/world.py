@@ -41,6 +41,8 @@ class WaterConfig(Section):
         skin_drag: coefficient C_f for the tangential velocity at every surface point.
         surface: height of the water's surface, m, or ``null`` for water everywhere.
         added_mass: whether bodies accelerate the water around them, as in ideal fluid.
+        reactive_thrust: whether slender chains of at least three bodies push off from the water
+            that leaves their tails, as in Lighthill's theory; it includes their added mass.
         current: velocity of the water, m/s; with a gradient, at the origin.
         current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
         vortices: vortices that are added to the current.
@@ -60,6 +62,7 @@ class WaterConfig(Section):
     skin_drag: NotNegative = 0.02
     surface: Finite | None = None
     added_mass: bool = False
+    reactive_thrust: bool = False
     current: Vector = (0.0, 0.0, 0.0)
     current_gradient: tuple[Vector, Vector, Vector] | None = None
     vortices: tuple[VortexConfig, ...] = ()
