@@ -1,0 +1,311 @@
+"""Surfaces of bodies along the outline of a creature, with round ends straightened at joints.
+
+Two bodies in line form one outline. The flow passes the narrow waist between two round ends and
+does not enter it. Each of the two ends is therefore replaced by a straight side, from the widest
+cross-section of the body to a plane between the bodies:
+
+                 ___________                  ______.______
+    two bodies  (_____)(_____)    outline    (______.______)
+
+The plane divides the distance between the two widest cross-sections in proportion to the lengths of
+the ends. Ends that overlap shorten the sides. The change of width at the plane has no area, because
+the outline of a tapered body is smooth.
+
+`_in_line` is a weight between 0 and 1. It falls to 0 as the bodies turn, move apart or differ in
+width. An end of weight w keeps the fraction 1 - w of its area, and its side gets the fraction w of
+its length. Areas are continuous in the geometry.
+
+Surface points of a body:
+
+- Each round end has a product rule: Gauss-Legendre along the axis and uniform around it. It is
+  uniform in the directions halfway between those of the points and those of the normals, so that
+  slender ellipsoids need few points.
+- The side has Gauss-Legendre points along the axis and a ring around it.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.shapes import Barrel, Shape, Surface
+from evo_cpg.spatial.decisions import chosen
+from evo_cpg.spatial.numerics import Number, Numbers, xp
+
+# Bounds between which bodies cease to be in line. Cosine of the angle between their axes.
+_TURN = (0.9, 0.72)
+
+# The same for the sideways offset of the axes, and for the gap between the ends, as multiples of
+# the smaller radius.
+_OFFSET, _GAP = (0.5, 1.0), (1.0, 3.0)
+
+# The same for the overlap, as a fraction of the shorter body, and for the ratio of the widths.
+_OVERLAP, _WIDTHS = (0.25, 0.5), (1.7, 3.0)
+
+# The same for the cosine between the normal of a flat end and the axis.
+_FACING = (0.9, 0.6)
+
+# Score by which a neighbour may miss the largest one and still set the axis of a body.
+_TIE = 1e-6
+
+# Least size, so that a body without extent has no area (m).
+_LEAST = 1e-12
+
+
+@dataclasses.dataclass(frozen=True)
+class Outline:
+    """Outline of a body.
+
+    Attributes:
+        barrel: the body as a cylinder with two ends.
+        covered: fraction of the front and the rear end that the outline leaves out, ``(2,)``.
+        extension: change of the side's length at the front and the rear, m, ``(2,)``.
+    """
+
+    barrel: Barrel
+    covered: Float[Numbers, " 2"]
+    extension: Float[Numbers, " 2"]
+
+
+class _Link(NamedTuple):
+    """Joint between two bodies: their indices, and its place in the world, m."""
+
+    bodies: tuple[int, int]
+    place: Numbers
+
+
+class _End(NamedTuple):
+    """End of a body in the world.
+
+    Attributes:
+        centre: centre of the widest cross-section, m.
+        outward: unit vector along the axis out of the body.
+        across: half axes of the cross-section as columns, unit vectors ``(3, 2)``.
+        widths: lengths of these half axes, m.
+        tip: length of the end, m.
+        whole: length of the whole body, m.
+        in_front: whether this is the front end, which points along the axis.
+    """
+
+    centre: Numbers
+    outward: Numbers
+    across: Numbers
+    widths: Numbers
+    tip: Number
+    whole: Number
+    in_front: Number
+
+
+def outlines(
+    creature: Creature, pose: tuple[Numbers, Numbers]
+) -> tuple[list[Outline], Float[Numbers, "b b"]]:
+    """Return the outline of each body, and the weight with which every two bodies are in line.
+
+    Args:
+        creature: the creature.
+        pose: centres and rotations of its bodies.
+    """
+    links = _links(creature, pose)
+    barrels = [_barrel(creature, pose, i, links) for i in range(len(creature.bodies))]
+    beside: list[list[tuple[Number, Number, Number]]] = [[] for _ in barrels]
+    table = np.zeros((len(barrels), len(barrels)))
+    for link in links:
+        if all(barrels[i].ends == "flat" for i in link.bodies):
+            continue
+        ends = [_end(barrels[i], pose[0][i], pose[1][i], link.place) for i in link.bodies]
+        weight, apart = _in_line(*ends)
+        total = ends[0].tip + ends[1].tip
+        for i, end in zip(link.bodies, ends, strict=True):
+            beside[i].append((end.in_front, weight, apart * end.tip / total))
+        pair = np.zeros_like(table)
+        pair[link.bodies, link.bodies[::-1]] = 1.0
+        table = table + pair * weight
+    return [_outline(barrel, near) for barrel, near in zip(barrels, beside, strict=True)], table
+
+
+def outline_surface(
+    shape: Shape, outline: Outline, resolution: int
+) -> tuple[Surface, Bool[np.ndarray, " n"]]:
+    """Return points on the outline of a body in its frame, and whether each lies on the body.
+
+    Other points lie on straightened ends or sides.
+
+    Args:
+        shape: shape of the body.
+        outline: its outline.
+        resolution: about half the number of points along the axis of each part.
+    """
+    barrel, covered = outline.barrel, outline.covered
+    if barrel.ends == "flat":
+        surface = shape.surface(resolution)
+        facing = surface.normals @ barrel.axes[:, 0]
+        weight = 1.0
+        for sign, each in zip((1, -1), covered, strict=True):
+            weight = weight * (1 - each * _fade(sign * facing, *_FACING))
+        return surface._replace(areas=surface.areas * weight), np.ones(len(surface.areas), bool)
+    balls = barrel.ends == "ball"
+    rings = max(resolution, 2) if balls else resolution + 1
+    count = 2 * resolution + 4 if balls else 4 * resolution + 4
+    half_axes = xp.maximum(barrel.half_axes, _LEAST)
+    angles = (np.arange(count) + 0.5) * 2 * np.pi / count
+    around = np.column_stack([np.cos(angles), np.sin(angles)])
+    end = _end_surface(half_axes, rings, around)
+    parts = [
+        Surface(
+            (end.points + xp.array([barrel.length / 2, 0.0, 0.0])) * sign,
+            end.normals * sign,
+            end.areas * (1 - each),
+        )
+        for sign, each in zip(np.array([[1, 1, 1], [-1, 1, 1]]), covered, strict=True)
+    ]
+    front, rear = barrel.length / 2 + outline.extension
+    parts.append(_side_surface(half_axes[1:], -rear, front, resolution, around))
+    points, normals, areas = (xp.concatenate(columns) for columns in zip(*parts, strict=True))
+    on_body = np.arange(len(areas)) < 2 * len(end.areas)
+    return Surface(points @ barrel.axes.T, normals @ barrel.axes.T, areas), on_body
+
+
+def _end_surface(half_axes: Numbers, rings: int, around: np.ndarray) -> Surface:
+    """Return points on the front half of an ellipsoid.
+
+    Let g be a unit vector of the product rule and S the roots of the half axes. The point is
+    S^2 q for the unit vector q along S g, and the normal is along g / S.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(rings)
+    along = (nodes + 1) / 2
+    directions = np.concatenate(
+        [np.column_stack([np.full(len(around), x), np.sqrt(1 - x * x) * around]) for x in along]
+    )
+    solid = np.repeat(weights / 2, len(around)) * 2 * np.pi / len(around)
+    roots = xp.sqrt(half_axes)
+    stretched = directions * roots
+    length = xp.linalg.norm(stretched, axis=-1, keepdims=True)
+    placed = stretched / length
+    scaled = placed / half_axes
+    stretch = xp.linalg.norm(scaled, axis=-1, keepdims=True)
+    areas = solid * xp.prod(roots) ** 3 * (stretch / length**3)[:, 0]
+    return Surface(placed * half_axes, scaled / stretch, areas)
+
+
+def _side_surface(
+    half_axes: Numbers, rear: Number, front: Number, rings: int, around: np.ndarray
+) -> Surface:
+    """Return points on an elliptic cylinder along x."""
+    roots = xp.sqrt(half_axes)
+    stretched = around * roots
+    length = xp.linalg.norm(stretched, axis=-1, keepdims=True)
+    placed = stretched / length
+    scaled = placed / half_axes
+    stretch = xp.linalg.norm(scaled, axis=-1, keepdims=True)
+    lines = 2 * np.pi / len(around) * xp.prod(roots) ** 3 * (stretch / length**2)[:, 0]
+    nodes, weights = np.polynomial.legendre.leggauss(rings)
+    count, extent = len(around), xp.maximum(front - rear, 0.0)
+    places = np.repeat(nodes, count)[:, None] * extent / 2 + (front + rear) / 2
+    points = xp.concatenate([places, xp.tile(placed * half_axes, (rings, 1))], 1)
+    normals = xp.tile(scaled / stretch, (rings, 1))
+    normals = xp.concatenate([np.zeros((rings * count, 1)), normals], 1)
+    return Surface(points, normals, np.repeat(weights / 2, count) * extent * xp.tile(lines, rings))
+
+
+def _links(creature: Creature, pose: tuple[Numbers, Numbers]) -> list[_Link]:
+    centres, rotations = pose
+    return [
+        _Link(
+            (creature.body_index(body.joint.parent), i),
+            centres[i] + rotations[i] @ xp.array(body.joint.child_anchor),
+        )
+        for i, body in enumerate(creature.bodies)
+        if body.joint is not None
+    ]
+
+
+def _barrel(
+    creature: Creature, pose: tuple[Numbers, Numbers], body: int, links: list[_Link]
+) -> Barrel:
+    """Return a body as a cylinder along its axis nearest to its largest neighbour."""
+    shape, own = creature.bodies[body].shape, [link for link in links if body in link.bodies]
+    if not own:
+        return shape.barrel(np.eye(3)[0])
+    others = [sum(link.bodies) - body for link in own]
+    sizes = xp.array([creature.bodies[other].shape.volume for other in others])
+    scores = xp.minimum(sizes / xp.maximum(shape.volume, _LEAST**3), 1.0)
+    largest = chosen(
+        lambda: np.argmax(scores > np.max(scores) - _TIE),
+        lambda choice: scores[choice] > xp.max(scores) - 2 * _TIE,
+    )
+    centres, rotations = pose
+    return shape.barrel(rotations[body].T @ (own[int(largest)].place - centres[body]))
+
+
+def _end(barrel: Barrel, centre: Numbers, rotation: Numbers, place: Numbers) -> _End:
+    """Return the end of a body that lies on the side of a joint."""
+    axes = rotation @ barrel.axes
+    axis = axes[:, 0]
+    in_front = axis @ (place - centre) > 0
+    outward = axis * xp.where(in_front, 1.0, -1.0)
+    return _End(
+        centre + outward * barrel.length / 2,
+        outward,
+        axes[:, 1:],
+        xp.maximum(barrel.half_axes[1:], _LEAST),
+        barrel.half_axes[0],
+        barrel.length + 2 * barrel.half_axes[0],
+        in_front,
+    )
+
+
+def _in_line(one: _End, two: _End) -> tuple[Number, Number]:
+    """Return the weight with which two bodies are in line, and the distance of their middles.
+
+    The distance is that of the widest cross-sections, along the mean axis, m.
+    """
+    cosine = -(one.outward @ two.outward)
+    mean = one.outward - two.outward
+    axis = mean / xp.sqrt(xp.maximum(mean @ mean, _LEAST))
+    way = two.centre - one.centre
+    apart = way @ axis
+    sideways = way - apart * axis
+    radii = [xp.sqrt(xp.prod(end.widths)) for end in (one, two)]
+    radius = xp.minimum(*radii)
+    weight = _fade(cosine, *_TURN)
+    weight = weight * _fade(xp.sqrt(sideways @ sideways + _LEAST**2) / radius, *_OFFSET)
+    weight = weight * _fade((apart - one.tip - two.tip) / radius, *_GAP)
+    weight = weight * _fade(-apart / xp.minimum(one.whole, two.whole), *_OVERLAP)
+    for k in (0, 1):
+        ratio = one.widths[k] / _width_along(two, one.across[:, k])
+        weight = weight * _fade(xp.maximum(ratio, 1 / ratio), *_WIDTHS)
+    return weight, apart
+
+
+def _width_along(end: _End, direction: Numbers) -> Number:
+    """Return the half width of a cross-section along a vector that is nearly in its plane, m."""
+    parts = direction @ end.across
+    return xp.sqrt(xp.square(parts * end.widths).sum() / xp.maximum(parts @ parts, _LEAST))
+
+
+def _outline(barrel: Barrel, beside: list[tuple[Number, Number, Number]]) -> Outline:
+    """Return the outline of a body from its neighbours.
+
+    Args:
+        barrel: the body.
+        beside: for each neighbour: whether it lies in front, the weight with which the bodies are
+            in line, and the length of the straightened end, m.
+    """
+    covered, extension = [], []
+    for front in (True, False):
+        weights = [xp.where(side == front, weight, 0.0) for side, weight, _ in beside]
+        kept, total, lengths = 1.0, 0.0, 0.0
+        for weight, (_, _, length) in zip(weights, beside, strict=True):
+            kept, total = kept * (1 - weight), total + weight
+            lengths = lengths + weight * length
+        covered.append(1.0 - kept)
+        extension.append((1.0 - kept) * lengths / xp.maximum(total, _LEAST))
+    return Outline(barrel, xp.array(covered), xp.array(extension))
+
+
+def _fade(x: Numbers, full: float, none: float) -> Numbers:
+    """Return a smooth step from 1 at one bound to 0 at the other."""
+    fraction = xp.clip((x - none) / (full - none), 0.0, 1.0)
+    return fraction * fraction * (3.0 - 2.0 * fraction)
