@@ -338,14 +338,17 @@ def _surface_points(
     def by_name(surfaces: tuple[Surface, ...]) -> dict[str, Surface]:
         return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
 
+    def surfaces(resolution: int) -> tuple[Surface, ...]:
+        return outer_surfaces(creature, resolution, water.sheltered, layout, water.shelter)
+
     surfacing = water.surface is not None
     if water.points == "random":
         rng = np.random.default_rng(water.points_seed)
-        dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered, layout)
+        dense = surfaces(_DENSE_RESOLUTION)
         points = by_name(random_surfaces(dense, water.random_points, rng))
         return make_patches(tree, points, points, water.law, surfacing, layout)
-    form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered, layout))
-    skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered, layout))
+    form = by_name(surfaces(water.form_resolution))
+    skin = by_name(surfaces(water.skin_resolution))
     return make_patches(tree, form, skin, water.law, surfacing, layout)
 
 

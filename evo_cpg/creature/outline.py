@@ -47,8 +47,12 @@ _OVERLAP, _WIDTHS = (0.25, 0.5), (1.7, 3.0)
 # The same for the cosine between the normal of a flat end and the axis.
 _FACING = (0.9, 0.6)
 
-# Score by which a neighbour may miss the largest one and still set the axis of a body.
-_TIE = 1e-6
+# Fraction by which an axis may miss the largest one and still be taken, and number of squarings of
+# a matrix that leave only its main axis.
+_TIE, _SQUARINGS = 1e-6, 5
+
+# Weight that keeps a mean defined if all other weights are 0.
+_SLIGHT = 1e-9
 
 # Least size, so that a body without extent has no area (m).
 _LEAST = 1e-12
@@ -119,7 +123,7 @@ def outlines(
         total = ends[0].tip + ends[1].tip
         for i, end in zip(link.bodies, ends, strict=True):
             beside[i].append((end.in_front, weight, apart * end.tip / total))
-        pair = np.zeros_like(table)
+        pair = np.zeros((len(barrels), len(barrels)))
         pair[link.bodies, link.bodies[::-1]] = 1.0
         table = table + pair * weight
     return [_outline(barrel, near) for barrel, near in zip(barrels, beside, strict=True)], table
@@ -224,19 +228,29 @@ def _links(creature: Creature, pose: tuple[Numbers, Numbers]) -> list[_Link]:
 def _barrel(
     creature: Creature, pose: tuple[Numbers, Numbers], body: int, links: list[_Link]
 ) -> Barrel:
-    """Return a body as a cylinder along its axis nearest to its largest neighbour."""
+    """Return a body as a cylinder along its axis nearest to the line through its neighbours.
+
+    The line is the main axis of the directions to the joints, weighted by the neighbours' volumes.
+    """
     shape, own = creature.bodies[body].shape, [link for link in links if body in link.bodies]
     if not own:
         return shape.barrel(np.eye(3)[0])
-    others = [sum(link.bodies) - body for link in own]
-    sizes = xp.array([creature.bodies[other].shape.volume for other in others])
-    scores = xp.minimum(sizes / xp.maximum(shape.volume, _LEAST**3), 1.0)
-    largest = chosen(
-        lambda: np.argmax(scores > np.max(scores) - _TIE),
-        lambda choice: scores[choice] > xp.max(scores) - 2 * _TIE,
-    )
     centres, rotations = pose
-    return shape.barrel(rotations[body].T @ (own[int(largest)].place - centres[body]))
+    spread = _SLIGHT * np.eye(3)
+    for link in own:
+        other = creature.bodies[sum(link.bodies) - body].shape
+        size = xp.minimum(other.volume / xp.maximum(shape.volume, _LEAST**3), 1.0)
+        direction = rotations[body].T @ (link.place - centres[body])
+        squared = xp.maximum(direction @ direction, _LEAST**2)
+        spread = spread + size * xp.outer(direction, direction) / squared
+    nearest = chosen(
+        lambda: np.argmax(xp.diag(spread)),
+        lambda axis: spread[axis, axis] >= xp.max(xp.diag(spread)) * (1 - _TIE),
+    )
+    # Powers of a symmetric matrix converge to its main axis.
+    for _ in range(_SQUARINGS):
+        spread = spread @ spread / xp.trace(spread @ spread)
+    return shape.barrel(spread[:, nearest])
 
 
 def _end(barrel: Barrel, centre: Numbers, rotation: Numbers, place: Numbers) -> _End:
@@ -281,8 +295,8 @@ def _in_line(one: _End, two: _End) -> tuple[Number, Number]:
 
 def _width_along(end: _End, direction: Numbers) -> Number:
     """Return the half width of a cross-section along a vector that is nearly in its plane, m."""
-    parts = direction @ end.across
-    return xp.sqrt(xp.square(parts * end.widths).sum() / xp.maximum(parts @ parts, _LEAST))
+    parts, squares = xp.square(direction @ end.across), xp.square(end.widths)
+    return xp.sqrt((parts @ squares + _SLIGHT * squares.mean()) / (parts.sum() + _SLIGHT))
 
 
 def _outline(barrel: Barrel, beside: list[tuple[Number, Number, Number]]) -> Outline:
