@@ -150,7 +150,7 @@ def outline_surface(
             weight = weight * (1 - each * _fade(sign * facing, *_FACING))
         return surface._replace(areas=surface.areas * weight), np.ones(len(surface.areas), bool)
     balls = barrel.ends == "ball"
-    rings = max(resolution, 2) if balls else resolution + 1
+    rings = max(resolution, 2) if balls else max(resolution + 1, 3)
     count = 2 * resolution + 4 if balls else 4 * resolution + 4
     half_axes = xp.maximum(barrel.half_axes, _LEAST)
     angles = (np.arange(count) + 0.5) * 2 * np.pi / count
