@@ -17,9 +17,9 @@ its length. Areas are continuous in the geometry.
 
 Surface points of a body:
 
-- Each round end has a product rule: Gauss-Legendre along the axis and uniform around it. It is
-  uniform in the directions halfway between those of the points and those of the normals, so that
-  slender ellipsoids need few points.
+- Each round end has its tip and rings around the axis, a Gauss-Radau rule. It is a rule over the
+  directions halfway between those of the points and those of the normals, so that slender
+  ellipsoids need few points. Half-balls need a single ring at the default resolutions.
 - The side has Gauss-Legendre points along the axis and a ring around it.
 """
 
@@ -53,6 +53,12 @@ _TIE, _SQUARINGS = 1e-6, 5
 
 # Weight that keeps a mean defined if all other weights are 0.
 _SLIGHT = 1e-9
+
+# Places along the axis of a half-ball, and weights, of a ring and the tip. They give the area, form
+# drag along the axis, and skin friction along the axis exactly: w (1 - x^3) = 3/4 and
+# w (1 - x^2)^(3/2) = 3 pi / 16.
+_BALL_PLACES = np.array([0.44775115257259673, 1.0])
+_BALL_WEIGHTS = np.array([0.823963622929168, 0.176036377070832])
 
 # Least size, so that a body without extent has no area (m).
 _LEAST = 1e-12
@@ -150,12 +156,11 @@ def outline_surface(
             weight = weight * (1 - each * _fade(sign * facing, *_FACING))
         return surface._replace(areas=surface.areas * weight), np.ones(len(surface.areas), bool)
     balls = barrel.ends == "ball"
-    rings = max(resolution, 2) if balls else max(resolution + 1, 3)
-    count = 2 * resolution + 4 if balls else 4 * resolution + 4
+    count = 2 * resolution + 4 if balls else max(4 * resolution, 8)
     half_axes = xp.maximum(barrel.half_axes, _LEAST)
     angles = (np.arange(count) + 0.5) * 2 * np.pi / count
     around = np.column_stack([np.cos(angles), np.sin(angles)])
-    end = _end_surface(half_axes, rings, around)
+    end = _end_surface(half_axes, *_end_rule(balls, resolution), around)
     parts = [
         Surface(
             (end.points + xp.array([barrel.length / 2, 0.0, 0.0])) * sign,
@@ -171,18 +176,37 @@ def outline_surface(
     return Surface(points @ barrel.axes.T, normals @ barrel.axes.T, areas), on_body
 
 
-def _end_surface(half_axes: Numbers, rings: int, around: np.ndarray) -> Surface:
-    """Return points on the front half of an ellipsoid.
+def _end_rule(balls: bool, resolution: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the places of rings along the axis from 0 to the tip at 1, and weights that add to 1.
+
+    The tip comes last.
+    """
+    if balls and resolution <= 2:
+        return _BALL_PLACES, _BALL_WEIGHTS
+    rings = resolution - 1 if balls else resolution + 1
+    legendre = np.polynomial.Legendre.basis
+    nodes = (legendre(rings) - legendre(rings + 1)).roots()
+    nodes = np.sort(nodes.real)
+    nodes[-1] = 1.0
+    weights = (1 + nodes) / ((rings + 1) * legendre(rings)(nodes)) ** 2
+    return (nodes + 1) / 2, weights / 2
+
+
+def _end_surface(
+    half_axes: Numbers, places: np.ndarray, weights: np.ndarray, around: np.ndarray
+) -> Surface:
+    """Return points on the front half of an ellipsoid: rings around its axis, then its tip.
 
     Let g be a unit vector of the product rule and S the roots of the half axes. The point is
     S^2 q for the unit vector q along S g, and the normal is along g / S.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(rings)
-    along = (nodes + 1) / 2
-    directions = np.concatenate(
-        [np.column_stack([np.full(len(around), x), np.sqrt(1 - x * x) * around]) for x in along]
-    )
-    solid = np.repeat(weights / 2, len(around)) * 2 * np.pi / len(around)
+    rings = [
+        np.column_stack([np.full(len(around), x), np.sqrt(1 - x * x) * around]) for x in places
+    ]
+    directions = np.concatenate([*rings[:-1], np.eye(3)[:1]])
+    counts = np.full(len(places), len(around))
+    counts[-1] = 1
+    solid = np.repeat(2 * np.pi * weights / counts, counts)
     roots = xp.sqrt(half_axes)
     stretched = directions * roots
     length = xp.linalg.norm(stretched, axis=-1, keepdims=True)
