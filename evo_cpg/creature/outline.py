@@ -8,8 +8,8 @@ cross-section of the body to a plane between the bodies:
     two bodies  (_____)(_____)    outline    (______.______)
 
 The plane divides the distance between the two widest cross-sections in proportion to the lengths of
-the ends. Ends that overlap shorten the sides. The change of width at the plane has no area, because
-the outline of a tapered body is smooth.
+the ends. It lies in the middle if one end is flat. Ends that overlap shorten the sides. The change
+of width at the plane has no area, because the outline of a tapered body is smooth.
 
 `_in_line` is a weight between 0 and 1. It falls to 0 as the bodies turn, move apart or differ in
 width. An end of weight w keeps the fraction 1 - w of its area, and its side gets the fraction w of
@@ -126,9 +126,10 @@ def outlines(
             continue
         ends = [_end(barrels[i], pose[0][i], pose[1][i], link.place) for i in link.bodies]
         weight, apart = _in_line(*ends)
-        total = ends[0].tip + ends[1].tip
+        flat = any(barrels[i].ends == "flat" for i in link.bodies)
         for i, end in zip(link.bodies, ends, strict=True):
-            beside[i].append((end.in_front, weight, apart * end.tip / total))
+            part = 0.5 if flat else end.tip / (ends[0].tip + ends[1].tip)
+            beside[i].append((end.in_front, weight, apart * part))
         pair = np.zeros((len(barrels), len(barrels)))
         pair[link.bodies, link.bodies[::-1]] = 1.0
         table = table + pair * weight
@@ -149,12 +150,8 @@ def outline_surface(
     """
     barrel, covered = outline.barrel, outline.covered
     if barrel.ends == "flat":
-        surface = shape.surface(resolution)
-        facing = surface.normals @ barrel.axes[:, 0]
-        weight = 1.0
-        for sign, each in zip((1, -1), covered, strict=True):
-            weight = weight * (1 - each * _fade(sign * facing, *_FACING))
-        return surface._replace(areas=surface.areas * weight), np.ones(len(surface.areas), bool)
+        surface = _flat_surface(shape.surface(resolution), outline)
+        return surface, np.ones(len(surface.areas), bool)
     balls = barrel.ends == "ball"
     count = 2 * resolution + 4 if balls else max(4 * resolution, 8)
     half_axes = xp.maximum(barrel.half_axes, _LEAST)
@@ -174,6 +171,22 @@ def outline_surface(
     points, normals, areas = (xp.concatenate(columns) for columns in zip(*parts, strict=True))
     on_body = np.arange(len(areas)) < 2 * len(end.areas)
     return Surface(points @ barrel.axes.T, normals @ barrel.axes.T, areas), on_body
+
+
+def _flat_surface(surface: Surface, outline: Outline) -> Surface:
+    """Return the points of a body with flat ends, with covered ends and longer sides."""
+    axis, length = outline.barrel.axes[:, 0], xp.maximum(outline.barrel.length, _LEAST)
+    facing, along = surface.normals @ axis, surface.points @ axis
+    front, rear = (_fade(sign * facing, *_FACING) for sign in (1, -1))
+    side = _fade(xp.abs(facing), 1 - _FACING[0], 1 - _FACING[1])
+    ahead, behind = outline.extension
+    growth = (ahead + behind) / length
+    shift = side * (along * growth + (ahead - behind) / 2)
+    kept = (1 - outline.covered[0] * front) * (1 - outline.covered[1] * rear)
+    return surface._replace(
+        points=surface.points + shift[:, None] * axis,
+        areas=surface.areas * kept * (1 + side * growth),
+    )
 
 
 def _end_rule(balls: bool, resolution: int) -> tuple[np.ndarray, np.ndarray]:
