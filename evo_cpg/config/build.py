@@ -378,14 +378,15 @@ def _surface_points(
     def by_name(surfaces: tuple[Surface, ...]) -> dict[str, Surface]:
         return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
 
+    def surfaces(resolution: int) -> tuple[Surface, ...]:
+        return outer_surfaces(creature, resolution, water.sheltered, layout, water.shelter)
+
     if water.points == "random":
         rng = np.random.default_rng(water.points_seed)
-        dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered, layout)
+        dense = surfaces(_DENSE_RESOLUTION)
         points = by_name(random_surfaces(dense, water.random_points, rng))
         return points, points
-    form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered, layout))
-    skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered, layout))
-    return form, skin
+    return by_name(surfaces(water.form_resolution)), by_name(surfaces(water.skin_resolution))
 
 
 def _build_part(given: Any, kind: type, key: Key, **about: Any) -> Any:

@@ -34,8 +34,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.chain_outline import Outline, outline
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.outline import Outline, outline
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.slender import slender_chains
 from evo_cpg.creature.surface import PointLayout

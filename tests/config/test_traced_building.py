@@ -178,7 +178,7 @@ def test_bodies_that_become_different_get_separate_surfaces():
     for body, side in zip(creature["bodies"][1:], (1, -1), strict=True):
         body["name"] = f"ball{side}"
         body["joint"] = body["joint"] | {"at": [0.0, 0.4 * side, 0.0]}
-    config = shapes(water={}).model_dump(mode="json") | {"creature": creature}
+    config = shapes(water={"sheltered": False}).model_dump(mode="json") | {"creature": creature}
     parameters = check_elements(check_config(config, CONFIG), ["creature.bodies.1.shape.radius"])
     assert parameters.building.layout == "separate"
 
