@@ -32,9 +32,10 @@ from evo_cpg.fusion.unsupported import Unsupported
 from evo_cpg.physics.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.contact_model import make_contact_model
-from evo_cpg.physics.fluid import Drag, Patch, make_patches
+from evo_cpg.physics.fluid import Drag, make_patches
 from evo_cpg.physics.force_law import ForceLaw
 from evo_cpg.physics.pairs import make_pairs
+from evo_cpg.physics.viscous_drag import ViscousDrag, make_viscous_drag
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
@@ -310,8 +311,7 @@ def _build_world(
 ) -> World:
     water, forces = config.world.water, list[ForceLaw]()
     if water:
-        patches = _surface_points(water, creature, tree, layout)
-        forces.append(Drag(water.form_drag, water.skin_drag, patches, water.law))
+        forces.append(_drag(water, creature, tree, layout))
         if water.added_mass:
             forces.append(AddedMass(added_inertia(creature, tree, water.density)))
     for i, given in enumerate(config.world.forces):
@@ -332,21 +332,35 @@ def _build_world(
     )
 
 
-def _surface_points(
+def _drag(
     water: WaterConfig, creature: Creature, tree: Tree, layout: PointLayout
-) -> tuple[Patch, ...]:
+) -> Drag | ViscousDrag:
+    form, skin = _surface_points(water, creature, layout)
+    surfacing = water.surface is not None
+    if water.viscosity is None:
+        patches = make_patches(tree, form, skin, water.law, surfacing, layout)
+        return Drag(water.form_drag, water.skin_drag, patches, water.law)
+    return make_viscous_drag(
+        creature, tree, form, skin, water.viscosity, water.form_drag, surfacing, layout
+    )
+
+
+def _surface_points(
+    water: WaterConfig, creature: Creature, layout: PointLayout
+) -> tuple[dict[str, Surface], dict[str, Surface]]:
+    """Return the points for form drag and for skin friction, by body."""
+
     def by_name(surfaces: tuple[Surface, ...]) -> dict[str, Surface]:
         return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
 
-    surfacing = water.surface is not None
     if water.points == "random":
         rng = np.random.default_rng(water.points_seed)
         dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered, layout)
         points = by_name(random_surfaces(dense, water.random_points, rng))
-        return make_patches(tree, points, points, water.law, surfacing, layout)
+        return points, points
     form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered, layout))
     skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered, layout))
-    return make_patches(tree, form, skin, water.law, surfacing, layout)
+    return form, skin
 
 
 def _build_part(given: Any, kind: type, key: Key, **about: Any) -> Any:

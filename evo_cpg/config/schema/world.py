@@ -2,12 +2,12 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.ground import GroundConfig
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
-from evo_cpg.config.schema.typical import GRAVITY, LIQUID
+from evo_cpg.config.schema.typical import GRAVITY, LIQUID, VISCOSITY
 from evo_cpg.physics.fluid import DragLaw
 from evo_cpg.physics.water import Current, Vortex, Water
 
@@ -34,7 +34,10 @@ class WaterConfig(Section):
 
     Attributes:
         density: mass per volume, kg/m^3.
-        form_drag: coefficient C_d for the normal velocity at every surface point.
+        viscosity: dynamic viscosity, Pa s, or ``null`` for drag with constant coefficients. With a
+            viscosity, drag follows the Reynolds number and the shape of the bodies.
+        form_drag: coefficient C_d for the normal velocity at every surface point. With a viscosity
+            it is a factor of the measured coefficients.
         skin_drag: coefficient C_f for the tangential velocity at every surface point.
         surface: height of the water's surface, m, or ``null`` for water everywhere.
         added_mass: whether bodies accelerate the water around them, as in ideal fluid.
@@ -52,6 +55,7 @@ class WaterConfig(Section):
     """
 
     density: Annotated[Positive, LIQUID] = 1000.0
+    viscosity: Annotated[Positive, VISCOSITY] | None = None
     form_drag: NotNegative = 1.0
     skin_drag: NotNegative = 0.02
     surface: Finite | None = None
@@ -72,6 +76,18 @@ class WaterConfig(Section):
         vortices = (vortex.into(Vortex) for vortex in self.vortices)
         current = Current(self.current, self.current_gradient)
         return Water(self.density, self.surface, (current, *vortices))
+
+    @model_validator(mode="after")
+    def _has_one_drag_law(self) -> "WaterConfig":
+        if self.viscosity is None:
+            return self
+        if self.law != "normal":
+            raise ValueError(f"viscosity has a drag law of its own; leave out law ({self.law!r})")
+        if self.skin_drag != type(self).model_fields["skin_drag"].default:
+            raise ValueError(
+                f"viscosity determines skin friction; leave out skin_drag ({self.skin_drag:g})"
+            )
+        return self
 
     @field_validator("current_gradient")
     @classmethod

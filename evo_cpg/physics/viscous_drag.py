@@ -1,0 +1,424 @@
+"""Drag of water with a viscosity: creeping flow, boundary layer and form drag.
+
+Three terms add up. Each one is small where it does not belong, so there is no switch:
+
+- Creeping flow, ``-mu R V``. R (6x6) is constant: the resistance of the ellipsoid of the whole
+  chain (`evo_cpg.physics.stokes`), divided among its bodies in proportion to their lengths.
+- Boundary layer, ``-1/2 rho c_f s G V``. G (6x6) is the integral of the tangential velocities over
+  the exposed surface. c_f is the local coefficient of a flat plate at ``Re_x = rho s x / mu``:
+  ``0.664 Re_x^-1/2`` (laminar), ``0.0592 Re_x^-1/5`` (turbulent), with a smooth transition at 5e5.
+- Form drag, ``-1/2 rho q k A |v_n| v_n n`` at surface points. The constant k gives the whole chain
+  the drag of its shape (`evo_cpg.physics.form_coefficients`). For round bodies
+  ``q = 1 - 0.3 * 4 y / (1 + y)^2`` with ``y = Re_d / 2500``: the drag of spheres and cylinders is
+  lowest at Re 2500.
+
+The speed s is the root mean square over the body. The water runs along the body for the time
+``s / x``, which the law computes as ``sqrt(sum_i (s_i / x_i)^2)``. Here s_i is the speed along an
+axis of the body. Along the centreline, x is the distance from the animal's nose, or from its tail
+if the body moves backwards. Across it, x is the path around the body. The distance is that of the
+mean coefficient over the body, a quarter of the length for a single body.
+
+The force over a step is that of `evo_cpg.physics.fluid` for form drag, with c_p from the start. The
+other matrices are constant during a step, too. D is the whole of R and, because friction grows as
+``s^1.5``, 3/4 of the friction. The step is of second order for form drag and friction along one
+direction, and of first order for creeping flow, which stays stable for any step.
+
+Differs from nature: the drag crisis beyond Re 2e5 is missing, and so is the history of the flow.
+"""
+
+import dataclasses
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.outline import Outline, outline
+from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.slender import slender_chains
+from evo_cpg.creature.surface import PointLayout
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.force_law import Bodies, ForceLaw, Part, blocks
+from evo_cpg.physics.form_coefficients import form_drag_coefficients, point_coefficients
+from evo_cpg.physics.stokes import ellipsoid_resistance
+from evo_cpg.physics.surface_points import (
+    Places,
+    alike,
+    merge_alike,
+    outer_products,
+    places_of,
+    runs,
+    still_alike,
+    velocity_rows,
+    wet_fraction,
+)
+from evo_cpg.spatial.decisions import chosen
+from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.spatial.numerics import Number, Numbers, xp
+
+# Local friction coefficients 0.664 Re^-1/2 (Blasius) and 0.0592 Re^-1/5 (Prandtl), the Reynolds
+# number of the transition, and the power of its weight.
+_LAMINAR, _TURBULENT, _TRANSITION, _SHARPNESS = 0.664, 0.0592, 5e5, 4
+
+# Re_x below which the boundary layer fades out, because creeping flow has all the friction.
+_CREEPING = 0.05
+
+# Part of the friction in D: half the power of the speed.
+_FRICTION_IN_STEP = 0.75
+
+# Depth of the dip of round bodies' form drag, and its Reynolds number.
+_DIP, _DIP_RE = 0.3, 2500.0
+
+# Floors under the squared speed (m^2/s^2) and the squared rate (1/s^2), for gradients at rest.
+_SPEED_FLOOR, _RATE_FLOOR = 1e-12, 1e-12
+
+# Sharpness above which form drag needs no points at the centre: the faces have all of it.
+_SHARP = 0.99
+
+# Least length, so that a body without size has finite coefficients, m.
+_TINY = 1e-9
+
+# Operations of native code per body, and per point of form drag without and with a surface.
+_BODY, _FORM_POINT, _SURFACE_POINT = 330.0, 27.0, 38.0
+
+
+class Wetted(NamedTuple):
+    """Constants of one body in the water, in its working frame.
+
+    Attributes:
+        normal: rows for the normal velocity of the points, ``(points, 6)``.
+        form: k A of each point, m^2.
+        motion: rows for the velocities of the centre along the outline's axes, and for the angular
+            velocities about them, ``(6, 6)``.
+        speed: weights ``(1, 6)`` of the squares of these velocities in the mean squared speed.
+        rate: weights ``(1, 6)`` of the squares in the squared rate, without the centreline, 1/m^2.
+        friction: G, ``(6, 6)``.
+        creep: R, ``(6, 6)``.
+        fade: rate below which the boundary layer fades out, over the kinematic viscosity, 1/m^2.
+        diameter: thickness of the body, m.
+        dip: depth of the dip of form drag.
+    """
+
+    normal: Float[Numbers, "p 6"]
+    form: Float[Numbers, " p"]
+    motion: Float[Numbers, "6 6"]
+    speed: Float[Numbers, "1 6"]
+    rate: Float[Numbers, "1 6"]
+    friction: Float[Numbers, "6 6"]
+    creep: Float[Numbers, "6 6"]
+    fade: Float[Numbers, " 1"]
+    diameter: Float[Numbers, " 1"]
+    dip: Float[Numbers, " 1"]
+
+
+class ViscousPatch(NamedTuple):
+    """Bodies that have the same constants, except for their distance from the nose.
+
+    Attributes:
+        bodies: indices in the tree, in increasing order.
+        wetted: constants of each of the bodies.
+        outer: blocks of the outer products of the rows of form drag, ``(27, points)``.
+        forward: squared inverse distance from the nose, for each body, 1/m^2.
+        backward: squared inverse distance from the tail, for each body, 1/m^2.
+        places: places of the points of form drag, or None for water without a surface.
+    """
+
+    bodies: tuple[int, ...]
+    wetted: Wetted
+    outer: Float[Numbers, "27 p"]
+    forward: Float[Numbers, " k"]
+    backward: Float[Numbers, " k"]
+    places: Places | None
+
+
+class ViscousDrag(ForceLaw):
+    """Creeping flow, boundary layer and form drag.
+
+    Attributes:
+        viscosity: dynamic viscosity mu, Pa s.
+        form_drag: factor of the form coefficients.
+        patches: the bodies.
+        factor: factor of the whole drag.
+    """
+
+    of_water: ClassVar[bool] = True
+
+    viscosity: Number
+    form_drag: Number
+    patches: tuple[ViscousPatch, ...] = ()
+    factor: Number = 1.0
+
+    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
+        """Return the drag wrench on every body (`ForceLaw.wrench`)."""
+        return self.parts(bodies)[0].wrench
+
+    def parts(self, bodies: Bodies) -> tuple[Part]:
+        """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
+        assert bodies.water is not None
+        velocity = bodies.relative
+        inputs = [velocity]
+        if bodies.pose is not None:
+            inputs += [bodies.pose, bodies.under_water[None]]
+        pieces = [
+            (
+                run.start,
+                *self._patch(bodies.water.density, patch, run, *(x[:, run] for x in inputs)),
+            )
+            for patch in self.patches
+            for run in runs(patch.bodies)
+        ]
+        _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
+        derivative = jnp.concatenate(derivatives, 3)
+        return (Part(jnp.concatenate(wrenches, 1), bodies.h * derivative),)
+
+    def averaged(self, start: Bodies, moving: Bodies) -> None:
+        """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
+        del start, moving
+
+    def scaled(self, factor: float) -> "ViscousDrag":
+        """Return the law with all its forces multiplied by a factor."""
+        return dataclasses.replace(self, factor=self.factor * factor)
+
+    def operations(self) -> float:
+        """Return the operations, fitted as in `evo_cpg.simulation.operations`."""
+        total = 0.0
+        for patch in self.patches:
+            point = _FORM_POINT if patch.places is None else _SURFACE_POINT
+            total += len(patch.bodies) * (_BODY + point * len(patch.wetted.form))
+        return total
+
+    def _patch(
+        self,
+        density: Number,
+        patch: ViscousPatch,
+        run: slice,
+        velocity: Float[Array, "6 k *n"],
+        pose: Float[Array, "4 k *n"] | None = None,
+        under: Float[Array, "1 k *n"] | None = None,
+    ) -> tuple[Float[Array, "6 k *n"], Float[Array, "3 3 3 k *n"]]:
+        """Return the wrench and D of some bodies of a patch."""
+        own = patch.wetted
+        batch = velocity.shape[1:]
+        flat = velocity.reshape(6, -1)
+
+        def product(constant: Numbers, x: Array) -> Array:
+            return jnp.asarray(constant, flat.dtype) @ x
+
+        def each(weights: Numbers) -> Array:
+            part = jnp.asarray(weights, flat.dtype)[patch.bodies.index(run.start) :][: batch[0]]
+            return jnp.broadcast_to(expand_dims_like(part, velocity[0]), batch).reshape(1, -1)
+
+        viscosity = self.viscosity / density
+        moving = product(own.motion, flat)
+        squares = moving * moving
+        along = jnp.where(moving[:1] > 0, each(patch.forward), each(patch.backward))
+        speed = product(own.speed, squares) + _SPEED_FLOOR
+        rate = jnp.sqrt(product(own.rate, squares) + squares[:1] * along + _RATE_FLOOR)
+        friction = (self.factor * density) * _friction(speed, rate, viscosity, own.fade[0])
+        y = jnp.sqrt(speed) * (own.diameter[0] / (_DIP_RE * viscosity))
+        dip = 1.0 - own.dip[0] * 4.0 * y / ((1.0 + y) * (1.0 + y))
+        creep = jnp.full_like(speed, self.factor * self.viscosity)
+
+        normal = product(own.normal, flat)
+        pressure = jnp.abs(normal)
+        if pose is not None and under is not None:
+            pressure = pressure * wet_fraction(patch.places, pose)
+            friction, creep = friction * under.reshape(1, -1), creep * under.reshape(1, -1)
+        form = (0.5 * self.factor * self.form_drag) * density * own.form
+        wrench = dip * -product(own.normal.T * form[None], pressure * normal)
+        wrench = wrench - friction * product(own.friction, flat) - creep * product(own.creep, flat)
+        derivative = dip * product(patch.outer * form[None], pressure)
+        derivative = derivative + (_FRICTION_IN_STEP * friction) * _blocks(own.friction, flat)
+        derivative = derivative + creep * _blocks(own.creep, flat)
+        return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *batch)
+
+
+def _blocks(matrix: Numbers, flat: Array) -> Array:
+    return blocks(jnp.asarray(matrix, flat.dtype)).reshape(27, 1)
+
+
+def _friction(speed: Array, rate: Array, viscosity: Number, fade: Number) -> Array:
+    """Return ``1/2 c_f s`` at a squared speed ``s^2`` and a rate ``s / x``, m/s."""
+    laminar = (0.5 * _LAMINAR) * jnp.sqrt(viscosity) * rate / jnp.sqrt(rate + fade * viscosity)
+    relative = speed / (rate * (viscosity * _TRANSITION))
+    ratio = _TURBULENT / _LAMINAR * _TRANSITION**0.3 * jnp.exp(0.3 * jnp.log(relative))
+    power = relative**_SHARPNESS
+    return laminar * (1.0 + power / (1.0 + power) * (ratio - 1.0))
+
+
+def make_viscous_drag(
+    creature: Creature,
+    tree: Tree,
+    form: dict[str, Surface],
+    skin: dict[str, Surface],
+    viscosity: Number,
+    form_drag: Number = 1.0,
+    surfacing: bool = False,
+    layout: PointLayout = "merged",
+) -> ViscousDrag:
+    """Return the law for a creature.
+
+    Args:
+        creature: the creature.
+        tree: its tree.
+        form: exposed points for form drag on each body by name, in the body's geometric frame.
+        skin: exposed points for skin friction.
+        viscosity: dynamic viscosity, Pa s.
+        form_drag: factor of the form coefficients.
+        surfacing: whether the water has a surface.
+        layout: "merged" merges equal bodies and points.
+    """
+    wetted: list[Wetted] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
+    places: list[Places] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
+    runs_along = [xp.zeros(2)] * tree.body_count
+    for chain in slender_chains(creature):
+        shape = outline(creature, chain)
+        names = [creature.bodies[body].name for body in chain.bodies]
+        points = _form_points(shape, [form[name] for name in names])
+        creep = _creep(shape)
+        runs_here = _runs_along(shape)
+        for i, name in enumerate(names):
+            k = tree.names.index(name)
+            surface, coefficients = points[i]
+            placed = surface._replace(points=surface.points + tree.com[None, :, k])
+            places[k] = places_of(placed)
+            wetted[k] = _wetted(
+                shape, i, tree.com[:, k], placed, coefficients * surface.areas, skin[name], creep[i]
+            )
+            runs_along[k] = runs_here[i]
+    keys = [(tuple(own), tuple(place)) for own, place in zip(wetted, places, strict=True)]
+    groups = (
+        chosen(lambda: alike(keys), lambda found: still_alike(keys, found))
+        if layout == "merged"
+        else [(i,) for i in range(len(keys))]
+    )
+    patches = []
+    for bodies in groups:
+        own = wetted[bodies[0]]
+        if layout == "merged" and not surfacing:
+            normal, area = merge_alike(own.normal, own.form)
+            own = own._replace(normal=normal, form=area)
+        forward, backward = xp.stack([runs_along[body] for body in bodies], -1)
+        patches.append(
+            ViscousPatch(
+                bodies,
+                own,
+                outer_products(own.normal),
+                forward,
+                backward,
+                places[bodies[0]] if surfacing else None,
+            )
+        )
+    return ViscousDrag(viscosity, form_drag, tuple(patches))
+
+
+def _form_points(shape: Outline, surfaces: list[Surface]) -> list[tuple[Surface, Numbers]]:
+    """Return the points of form drag of each body of a chain, and their coefficients k.
+
+    The coefficients give the chain the drag of its outline. Where the points of a round body are
+    too few for that, such as at the edge of a thin disc, points at the body's centre add the rest.
+    """
+    normals = [surface.normals @ turn for surface, turn in zip(surfaces, shape.axes, strict=True)]
+    every, areas = xp.concatenate(normals), xp.concatenate([s.areas for s in surfaces])
+    wanted = form_drag_coefficients(shape.sizes, shape.sharpness)
+    k = point_coefficients(every, areas, wanted)
+    splits = np.cumsum([len(s.areas) for s in surfaces])[:-1].tolist()
+    own = xp.split(k, splits)
+    if chosen(
+        lambda: bool(shape.sharpness > _SHARP), lambda was: (shape.sharpness > _SHARP) == was
+    ):
+        return list(zip(surfaces, own, strict=True))
+    fronts = xp.stack([0.5 * s.areas @ xp.abs(n) for s, n in zip(surfaces, normals, strict=True)])
+    total = fronts.sum(0)
+    given = (k * areas) @ xp.abs(every) ** 3
+    missing = xp.maximum(wanted - given / xp.maximum(total, _TINY**2), 0.0)
+    found = []
+    for i, surface in enumerate(surfaces):
+        centre = Surface(np.zeros((3, 3)), shape.axes[i].T, fronts[i])
+        both = (xp.concatenate(columns) for columns in zip(surface, centre, strict=True))
+        found.append((Surface(*both), xp.concatenate([own[i], missing])))
+    return found
+
+
+def _creep(shape: Outline) -> Float[Numbers, "n 6"]:
+    """Return the resistances of each body about and along the axes of the outline, at its centre.
+
+    The ellipsoid has the proportions of the outline and the volume of the bodies. A body gets its
+    part of the force. A part of a straight chain that turns about its own centre has a torque that
+    grows with the cube of its length.
+    """
+    half = shape.sizes / 2
+    scale = (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
+    force, torque = ellipsoid_resistance(xp.maximum(half * scale, _TINY))
+    lengths = _lengths(shape)
+    part = (lengths / xp.maximum(lengths.sum(), _TINY))[:, None]
+    about = xp.concatenate([part * torque[None, :1], part**3 * torque[None, 1:]], 1)
+    return xp.concatenate([about, part * force[None]], 1)
+
+
+def _lengths(shape: Outline) -> Float[Numbers, " n"]:
+    return shape.chain.lengths if len(shape.axes) > 1 else 2 * shape.halves[:, 0]
+
+
+def _path(depth: Number, one: Number, other: Number) -> Number:
+    """Return the length of the way of the water around a body of a depth along the flow, m."""
+    narrow = xp.minimum(one, other)
+    return (depth**4 + narrow**4) ** 0.25
+
+
+def _runs_along(shape: Outline) -> Float[Numbers, "n 2"]:
+    """Return the squared inverse distances of each body from the nose and from the tail, 1/m^2.
+
+    The mean of ``x^-1/2`` over a body from x_0 to x_1 is ``2 / (sqrt(x_0) + sqrt(x_1))``.
+    """
+    lengths = _lengths(shape)
+    ends = xp.cumsum(lengths)
+    total = xp.maximum(ends[-1], _TINY)
+    starts = ends - lengths
+    scale = _path(*shape.sizes) / total
+
+    def inverse(near: Numbers, far: Numbers) -> Numbers:
+        roots = xp.sqrt(xp.maximum(near, 0.0)) + xp.sqrt(xp.maximum(far, _TINY))
+        return 1 / (scale * roots**2 / 4) ** 2
+
+    return xp.stack([inverse(starts, ends), inverse(total - ends, total - starts)], -1)
+
+
+def _wetted(
+    shape: Outline,
+    i: int,
+    com: Float[Numbers, " 3"],
+    placed: Surface,
+    form: Float[Numbers, " p"],
+    skin: Surface,
+    creep: Float[Numbers, " 6"],
+) -> Wetted:
+    """Return the constants of a body of a chain in its working frame."""
+    turn, half = shape.axes[i], xp.maximum(shape.halves[i], _TINY)
+    along = xp.concatenate([xp.cross(com[None], turn.T), turn.T], 1)
+    motion = xp.concatenate([along, xp.concatenate([turn.T, np.zeros((3, 3))], 1)])
+    normal, _, _ = velocity_rows(placed)
+    _, first, second = velocity_rows(skin._replace(points=skin.points + com))
+    friction = (first.T * skin.areas) @ first + (second.T * skin.areas) @ second
+    axes = xp.concatenate([motion[3:], motion[:3]])
+    # The path of the water across the centreline is that around the body. A chain that is shorter
+    # than wide has the path of its length.
+    sizes = xp.array([shape.sizes[0], 2 * half[1], 2 * half[2]])
+    runs = [_path(sizes[j], sizes[j - 1], sizes[j - 2]) / 4 for j in range(3)]
+    inverse = xp.array([1 / run**2 for run in runs])
+    # Mean squares of the positions in a box of the body's sizes.
+    spread = xp.square(half) / 3
+    turning = xp.array([[0.0 if j == k else spread[3 - j - k] for k in range(3)] for j in range(3)])
+    return Wetted(
+        normal=normal,
+        form=form,
+        motion=motion,
+        speed=xp.concatenate([np.ones(3), turning.sum(0)])[None],
+        rate=xp.concatenate([inverse * np.array([0.0, 1.0, 1.0]), inverse @ turning])[None],
+        friction=friction,
+        creep=(axes.T * creep) @ axes,
+        fade=xp.array([_CREEPING * xp.sqrt(inverse[1] * inverse[2])]),
+        diameter=xp.array([2 * xp.sqrt(half[1] * half[2])]),
+        dip=xp.array([_DIP * (1 - shape.sharpness)]),
+    )
