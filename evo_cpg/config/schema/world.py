@@ -41,6 +41,7 @@ class WaterConfig(Section):
         skin_drag: coefficient C_f for the tangential velocity at every surface point.
         surface: height of the water's surface, m, or ``null`` for water everywhere.
         added_mass: whether bodies accelerate the water around them, as in ideal fluid.
+        lift: whether thin bodies, such as fins, have lift. Needs ``viscosity``.
         current: velocity of the water, m/s; with a gradient, at the origin.
         current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
         vortices: vortices that are added to the current.
@@ -60,6 +61,7 @@ class WaterConfig(Section):
     skin_drag: NotNegative = 0.02
     surface: Finite | None = None
     added_mass: bool = False
+    lift: bool = False
     current: Vector = (0.0, 0.0, 0.0)
     current_gradient: tuple[Vector, Vector, Vector] | None = None
     vortices: tuple[VortexConfig, ...] = ()
@@ -80,6 +82,8 @@ class WaterConfig(Section):
     @model_validator(mode="after")
     def _has_one_drag_law(self) -> "WaterConfig":
         if self.viscosity is None:
+            if self.lift:
+                raise ValueError("lift completes the drag of water with a viscosity; set viscosity")
             return self
         if self.law != "normal":
             raise ValueError(f"viscosity has a drag law of its own; leave out law ({self.law!r})")
