@@ -134,7 +134,7 @@ class PlateLift(ForceLaw):
         row, c = self._resistance(bodies)
         angular, linear = row[:3], row[3:]
         pairs = ((angular, angular), (angular, linear), (linear, linear))
-        outer = jnp.stack([c * a[:, None] * b[None] for a, b in pairs])
+        outer = jnp.stack([c[None, None] * a[:, None] * b[None] for a, b in pairs])
         flat = self._spread(bodies, (bodies.h * outer).reshape(27, *c.shape))
         return (Part(self.wrench(bodies), flat.reshape(3, 3, 3, *flat.shape[1:])),)
 
@@ -303,4 +303,6 @@ def _plate(shape: Shape) -> tuple[Numbers, Numbers, Number]:
     ]
     _, normals, areas = shape.surface(_RESOLUTION)
     area = (areas * xp.abs(normals @ normal)).sum() / 2
-    return xp.stack([normal, first, second]), xp.array(lengths), area
+    # A body of size 0 has a weight of 0, and any lengths serve.
+    sizes = [xp.where(size > 0, size, 1.0) for size in (*lengths, area)]
+    return xp.stack([normal, first, second]), xp.array(sizes[:2]), sizes[2]

@@ -56,7 +56,7 @@ class WaterConfig(Section):
     """
 
     density: Annotated[Positive, LIQUID] = 1000.0
-    viscosity: Annotated[Positive, VISCOSITY] | None = None
+    viscosity: Annotated[Positive | None, VISCOSITY] = None
     form_drag: NotNegative = 1.0
     skin_drag: NotNegative = 0.02
     surface: Finite | None = None
