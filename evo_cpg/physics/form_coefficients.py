@@ -11,8 +11,8 @@ flow has
     round:  C = C_plate / (1 + c l/q),  where l = q gives C = 1.25 - 0.77 / (1 + (p/q - 1) / 6),
     box:    C = C_plate (1 - 0.27 e (1 - 1 / (1 + (0.55 l/q)^2))),  e = (2 - C_plate) / 0.87.
 
-So a sphere has 0.48, a long cylinder 1.25 (1.2 with the dip), a cube 1.06, a long bar 2.0, and a rod along the flow
-0.83. The values are those of a subcritical boundary layer, without friction. `docs/models/fluid.md`
+So a sphere has 0.48, a long cylinder 1.25, a cube 1.06, a long bar 2.0, and a rod along the flow
+0.83. The values are those of a laminar boundary layer, without friction. `docs/models/fluid.md`
 compares them with measurements.
 """
 

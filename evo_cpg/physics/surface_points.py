@@ -1,5 +1,6 @@
 """Points on the surface of bodies, for drag: velocity rows, merged points, and their depth."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -53,8 +54,8 @@ def wet_fraction(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[A
     return fraction * fraction * (3.0 - 2.0 * fraction)
 
 
-def alike(surfaces: list[tuple[Surface, Surface]]) -> list[tuple[int, ...]]:
-    """Return the bodies grouped by their surfaces."""
+def alike(surfaces: Sequence[tuple[tuple[Numbers, ...], ...]]) -> list[tuple[int, ...]]:
+    """Return the bodies grouped by their arrays: points of surfaces, or other constants."""
     groups: dict[bytes, list[int]] = {}
     for i, own in enumerate(surfaces):
         key = b"|".join(
@@ -65,9 +66,9 @@ def alike(surfaces: list[tuple[Surface, Surface]]) -> list[tuple[int, ...]]:
 
 
 def still_alike(
-    surfaces: list[tuple[Surface, Surface]], groups: list[tuple[int, ...]]
+    surfaces: Sequence[tuple[tuple[Numbers, ...], ...]], groups: list[tuple[int, ...]]
 ) -> Condition:
-    """Return whether all bodies of each group still have equal surfaces."""
+    """Return whether all bodies of each group still have equal arrays."""
     return all_hold(
         (xp.abs(one - same) <= _SAME).all()
         for first, *others in groups

@@ -18,10 +18,11 @@ axis of the body. Along the centreline, x is the distance from the animal's nose
 if the body moves backwards. Across it, x is the path around the body. The distance is that of the
 mean coefficient over the body, a quarter of the length for a single body.
 
-The force over a step is that of `evo_cpg.physics.fluid` for form drag, with c_p from the start. The
-other matrices are constant during a step, too. D is the whole of R and, because friction grows as
-``s^1.5``, 3/4 of the friction. The step is of second order for form drag and friction along one
-direction, and of first order for creeping flow, which stays stable for any step.
+D, the decrease of the force per change of velocity over a step, is half the slope of the force, as
+in `evo_cpg.physics.fluid`: that of q for form drag, and 3/4 of the friction, which grows as
+``s^1.5``. D has the part ``(1 + z) / (2 + z)`` of the creeping flow, z being the largest rate of a
+free body's decay times the step. A free body then decays by ``2 / (2 + 2 z + z^2)`` in a step, of
+second order and stable for any z.
 
 Differs from nature: the drag crisis beyond Re 2e5 is missing, and so is the history of the flow.
 """
@@ -59,7 +60,11 @@ from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Local friction coefficients 0.664 Re^-1/2 (Blasius) and 0.0592 Re^-1/5 (Prandtl), the Reynolds
 # number of the transition, and the power of its weight.
-_LAMINAR, _TURBULENT, _TRANSITION, _SHARPNESS = 0.664, 0.0592, 5e5, 4
+_LAMINAR, _TURBULENT, _TRANSITION, _STEEPNESS = 0.664, 0.0592, 5e5, 4
+
+# A single body has one Re_x for its whole length. The transition begins at its rear, where x is
+# larger: this factor fits the mean friction of a plate with a transition at 5e5.
+_ALONE = 1.5
 
 # Re_x below which the boundary layer fades out, because creeping flow has all the friction.
 _CREEPING = 0.05
@@ -95,7 +100,9 @@ class Wetted(NamedTuple):
         rate: weights ``(1, 6)`` of the squares in the squared rate, without the centreline, 1/m^2.
         friction: G, ``(6, 6)``.
         creep: R, ``(6, 6)``.
+        decay: largest decay rate of the free body in creeping flow, over the viscosity, m/kg.
         fade: rate below which the boundary layer fades out, over the kinematic viscosity, 1/m^2.
+        transition: Re_x of the transition to turbulent friction.
         diameter: thickness of the body, m.
         dip: depth of the dip of form drag.
     """
@@ -107,7 +114,9 @@ class Wetted(NamedTuple):
     rate: Float[Numbers, "1 6"]
     friction: Float[Numbers, "6 6"]
     creep: Float[Numbers, "6 6"]
+    decay: Float[Numbers, " 1"]
     fade: Float[Numbers, " 1"]
+    transition: Float[Numbers, " 1"]
     diameter: Float[Numbers, " 1"]
     dip: Float[Numbers, " 1"]
 
@@ -155,19 +164,15 @@ class ViscousDrag(ForceLaw):
 
     def parts(self, bodies: Bodies) -> tuple[Part]:
         """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
-        assert bodies.water is not None
         velocity = bodies.relative
         inputs = [velocity]
         if bodies.pose is not None:
             inputs += [bodies.pose, bodies.under_water[None]]
-        pieces = [
-            (
-                run.start,
-                *self._patch(bodies.water.density, patch, run, *(x[:, run] for x in inputs)),
-            )
-            for patch in self.patches
-            for run in runs(patch.bodies)
-        ]
+        pieces = []
+        for patch in self.patches:
+            for run in runs(patch.bodies):
+                part = [x[:, run] for x in inputs]
+                pieces.append((run.start, *self._patch(bodies, patch, run, *part)))
         _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
         derivative = jnp.concatenate(derivatives, 3)
         return (Part(jnp.concatenate(wrenches, 1), bodies.h * derivative),)
@@ -190,7 +195,7 @@ class ViscousDrag(ForceLaw):
 
     def _patch(
         self,
-        density: Number,
+        bodies: Bodies,
         patch: ViscousPatch,
         run: slice,
         velocity: Float[Array, "6 k *n"],
@@ -198,7 +203,8 @@ class ViscousDrag(ForceLaw):
         under: Float[Array, "1 k *n"] | None = None,
     ) -> tuple[Float[Array, "6 k *n"], Float[Array, "3 3 3 k *n"]]:
         """Return the wrench and D of some bodies of a patch."""
-        own = patch.wetted
+        assert bodies.water is not None
+        own, density = patch.wetted, bodies.water.density
         batch = velocity.shape[1:]
         flat = velocity.reshape(6, -1)
 
@@ -215,9 +221,12 @@ class ViscousDrag(ForceLaw):
         along = jnp.where(moving[:1] > 0, each(patch.forward), each(patch.backward))
         speed = product(own.speed, squares) + _SPEED_FLOOR
         rate = jnp.sqrt(product(own.rate, squares) + squares[:1] * along + _RATE_FLOOR)
-        friction = (self.factor * density) * _friction(speed, rate, viscosity, own.fade[0])
+        friction = (self.factor * density) * _friction(own, speed, rate, viscosity)
         y = jnp.sqrt(speed) * (own.diameter[0] / (_DIP_RE * viscosity))
-        dip = 1.0 - own.dip[0] * 4.0 * y / ((1.0 + y) * (1.0 + y))
+        below = own.dip[0] * y / ((1.0 + y) * (1.0 + y))
+        dip = 1.0 - 4.0 * below
+        # Half the slope of dip * speed^2.
+        in_step = dip - 2.0 * below * (1.0 - y) / (1.0 + y)
         creep = jnp.full_like(speed, self.factor * self.viscosity)
 
         normal = product(own.normal, flat)
@@ -228,9 +237,10 @@ class ViscousDrag(ForceLaw):
         form = (0.5 * self.factor * self.form_drag) * density * own.form
         wrench = dip * -product(own.normal.T * form[None], pressure * normal)
         wrench = wrench - friction * product(own.friction, flat) - creep * product(own.creep, flat)
-        derivative = dip * product(patch.outer * form[None], pressure)
+        derivative = in_step * product(patch.outer * form[None], pressure)
         derivative = derivative + (_FRICTION_IN_STEP * friction) * _blocks(own.friction, flat)
-        derivative = derivative + creep * _blocks(own.creep, flat)
+        z = bodies.h * self.factor * self.viscosity * own.decay[0]
+        derivative = derivative + ((1 + z) / (2 + z) * creep) * _blocks(own.creep, flat)
         return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *batch)
 
 
@@ -238,12 +248,13 @@ def _blocks(matrix: Numbers, flat: Array) -> Array:
     return blocks(jnp.asarray(matrix, flat.dtype)).reshape(27, 1)
 
 
-def _friction(speed: Array, rate: Array, viscosity: Number, fade: Number) -> Array:
+def _friction(own: Wetted, speed: Array, rate: Array, viscosity: Number) -> Array:
     """Return ``1/2 c_f s`` at a squared speed ``s^2`` and a rate ``s / x``, m/s."""
-    laminar = (0.5 * _LAMINAR) * jnp.sqrt(viscosity) * rate / jnp.sqrt(rate + fade * viscosity)
-    relative = speed / (rate * (viscosity * _TRANSITION))
-    ratio = _TURBULENT / _LAMINAR * _TRANSITION**0.3 * jnp.exp(0.3 * jnp.log(relative))
-    power = relative**_SHARPNESS
+    fading = rate / jnp.sqrt(rate + own.fade[0] * viscosity)
+    laminar = (0.5 * _LAMINAR) * jnp.sqrt(viscosity) * fading
+    reynolds = speed / (rate * viscosity)
+    ratio = _TURBULENT / _LAMINAR * jnp.exp(0.3 * jnp.log(reynolds))
+    power = (reynolds / own.transition[0]) ** _STEEPNESS
     return laminar * (1.0 + power / (1.0 + power) * (ratio - 1.0))
 
 
@@ -283,9 +294,8 @@ def make_viscous_drag(
             surface, coefficients = points[i]
             placed = surface._replace(points=surface.points + tree.com[None, :, k])
             places[k] = places_of(placed)
-            wetted[k] = _wetted(
-                shape, i, tree.com[:, k], placed, coefficients * surface.areas, skin[name], creep[i]
-            )
+            area, own = coefficients * surface.areas, skin[name]
+            wetted[k] = _wetted(shape, i, tree.com[:, k], placed, area, own, creep[i], tree.mass[k])
             runs_along[k] = runs_here[i]
     keys = [(tuple(own), tuple(place)) for own, place in zip(wetted, places, strict=True)]
     groups = (
@@ -393,6 +403,7 @@ def _wetted(
     form: Float[Numbers, " p"],
     skin: Surface,
     creep: Float[Numbers, " 6"],
+    mass: Number,
 ) -> Wetted:
     """Return the constants of a body of a chain in its working frame."""
     turn, half = shape.axes[i], xp.maximum(shape.halves[i], _TINY)
@@ -408,8 +419,11 @@ def _wetted(
     runs = [_path(sizes[j], sizes[j - 1], sizes[j - 2]) / 4 for j in range(3)]
     inverse = xp.array([1 / run**2 for run in runs])
     # Mean squares of the positions in a box of the body's sizes.
-    spread = xp.square(half) / 3
+    square = xp.square(half)
+    spread = square / 3
     turning = xp.array([[0.0 if j == k else spread[3 - j - k] for k in range(3)] for j in range(3)])
+    # The inertia of an ellipsoid of these sizes.
+    inertia = xp.concatenate([0.2 * mass * (square.sum() - square), xp.stack([mass] * 3)])
     return Wetted(
         normal=normal,
         form=form,
@@ -418,7 +432,9 @@ def _wetted(
         rate=xp.concatenate([inverse * np.array([0.0, 1.0, 1.0]), inverse @ turning])[None],
         friction=friction,
         creep=(axes.T * creep) @ axes,
+        decay=xp.array([xp.max(creep / xp.maximum(inertia, _TINY**5))]),
         fade=xp.array([_CREEPING * xp.sqrt(inverse[1] * inverse[2])]),
+        transition=xp.array([_TRANSITION if len(shape.axes) > 1 else _TRANSITION / _ALONE]),
         diameter=xp.array([2 * xp.sqrt(half[1] * half[2])]),
         dip=xp.array([_DIP * (1 - shape.sharpness)]),
     )
