@@ -95,10 +95,10 @@ _PLATE = 600.0
 class PlateLift(ForceLaw):
     """Lift of plates, in addition to their form drag.
 
-    The force over a step is ``-c(v_0) v_n``, with the normal velocity v_n at the end, so light plates
-    are stable. The rest of the derivative is averaged with the predicted velocity, so the step is
-    of second order. The symmetric part of the whole derivative would not do as D, because it could
-    make the inertia of a light plate negative.
+    The force over a step is ``-c(v_0) v_n``, with the normal velocity v_n at the end. So light
+    plates are stable. The rest of the derivative is averaged with the predicted velocity, and the
+    step is of second order. The symmetric part of the whole derivative does not serve as D: it
+    could make the inertia of a light plate negative.
 
     Attributes:
         bodies: indices of the plates in the tree.

@@ -7,10 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.optimize
+import yaml
 
-import evo_cpg as evo
 from creatures import AXES, coast, in_water, quick_jit, random_state
+from evo_cpg.config.build import build_simulation
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import check_config, load_config
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
@@ -23,6 +25,7 @@ from evo_cpg.physics.step import step
 from evo_cpg.physics.viscous_drag import make_viscous_drag
 from evo_cpg.physics.water import Current, Water
 from evo_cpg.physics.world import World
+from tiny_run import CONFIG
 
 WATER, GRAVITY = 1000.0, 9.81
 
@@ -236,10 +239,11 @@ def tilted(angle: float) -> np.ndarray:
 def test_a_tilted_plate_glides_at_its_closed_form_speed(x64):
     """Lift carries the plate along a path that the balance of forces gives.
 
-    Its nose points down by 3 degrees, and form drag is 2 k on each front:
-    ``W cos t = 1/2 rho V^2 S (added C_N + 2 k sin^2 a)``, ``W sin t = 1/2 rho V^2 S_e 2 k cos^2 a``.
+    Its nose points down by 6 degrees. Form drag is 2 k on each front, so that along the normal
+    ``W cos t = 1/2 rho V^2 S (added C_N + 2 k sin^2 a)``, and along the chord
+    ``W sin t = 1/2 rho V^2 S_e 2 k cos^2 a``. Without lift the glide ratio is 1.3.
     """
-    chord, span, thickness, k, tilt = 0.1, 0.3, 0.004, 0.55, np.deg2rad(3.0)
+    chord, span, thickness, k, tilt = 0.1, 0.3, 0.004, 0.55, np.deg2rad(6.0)
     plate = single(Box((chord, span, thickness)), density=1500.0)
     world = in_water(plate, gravity=GRAVITY, form_drag=k, skin_drag=0.0)
     lift = make_plate_lift(plate, world.tree, has_moment=False)
@@ -330,3 +334,45 @@ def test_gradient_of_a_flight_equals_differences(x64):
     change = 1e-5
     expected = (way(0.7 + change) - way(0.7 - change)) / (2 * change)
     assert float(found) == pytest.approx(float(expected), rel=1e-6)
+
+
+ROWER = """
+name: rower
+creature:
+  name: rower
+  materials: {flesh: {density: 1000}}
+  bodies:
+    - {name: trunk, shape: {type: ellipsoid, radii: [0.2, 0.08, 0.06]}, material: flesh}
+    - name: "{side}_fin"
+      mirror: y
+      shape: {type: box, size: [0.08, 0.24, 0.008]}
+      material: flesh
+      joint:
+        {parent: trunk, at: [0.05, 0.08, 0], child_at: [0.01, -0.13, 0], axes: [x, -y],
+         limits_deg: [-60, 60], actuator: {gain: 5}}
+world: {water: {viscosity: 0.001, lift: true}}
+simulation: {steps: 30}
+controller: {type: brain_cpg}
+task: {type: distance}
+"""
+
+
+def rower(**water):
+    data = yaml.safe_load(ROWER)
+    data["world"]["water"] |= water
+    return check_config(data, "rower.yaml")
+
+
+def test_the_configuration_adds_the_law():
+    """Added mass has the moment, so the law has none with it."""
+    laws = build_simulation(rower())[1].world.forces
+    (law,) = (law for law in laws if isinstance(law, PlateLift))
+    assert law.bodies == (1, 2) and law.has_moment
+    heavy = build_simulation(rower(added_mass=True))[1].world.law(PlateLift)
+    assert heavy is not None and not heavy.has_moment
+    assert build_simulation(rower(lift=False))[1].world.law(PlateLift) is None
+
+
+def test_lift_needs_a_viscosity():
+    with pytest.raises(ConfigError, match="lift completes the drag of water with a viscosity"):
+        load_config(CONFIG, ["world.water.lift=true"])
