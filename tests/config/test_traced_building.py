@@ -97,21 +97,6 @@ def test_a_swimmers_numbers():
     check_elements(config, keys)
 
 
-@pytest.mark.usefixtures("x64")
-@pytest.mark.slow
-def test_numbers_of_a_plate():
-    """The lengths, area and weight of a body between thin and thick."""
-    settings = (
-        "creature.bodies.1.repeat=1",
-        "creature.bodies.1.shape.size=[0.2, 0.04, 0.1]",
-        "world.water.viscosity=0.001",
-        "world.water.skin_drag=0.02",
-        "world.water.lift=true",
-    )
-    keys = [f"creature.bodies.1.shape.size.{axis}" for axis in range(3)]
-    check_elements(load_config(CONFIG, [*TINY, *settings]), keys, 1e-11)
-
-
 SHAPES = """
 name: shapes
 materials: {wood: {density: 600, static_friction: 0.7}}

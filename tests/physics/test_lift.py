@@ -25,6 +25,7 @@ from evo_cpg.physics.step import step
 from evo_cpg.physics.viscous_drag import make_viscous_drag
 from evo_cpg.physics.water import Current, Water
 from evo_cpg.physics.world import World
+from evo_cpg.spatial.decisions import recording_decisions, replaying_decisions
 from tiny_run import CONFIG
 
 WATER, GRAVITY = 1000.0, 9.81
@@ -376,3 +377,35 @@ def test_the_configuration_adds_the_law():
 def test_lift_needs_a_viscosity():
     with pytest.raises(ConfigError, match="lift completes the drag of water with a viscosity"):
         load_config(CONFIG, ["world.water.lift=true"])
+
+
+def test_numbers_of_a_plate_have_derivatives(x64):
+    """By the lengths of a box between thin and thick, against closed forms."""
+    size = (0.08, 0.24, 0.03)
+    tree = build_tree(single(Box(size)))
+
+    def numbers(size):
+        law = make_plate_lift(single(Box(tuple(size))), tree)
+        assert law is not None
+        return jnp.stack([*law.lengths[:, 0], law.area[0], law.weight[0]])
+
+    with recording_decisions() as decisions:
+        numbers(size)
+
+    def traced(size):
+        with replaying_decisions(decisions), jax.numpy_rank_promotion("allow"):
+            return numbers(size)
+
+    both = quick_jit(lambda size: (jax.jacfwd(traced)(size), traced(size)))
+    slopes, values = both(jnp.array(size))
+    x = 0.75 - 0.03 / 0.08
+    weight = (x / 0.5) ** 2 * (3 - 2 * x / 0.5)
+    np.testing.assert_allclose(values, [0.24, 0.08, 0.24 * 0.08, weight])
+    by_ratio = -6 * (x / 0.5) * (1 - x / 0.5) / 0.5
+    expected = [
+        [0, 1, 0],
+        [1, 0, 0],
+        [0.24, 0.08, 0],
+        [-by_ratio * 0.03 / 0.08**2, 0, by_ratio / 0.08],
+    ]
+    np.testing.assert_allclose(slopes, expected, rtol=1e-9, atol=1e-12)
