@@ -400,11 +400,11 @@ def test_numbers_of_a_plate_have_derivatives(x64):
     slopes, values = both(jnp.array(size))
     x = 0.75 - 0.03 / 0.08
     weight = (x / 0.5) ** 2 * (3 - 2 * x / 0.5)
-    np.testing.assert_allclose(values, [0.24, 0.08, 0.24 * 0.08, weight])
+    np.testing.assert_allclose(values, [0.08, 0.24, 0.08 * 0.24, weight])
     by_ratio = -6 * (x / 0.5) * (1 - x / 0.5) / 0.5
     expected = [
-        [0, 1, 0],
         [1, 0, 0],
+        [0, 1, 0],
         [0.24, 0.08, 0],
         [-by_ratio * 0.03 / 0.08**2, 0, by_ratio / 0.08],
     ]
