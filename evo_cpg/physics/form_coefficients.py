@@ -8,7 +8,7 @@ flow has
 
 1.13 for a square, 2.0 for a long plate. Depth gives the flow time to follow the body:
 
-    round:  C = C_plate / (1 + c l/q),  where l = q gives C = 1.25 - 0.77 / (1 + (p/q - 1) / 6),
+    round:  C = C_plate / (1 + c (l/q)^1.1),  where l = q gives C = 1.25 - 0.77 / (1 + (p/q - 1) / 6),
     box:    C = C_plate (1 - 0.27 e (1 - 1 / (1 + (0.55 l/q)^2))),  e = (2 - C_plate) / 0.87.
 
 So a sphere has 0.48, a long cylinder 1.25, a cube 1.06, a long bar 2.0, and a rod along the flow
@@ -23,7 +23,7 @@ from evo_cpg.spatial.numerics import Number, Numbers, xp
 # Coefficients of the formulas above.
 _LONG_PLATE, _PLATE_LOSS, _PLATE_RATIO, _PLATE_POWER = 2.0, 0.87, 26.0, 1.3
 _LONG_CYLINDER, _END_LOSS, _END_RATIO = 1.25, 0.77, 6.0
-_BOX_LOSS, _BOX_DEPTH = 0.27, 0.55
+_ROUND_POWER, _BOX_LOSS, _BOX_DEPTH = 1.1, 0.27, 0.55
 
 # Corrections of the points' coefficients. Boxes need one.
 _ROUNDS = 12
@@ -47,7 +47,7 @@ def form_drag_coefficients(sizes: Float[Numbers, " 3"], sharpness: Number) -> Fl
         loss = 1 / (1 + (excess / _PLATE_RATIO) ** _PLATE_POWER)
         plate = _LONG_PLATE - _PLATE_LOSS * loss
         cylinder = _LONG_CYLINDER - _END_LOSS / (1 + excess / _END_RATIO)
-        rounded = plate / (1 + (plate / cylinder - 1) * depth)
+        rounded = plate / (1 + (plate / cylinder - 1) * depth**_ROUND_POWER)
         box = plate * (1 - _BOX_LOSS * loss * (1 - 1 / (1 + (_BOX_DEPTH * depth) ** 2)))
         found.append((1 - sharpness) * rounded + sharpness * box)
     return xp.array(found)

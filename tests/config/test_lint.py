@@ -44,6 +44,12 @@ MISTAKES = {
         "world.water.density",
         "in g/cm^3 it would be 1025 kg/m^3",
     ),
+    "viscosity in mPa s": (
+        CONFIG,
+        ["world.water.viscosity=1"],
+        "world.water.viscosity",
+        "in mPa s it would be 0.001 Pa s",
+    ),
     "water like air": (CONFIG, ["world.water.density=80"], "world.water.density", "water has 1000"),
     "box in mm": (
         CONFIG,

@@ -16,6 +16,7 @@ from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.physics.added_mass import AddedMass
 from evo_cpg.physics.fluid import Drag
+from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.walk import Distance, Walk
 from tiny_run import CONFIG, REPOSITORY
@@ -213,6 +214,7 @@ def test_an_unknown_key_is_answered_with_the_nearest_valid_one(key, value, expec
         ("world__gravity", False, "False: must be a number"),
         ("world__water__sheltered", 1, "1: must be true or false"),
         ("world__water__law", "newton", "'newton': must be 'normal' or 'isotropic'"),
+        ("world__water__viscosity", 0, "0: input should be greater than 0"),
         ("simulation__steps", 0, "0: input should be greater than or equal to 1"),
         ("simulation__steps", 10**12, "1000000000000: input should be less than or equal"),
         ("simulation__steps", 1.5, "1.5: must be a whole number"),
@@ -552,6 +554,14 @@ def test_wrong_overrides_are_refused(override, expected):
     assert expected in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_viscosity_chooses_the_drag_law():
+    water = {"viscosity": 0.002, "form_drag": 0.5}
+    world = build_experiment(check_config(small(world={"water": water}), "x.yaml"), "x.yaml")
+    (law,) = world.simulation.world.forces
+    assert isinstance(law, ViscousDrag)
+    assert (law.viscosity, law.form_drag) == (0.002, 0.5)
+
+
 def test_water_with_a_surface_is_built():
     water = {
         "surface": 0.5,
@@ -575,6 +585,14 @@ def test_water_with_a_surface_is_built():
     ("water", "expected"),
     [
         ({"surfce": 0}, "world.water.surfce: unknown key; did you mean 'surface'?"),
+        (
+            {"viscosity": 0.001, "skin_drag": 0.1},
+            "viscosity determines skin friction; leave out skin_drag (0.1)",
+        ),
+        (
+            {"viscosity": 0.001, "law": "isotropic"},
+            "viscosity has a drag law of its own; leave out law ('isotropic')",
+        ),
         (
             {"current_gradient": [[0.2, 0, 0], [0, 0.1, 0], [0, 0, 0]]},
             "water keeps its volume, so the diagonal must add up to 0",
