@@ -27,6 +27,13 @@ EVERY = sorted(p.stem for p in CONFIGS.glob("*.yaml") if not p.stem.endswith("_r
 # In water with three of its ten bodies: the others compile longer. One step on the ground is
 # compared in `tests/physics/test_walker_contacts.py`.
 SMALL = pytest.param("iwadate2010_swimmer", ("creature.bodies.1.repeat=1",), id="three bodies")
+LIFTING = (
+    "creature.bodies.1.repeat=1",
+    "creature.bodies.1.shape.size.1=0.02",
+    "world.water.surface=0.02",
+    "world.water.viscosity=0.001",
+    "world.water.lift=true",
+)
 STEPS, INDIVIDUALS = 3, 2
 
 # Two ways to round are 2e-16 apart in every operation, and what touches the ground multiplies that
@@ -56,6 +63,7 @@ def trial(name, overrides, engine):
     ("name", "overrides"),
     [
         SMALL,
+        pytest.param(SMALL.values[0], LIFTING, id="lift", marks=pytest.mark.slow),
         *[pytest.param(name, (), id=name, marks=pytest.mark.slow) for name in EVERY],
     ],
 )
