@@ -162,6 +162,24 @@ MUTANTS = (
         "physics/test_sections.py",
     ),
     Mutant(
+        "physics/lift.py",
+        "- broadside(aspect) * sine",
+        "- 0.9 * broadside(aspect) * sine",
+        "physics/test_lift.py",
+    ),
+    Mutant(
+        "physics/lift.py",
+        "own = 2.0 * c",
+        "own = c",
+        "physics/test_lift.py",
+    ),
+    Mutant(
+        "physics/lift.py",
+        "across = other * other * first",
+        "across = one * one * first",
+        "physics/test_lift.py",
+    ),
+    Mutant(
         "physics/buoyancy.py",
         "return fraction, -(lever / reach)[None] * stretched",
         "return fraction, (lever / reach)[None] * stretched",

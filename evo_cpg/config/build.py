@@ -34,6 +34,7 @@ from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.contact_model import make_contact_model
 from evo_cpg.physics.fluid import Drag, make_patches
 from evo_cpg.physics.force_law import ForceLaw
+from evo_cpg.physics.lift import make_plate_lift
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.reactive_thrust import LEAST_BODIES, reactive_water
 from evo_cpg.physics.viscous_drag import ViscousDrag, make_viscous_drag
@@ -316,6 +317,10 @@ def _build_world(
     if water:
         forces.append(_drag(water, creature, tree, layout))
         forces += _moved_water(water, creature, tree, layout)
+        if water.lift:
+            # The moment of ideal fluid is that of lift ahead of the centre.
+            plates = make_plate_lift(creature, tree, not water.added_mass, layout)
+            forces += [plates] if plates else []
     for i, given in enumerate(config.world.forces):
         own = _build_part(given, ForceLaw, ("world", "forces", i), creature=creature, tree=tree)
         forces.append(own)

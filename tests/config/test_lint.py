@@ -290,6 +290,12 @@ MISTAKES = {
         "creature.depth_sensors.0.full_scale",
         "the water is 1 m deep, so this gauge never reads more than 0.001 of full scale",
     ),
+    "lift of a chain": (
+        CONFIG,
+        ["world.water.viscosity=0.001", "world.water.lift=true"],
+        "world.water.lift",
+        "no body has lift; it needs a body that is thinner than",
+    ),
     "water under the ground": (
         SHORE,
         ["world.water.surface=-5"],

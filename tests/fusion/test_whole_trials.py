@@ -32,6 +32,13 @@ SHEDDING = (
     "world.water.surface=0.02",
     "world.water.reactive_thrust=true",
 )
+LIFTING = (
+    "creature.bodies.1.repeat=1",
+    "creature.bodies.1.shape.size.1=0.02",
+    "world.water.surface=0.02",
+    "world.water.viscosity=0.001",
+    "world.water.lift=true",
+)
 STEPS, INDIVIDUALS = 3, 2
 
 # Roundings differ by 2e-16 in every operation, and contact multiplies that by thousands. Measured
@@ -61,6 +68,7 @@ def trial(name, overrides, engine):
     [
         SMALL,
         pytest.param(SMALL.values[0], SHEDDING, id="reactive thrust", marks=pytest.mark.slow),
+        pytest.param(SMALL.values[0], LIFTING, id="lift", marks=pytest.mark.slow),
         *[pytest.param(name, (), id=name, marks=pytest.mark.slow) for name in EVERY],
     ],
 )

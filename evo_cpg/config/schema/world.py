@@ -44,6 +44,7 @@ class WaterConfig(Section):
         added_mass: whether bodies accelerate the water around them, as in ideal fluid.
         reactive_thrust: whether slender chains of at least three bodies push off from the water
             that leaves their tails, as in Lighthill's theory; it includes their added mass.
+        lift: whether thin bodies, such as fins, have lift. Needs ``viscosity``.
         current: velocity of the water, m/s; with a gradient, at the origin.
         current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
         vortices: vortices that are added to the current.
@@ -66,6 +67,7 @@ class WaterConfig(Section):
     surface: Finite | None = None
     added_mass: bool = False
     reactive_thrust: bool = False
+    lift: bool = False
     current: Vector = (0.0, 0.0, 0.0)
     current_gradient: tuple[Vector, Vector, Vector] | None = None
     vortices: tuple[VortexConfig, ...] = ()
@@ -87,6 +89,8 @@ class WaterConfig(Section):
     @model_validator(mode="after")
     def _has_one_drag_law(self) -> "WaterConfig":
         if self.viscosity is None:
+            if self.lift:
+                raise ValueError("lift completes the drag of water with a viscosity; set viscosity")
             return self
         if self.law != "normal":
             raise ValueError(f"viscosity has a drag law of its own; leave out law ({self.law!r})")
