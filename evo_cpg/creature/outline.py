@@ -315,9 +315,9 @@ def _in_line(one: _End, two: _End) -> tuple[Number, Number]:
     cosine = -(one.outward @ two.outward)
     mean = one.outward - two.outward
     axis = mean / xp.sqrt(xp.maximum(mean @ mean, _LEAST))
-    way = two.centre - one.centre
-    apart = way @ axis
-    sideways = way - apart * axis
+    offset = two.centre - one.centre
+    apart = offset @ axis
+    sideways = offset - apart * axis
     radii = [xp.sqrt(xp.prod(end.widths)) for end in (one, two)]
     radius = xp.minimum(*radii)
     weight = _fade(cosine, *_TURN)

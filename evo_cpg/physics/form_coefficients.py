@@ -55,7 +55,7 @@ def form_drag_coefficients(sizes: Float[Numbers, " 3"], sharpness: Number) -> Fl
 
 
 def point_coefficients(
-    normals: Float[Numbers, "p 3"], areas: Float[Numbers, " p"], wanted: Float[Numbers, " 3"]
+    normals: Float[Numbers, "p 3"], areas: Float[Numbers, " p"], coefficients: Float[Numbers, " 3"]
 ) -> Float[Numbers, " p"]:
     """Return the coefficient k of each point, so that the points together have the form drag C.
 
@@ -66,11 +66,11 @@ def point_coefficients(
     Args:
         normals: outward normals of the exposed points, along the axes of the shape.
         areas: areas of the points, m^2.
-        wanted: C of the shape along its axes.
+        coefficients: C of the shape along its axes.
     """
     squares = xp.square(normals)
     cubes = areas[:, None] * squares * xp.abs(normals)
-    target = 0.5 * wanted * (areas[:, None] * xp.abs(normals)).sum(0)
+    target = 0.5 * coefficients * (areas[:, None] * xp.abs(normals)).sum(0)
     own = xp.maximum(target, _TINY**2) / xp.maximum(cubes.sum(0), _TINY**2)
     for _ in range(_ROUNDS):
         force = cubes.T @ _mixed(squares, own)

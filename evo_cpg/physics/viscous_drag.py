@@ -331,8 +331,8 @@ def _form_points(shape: Outline, surfaces: list[Surface]) -> list[tuple[Surface,
     """
     normals = [surface.normals @ turn for surface, turn in zip(surfaces, shape.axes, strict=True)]
     every, areas = xp.concatenate(normals), xp.concatenate([s.areas for s in surfaces])
-    wanted = form_drag_coefficients(shape.sizes, shape.sharpness)
-    k = point_coefficients(every, areas, wanted)
+    coefficients = form_drag_coefficients(shape.sizes, shape.sharpness)
+    k = point_coefficients(every, areas, coefficients)
     splits = np.cumsum([len(s.areas) for s in surfaces])[:-1].tolist()
     own = xp.split(k, splits)
     if chosen(
@@ -342,7 +342,7 @@ def _form_points(shape: Outline, surfaces: list[Surface]) -> list[tuple[Surface,
     fronts = xp.stack([0.5 * s.areas @ xp.abs(n) for s, n in zip(surfaces, normals, strict=True)])
     total = fronts.sum(0)
     given = (k * areas) @ xp.abs(every) ** 3
-    missing = xp.maximum(wanted - given / xp.maximum(total, _TINY**2), 0.0)
+    missing = xp.maximum(coefficients - given / xp.maximum(total, _TINY**2), 0.0)
     found = []
     for i, surface in enumerate(surfaces):
         centre = Surface(np.zeros((3, 3)), shape.axes[i].T, fronts[i])

@@ -330,10 +330,10 @@ def test_flippers_fly_under_water(x64):
 @pytest.mark.slow
 def test_gradient_of_a_flight_equals_differences(x64):
     fly = flight(lifted(flyer(), viscosity=1e-3), 40)
-    way = quick_jit(lambda stroke: fly(stroke)[0])
+    displacement = quick_jit(lambda stroke: fly(stroke)[0])
     found = quick_jit(jax.grad(lambda stroke: fly(stroke)[0]))(0.7)
     change = 1e-5
-    expected = (way(0.7 + change) - way(0.7 - change)) / (2 * change)
+    expected = (displacement(0.7 + change) - displacement(0.7 - change)) / (2 * change)
     assert float(found) == pytest.approx(float(expected), rel=1e-6)
 
 
