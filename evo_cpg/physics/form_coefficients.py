@@ -8,8 +8,10 @@ flow has
 
 1.13 for a square, 2.0 for a long plate. Depth gives the flow time to follow the body:
 
-    round:  C = C_plate / (1 + c (l/q)^1.1),  where l = q gives C = 1.25 - 0.77 / (1 + (p/q - 1) / 6),
+    round:  C = C_plate / (1 + c (l/q)^1.1),
     box:    C = C_plate (1 - 0.27 e (1 - 1 / (1 + (0.55 l/q)^2))),  e = (2 - C_plate) / 0.87.
+
+The constant c gives ``1.25 - 0.77 / (1 + (p/q - 1) / 6)`` at ``l = q``.
 
 So a sphere has 0.48, a long cylinder 1.25, a cube 1.06, a long bar 2.0, and a rod along the flow
 0.83. The values are those of a laminar boundary layer, without friction. `docs/models/fluid.md`

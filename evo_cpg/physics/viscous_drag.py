@@ -12,11 +12,11 @@ Three terms add up. Each one is small where it does not belong, so there is no s
   ``q = 1 - 0.3 * 4 y / (1 + y)^2`` with ``y = Re_d / 2500``: the drag of spheres and cylinders is
   lowest at Re 2500.
 
-The speed s is the root mean square over the body. The water runs along the body for the time
-``s / x``, which the law computes as ``sqrt(sum_i (s_i / x_i)^2)``. Here s_i is the speed along an
-axis of the body. Along the centreline, x is the distance from the animal's nose, or from its tail
-if the body moves backwards. Across it, x is the path around the body. The distance is that of the
-mean coefficient over the body, a quarter of the length for a single body.
+The speed s is the root mean square over the body. The rate ``s / x`` is
+``sqrt(sum_i (s_i / x_i)^2)``, s_i being the speed along an axis of the body. Along the centreline,
+x is the distance from the animal's nose, or from its tail if the body moves backwards. Across it, x
+is the path around the body. The distance is that of the mean coefficient over the body, a quarter
+of the length for a single body.
 
 D, the decrease of the force per change of velocity over a step, is half the slope of the force, as
 in `evo_cpg.physics.fluid`: that of q for form drag, and 3/4 of the friction, which grows as
@@ -85,7 +85,7 @@ _SHARP = 0.99
 _TINY = 1e-9
 
 # Operations of native code per body, and per point of form drag without and with a surface.
-_BODY, _FORM_POINT, _SURFACE_POINT = 330.0, 27.0, 38.0
+_BODY, _FORM_POINT, _SURFACE_POINT = 240.0, 27.0, 38.0
 
 
 class Wetted(NamedTuple):
