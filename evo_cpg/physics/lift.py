@@ -89,7 +89,7 @@ _SPEED_FLOOR = 1e-12
 _RESOLUTION = 16
 
 # Operations of native code per plate.
-_PLATE = 600.0
+_PLATE = 1700.0
 
 
 class PlateLift(ForceLaw):
