@@ -10,6 +10,8 @@ from evo_cpg.api.opened import open_run
 from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.former import with_former_values, without_former_values
 from evo_cpg.config.load import load_config, load_run_config
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.physics.fluid import Drag
 from evo_cpg.training.run_folder import RunFolder
 
 
@@ -20,15 +22,20 @@ def without_key(path) -> None:
     path.write_text(yaml.safe_dump(data))
 
 
+def shelter_of(config: ExperimentConfig) -> str:
+    assert config.world.water is not None
+    return config.world.water.shelter
+
+
 def test_run_folder_of_1_0_keeps_its_shelter(finished_run, tmp_path):
     folder = RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
-    assert open_run(folder.path).config.world.water.shelter == "outline"
+    assert shelter_of(open_run(folder.path).config) == "outline"
     without_key(folder.config)
-    assert open_run(folder.path).config.world.water.shelter == "facing"
-    assert evo.load(folder.path).config.world.water.shelter == "facing"
+    assert shelter_of(open_run(folder.path).config) == "facing"
+    assert shelter_of(evo.load(folder.path).config) == "facing"
     overrides = ["world.water.shelter=outline"]
-    assert load_run_config(folder.config, overrides).world.water.shelter == "outline"
-    assert load_config(folder.config).world.water.shelter == "outline"
+    assert shelter_of(load_run_config(folder.config, overrides)) == "outline"
+    assert shelter_of(load_config(folder.config)) == "outline"
 
 
 def test_fingerprint_of_1_0_is_unchanged(finished_run, tmp_path):
@@ -56,8 +63,9 @@ def test_rules_differ_for_round_bodies_only():
         areas = []
         for rule in ("facing", "outline"):
             loaded = evo.load(name, [f"world.water.shelter={rule}"])
-            patches = loaded.parts.simulation.world.forces[0].patches
-            areas.append(np.concatenate([patch.normal_area for patch in patches]))
+            law = loaded.parts.simulation.world.forces[0]
+            assert isinstance(law, Drag)
+            areas.append(np.concatenate([patch.normal_area for patch in law.patches]))
         assert (
             np.shape(areas[0]) == np.shape(areas[1]) and bool((areas[0] == areas[1]).all())
         ) is same
