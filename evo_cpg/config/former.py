@@ -3,7 +3,14 @@
 from typing import Any
 
 # Keys that version 1.0 lacked, by section, with the values that give its results.
-_SINCE_1_0 = {("world", "water"): {"shelter": "facing"}}
+_SINCE_1_0 = {
+    ("world", "water"): {
+        "shelter": "facing",
+        "viscosity": None,
+        "reactive_thrust": False,
+        "lift": False,
+    }
+}
 
 
 def with_former_values(data: dict[str, Any]) -> dict[str, Any]:

@@ -48,7 +48,8 @@ class WaterConfig(Section):
         current: velocity of the water, m/s; with a gradient, at the origin.
         current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
         vortices: vortices that are added to the current.
-        law: drag law: ``normal`` splits the drag as above, ``isotropic`` is exactly eq. 8.
+        law: drag law: ``normal`` splits the drag into form and skin drag, ``isotropic`` is exactly
+            eq. 8 of Iwadate 2010.
         sheltered: whether surfaces that other bodies cover at rest have no drag.
         shelter: rule for what is covered: ``outline`` joins round ends in line, ``facing`` is the
             rule of version 1.0.
