@@ -151,8 +151,8 @@ def test_derivatives_equal_finite_differences(x64):
     slope, resistance, rest = map(np.asarray, parts(velocity))
     change = 1e-6
     for column in range(6):
-        way = change * np.eye(6)[column][:, None, None]
-        ahead, behind = (np.asarray(wrench(velocity + sign * way)) for sign in (1, -1))
+        step = change * np.eye(6)[column][:, None, None]
+        ahead, behind = (np.asarray(wrench(velocity + sign * step)) for sign in (1, -1))
         difference = (ahead - behind) / (2 * change)
         np.testing.assert_allclose(slope[:, column], difference, rtol=1e-6, atol=1e-5)
     angular, mixed, linear = resistance / 0.01

@@ -125,10 +125,10 @@ def test_a_rigid_chain_feels_lighthills_force_and_moment():
         return jnp.concatenate([moment, force]), u[-1]
 
     time = jnp.array(0.3)
-    wanted, along_tail = expected(time)
+    forces, along_tail = expected(time)
     found = quick_jit(lambda time: water_on(world, tumbling, time))(time)
-    assert float(along_tail) > 1.0 and np.abs(wanted).min() > 0.02
-    np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-6 * np.abs(wanted).max())
+    assert float(along_tail) > 1.0 and np.abs(forces).min() > 0.02
+    np.testing.assert_allclose(found, forces, rtol=1e-6, atol=1e-6 * np.abs(forces).max())
 
 
 def waving(segments: int, envelope, amplitude: float):
