@@ -231,7 +231,7 @@ def settle(flow: Flow, state: Float[np.ndarray, " k"]) -> Orbit:
     """Simulate until the state is on an orbit, and return the orbit.
 
     Args:
-        flow: flow of the part. The function sets its budget of steps.
+        flow: flow of a part of a network (`flow_of`). The function sets its budget of steps.
         state: initial state.
 
     Raises:

@@ -55,8 +55,8 @@ from evo_cpg.creature.tree import Tree
 # l in degrees, w, and the largest number of searches, each from the result of the one before.
 _LAG_UNIT, _WALL, _ROUNDS = 0.1, 1e3, 4
 
-# Step of the finite differences (the orbit is exact to 1e-11), and residual of a point without an
-# orbit, in units of l: larger than the residual of any lag.
+# Step of the finite differences (the orbit is exact to 1e-11). Residual ``(L - L*) / l`` of a point
+# without an orbit: larger than for any lag, as lags differ by at most 360 degrees.
 _CHANGE, _NO_ORBIT = 1e-5, 1e4
 
 # Digits of the rounded result, and largest error of its lag, degrees.

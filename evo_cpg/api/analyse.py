@@ -163,10 +163,10 @@ def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float
 
 
 def _expected(champion: Champion) -> dict[str, float]:
-    """Return the mean fitness in fresh draws of the noise, or {} without fresh draws."""
+    """Return the mean fitness in new draws of the noise, or {} without new draws."""
     if champion.expected is None:
         return {}
-    return {f"mean fitness in {champion.lives} fresh draws": champion.expected}
+    return {f"mean fitness in {champion.lives} new draws of the noise": champion.expected}
 
 
 def _jpeg(picture: "Image.Image") -> bytes:

@@ -492,9 +492,10 @@ class Flow:
 def returned(
     onsets: Sequence[Crossing], near: float
 ) -> tuple[Float[np.ndarray, " k"], float] | None:
-    """Return the last state at a start of firing, and the time since it last nearly occurred.
+    """Return the state at the last start of firing, and the time since an earlier, similar start.
 
-    Return None if no earlier start of firing of this neuron had nearly this state.
+    The earlier start is the latest one at which the same neuron began to fire and the state was
+    nearly equal. On a periodic orbit this time is the period. Return None without such a start.
 
     Args:
         onsets: starts of firing of one run.

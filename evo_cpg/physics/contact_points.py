@@ -30,13 +30,14 @@ _FLOOR = 1e-20
 
 
 def contact_points(contact_model: ContactModel, kin: Kinematics, h: float = 0.0) -> ContactPoints:
-    """Return the present contact points of a creature.
+    """Return the contact points of a creature, for a step from the present pose.
 
     Args:
         contact_model: contact points of the creature.
         kin: kinematics of the creature.
-        h: time ahead, s. Corners are chosen as the lowest ones after this time. Fast points are
-            taken at the moment within this time when they meet the ground.
+        h: length of the step, s, or 0 for the present pose alone. The chosen corners are the lowest
+            ones at the end of the step. Points that may cross the ground within the step
+            (`evo_cpg.physics.sweep`) have the gap and the normal of the moment when they meet it.
     """
     ground = contact_model.ground
     found = _lowest(contact_model, kin, h)

@@ -187,8 +187,9 @@ class ForceLaw(eqx.Module):
     pure JAX functions of arrays whose trailing axes are individuals.
 
     Attributes:
-        of_water: whether the water exerts the force. Energy budgets then count it as work of the
-            water, and the force is zero for a creature that rests in still water.
+        of_water: whether the water exerts the force. Energy budgets then count its work as work of
+            the water. Such a force must be zero on a creature at rest in still water, because the
+            search for a settled start ignores it.
 
     Example:
         A spring that pulls a body to the origin of the world::
@@ -200,6 +201,7 @@ class ForceLaw(eqx.Module):
                 def wrench(self, bodies):
                     i = bodies.index(self.body)
                     pull = -self.stiffness * bodies.kin.origin[:, i]
+                    # From world axes to body axes.
                     turned = (bodies.kin.rotation[:, :, i] * pull[:, None]).sum(0)
                     return bodies.wrench_on(self.body, turned)
     """

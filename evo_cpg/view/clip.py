@@ -19,7 +19,8 @@ class Clip(NamedTuple):
         time: time of each frame, s.
         position: centre of every body, m.
         rotation: rotation from body to world.
-        distance: distance to the goal or, without a goal, from the start over ground, m.
+        distance: distance from the root to the goal or, without a goal, horizontal distance of the
+            root from its start, m.
         speed: speed of the smoothed mean of the bodies' centres, m/s.
         rate: frames per second of recorded time.
     """

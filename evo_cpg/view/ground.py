@@ -34,11 +34,15 @@ _FOLLOW = 0.004
 
 
 def fading_disc(visible: float, first: float) -> tuple[pv.PolyData, np.ndarray, np.ndarray]:
-    """Return a level disc that fades towards the horizon, places of its points, and its opacity.
+    """Return a level disc that fades towards the horizon.
 
     Args:
-        visible: distance at which it has faded to a third, m.
+        visible: distance at which the opacity has fallen to about a third (1/e), m.
         first: radius of the innermost ring, as a fraction of ``visible``.
+
+    Returns:
+        The disc, the coordinates x and y of its points ``(n, 2)`` from its centre (m), and the
+        opacity at each point, from 0 to 1.
     """
     reach = np.concatenate([[0.0], np.geomspace(first, 3.0, 28)]) * visible
     bearing = np.linspace(0, 2 * np.pi, 49)
@@ -52,7 +56,8 @@ def fading_disc(visible: float, first: float) -> tuple[pv.PolyData, np.ndarray, 
 def add_ground(stage: Stage) -> Update:
     """Draw the ground with its pattern, up to the horizon."""
     look, marks = stage.look, stage.scene.marks
-    # A net of lines makes slopes visible. On a level floor, strong lines mark the numbers.
+    # On ground with relief, a net of strong lines makes slopes visible. On a level floor, strong
+    # lines mark the places of the painted distances (`add_numbers`).
     marked = stage.scene.walks or isinstance(stage.ground, Terrain)
     texture = floor_texture(look.floor, look.grid, look.checkered, marked)
     if isinstance(stage.ground, Terrain):

@@ -87,7 +87,7 @@ def test_cell_selects_the_elite_to_audit(cli, mapped, monkeypatch):
 
 
 def test_an_elite_is_audited_with_all_its_terms(mapped):
-    """The map keeps only the terms of its axes. The limit of free energy needs another term."""
+    """The map keeps only the terms of its axes. The check `free_energy` needs another term."""
     run = mapped[0]
     experiment, folder = built(run), RunFolder(run)
     checkpoint = folder.load()

@@ -1,7 +1,8 @@
-"""Write a function in LLVM IR that solves symmetric equations in a loop.
+"""Write a function in LLVM IR that solves symmetric linear equations.
 
-The function eliminates in the order of `evo_cpg.spatial.ldl`. It skips elements that are zero for
-all individuals of a vector, such as the coupling of limbs that do not touch.
+The function has loops over rows and columns instead of straight-line code. It eliminates in the
+order of `evo_cpg.spatial.ldl`. It skips elements that are zero for all individuals of a processor
+vector, such as the coupling of limbs that do not touch.
 """
 
 

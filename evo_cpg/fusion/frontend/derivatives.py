@@ -36,7 +36,14 @@ def differentiate(
     ndim, name = len(batch), f"the derivative of {program.name}"
 
     def one(values: Sequence[jax.Array]) -> tuple:
-        """Return the float results as a function of the inputs that vary, and these inputs."""
+        """Return a function for one individual, and its arguments.
+
+        The function computes the float results of the program from the differentiated inputs. Its
+        arguments are the values of these inputs.
+
+        Args:
+            values: values of all inputs.
+        """
 
         def run(*some: jax.Array) -> tuple:
             every = list(values)

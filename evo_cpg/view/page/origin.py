@@ -32,7 +32,7 @@ def evolution(subject: Subject, motion: RecordedMotion) -> Html:
         ),
         table(["", "champion"], rows, numbers=(1,)),
         tag("p", "Fitness is maximised. The other rows are terms and measures of the trials, and "
-            "under noise the mean fitness in fresh draws.", class_="note"),
+            "under noise the mean fitness in new draws of the noise.", class_="note"),
     )  # fmt: skip
 
 
