@@ -99,8 +99,8 @@ class BrainCpgSettings:
         cpg: the oscillators.
         brain: the network that sets them.
         drive: variables that the brain sets. ``shared``: u and steering of each axis (of each
-            group), and one b for the whole animal. ``per_joint``: all three for each joint.
-            ``per_dof``: all three for each degree of freedom.
+            group), and one b for the whole animal. ``per_joint``: u, steering and b of each joint.
+            ``per_dof``: u, steering and b of each degree of freedom.
         groups: names of bodies, or patterns such as ``*_arm``. Their joints have separate axes,
             named ``group/axis``. Axes of all other bodies have the plain name.
         steering_range: largest relative difference between extensor and flexor drive, 0 to 1.
@@ -299,7 +299,7 @@ def build_brain_cpg(
     for axis in settings.axes:
         if axis not in kinds:
             problem = f"no joint turns about {axis!r} ({nearest(axis, kinds)})"
-            raise UnfitError(problem, ("axes", axis))
+            raise UnfitError(problem, ("axes", axis), unknown_name=True)
     joints = sorted(set(tree.dof_bodies))
     per_joint = tuple(joints.index(body) for body in tree.dof_bodies)
     per_dof = tuple(range(tree.dof_count))

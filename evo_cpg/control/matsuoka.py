@@ -94,12 +94,13 @@ class CpgSettings:
             least 0.
         child_weight: inhibition from a child's oscillator, in units of ``pair_weight``, at least 0.
         cross_weight: mutual inhibition of successive axes of one joint, in units of
-            ``pair_weight``, at least 0. They then turn together, positive with positive.
+            ``pair_weight``, at least 0. They then turn nearly in step, positive with positive.
         opposite: bodies, or patterns such as ``front_*``, whose oscillators follow the opposite
             side of their parents', as for front legs that step against hind legs.
-        couplings: couplings between chosen oscillators, which replace couplings of the tree.
-        rings: rings of oscillators with a constant lag from one to the next, which replace
-            couplings of the tree.
+        couplings: couplings between chosen oscillators. They replace the tree's couplings between
+            the same oscillators. All other couplings of the tree stay.
+        rings: rings of oscillators with a constant lag from one to the next. They replace the
+            tree's couplings between the oscillators of the ring.
         sensory_feedback: the s of eq. 4, equal for every neuron.
         max_tonic_input: u_max, more than 0. Outputs are proportional to it.
         min_adaptation_gain: smallest b, more than 0.
