@@ -35,7 +35,7 @@ def worded(
         model: model of the whole configuration.
         data: the given configuration.
     """
-    if _CREATURE <= data.keys() and "creature" not in data and "creature" in model.model_fields:
+    if data.keys() >= _CREATURE and "creature" not in data and "creature" in model.model_fields:
         return KeyProblem((), _IS_CREATURE)
     problems = sorted(error.errors(), key=lambda p: not (is_of_key(p) or p["type"] in _UNKNOWN_KEY))
     problem = _closest(problems, data)

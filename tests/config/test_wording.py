@@ -87,6 +87,7 @@ def problem(data: dict) -> str:
         ("world.water", "None", "Write null"),
         ("controller.cpg", None, "null: must be a section with the keys constants, "),
         ("controller.cpg", None, "The key has no value. Leave it out, or give it one"),
+        ("controller.cpg.couplings", None, "Leave it out, write [] for none, or give it one"),
         # Text, numbers and booleans.
         ("creature.bodies.1.name", True, f"True: must be text. {TRUTHS}"),
         ("creature.bodies.1.name", 12, "12: must be text. Write '12'"),
