@@ -211,6 +211,24 @@ def test_error_in_a_creature_file_names_its_line(tmp_path):
     assert caught.value.line in (2, line)
 
 
+def test_error_in_a_section_with_defaults_names_its_line(tmp_path):
+    path = tmp_path / "x.yaml"
+    text = CONFIG.read_text().replace("creatures/", f"{CONFIG.parent}/creatures/")
+    section = "    couplings:\n      - {source: segment1.z, target: '*.z'}\n"
+    path.write_text(text.replace("  cpg:\n", f"  cpg:\n{section}"))
+    with pytest.raises(ConfigError) as caught:
+        build_experiment(load_config(path), path)
+    line = line_of(path, "source: segment1.z")
+    words = f"{path}: line {line}: controller.cpg.couplings.0: couples 'segment1.z' to itself"
+    assert str(caught.value) == words
+
+
+def test_file_of_a_creature_is_no_configuration():
+    path = REPOSITORY / "configs" / "creatures" / "hexapod.yaml"
+    with pytest.raises(ConfigError, match="describes a creature, and not an experiment"):
+        load_config(path)
+
+
 def test_error_in_an_override_has_no_line():
     with pytest.raises(ConfigError) as caught:
         load_config(CONFIG, ["seed=-1"])
