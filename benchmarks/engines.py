@@ -1,4 +1,4 @@
-"""Every shipped config on native code and on plain JAX, which works without LLVM.
+"""Speed of every shipped config on native code, relative to plain JAX, which works without LLVM.
 
 Trials run the whole stack, but few steps, because plain JAX compiles long and runs slowly.
 """

@@ -26,7 +26,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 
-# Configs, and control steps of a trial. A population's trials last about a second on one core.
+# Control steps of a trial, by config. One core computes a population's trials in about a second.
 _CASES = {
     "iwadate2010_swimmer": 4000,
     "fukui2003_model1": 2400,

@@ -80,7 +80,15 @@ class Worker:
         return answer
 
     def ask(self, question: Any, limit: float) -> dict[str, Any]:
-        """Run the worker once, and return its answer. `answer` lists the errors."""
+        """Run the worker once, and return its answer.
+
+        Args:
+            question: what the worker receives.
+            limit: longest wait, s.
+
+        Raises:
+            WorkerError: the worker took too long, ended, or reported a failure.
+        """
         self.send(question)
         return self.answer(limit)
 

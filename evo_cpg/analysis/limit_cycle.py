@@ -62,8 +62,8 @@ _NEWTON, _MOVED = 12, 0.1
 # amplification within a period, for which the search allows 1e4.
 CLOSED = 1e-11
 
-# Rounding error of states in units of the drive. It matters if neurons fire at far lower rates than
-# the drive, from b = 10,000 on.
+# Rounding error of states, as a fraction of the largest drive. It matters if neurons fire at far
+# lower rates than the drive. They do so if the adaptation gain b is 10,000 or more.
 _ROUNDING = 1e-13
 
 # Largest relative error of the monodromy matrix along the flow, whose direction it should preserve.
@@ -134,7 +134,7 @@ class LimitCycle(NamedTuple):
 
     @property
     def outputs(self) -> Float[np.ndarray, "o t"]:
-        """Motor signals along the orbit, in units of the tonic input."""
+        """Motor signals along the orbit, in the unit of the tonic input."""
         extensor, flexor = np.maximum(np.asarray(self.states.potential), 0.0)
         return extensor - flexor
 

@@ -70,7 +70,8 @@ class Sensitivity(NamedTuple):
     def elasticity(self) -> float:
         """Change of the measure in per cent, per per cent of the parameter.
 
-        A parameter of 0 counts per unit. A measure of about 0 has NaN.
+        For a parameter of 0, it is the relative change of the measure per unit of the parameter.
+        If the measure is about 0, it is NaN.
         """
         return self._relative(self.slope)
 

@@ -29,7 +29,7 @@ _BETWEEN = 8
 _FINE = 32
 # Least number of strides in a record.
 _STRIDES = 2.0
-# Distance that counts as none (m), as in `evo_cpg.simulation.measures`.
+# Largest distance (m) that counts as 0. `evo_cpg.simulation.measures` has the same value.
 _NOWHERE = 1e-6
 
 

@@ -377,7 +377,7 @@ def _pairs_that_pass(experiment: ExperimentParts) -> str:
 def _variations(
     experiment: ExperimentParts, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
 ) -> dict[str, Variation]:
-    """Return the variations of the simulation, by the key of the limit.
+    """Return the variation of the simulation for each key of a limit.
 
     Under noise, the champion was selected partly for its luck. So all variations except
     `precision` and `other_engine` use the same fresh noise, and are compared with the variation

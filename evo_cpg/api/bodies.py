@@ -18,11 +18,12 @@ Numbers = Mapping[str, ArrayLike | Sequence[float]]
 
 
 class Bodies:
-    """Trials of individuals that differ in numbers, with one program for each set of keys.
+    """Trials of individuals that differ in numbers of the configuration.
 
-    One program builds all bodies that fit a plan (`BodyPlan`). Other bodies are built one by one.
-    They join the plan's trials if they differ in the trials' numbers alone. Otherwise a new plan
-    is made from all individuals of the call.
+    One program computes all trials with the same set of configuration keys. Another builds all
+    bodies that fit a plan (`BodyPlan`). Other bodies are built one by one. They join the plan's
+    trials if they differ only in numbers that are inputs of these trials. Otherwise a new plan is
+    made from all individuals of the call.
 
     Args:
         parts: experiment that the individuals have in common.

@@ -2,7 +2,7 @@
 
 Everything goes to standard error. In a log or a pipe, short work prints nothing. Longer work is
 never silent for more than `LONGEST_SILENCE` seconds: a thread prints its name and duration if the
-work prints nothing. The library itself is quieter, see `evo_cpg.api.progress`.
+work prints nothing. The library in a script prints less, see `evo_cpg.api.progress`.
 """
 
 import contextlib

@@ -22,7 +22,13 @@ _SHOWN = 4
 
 
 def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
-    """Return a panel with the champion of a run, or with the elite of a cell."""
+    """Return a panel with the champion of a run, or with the elite of a cell of its map.
+
+    Args:
+        run: run folder.
+        which: champion or elite, and trial.
+        signals: whether the panel has a strip of signals.
+    """
     strip = None
     if signals:
         opened = open_champion(run, which)
@@ -33,7 +39,7 @@ def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
     experiment = opened.experiment
     if which.cell is None:
         return panel_of(experiment, recording, experiment.name, strip)
-    # The map keeps only those terms of an elite that are axes of the map.
+    # The map keeps only those terms of an elite that are axes of the map. The panel shows them all.
     title = f"{experiment.name}, cell {which.cell}"
     return panel_of(experiment, recording, title, strip, terms_text(opened.champion.terms))
 

@@ -51,7 +51,7 @@ _ROUNDING = 16 * np.finfo(float).eps
 # Attribute of force laws that contains the wetted surfaces.
 _PATCHES = jax.tree_util.GetAttrKey("patches")
 
-# Elements that depend on a number, by the index of their leaf.
+# Elements that depend on a number, for each index of a leaf that has such elements.
 Change = dict[int, np.ndarray]
 
 

@@ -349,7 +349,7 @@ def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:
 
 
 def max_amplitude(settings: BrainCpgSettings) -> Number:
-    """Return A_max, the bound of every oscillator's output, in units of the tonic input."""
+    """Return A_max, the largest size of any oscillator's output, in the unit of the tonic input."""
     cpg = settings.cpg
     ranges = [_or(axis.steering_range, 0.0) for axis in settings.axes.values()]
     every = [settings.steering_range, *ranges]

@@ -211,8 +211,8 @@ class MatsuokaState(eqx.Module):
     """State of every neuron, extensors first.
 
     Attributes:
-        potential: x, in units of the tonic input.
-        adaptation: z, in units of the tonic input.
+        potential: x, in the unit of the tonic input.
+        adaptation: z, in the unit of the tonic input.
     """
 
     potential: Float[Array, "2 o *n"]
@@ -387,7 +387,7 @@ def advance(
 
 
 def output(state: MatsuokaState) -> Float[Array, "o *n"]:
-    """Return the motor signal of each oscillator, ``y_e - y_f``, in units of the tonic input.
+    """Return the motor signal of each oscillator, ``y_e - y_f``, in the unit of the tonic input.
 
     Its size never exceeds the largest u + s (or the initial potential), because inhibition and
     adaptation only lower a potential.

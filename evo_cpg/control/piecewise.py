@@ -140,9 +140,12 @@ class Rest(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """A pattern's generator, with the constant in the last column, and its tabulated steps.
+    """Linear flow for one pattern of signs.
 
-    Steps, longest first, are None if a mode would grow by more than `_LARGEST_GROWTH`.
+    Attributes:
+        generator: A, with the constant c in the last column.
+        steps: E(h) for each tabulated length h of a step, longest first. An entry is None if a mode
+            would grow by more than `_LARGEST_GROWTH` in that step.
     """
 
     generator: np.ndarray
@@ -449,13 +452,16 @@ class Flow:
     def _onto_zero(
         self, piece: _Piece, columns: np.ndarray, about: float, neuron: int
     ) -> tuple[np.ndarray, float]:
-        """Move along one piece to the zero of a neuron's potential, and return the time it takes.
+        """Follow one piece until a neuron's potential is 0.
 
         Args:
             piece: piece that holds until then.
-            columns: state and its derivatives.
-            about: estimate of the time.
+            columns: state and its derivatives with respect to the initial state.
+            about: estimate of the time until the potential is 0.
             neuron: number of the neuron.
+
+        Returns:
+            New columns at that time, and the time until then in the flow's units.
         """
         left = about
         for step, length in zip(piece.steps, self._lengths, strict=True):

@@ -98,7 +98,7 @@ class PostureController(Controller):
     """The postures of one creature, with the number of completed control steps as its state.
 
     Attributes:
-        gene_count: number of bits.
+        gene_count: number of genes, one for each bit of each angle.
         dof_count: degrees of freedom, each of which has an angle in every posture.
         origin: settings of the controller.
         postures: number of postures.

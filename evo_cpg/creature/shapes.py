@@ -464,7 +464,8 @@ class Capsule(Shape):
         normals = xp.tile(xp.column_stack([xp.zeros(len(around)), around]), (resolution, 1))
         ring_area = 2 * xp.pi * self.radius * self.length / len(around)
         side = Surface(points, normals, xp.repeat(weights / 2 * ring_area, len(around)))
-        # Each half-sphere has its own rule. A rule across both would ignore the step in between.
+        # Each half-sphere has its own rule, because a cylinder separates them. One rule across both
+        # would treat their points as one smooth surface.
         half, part = (nodes + 1) / 2, weights / 2
         directions, solid_angles = _around_x(
             xp.concatenate([-half[::-1], half]), xp.concatenate([part[::-1], part]), around

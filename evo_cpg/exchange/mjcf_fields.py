@@ -20,7 +20,7 @@ import numpy as np
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled
 from evo_cpg.exchange.refusals import Refusal
 
-# Kind of the elements and their attribute in MJCF, by field of the compiled model.
+# Kind of elements in MJCF and their attribute, for each field of the compiled model.
 READ = {
     "body_pos": ("body", "pos"),
     "body_quat": ("body", "orientation"),

@@ -97,7 +97,7 @@ def _is_plain_hinge(compiled: Compiled, joint: int) -> bool:
         item.refuse(f"it is a {word} joint", allowed)
         return False
     if not model.jnt_limited[joint]:
-        item.refuse("it has no limits", "a range")
+        item.refuse("it has no limits", "limits in the attribute range")
     address = model.jnt_qposadr[joint]
     if model.jnt_stiffness[joint] and model.qpos_spring[address] != model.qpos0[address]:
         item.refuse("its springref differs from its ref", "a spring to the neutral pose")

@@ -120,7 +120,7 @@ def warn_of_fallback(name: str, error: Exception) -> None:
 
 @contextlib.contextmanager
 def smallest_fallback(name: str, error: Exception) -> Iterator[None]:
-    """Compute a program in parts, and warn about it unless one of the parts falls back as well.
+    """Compute a program in parts, and warn of it unless a part falls back to plain JAX, too.
 
     Args:
         name: name of the program.

@@ -47,7 +47,7 @@ def fuse(function: Callable, *args: Any, batch_ndim: int, name: str = "") -> Any
         with counted():
             return _bind(function, args, batch_ndim, name)
     except Exception as error:
-        # Any error may fall back: if JAX cannot compute the function either, JAX raises its own.
+        # Fall back to plain JAX after any error. If JAX fails, too, it raises its own error.
         with engine.smallest_fallback(name, error):
             return function(*args)
 

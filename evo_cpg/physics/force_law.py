@@ -35,7 +35,7 @@ from evo_cpg.spatial.numerics import Number
 
 @dataclasses.dataclass(frozen=True)
 class Bodies:
-    """Poses and motion of the bodies in the water, for force laws.
+    """Poses and motion of the bodies, and the water if any, for force laws.
 
     All vectors are in the axes of their body unless stated otherwise. The origin of a body is its
     joint. The origin of the root is its centre of mass.
@@ -45,14 +45,15 @@ class Bodies:
             m), ``tree.volume`` (m^3).
         gravity: gravitational acceleration, m/s^2.
         water: the water, or None on dry land.
-        cells: volumes of the bodies (`evo_cpg.physics.world.World`).
+        cells: simple volumes that make up the bodies. Empty without a water surface.
         h: length of the physics step, s.
-        kin: positions and rotations in world axes, and velocities at the start of the step.
+        kin: positions, rotations and velocities in world axes, at the start of the step.
         velocity: velocity of every origin: angular (rad/s), then linear (m/s).
         stream: velocity of the water at the centres of mass, m/s, or 0 on dry land.
-        pose: upward unit vector, and the height of the origin above the surface, m, or None without
-            a surface.
-        displaced: part of each body that is under water, or None without a surface.
+        pose: upward unit vector, then the height of the origin above the surface, m. It is None
+            without a surface.
+        displaced: volume under water of each body (m^3), and its first moment (m^4). It is None
+            without a surface.
     """
 
     tree: Tree

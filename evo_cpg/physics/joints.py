@@ -113,10 +113,10 @@ def carried(
     """Return the motion of bodies that their parents carry and their joints turn.
 
     Args:
-        parent: parent of each body, with the attributes of `BodyMotion`.
-        offset: vectors from the parents' origins, m.
-        axes: S.
-        rates: rates of the degrees of freedom, ``(k, b, *n)``, rad/s.
+        parent: motion of each body's parent, with the attributes of `BodyMotion`.
+        offset: vectors from the parents' origins to the bodies' origins, m.
+        axes: S, world axes of the degrees of freedom.
+        rates: rates of the k degrees of freedom of each of b bodies, ``(k, b, *n)``, rad/s.
     """
     spin, spin_rate = _across(axes * rates[None])
     linear = parent.linear + cross(parent.angular, offset)
@@ -133,7 +133,7 @@ def accelerated(motion: Motion, axes: Float[Array, "3 k b *n"], x: Array) -> Mot
 
     Args:
         motion: a.
-        axes: S.
+        axes: S, world axes of the degrees of freedom.
         x: accelerations of the degrees of freedom, ``(k, b, *n)``.
     """
     return motion._replace(angular=motion.angular + matvec(axes, x))
@@ -150,7 +150,7 @@ def torque_on_each(
     """Return ``S^T f``, with a wrench for each degree of freedom.
 
     Args:
-        axes: S.
+        axes: S, world axes of the degrees of freedom.
         wrench: wrenches about the origin of the joint's body.
         which: indices of the wrenches, or None for all in order.
     """
@@ -174,7 +174,7 @@ def speed_along(
     """Return the speed of points along their normals, per rate of each degree of freedom.
 
     Args:
-        axes: S.
+        axes: S, world axes of the degrees of freedom.
         offset: vectors from the origins of the joints' bodies to the points, m.
         normal: unit normals.
     """
@@ -185,10 +185,10 @@ def speed_along(
 def about(
     axes: Float[Array, "3 d *n"], origins: Float[Array, "3 d *n"]
 ) -> tuple[Float[Array, "3 d *n"], Float[Array, "3 d *n"]]:
-    """Return S about a common point: angular parts, and linear parts with the opposite sign.
+    """Return the motion S about a common point: angular parts, and minus the linear parts.
 
     Args:
-        axes: S.
+        axes: S, world axes of the degrees of freedom.
         origins: vectors from the common point to the origins of the joints' bodies, m.
     """
     return axes, cross(axes, origins)
@@ -220,7 +220,7 @@ class Joints(NamedTuple):
     and S is 1.
 
     Attributes:
-        axes: S, (3, k, bodies, ...).
+        axes: S, world axes of the degrees of freedom, (3, k, bodies, ...).
         torque: tau, in the coordinates x.
         derivative: T, in the coordinates x.
         to_q: matrix from x to ``q``, or None if x is ``q``.

@@ -145,7 +145,11 @@ class ManyPairContacts:
         return ManyPairContacts(*given, self.runs, bias)
 
     def bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-        """Return the velocity-product bias at the joint rates after the step, as accelerations."""
+        """Return `bias` for the joint rates after the step: the joint accelerations themselves.
+
+        `bias` stores the joint accelerations that lead to the rates. `accelerations` computes the
+        velocity-product accelerations from them.
+        """
         return qdd
 
     def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "d *n"]:

@@ -15,7 +15,7 @@ from evo_cpg.spatial.linear import where_each
 # Factor by which one update reduces the restitution, and the number of reductions before it is 0.
 _REDUCTION, _REDUCTIONS = 0.5, 2
 
-# Squared friction (N^2) that counts as none.
+# Least squared force (N^2) to divide by.
 _NONE = 1e-12
 
 

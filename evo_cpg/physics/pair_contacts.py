@@ -8,7 +8,7 @@ these members:
 |---|---|
 | ``bias`` | determines the velocity-product acceleration of the points along their normals |
 | ``with_bias(bias)`` | the contacts with another bias |
-| ``bias_at(qdd)`` | the bias at the joint rates after the step |
+| ``bias_at(qdd)`` | ``bias`` for the joint rates after a step with joint accelerations ``qdd`` |
 | ``at(qdd)`` | the `PairForces` at joint accelerations |
 | ``change(qdd)`` | the change of velocities that ``PairForces.power`` takes |
 | ``touches(qdd)`` | where any pair pushes |

@@ -31,7 +31,7 @@ class World(eqx.Module):
         water: the medium; None on dry land.
         forces: force laws besides weight, buoyancy, joints and contact, in the order of their sum.
         contact_model: the contact points; None without ground.
-        cells: the bodies' volumes; not needed if water is everywhere.
+        cells: simple volumes that make up the bodies. Empty without a water surface.
         pairs: bodies that must not pass through each other; None if none can meet.
     """
 

@@ -50,7 +50,7 @@ class Noise(eqx.Module):
 
     @property
     def silent(self) -> bool:
-        """Return whether all trials of an individual are equal. A traced size gives False."""
+        """Return whether no noise is set. A noise of traced size counts as set."""
         return all(
             _is_none(size) for size in (self.joint_angle, self.tilt, self.push, self.friction)
         )
@@ -128,7 +128,7 @@ def friction_scale_of(
 
 
 def _is_none(size: ArrayLike) -> bool:
-    """Return whether the size is 0. A traced size gives False."""
+    """Return whether the size of a noise is 0. A traced size counts as not 0."""
     return not (is_traced(size) or size)
 
 

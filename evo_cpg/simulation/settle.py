@@ -122,7 +122,7 @@ class _Here(NamedTuple):
         force: force on the free coordinates, in units of the weight.
         total: force on all coordinates, N and N m.
         touch: contact with the ground.
-        stiffness: negative derivative of ``force``, symmetric.
+        stiffness: symmetric part of the negative derivative of ``force``.
     """
 
     force: np.ndarray

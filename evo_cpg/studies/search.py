@@ -15,7 +15,7 @@ from evo_cpg.studies.workshop import Workshop
 _FOLDER = Path(__file__).parent / "searches"
 _GENETIC, _RANDOM = "genetic algorithm", "random search"
 
-# Configuration and number of runs, by the file of settings.
+# Files of search settings in `_FOLDER`, each with its configuration and number of runs.
 _FILES = {
     "swimmer": ("iwadate2010_swimmer", 8),
     "walker": ("fukui2003_model1", 8),

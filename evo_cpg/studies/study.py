@@ -49,7 +49,7 @@ class Part(NamedTuple):
     """Part of a study that can be made separately.
 
     Attributes:
-        title: subject of the part, for a list.
+        title: subject of the part, in the list of parts.
         runs: names of the study's runs that the part uses, if any.
         report: function that returns the tables, and draws pictures to `Workshop.picture`.
     """
@@ -60,13 +60,13 @@ class Part(NamedTuple):
 
 
 class Study(NamedTuple):
-    """Study of runs.
+    """Study: its runs, and the parts that report them.
 
     Attributes:
         name: name on the command line.
-        title: title for a list.
-        runs: runs by name, which is also the name of their folder.
-        parts: parts by name.
+        title: title in the list of studies.
+        runs: runs by name. Their folder has the same name.
+        parts: parts, which can be made separately, by name.
     """
 
     name: str

@@ -59,7 +59,7 @@ def compile_learning(
 
 
 def _keys(experiment: ExperimentParts, generation: int) -> np.ndarray | None:
-    """Return keys of the trials of all runs' elites, ``(w, trials, n)``, or None without noise."""
+    """Return random keys of all elites' trials, ``(w, trials, n)``, or None without noise."""
     assert experiment.learning is not None
     shape = experiment.runs, experiment.learning.elites, experiment.trials
     run, individual, trial = np.indices(shape).reshape(3, -1)

@@ -78,7 +78,8 @@ def require_memory(experiment: ExperimentParts) -> None:
     smaller = (
         f"Allowed here: {most}"
         if most > 1
-        else "No population is small enough. Try a smaller controller, or a search with less state"
+        else "No population fits into the memory. Try a smaller controller, or a search with less "
+        "state"
     )
     raise TooLargeError(
         f"evolution.population: {individuals} individuals in all, of {genes} genes,{searched} need "

@@ -200,8 +200,8 @@ class Team:
                 content = link.receive(max(start + limit - time.monotonic(), 0.0))
             except queue.Empty:
                 self._lose(
-                    f"process {self.index} has waited {limit:.0f} s for {what} (its own took "
-                    f"{own:.1f} s). Another process hangs, or is much slower"
+                    f"process {self.index} has waited {limit:.0f} s for {what} (its own work "
+                    f"took {own:.1f} s). Another process hangs, or is much slower"
                 )
                 content = None
             if content is None:

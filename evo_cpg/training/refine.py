@@ -222,6 +222,9 @@ def _starts(
 
 
 def _keys_of(experiment: ExperimentParts, champion: Champion, lanes: int) -> np.ndarray | None:
-    """Return the keys of the champion's trials for every lane, ``(w, trials, n)``."""
+    """Return the random keys of the champion's trials, or None without noise.
+
+    Their shape is ``(w, trials, n)``: words of a key, trials, and lanes, which have equal keys.
+    """
     keys = jax.device_get(champion_keys(experiment, champion))
     return None if keys is None else np.repeat(keys[..., None], lanes, -1)

@@ -40,7 +40,7 @@ def film_path(path: str | os.PathLike[str], film: Film, signals: bool = False) -
         The path.
 
     Raises:
-        OutputError: the path cannot be written, or is not of this kind.
+        OutputError: the path cannot be written, or has another suffix.
         SettingError: a setting is out of range.
         ValueError: the camera is unknown.
     """
@@ -86,7 +86,7 @@ def side_by_side(
 
     Raises:
         DrawingError: one of several processes failed.
-        OutputError: the path cannot be written, or is not of this kind.
+        OutputError: the path cannot be written, or has another suffix.
         RecordingError: a recording does not fit its creature, is empty or is not finite.
         SettingError: a setting is out of range.
         ValueError: the world or the camera is unknown.

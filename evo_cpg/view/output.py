@@ -74,7 +74,7 @@ def oversampling(size: tuple[int, int], desired: float) -> float:
 
 
 def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
-    """Check that a file of one of these kinds can be written here.
+    """Return a path to which a file with one of some suffixes can be written.
 
     Args:
         path: path from the user. An existing file is replaced.
@@ -98,13 +98,13 @@ def is_numbered(path: Path) -> bool:
 
 
 def numbered_path(path: Path) -> Path:
-    """Check that a new folder of numbered pictures can be written here.
+    """Return a path for numbered pictures, whose folder must be empty or new.
 
     Args:
         path: path from the user, such as ``frames/%04d.png``.
 
     Raises:
-        OutputError: the folder exists and is not empty, or cannot be created.
+        OutputError: the folder is not empty, or cannot be created.
     """
     folder = path.parent
     if folder.is_dir() and any(folder.iterdir()):

@@ -65,10 +65,10 @@ _ROOM, _SCREEN = (320, 180), (1280, 720)
 
 
 def preview_path(path: str | os.PathLike[str], size: tuple[int, int]) -> Path:
-    """Check that a preview of this size (pixels) can be drawn and written here.
+    """Return a path to which a preview of a size (pixels) can be drawn.
 
     Raises:
-        OutputError: the path cannot be written, or is not of this kind.
+        OutputError: the path cannot be written, or is not a ``.png`` file.
         SettingError: the size is too small, or too large.
     """
     path = output_path(path, (".png",))
@@ -85,7 +85,7 @@ def preview(
     pose: tuple[np.ndarray, np.ndarray] | None = None,
     surface: float | None = None,
 ) -> Path:
-    """Draw a creature in its neutral pose, or another.
+    """Draw a creature in its neutral pose, or in another pose.
 
     Args:
         creature: creature to draw.
@@ -93,8 +93,8 @@ def preview(
         size: width and height, pixels.
         ground: ground under the creature, with its obstacles, in the world's frame. True means
             level ground under its lowest point.
-        pose: centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``, in the frame of the
-            ground, or None for the neutral pose.
+        pose: centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``, in the world's frame,
+            or None for the neutral pose.
         surface: height of the water in the world's frame, m. Infinity means water everywhere, None
             no water.
 
@@ -102,7 +102,7 @@ def preview(
         The path.
 
     Raises:
-        OutputError: the path cannot be written, or is not of this kind.
+        OutputError: the path cannot be written, or is not a ``.png`` file.
         CreatureError: the bodies do not form one tree.
         SettingError: the size is too small, or too large.
     """

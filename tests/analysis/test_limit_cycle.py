@@ -88,7 +88,7 @@ def test_multipliers_predict_the_decay_of_a_perturbation(joints, gain, weight, x
     if values[slowest].imag == 0:
         np.testing.assert_allclose(shrinks, np.abs(cycle.multipliers[0]), rtol=0.05)
         return
-    # A real perturbation has equal parts along both complex eigenvectors.
+    # The push has equal parts along two conjugate eigenvectors. `along` measures one of them.
     expected = abs(along @ (cycle.monodromy @ push)) / left[0]
     np.testing.assert_allclose(shrinks[0], expected, rtol=0.05)
 

@@ -44,7 +44,7 @@ def test_elasticities_are_the_exponents_of_a_power_law(found):
     assert by_key["squared"].elasticity == pytest.approx(2.0, rel=1e-12)
     assert by_key["inverse"].elasticity == pytest.approx(-1.0, rel=1e-12)
     assert by_key["idle"].elasticity == 0.0
-    # The elasticity of a parameter of 0 is per unit.
+    # For a parameter of 0, the elasticity is the relative change per unit of the parameter.
     assert by_key["zero"].elasticity == pytest.approx(0.5, rel=1e-12)
     assert by_key["squared"].finite == pytest.approx(2.0, rel=1e-3)
 

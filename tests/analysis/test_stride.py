@@ -27,8 +27,8 @@ def test_a_joint_at_twice_the_frequency_does_not_count():
 
 @pytest.mark.parametrize("frequency", [5.3, 8.0, 9.5, 11.0, 17.3, 20.0])
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_fast_beats_have_exact_frequency_and_excursion(frequency, noise):
-    """A beat has only a few samples, which may all miss its extremes."""
+def test_fast_beats_have_accurate_frequency_and_excursion(frequency, noise):
+    """Errors are at most 1 %. A beat has only a few samples, which may all miss its extremes."""
     beat = 2 * np.pi * frequency * TIME
     signals = np.sin(beat[:, None] - np.arange(6))
     signals += noise * np.random.default_rng(1).normal(size=signals.shape)

@@ -1,4 +1,4 @@
-"""Peers run in processes of their own, and cannot hang or crash the suite."""
+"""Benchmarks in processes of their own. A peer or measurement cannot hang or crash the others."""
 
 import importlib.util
 

@@ -209,7 +209,7 @@ def test_measurements_are_kept_until_champions_or_the_program_change(made, tmp_p
     assert shop.kept("one", ["many"], lambda: 6) == 5
     monkeypatch.setattr(workshop, "program_commit", lambda: "abd")
     assert shop.kept("one", ["many"], lambda: 6) == 6
-    # Uncommitted changes may have changed again, so nothing is kept.
+    # Uncommitted changes may have changed again, so an earlier measurement is not used again.
     monkeypatch.setattr(workshop, "program_commit", lambda: "abd-dirty")
     assert shop.kept("one", ["many"], lambda: 7) == 7
     assert shop.kept("one", ["many"], lambda: 8) == 8

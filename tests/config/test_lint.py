@@ -282,7 +282,7 @@ MISTAKES = {
         SHORE,
         ["creature.depth_sensors=[{body: head, full_scale: 1000}]", LEVEL],
         "creature.depth_sensors.0.full_scale",
-        "the water is 1 m deep, so this gauge never reads more than 0.001",
+        "the water is 1 m deep, so this gauge never reads more than 0.001 of full scale",
     ),
     "water under the ground": (
         SHORE,

@@ -106,7 +106,7 @@ def require_same(strategy, generations, evaluate=worth):
     """Check that populations, map and restarts equal pyribs' bits. Return the restarts."""
     ours, state = search(strategy, generations + 1, evaluate)
     theirs, scheduler = plain(strategy, generations, evaluate)
-    # The first population is not drawn by pyribs. Its zeros are the start of pyribs' emitters.
+    # The first population is not drawn by pyribs. All its genes are 0, so the emitters start at 0.
     np.testing.assert_array_equal(np.array(ours[1:]), np.array(theirs))
     data = scheduler.archive.data()
     count = int(state.cells["count"])

@@ -261,7 +261,10 @@ def two(first: str = "", second: str = "") -> str:
             "joint 'h': it is a ball joint. Allowed: one to three hinges at one place",
         ),
         (model(joints='<joint type="slide"/>'), "unnamed joint of body 'limb': it is a slide join"),
-        (model(joints='<joint name="h"/>'), "joint 'h': it has no limits. Allowed: a range"),
+        (
+            model(joints='<joint name="h"/>'),
+            "joint 'h': it has no limits. Allowed: limits in the attribute range",
+        ),
         (
             model(joints='<joint name="h" range="-1 1" frictionloss="0.1"/>'),
             "joint 'h': it has frictionloss. Allowed: no frictionloss",

@@ -14,13 +14,13 @@ def sample(shape, seed=0, dtype=np.float32):
 
 
 def fused(function, *args, batch_ndim=1):
-    """Return the leaves of the results that native code computes."""
+    """Return the leaves of the results that native code computes, mapped over the last axes."""
     run = jax.jit(functools.partial(fuse, function, batch_ndim=batch_ndim))
     return [np.asarray(leaf) for leaf in jax.tree.leaves(run(*args))]
 
 
 def plain(function, *args, batch_ndim=1):
-    """Return the leaves of the results that JAX computes, mapped over individuals."""
+    """Return the leaves of the results that plain JAX computes, mapped over the last axes."""
     for _ in range(batch_ndim):
         function = jax.vmap(function, in_axes=-1, out_axes=-1)
     return [np.asarray(leaf) for leaf in jax.tree.leaves(jax.jit(function)(*args))]

@@ -118,7 +118,7 @@ def test_bodies_sink_float_or_stay(shape, density):
 
 
 def test_a_current_carries_a_neutral_body():
-    """A neutral body released in a stream finally moves with it. Drag decreases as 1 / t."""
+    """A neutral body finally moves with a stream. Its speed in the water decreases as 1 / t."""
     current = (0.4, -0.3, 0.2)
     velocity = sink(Sphere(0.05), WATER, 20.0, current=current)
     np.testing.assert_allclose(velocity[-1, 3:], current, rtol=0.02)

@@ -185,7 +185,8 @@ def test_bobbing_and_rolling_periods_of_a_box(density):
 
         T = 2 pi k / sqrt(g GM),   k^2 = (b^2 + c^2) / 12,   GM = b^2 / (12 d) - (c - d) / 2
 
-    about x and similarly about y, with the metacentric height GM = I / V - BG. No drag, within 3 %.
+    about x and similarly about y, with the metacentric height GM = I / V - BG. There is
+    no drag. Periods of heave agree within 0.2 %, periods of roll and pitch within 1 %.
     """
     a, b, c = size = (0.4, 0.3, 0.2)
     d = c * density / WATER

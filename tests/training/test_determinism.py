@@ -105,7 +105,7 @@ def test_run_has_the_recorded_bits(kind, first):
         NOTED.write_text(json.dumps(noted, indent=1, sort_keys=True) + "\n")
     if kind not in noted.get(here, {}):
         # Each kind of machine rounds differently.
-        pytest.skip(f"no bits are noted for {here}")
+        pytest.skip(f"no result of {kind} is recorded for the machine {here}")
     assert first(kind) == noted[here][kind]
 
 

@@ -35,7 +35,7 @@ def test_the_cells_of_a_map_count(monkeypatch):
     with pytest.raises(
         memory.TooLargeError,
         match=r"of 2 genes, and 0\.0023 GiB of search state need .* "
-        "No population is small enough",
+        "No population fits into the memory",
     ):
         memory.require_memory(mapped)
 

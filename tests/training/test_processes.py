@@ -174,7 +174,7 @@ else:
 @pytest.mark.slow
 def test_waiting_for_a_stuck_process_ends(tmp_path):
     lead, other = run(LATE, 2, tmp_path, 1.0, 3.0)
-    words = "process 0 has waited 1 s for a second look (its own took 0.0 s). Another process hangs"
+    words = "process 0 has waited 1 s for a second look (its own work took 0.0 s). Another process"
     assert lead.startswith(f"process 0 of 2: {words}")
     # The lead sent the reason why the team cannot continue.
     assert other.startswith(f"process 1 of 2: {words}")

@@ -152,8 +152,8 @@ def depth_out_of_scale(case: Case) -> Iterator[LintWarning]:
             yield case.warning(
                 ("creature", "depth_sensors", i, "full_scale"),
                 f"the water is {deepest:.3g} m deep, so this gauge never reads more than "
-                f"{deepest / gauge.full_scale:.2g}. Plausible: about the water's depth. Lengths "
-                "are in m. Is this in mm?",
+                f"{deepest / gauge.full_scale:.2g} of full scale. Plausible: about the water's "
+                "depth. Lengths are in m. Is this in mm?",
             )
 
 

@@ -294,5 +294,5 @@ class CreatureConfig(Section):
 
 
 def _image(vector: Triple, copy: Copy) -> Triple:
-    """Return a position or direction in the frame of a body, mirrored if the body is."""
+    """Return a vector in body axes for a copy of the body: reflected if the copy is mirrored."""
     return reflected(vector, copy.mirror) if copy.mirror else vector

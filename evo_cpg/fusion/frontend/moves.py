@@ -183,7 +183,7 @@ def _unstack(builder, operands, params):
 
 
 def _pad(builder, operands, params):
-    """Pad between and around the elements. Negative padding around the elements cuts."""
+    """Pad between and around the elements. Negative padding removes elements at the ends."""
     x, value = operands
     shape, inside, kept = [], [], []
     for count, (low, high, inner) in zip(x.shape, params["padding_config"], strict=True):

@@ -1,7 +1,7 @@
-"""Order operations so that few values wait for their use at a time.
+"""Order operations so that few computed values wait for a later use.
 
-A waiting value takes a register, or is stored and loaded again. In the order in which a program is
-written, these stores and loads are a quarter of all instructions.
+A waiting value takes a register, or is stored and loaded again. If the operations stay in the order
+of the traced program, these stores and loads are a quarter of all instructions.
 """
 
 import dataclasses
