@@ -146,7 +146,7 @@ def test_the_documented_walker_steps_with_diagonal_legs(lizard):
     assert isinstance(controller, BrainCpg)
     network, count = controller.network, tree.dof_count
     assert uncoupled(network.matrix) == []
-    cycle = limit_cycle(network, np.ones((2, count)), np.full(count, 5.5), range(count))
+    cycle = limit_cycle(network, np.ones((2, count)), np.full(count, 5.5), tuple(range(count)))
     rows = re.findall(r"\| (fore|hind)leg, (swing|lift) \| (-?\d+) \| (-?\d+) \|", page)
     assert len(rows) == 4
     lags = {}
