@@ -43,8 +43,8 @@ def our_places(exercise: Exercise, mesh: Mesh, steps: int, finer: int) -> Float[
     Args:
         exercise: exercise of the animals.
         mesh: the devices.
-        steps: number of the config's steps.
-        finer: number of parts of each step.
+        steps: number of physics steps of the config.
+        finer: number of equal parts into which each step of the config is divided.
     """
     lanes = exercise.lanes(full_lanes(LANES, mesh)).astype(float)
     with jax.enable_x64(True):
@@ -67,8 +67,8 @@ def mujoco_places(
         exercise: exercise of the animals.
         kind: kind of fluid.
         threads: number of threads.
-        steps: number of the config's steps.
-        finer: number of parts of each step.
+        steps: number of physics steps of the config.
+        finer: number of equal parts into which each step of the config is divided.
     """
     motion = Motion(exercise, kind, exercise.lanes(LANES), threads, finer)
     return places(motion.states(motion.rest(), motion.signals(steps * finer)))

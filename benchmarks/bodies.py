@@ -25,7 +25,8 @@ from evo_cpg.simulation.rollout import rollout
 
 _SIZE = 200
 _STEPS = 120
-# Number of creatures that are built, in a tenth of a second each. The population uses them in turn.
+# Number of different creatures. Building one takes a tenth of a second. The individuals of the
+# population use these creatures in turn.
 _BUILT = 25
 _DRAWN = {
     "iwadate2010_swimmer": (

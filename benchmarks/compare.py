@@ -10,13 +10,13 @@ from benchmarks.rows import SECONDS, Row
 
 
 class Change(NamedTuple):
-    """One row, then and now.
+    """A row of the present run, compared with the same row of the earlier run.
 
     Attributes:
         row: row of the present run.
         kind: "ratio to NAME" or the unit of the rate.
-        then: the earlier value.
-        now: the present value.
+        then: rate or ratio of the earlier run.
+        now: rate or ratio of the present run.
         gain: present speed, or ratio to the peer, over the earlier one. Below 1 is slower.
         slower: whether the loss exceeds the tolerance.
     """
@@ -42,7 +42,7 @@ class Verdict(NamedTuple):
 
     @property
     def slower(self) -> list[Change]:
-        """Return the changes that lost too much."""
+        """Return the changes whose loss of speed exceeds the tolerance."""
         return [change for change in self.changes if change.slower]
 
 

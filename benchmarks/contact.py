@@ -7,8 +7,8 @@ physics step gives:
 - The error in Coulomb's law with the step's own normal forces, as a fraction of the load.
 - The depth of every contact point after the step, and the overlap of bodies of one animal.
 
-In float64, every window of 0.1 s also gives the growth of a disturbance of 1e-9. The figures are in
-docs/models/contact.md.
+In float64, every window of 0.1 s also gives the growth of a disturbance of the state by 1e-9. The
+figures are in docs/models/contact.md.
 """
 
 import argparse
@@ -58,7 +58,7 @@ class Thrashing(NamedTuple):
 
 
 def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thrashing:
-    """Let a population thrash about.
+    """Simulate a population that thrashes about on the ground.
 
     Args:
         exercise: commands of the population.
@@ -142,7 +142,7 @@ def _distance(state: State, count: int) -> Float[np.ndarray, " n"]:
 
 
 def row(animal: str, dtype: type, found: Thrashing) -> str:
-    """Return a row of the table.
+    """Return an animal's row of the table.
 
     Residuals and Coulomb errors are counted in contact steps, depths at all points in all steps,
     and overlaps in all steps.
@@ -182,7 +182,7 @@ def _fraction(touches: np.ndarray, residual: np.ndarray, bound: float) -> float:
 
 
 def main() -> None:
-    """Print the table."""
+    """Simulate the animals, and print the table of their contacts."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("animals", nargs="*", metavar="ANIMAL", default=_ON_LAND)
     parser.add_argument("--count", type=int, default=64, help="number of individuals")

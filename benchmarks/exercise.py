@@ -54,7 +54,7 @@ class Exercise(abc.ABC):
         The angles are None for motors without springs.
 
         Args:
-            commands: result of `prepare`.
+            commands: data from `prepare`.
             index: number of the physics step.
         """
 
@@ -65,7 +65,7 @@ class Exercise(abc.ABC):
         """Return commands for MuJoCo: rates, rad/s, or angles, rad, for motors with springs.
 
         Args:
-            lanes: result of `lanes`.
+            lanes: inputs of the individuals, from `lanes`.
             index: numbers of the physics steps.
         """
 
@@ -74,7 +74,7 @@ class Wave(Exercise):
     """A wave of target rates from head to tail, whose amplitude differs between individuals."""
 
     def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
-        """Return factors on the amplitude."""
+        """Return each individual's factor on the amplitude of the wave."""
         spread = (np.arange(count) * _GOLDEN % 1 - 0.5) * _WAVE_SPREAD
         return (1 + spread)[None].astype(np.float32)
 
@@ -90,7 +90,7 @@ class Wave(Exercise):
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
     ) -> Float[np.ndarray, "n steps d"]:
-        """Return the same rates for MuJoCo."""
+        """Return the target rates of `command` for MuJoCo."""
         table = self.period()
         return lanes[0].astype(float)[:, None, None] * table[index % len(table)][None]
 
@@ -119,7 +119,7 @@ class Postures(Exercise):
         return controller
 
     def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
-        """Return random bits."""
+        """Return random bits, which are the genes of each individual's postures."""
         generator = np.random.default_rng(_SEED)
         bits = generator.integers(0, 2, (count, self.controller.gene_count))
         return bits.T.astype(np.float32)
@@ -136,7 +136,7 @@ class Postures(Exercise):
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
     ) -> Float[np.ndarray, "n steps d"]:
-        """Return the same angles for MuJoCo."""
+        """Return the target angles of `command` for MuJoCo."""
         angles = np.asarray(self.controller.decode(jnp.asarray(lanes)), float)
         return np.moveaxis(angles, -1, 0)[:, self.numbers(index)]
 

@@ -74,7 +74,7 @@ _VERIFIED = 8
 # Limits of time and memory for a configuration, s and bytes. A damaged folder has 12 times as long.
 _SLOW, _LARGE = 5.0, 2**30
 
-# Columns of metrics.csv that differ between equal runs.
+# Columns of metrics.csv that may differ between runs with the same results.
 _TIMES = ("seconds", "steps_per_second")
 
 _ODD_VALUES: tuple[Any, ...] = (
@@ -279,7 +279,8 @@ def build_odd(folder: Path, number: int) -> str:
         if not isinstance(error, UserError):
             raise
         if len(str(error)) > 1000:
-            raise ValueError(f"a message of {len(str(error))} characters, above 1000") from error
+            words = f"the message for the user has {len(str(error))} characters, more than 1000"
+            raise ValueError(words) from error
         path.unlink()
         return "refused"
     path.unlink()
@@ -324,7 +325,7 @@ def damage(run: Path, chance: random.Random) -> list[str]:
 
 
 def open_damaged(folder: Path, number: int) -> str:
-    """Use a damaged run as its user would.
+    """Damage a copy of a run folder, and use the copy as its user would.
 
     Args:
         folder: folder of the undamaged runs.
@@ -371,13 +372,13 @@ def open_damaged(folder: Path, number: int) -> str:
             outcomes.append(f"{name} ends with {error.code}")
         except Exception as error:
             if not isinstance(error, UserError):
-                raise RuntimeError(f"{name} after damage to {', '.join(broken)}") from error
+                raise RuntimeError(f"{name} failed after damage to {', '.join(broken)}") from error
             outcomes.append(f"{name} refused")
     if outcomes[-1] == "resume done":
         sound, found = RunFolder(original).load(), RunFolder(run).load()
         assert sound is not None and found is not None
         if "config.yaml" not in broken and not np.array_equal(sound.genes, found.genes):
-            raise RuntimeError(f"damage to {', '.join(broken)} changed the genes")
+            raise RuntimeError(f"damage to {', '.join(broken)} changed the resumed run's genes")
     shutil.rmtree(run)
     return ", ".join(outcomes)
 
@@ -386,7 +387,7 @@ def open_damaged(folder: Path, number: int) -> str:
 
 
 def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: Any) -> None:
-    """Call with numbers from a queue, and put each outcome with time and memory into another."""
+    """Call a function with numbers from a queue, and queue each outcome, its time and memory."""
     from evo_cpg.training.devices import use_cores
 
     use_cores(1)
@@ -396,7 +397,7 @@ def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: A
         if parent is not None and not parent.is_alive():
             return
         before = _memory()
-        # This resets the peak memory.
+        # Writing 5 resets the peak memory that Linux reports for this process.
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")
         start = time.perf_counter()
@@ -419,7 +420,7 @@ def _memory(kind: str = "VmRSS") -> int:
 def fuzz(
     call: Callable[[Path, int], str], folder: Path, count: int, out: Path, slow: float
 ) -> dict[str, Any]:
-    """Call with the numbers below a count, in two processes, and stop if one of them hangs.
+    """Call a function with all numbers below a count, in two processes. Stop if a process hangs.
 
     Args:
         call: function of a folder and a number, which returns an outcome.

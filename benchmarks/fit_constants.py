@@ -46,7 +46,7 @@ class Constant(NamedTuple):
     Attributes:
         candidates: values to try in addition to the present one.
         works: work to time, by name. Each function returns a call of a program. The program is
-            compiled with the present values, in the first call at the latest.
+            compiled with the constants as they are then, in the first call at the latest.
     """
 
     candidates: Sequence[Any]
@@ -91,7 +91,7 @@ CONSTANTS = {
 
 
 class Found(NamedTuple):
-    """Result of a candidate.
+    """Result of one value of a constant.
 
     Attributes:
         value: value of the constant.

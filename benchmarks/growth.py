@@ -1,7 +1,7 @@
 """Growth of costs with the number of bodies: a table of creatures, and exponents of a power law.
 
 The exponent of a cost is the slope of a least-squares line: the logarithm of the cost over the
-logarithm of the number of bodies. Creatures without native code are left out.
+logarithm of the number of bodies. Exponents leave out creatures without native code.
 """
 
 import statistics

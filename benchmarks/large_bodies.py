@@ -6,7 +6,7 @@ from typing import Any
 # trunk, less the trunk's radius.
 _BETWEEN_LEGS, _ENDS = 0.1, 0.03
 _TRUNK_RADIUS = 0.05
-# Radius and length of the cylinder of a capsule, m.
+# Radius and cylinder length of the capsules of a leg's upper and lower body, m.
 _FEMUR, _TIBIA = (0.015, 0.12), (0.012, 0.18)
 _MUSCLE = {"gain": 3, "torque_limit": 20}
 

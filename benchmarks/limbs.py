@@ -73,7 +73,7 @@ def walk(simulation: Simulation, genes: Float[np.ndarray, " g"]) -> Limbs:
 
 
 def main() -> None:
-    """Print the table."""
+    """Simulate the champions of the runs, and print the table of their limbs' overlaps."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("runs", nargs="+", metavar="RUN", type=Path)
     console = Console()

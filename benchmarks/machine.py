@@ -21,7 +21,7 @@ _PACKAGES = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "brax", "evosax")
 # Rows of the square matrices whose product is timed, and number of attempts. The matrices are large
 # enough for the peak, and small enough for a tenth of a second.
 _MATRIX, _ATTEMPTS = 1024, 8
-# Interval between checks of the memory of other processes, s.
+# Interval between checks of the memory of child processes, s.
 _LOOK_AGAIN = 0.02
 
 

@@ -1,9 +1,9 @@
 """The test suite with the oldest and newest dependencies on every interpreter: `make test-matrix`.
 
-The fast tests run in an environment for each of them. Then the swimmer's physics step is timed in
-turn with the oldest JAX on the oldest interpreter, and with the newest on the newest. Finally
-numba, which needs its own range of llvmlite, is installed and used with the newest dependencies.
-This program needs only the standard library, and a package index.
+The fast tests run in an environment for each interpreter and age of the dependencies. Then the
+swimmer's physics step is timed in turn with the oldest JAX on the oldest interpreter, and with the
+newest on the newest. Finally numba, which needs its own range of llvmlite, is installed and used
+with the newest dependencies. This program needs only the standard library, and a package index.
 """
 
 import argparse
@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 # Minor versions of Python 3 that JAX and llvmlite have wheels for.
 _MINORS = range(11, 15)
 
-# Name of each choice among the allowed versions in uv.
+# uv's name for the choice of the oldest or the newest of the allowed versions.
 _RESOLUTIONS = {"oldest": "lowest-direct", "newest": "highest"}
 
 # Largest time of a step with the newest JAX, relative to the oldest, and number of rounds.
@@ -47,7 +47,7 @@ assert total(10.0) == 45
 
 
 class Environment(NamedTuple):
-    """An interpreter with dependencies.
+    """A virtual environment: an interpreter with installed dependencies.
 
     Attributes:
         name: name in the summary.
@@ -219,7 +219,9 @@ def _run(*command: object) -> int:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("folder", type=Path, help="folder for the environments")
-    parser.add_argument("interpreters", nargs="*", help="commands of Python, default: all found")
+    parser.add_argument(
+        "interpreters", nargs="*", help="commands that start Python, default: all found"
+    )
     parser.add_argument("--pytest", default="", help="arguments for pytest")
     given = parser.parse_args()
     failed = main(given.folder.resolve(), given.interpreters, given.pytest.split())

@@ -33,7 +33,8 @@ PHYSICS, WHOLE = "physics", "whole stack"
 # milliseconds to start, which is negligible in a trial of thousands of steps.
 _FEWEST, _MOST = 10, 20_000
 _FEWEST_OF_OURS = 1000
-# A shorter trial tells little about its fitness, and some tasks refuse to compute a fitness.
+# Least number of control steps of a trial in a quick run. The fitness of a shorter trial means
+# little, and some tasks refuse to compute it.
 _FEWEST_CONTROL_STEPS = 60
 # Speed of the whole stack relative to the physics, for the length of its calls. A measurement would
 # need another compilation. Calls are no shorter than the config's trial, unless the run is quick.

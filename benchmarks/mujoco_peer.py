@@ -56,7 +56,7 @@ def peer_model(
     Args:
         exercise: exercise of the animal.
         kind: kind of fluid.
-        finer: number of parts of each step.
+        finer: number of equal parts into which each step of the config is divided.
         integrator: MuJoCo's name of the integrator.
     """
     experiment = exercise.experiment
@@ -89,7 +89,7 @@ class Motion:
         kind: kind of fluid.
         lanes: differing inputs of individuals (see `Exercise.lanes`).
         threads: number of threads.
-        finer: number of parts of each step.
+        finer: number of equal parts into which each step of the config is divided.
     """
 
     def __init__(
@@ -115,8 +115,8 @@ class Motion:
         """Return the commands in the order of MuJoCo's motors, rad/s, or rad with springs.
 
         Args:
-            steps: number of divided steps.
-            first: number of the first of them.
+            steps: number of steps. ``finer`` of them make up one step of the config.
+            first: number of the first of these steps, from 0.
         """
         index = (first + np.arange(steps)) // self.finer
         return self.exercise.signals(self.lanes, index)[..., self.order]
@@ -124,7 +124,7 @@ class Motion:
     def states(
         self, start: Float[np.ndarray, "n state"], signals: Float[np.ndarray, "n steps motors"]
     ) -> Float[np.ndarray, "n steps state"]:
-        """Return every individual's state after every divided step."""
+        """Return every individual's state after every step, ``finer`` to a step of the config."""
         return np.asarray(rollout.rollout(self.model, self.data, start, signals)[0])
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[1]
 
-# Patterns of files that are not copied.
+# Patterns of files and folders that the copy of the repository leaves out.
 _LEFT_OUT = (".*", "runs", "build", "dist", "_build", "__pycache__", "*.egg-info")
 
 # pytest's exit codes.
@@ -25,7 +25,7 @@ _PASSED, _FAILED = 0, 1
 
 
 class Mutant(NamedTuple):
-    """One mistake.
+    """One deliberate mistake in a file of the package.
 
     Attributes:
         file: file in the package.
@@ -530,7 +530,9 @@ def mutated(mutant: Mutant, text: str) -> str:
     """
     count = text.count(mutant.right)
     if count != 1:
-        raise ValueError(f"{mutant.file} has {count} times {mutant.right!r}. Correct the mutant")
+        raise ValueError(
+            f"{mutant.file} contains {mutant.right!r} {count} times, not once. Correct the mutant"
+        )
     return text.replace(mutant.right, mutant.wrong)
 
 
@@ -561,5 +563,7 @@ def noticed(copy: Path, tests: list[str]) -> str:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("numbers", nargs="*", type=int, help="numbers, from 0, default: all")
+    parser.add_argument(
+        "numbers", nargs="*", type=int, help="numbers of mutants, from 0, default: all"
+    )
     sys.exit(bool(main(parser.parse_args().numbers)))

@@ -117,7 +117,7 @@ def _compile_thought(controller: BrainCpg, genes: np.ndarray, mesh: Mesh) -> Pro
         def again(index, mind):
             senses, _ = mind
             outputs = think(brain, weights, senses)
-            # This makes the next evaluation depend on this one.
+            # One input becomes an output, so that the next evaluation depends on this one.
             return senses.at[0].set(outputs[0]), outputs
 
         return jax.lax.fori_loop(np.int32(0), count, again, (senses, nothing))[1]

@@ -74,7 +74,7 @@ def compile_motion(exercise: Exercise, lanes: np.ndarray, mesh: Mesh, finer: int
         exercise: exercise of the animals.
         lanes: differing inputs of individuals (see `Exercise.lanes`). Their type is the motion's.
         mesh: the devices.
-        finer: number of parts of each step, with unchanged commands.
+        finer: number of equal parts into which each step is divided, with unchanged commands.
     """
     simulation = exercise.experiment.simulation
     world, h = simulation.world, simulation.step_length / finer

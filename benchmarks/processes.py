@@ -9,8 +9,8 @@ rounds. Other work on the machine disturbs the tenth percentile least, so the mo
 
     t(P, B) = a + b (P - 1) + c (P - 1) B
 
-with P processes and B bytes in all, which the lead sends to every other process. N individuals per
-host, with trials of T seconds, then have an efficiency of
+with P processes and B bytes in all, which the lead (process 0) sends to every other process. N
+individuals per host, with trials of T seconds, then have an efficiency of
 
     T / (T + t(P, B) + d N P)
 
@@ -75,11 +75,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--rounds", type=int, default=1000, help="exchanges of each kind")
+    parser.add_argument("--rounds", type=int, default=1000, help="exchanges in each measurement")
     parser.add_argument("--seconds", type=float, default=1.0, help="T: time of a host's trials, s")
     parser.add_argument("--individuals", type=int, default=200, help="N: individuals on each host")
     parser.add_argument("--latency", type=float, default=0.0, help="latency of the network, s")
-    parser.add_argument("--bandwidth", type=float, default=1e9, help="its bandwidth, bit/s")
+    parser.add_argument(
+        "--bandwidth", type=float, default=1e9, help="bandwidth of the network, bit/s"
+    )
     parser.add_argument("--worker", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.worker:

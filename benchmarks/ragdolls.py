@@ -92,7 +92,7 @@ def _thrown(world: World, count: int, speed: float) -> State:
 
 
 def main() -> None:
-    """Print the table."""
+    """Throw ragdolls down with every restitution and speed, and print the table of energies."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("--count", type=int, default=24, help="number of ragdolls")
     parser.add_argument("--seconds", type=float, default=5.0, help="simulated time, s")

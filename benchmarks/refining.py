@@ -25,7 +25,8 @@ from evo_cpg.training.run_folder import Checkpoint, RunFolder
 
 SWIMMER = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
 RUNS = 5
-# Six elites of each run are 30 individuals, which almost fill the 32 lanes of two cores.
+# Six elites of each of five runs are 30 individuals, which almost fill the two vectors of 16 on two
+# cores.
 LEARNING = Learning(every=5, elites=6, steps=5)
 
 
@@ -83,7 +84,7 @@ def _refine(
         print(f"round {done.number}: {done.champion.fitness:.4f}, {done.seconds:.1f} s", flush=True)
 
     after = [refine(champion, keep).fitness for champion in started.champions if champion]
-    # The first round compiles.
+    # The first round also compiles, so its time does not count.
     return after, count * statistics.median(done.seconds for done in rounds[1:])
 
 

@@ -84,7 +84,7 @@ def page_tables(rows: list[Row], machine: dict[str, Any]) -> list[PageTable]:
     if grown := growth.tables(rows):
         return grown
     units = sorted({row.unit for row in rows})
-    # A single unit stands in the heading.
+    # If all rows have the same unit, the unit stands in the heading.
     head, cell = (f", {units[0]}", _rate) if len(units) == 1 else ("", _with_unit)
     ours: dict[Any, list[str]] = {}
     beside = []
@@ -153,7 +153,7 @@ def comparison(verdict: Verdict, tolerance: float) -> Table:
 
 
 def amount(value: float) -> str:
-    """Return a number with three digits, a space, and k, M, G or nothing."""
+    """Return a number with at most three significant digits, a space, and k, M, G or nothing."""
     for scale, letter in _SCALES:
         if value >= scale:
             return f"{value / scale:.3g} {letter}"
@@ -198,7 +198,7 @@ def _theirs(row: Row) -> tuple[str, ...]:
 
 
 def times(ratio: float) -> str:
-    """Return a ratio with at least three digits and an x."""
+    """Return a ratio and an x: three significant digits at most, or a whole number from 1000 on."""
     return f"{ratio:,.0f}x" if ratio >= 1000 else f"{ratio:.3g}x"
 
 

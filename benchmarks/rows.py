@@ -19,7 +19,7 @@ class RowsError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Build:
-    """Costs of making the program of one creature.
+    """Costs of building a creature and of compiling its program.
 
     Attributes:
         kind: name of the creatures that differ only in their number of bodies.

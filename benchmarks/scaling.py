@@ -33,7 +33,7 @@ _CASES = {
     "iwadate2010_salamander_land": 600,
 }
 _QUICK = 60
-# Whole vectors of individuals for each core.
+# Number of individuals, which gives each core whole vectors of individuals.
 _SIZE = 256
 # Factor on a peer's time limit for our processes, because all of them compile.
 _PATIENCE = 10

@@ -170,7 +170,7 @@ def limit_of_statics(standing: Standing) -> float:
 
 
 def steepest(stand: Callable[[float], Standing]) -> tuple[float, float, Standing]:
-    """Find the steepest slope on which an animal stands, a degree or more below its limit.
+    """Find the steepest slope on which an animal stands, at least 1 degree below the statics limit.
 
     The limit of statics belongs to the animal's final pose. It is much above the slope if the
     animal slides or falls earlier.
@@ -201,7 +201,7 @@ def stands(standing: Standing, level: Standing) -> bool:
 
 
 def main() -> None:
-    """Print the table."""
+    """Find the steepest slope of each animal, and print the table."""
     parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
     parser.add_argument("configs", nargs="*", metavar="CONFIG", default=CONFIGS)
     console = Console()

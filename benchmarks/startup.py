@@ -23,7 +23,7 @@ _LOOK_AGAIN = 0.02
 
 
 class StartError(Exception):
-    """The program that was started failed."""
+    """The `evo-cpg train` process that was timed failed."""
 
 
 def measure(plan: Plan) -> Iterator[Row]:

@@ -37,7 +37,7 @@ from benchmarks.rows import Row
 from evo_cpg.api.display import Work, working
 from evo_cpg.training.devices import use_cores
 
-# Length of a call, s, and number of rounds.
+# Length of a call, s, and number of rounds, in a full run and in a quick run.
 _THOROUGH, _QUICK = (0.5, 7), (0.05, 3)
 # Longest wait for a peer's compilation in a first look, s.
 _QUICK_LIMIT = 30.0

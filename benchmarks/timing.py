@@ -10,7 +10,7 @@ _TELLING = 0.2
 
 
 class Contender(NamedTuple):
-    """A call to time.
+    """A call whose time is measured.
 
     Attributes:
         name: name in the table.

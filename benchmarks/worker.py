@@ -83,7 +83,7 @@ class Worker:
         """Run the worker once, and return its answer.
 
         Args:
-            question: what the worker receives.
+            question: argument of the worker's function, which must fit into JSON.
             limit: longest wait, s.
 
         Raises:

@@ -52,7 +52,7 @@ _HOMES = {
     "train": "api.training",
 }
 
-__all__ = [  # noqa: RUF022 - as the reference has them
+__all__ = [  # noqa: RUF022 - in the order of the reference in docs/api.md
     "load",
     "Experiment",
     "Evaluation",

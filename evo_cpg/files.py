@@ -42,13 +42,13 @@ def require_place(path: Path) -> Path:
 
 @contextlib.contextmanager
 def in_one_piece(path: Path) -> Iterator[Path]:
-    """Write to a temporary neighbour of a file, which replaces the file after the block.
+    """Yield a temporary file in the same folder, which replaces the file after the ``with`` block.
 
     Args:
         path: path of the file. An existing file is replaced.
 
     Yields:
-        The neighbour, an empty file with the same suffix.
+        Path of the temporary file, which is empty and has the same suffix.
 
     Raises:
         OutputError: the file cannot be written, for instance because the disk is full.

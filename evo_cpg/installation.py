@@ -23,7 +23,7 @@ def version_of(package: str) -> str:
 
 
 def command_for(extra: str) -> str:
-    """Return the command that adds an extra and keeps the kind of installation.
+    """Return the command that installs an extra, in a checkout as an editable installation.
 
     Args:
         extra: name of the extra in ``pyproject.toml``, such as ``mujoco``.

@@ -23,9 +23,9 @@ from evo_cpg.files import OutputError, cannot_write, make_folder
 FILE = ".lock"
 """Name of the file, in the folder that it locks."""
 
-# Characters of a command line that a message shows.
+# Largest number of characters of a command line that a message shows.
 _LONGEST = 120
-# Bytes of the file that are read.
+# Largest number of bytes of the lock file that are read.
 _MOST = 1 << 14
 
 # Folders that this process has locked, by their real paths.
@@ -53,7 +53,7 @@ class Lock:
 
 @contextlib.contextmanager
 def locked(folder: Path, make: bool = False) -> Iterator[Lock]:
-    """Lock a folder against other processes during the block.
+    """Lock a folder against other processes during the ``with`` block.
 
     Args:
         folder: folder to lock.

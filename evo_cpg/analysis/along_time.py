@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
-# Number of steps in a block; the arrays of surface points are large.
+# Number of steps in a block. Arrays of surface points at all steps would need too much memory.
 _BLOCK = 1024
 
 

@@ -3,8 +3,8 @@
     phi(s) = phi_0 - k s,    wave length = 2 pi / k,    waves on the body = L k / (2 pi)
     speed along the body = wave length x frequency               (Gray 1933; Lighthill 1960)
 
-with the phase phi of the bending at the place s along the body, whose length is L. A wave runs from
-head to tail if all of these are positive.
+with the phase phi of the bending at the place s along the body, whose length is L. A wave with
+positive k runs from head to tail. The number and the speed of waves have the sign of k.
 
 The travelling index of Feeny 2008 measures whether the wave travels. It is the reciprocal condition
 number of (Re w, Im w) with the complex amplitudes w of all places: 0 for a standing wave, 1 for
@@ -22,13 +22,16 @@ _NOT_A_NUMBER = float("nan")
 
 
 class BodyWave(NamedTuple):
-    """Bending wave; numbers are NaN if nothing bends or there are fewer than three places.
+    """Bending wave.
+
+    Numbers are NaN if a place does not bend, with fewer than three places, or with less than a
+    period of samples.
 
     Attributes:
-        count: number of waves on the body.
-        length: wave length, m.
-        speed: wave speed along the body, m/s.
-        lag: mean phase lag of neighbours, degrees; positive from head to tail.
+        count: number of waves on the body, positive for a wave from head to tail.
+        length: wave length, m, never negative.
+        speed: wave speed along the body, m/s, positive from head to tail.
+        lag: mean phase lag of neighbours, degrees, positive from head to tail.
         travelling: travelling index, from 0 (standing) to 1 (travelling).
         straightness: fraction of the phases' variance explained by a constant lag per length.
         phase: phase lag of each place behind the first, degrees, without jumps.
@@ -52,7 +55,7 @@ def body_wave(
     step: float,
     frequency: float,
 ) -> BodyWave:
-    """Measure the bending wave.
+    """Return the wave in samples of the bending along a body.
 
     Args:
         bending: bending at each place, such as joint angles about one axis, rad.

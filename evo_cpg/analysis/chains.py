@@ -25,9 +25,9 @@ class Chain(NamedTuple):
         name: name of the first degree of freedom, and number of followers.
         oscillators: oscillators from head to tail.
         part: all oscillators connected to the chain, directly or not, if neighbours are coupled.
-        places: places of the chain's oscillators in the part.
-        sides: sign of each gap. 1: neighbours inhibit opposite sides, and swing together except for
-            the lag. -1: neighbours inhibit the same side, and swing in opposition.
+        places: indices of the chain's oscillators in ``part``.
+        sides: sign for each pair of neighbours. 1: they inhibit opposite sides, and swing together
+            except for the lag. -1: they inhibit the same side, and swing in opposition.
     """
 
     name: str
@@ -42,7 +42,7 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
     down = CpgSettings(pair_weight=1.0, child_weight=0.0, opposite=settings.opposite)
     links = inhibition_matrix(tree, down) - np.eye(tree.dof_count)
     for place in explicit_weights(tree, settings.couplings, settings.rings):
-        # An explicit weight replaces the parent's coupling.
+        # An explicit weight in the settings replaces the coupling from the parent.
         links[place] = 0
     # Treat neighbours as coupled, whatever the present settings.
     coupled = dataclasses.replace(settings, pair_weight=1.0, parent_weight=1.0, child_weight=1.0)
@@ -66,7 +66,10 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
 
 
 def joint_rows(simulation: Simulation) -> list[tuple[int, ...]]:
-    """Return the degrees of freedom of each chain; default settings without oscillators."""
+    """Return the degrees of freedom of each chain of the simulated creature's oscillators.
+
+    Without a rhythm generator, the chains are those of oscillators with default settings.
+    """
     oscillators = simulation.controller.rhythm_generator
     settings = CpgSettings() if oscillators is None else oscillators.settings
     return [chain.oscillators for chain in chains(simulation.world.tree, settings)]
@@ -80,8 +83,8 @@ def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, "
 
     Args:
         tree: the creature.
-        rows: degrees of freedom along a body, such as `joint_rows`. Rows share some only if
-            they begin with the same one.
+        rows: degrees of freedom along a body, such as `joint_rows`. Two rows share degrees of
+            freedom only if both rows begin with the same one.
     """
     turns: list[np.ndarray] = []
     for i, parent in enumerate(tree.parents):

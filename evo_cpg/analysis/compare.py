@@ -21,11 +21,11 @@ class Spread(NamedTuple):
     Attributes:
         name: name of the setting.
         runs: number of runs with a champion.
-        median: median of the fitness.
-        low: lower quartile.
-        high: upper quartile.
-        worst: smallest fitness.
-        best: largest fitness.
+        median: median of the runs' fitness.
+        low: lower quartile of the fitness.
+        high: upper quartile of the fitness.
+        worst: smallest fitness of a run.
+        best: largest fitness of a run.
     """
 
     name: str

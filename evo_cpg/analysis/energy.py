@@ -48,7 +48,7 @@ class Ledger(NamedTuple):
 
     Attributes:
         stored: increase of E.
-        motors: work of the motors; negative when they brake.
+        motors: work of the motors, negative when they brake.
         dampers: work of the joints' dampers.
         limits: work of the joints' soft limits.
         lift: work of the ground's normal forces.
@@ -60,8 +60,8 @@ class Ledger(NamedTuple):
         push_out: part of `lift` that lifts sunken points out of the ground, up to the speed of the
             contact law.
         impulse: impulse that no force explains, world axes, N s.
-        given: sizes of the impulses of ground, water and own force laws on points and bodies,
-            without weight and buoyancy, N s.
+        given: sum of the magnitudes of the impulses of ground, water and own force laws on points
+            and bodies, without weight and buoyancy, N s.
     """
 
     stored: Float[np.ndarray, " t"]
@@ -85,7 +85,7 @@ class Ledger(NamedTuple):
 
     @property
     def left_over(self) -> Float[np.ndarray, " t"]:
-        """Unexplained energy in every step, J; negative if the simulator lost energy."""
+        """Unexplained energy in every step, J, negative if the simulator lost energy."""
         return self.stored - sum(self.work.values())
 
     @property
@@ -113,7 +113,7 @@ def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
 def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tuple[Array, ...]:
     """Return the fields of `Ledger`."""
     tree, before, after = world.tree, steps.before, steps.after
-    # Velocities are half a step behind the poses.
+    # Velocities are half a step behind the poses, so move the poses back by half a step.
     earlier, first, last = (
         Snapshot(world, h, state.moved(-0.5 * h)) for state in (previous, before, after)
     )
@@ -215,5 +215,5 @@ def _law_work(
 
 
 def _delayed(after: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Return the final state of the step before. The first step has its initial state."""
+    """Return the final state of the step before. The first step gets its own initial state."""
     return np.concatenate([before[..., :1], after[..., :-1]], -1)

@@ -26,7 +26,7 @@ from evo_cpg.spatial.linear import expand_dims_like, matvec
 # (`evo_cpg.physics.equations.Residual`).
 SOLVED, SLIPPING = 1e-3, 1e-1
 
-# Instants of two bodies that are checked at a time.
+# Number of instants at which the overlap of two bodies is computed in one call.
 _INSTANTS = 64
 
 # Points on the line from an eye to the light, and depth (m) in the ground from which a point blocks
@@ -40,15 +40,15 @@ class Excursions(NamedTuple):
     Attributes:
         displacement: displacement of the root, towards the light or over the ground, m.
         airborne_way: fraction of the displacement while nothing touched the ground and no body's
-            centre was under water; 0 without ground.
+            centre was under water, or 0 without ground.
         penetration: largest penetration of the ground, m.
         overlap: deepest overlap of two bodies in `World.watched`, m.
         overlapping: names of these two bodies, empty without overlap.
         unsolved: fraction of steps whose equations are not solved to `SOLVED`.
         slipping: fraction of steps whose friction misses its cone by more than `SLIPPING`.
         peak_torque: largest torque of any motor, N m.
-        overload: largest torque of a motor beyond its limit, as a fraction of the limit; 0 without
-            limits.
+        overload: largest torque of a motor beyond its limit, as a fraction of the limit, or 0
+            without limits.
         peak_power: largest absolute power of all motors, W.
         mean_power: mean absolute power of all motors, W.
         peak_rate: largest rate of any joint, rad/s.
@@ -151,12 +151,12 @@ def _gaps(pairs: Pairs | None, kin: Kinematics) -> Float[Array, "k t"]:
 
 
 def in_water(world: World, steps: PhysicsSteps) -> Bool[np.ndarray, " t"]:
-    """Return whether a body's centre is under water, after every step."""
+    """Return whether the centre of any body is under water, after every step."""
     return along_time(functools.partial(_swims, world), steps)
 
 
 def _swims(world: World, steps: PhysicsSteps) -> Bool[Array, " t"]:
-    """Return whether a body's centre is under water."""
+    """Return whether the centre of any body is under water."""
     centre, _ = _poses(world, steps)
     return (centre[2] < world.water_level).any(0)
 
@@ -260,7 +260,7 @@ def _airborne_displacement(
 def _seen_through_ground(
     simulation: Simulation, steps: PhysicsSteps, light: tuple[float, float, float] | None
 ) -> float:
-    """Return the fraction of the light seen with ground in the way, by control steps."""
+    """Return the fraction of the light seen by all eyes, in all control steps, through ground."""
     world, sensors = simulation.world, simulation.sensors
     bodies = np.array(sensors.eye_bodies, int)
     if world.contact_model is None or light is None or not len(bodies) or sensors.blind:

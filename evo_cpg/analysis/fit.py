@@ -7,8 +7,9 @@ positive, and values of all others:
 
 Each kind of column (places, attitudes, joint angles) has a noise sigma, estimated from the
 residuals of its n_q numbers. The estimate subtracts the degrees of freedom that the parameters use.
-The fit is repeated with the new noise until sigma converges (Foerstner, "Ein Verfahren zur
-Schaetzung von Varianz- und Kovarianzkomponenten", Allgemeine Vermessungs-Nachrichten 86, 1979).
+The fit is repeated with the new noise until the ratios between the sigmas converge (Foerstner, "Ein
+Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten", Allgemeine
+Vermessungs-Nachrichten 86, 1979).
 With J the Jacobian of the weighted residuals, n numbers and k parameters,
 
     sigma_q^2 = sum_(i in q) r_i^2 / (n_q - sum_(i in q) h_i),      h = diag(J (J^T J)^-1 J^T),
@@ -42,8 +43,8 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Bool, Float, Int
 
-# Relative change of the noise below which the fits end, and largest number of fits. Each fit uses
-# the noise of the fit before it.
+# Relative change of the ratios of noises below which the fits end, and largest number of fits. Each
+# fit uses the noise of the fit before it.
 _STAYS, _ROUNDS = 0.01, 20
 
 _TOLERANCE, _MOST_STEPS = 1e-6, 60
@@ -72,11 +73,11 @@ class Fit(NamedTuple):
     Attributes:
         values: values of the parameters.
         errors: standard errors of theta, so of logarithms for positive parameters.
-        lower: lower end of the 95 % interval.
-        upper: upper end of the 95 % interval.
+        lower: lower end of each parameter's 95 % interval.
+        upper: upper end of each parameter's 95 % interval.
         correlation: correlation of the parameters' errors.
         noise: standard deviation of the noise of each kind of column.
-        freedom: n - k.
+        freedom: degrees of freedom: measured numbers less parameters, n - k.
         found: whether the search converged.
         felt: whether any measured number depends on each parameter.
     """
@@ -185,7 +186,7 @@ def fit(
     offset = jnp.where(singular > _FLAT * singular[0], along.T @ residuals, 0.0)
     step = rows.T @ offset
     near = (offset * offset).sum() <= _OFFSET**2 * scale
-    # Criterion for data without noise.
+    # Data without noise have converged once the next step of theta is small enough.
     exact = (jnp.abs(step) <= _TOLERANCE * (1.0 + jnp.abs(theta))).all()
     errors = jnp.sqrt(jnp.diagonal(covariance))
     of_kinds = ((along @ rows) ** 2).reshape(*data.shape, -1).sum(0).T @ members
@@ -239,7 +240,7 @@ def student_quantile(
 
     Args:
         probability: probability of a smaller value.
-        unsure: one over the degrees of freedom; 0 for the normal distribution.
+        unsure: one over the degrees of freedom, or 0 for the normal distribution.
         most: largest finite number of degrees of freedom.
     """
     from scipy.special import ndtri, stdtrit

@@ -5,7 +5,7 @@
 | stance | interval in which a foot touches the ground | |
 | duty factor | fraction of the time that a foot spends in stance | Alexander and Jayes 1983 |
 | phase of a foot | its touch-down in the stride of a reference foot, 0 to 1 | Hildebrand 1965 |
-| airborne fraction | fraction of the time in which nothing touches | |
+| airborne fraction | fraction of the time in which nothing touches the ground | |
 | slip | speed over the ground of a foot that stays in contact | |
 
 A *foot* is any body that touches the ground, even a belly.
@@ -19,7 +19,8 @@ from jaxtyping import Bool, Float, Int
 
 # Duration (s) below which contacts and breaks are chatter, and its limit as a fraction of a stride.
 _CHATTER, _CHATTER_FRACTION = 0.05, 0.1
-# Difference below which coefficients of variation count as equal. The sampling grid causes some.
+# Difference below which coefficients of variation count as equal. Sampling alone causes a
+# difference.
 _AS_REGULAR = 0.05
 
 
@@ -109,7 +110,7 @@ def duty_factors(touched: Bool[np.ndarray, "t f"]) -> Float[np.ndarray, " f"]:
 
 
 def airborne_fraction(touched: Bool[np.ndarray, "t f"]) -> float:
-    """Return the fraction of the time in which nothing touches."""
+    """Return the fraction of the time in which no foot touches the ground."""
     return float((~touched.any(1)).mean())
 
 

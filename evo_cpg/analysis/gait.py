@@ -2,8 +2,8 @@
 
 Iwadate 2010, section 6, reports "a smooth phase lag from the front to the back of the animal".
 The functions take the joint angles about one axis, from front to back, in the last part of the
-trial. Joints with an opposite axis need a sign. Each joint's frequency is the peak of its spectrum.
-Amplitudes and phases belong to the component at the common frequency.
+trial. Angles of joints whose axes point the opposite way need a sign of -1. Each joint's frequency
+is the peak of its spectrum. Amplitudes and phases belong to the component at the common frequency.
 """
 
 from collections.abc import Sequence
@@ -48,7 +48,10 @@ class Gait(NamedTuple):
 
 
 def bending_axis(recording: Recording) -> str:
-    """Return the axis about which the joints bend most; x is twist, as animals lie along x."""
+    """Return the axis about which the joints bend most, except x.
+
+    A turn about x is twist, because animals lie along x. It counts only if there is no other axis.
+    """
     axes = [name.rsplit(".", 1)[1] for name in recording.dof_names]
     across = set(axes) - {"x"} or set(axes)
     swing = recording.joint_angle.std(0)
@@ -62,7 +65,7 @@ def gait(
     last: float = 0.5,
     signs: Float[np.ndarray, " d"] | None = None,
 ) -> Gait:
-    """Measure the rhythm.
+    """Return frequency, amplitude and lag of the joints about one axis.
 
     Args:
         recording: the motion.

@@ -122,7 +122,7 @@ def gait_numbers(
     frames: Mapping[str, Array | np.ndarray],
     recording: Recording,
 ) -> GaitNumbers:
-    """Measure a motion.
+    """Return the numbers that describe a recorded motion.
 
     Args:
         simulation: the trial.
@@ -259,7 +259,7 @@ def _of_the_ground(simulation: Simulation, numbers: GaitNumbers, moving: float) 
                  "fraction of the control steps in which nothing touches the ground", swims),
         Quantity("slip", "slip", slip, "m/s",
                  "horizontal speed of each foot's lowest point, in all control steps of a contact "
-                 "except its first and last, mean of all feet",
+                 "except its first and last. Mean of all feet, weighted by time on the ground",
                  brief),
         Quantity("relative_slip", "relative slip", slip / moving, "", "slip / path speed",
                  brief or _STAYS),

@@ -19,7 +19,7 @@ from evo_cpg.control.matsuoka import MatsuokaState, initial_state, output, runge
 _NODES = (np.geomspace(*GAINS, 5), np.geomspace(*STRONGER, 3), np.geomspace(*RATIOS, 4))
 
 # Runge-Kutta steps in the shorter time constant, settling and recording time in units of the longer
-# time constant, and steps between samples. Lags of the survey are within 0.05 degrees.
+# time constant, and steps between samples. Lags of the survey are accurate to 0.05 degrees.
 _STEPS_PER_TIME_CONSTANT, _SETTLING, _WATCHED, _EVERY = 8, 200, 100, 2
 
 # Largest product of step and rate of a potential. Runge-Kutta steps are stable up to 2.8.
@@ -38,7 +38,7 @@ class UnreachableRhythmError(ValueError):
 
 
 def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, "b s r"]]:
-    """Simulate networks at all nodes.
+    """Simulate the chain's network at all nodes, and measure its lags.
 
     Returns:
         Values of b, s and r, and the mean lag along the chain for each of their combinations,
@@ -66,7 +66,9 @@ def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, 
 def starting_place(
     problem: Problem, nodes: tuple[np.ndarray, ...], lags: Float[np.ndarray, "b s r"], lag: float
 ) -> Float[np.ndarray, "3"]:
-    """Return the point nearest to the present one, on a line between nodes, with about the lag.
+    """Return the point nearest to the present settings that has about the given lag.
+
+    Candidates are interpolated on the lines between neighbouring nodes of the survey.
 
     Raises:
         UnreachableRhythmError: the lag is outside the range of all lags, or no network oscillates.
@@ -76,7 +78,7 @@ def starting_place(
             "there is no steady rhythm at any of the gains and couplings tried. pair_weight or "
             "the constants prevent oscillation"
         )
-    # Round inwards, because the survey is not exact.
+    # Round the range of lags inwards, because the survey is not exact.
     low, high = np.ceil(np.nanmin(lags) * 10) / 10, np.floor(np.nanmax(lags) * 10) / 10
     if not low <= lag <= high:
         raise UnreachableRhythmError(_refusal(problem, lag, low, high))

@@ -82,7 +82,7 @@ _STAYS = 3
 
 
 class NoRhythmError(ValueError):
-    """The network rests. The simulation has confirmed it."""
+    """The simulation has shown that the network comes to rest."""
 
 
 class RhythmSearchError(ValueError):
@@ -121,7 +121,7 @@ class LimitCycle(NamedTuple):
 
     @property
     def recovery_time(self) -> float:
-        """Time in which the slowest perturbation decays to 1/e, s; inf if unstable.
+        """Time in which the slowest perturbation decays to 1/e, s, or infinity if unstable.
 
         NaN if the multipliers are NaN.
         """
@@ -184,7 +184,9 @@ def limit_cycle(
     adaptation_gain: Float[np.ndarray, " o"],
     oscillators: tuple[int, ...] | None = None,
 ) -> LimitCycle:
-    """Return the orbit of one part of a network, from its start and under a constant drive.
+    """Return the orbit of one part of a network: one set of connected oscillators.
+
+    The part starts at its initial potentials and has a constant drive.
 
     Args:
         network: connections and time constants.
@@ -312,7 +314,7 @@ def describe(flow: Flow, chosen: tuple[int, ...], orbit: Orbit) -> LimitCycle:
     """
     orbit, samples = _once(flow, orbit)
     assert orbit.run.tangent is not None
-    # NumPy arrays keep double precision in a class of JAX arrays.
+    # Fill the class of JAX arrays with NumPy arrays, which keep double precision.
     kind = jax.tree.structure(MatsuokaState(jnp.zeros((2, 1)), jnp.zeros((2, 1))))
     along = flow.scale * samples.reshape(2, 2, flow.count, STEPS)
     states = jax.tree.unflatten(kind, list(along))

@@ -236,7 +236,7 @@ def _flow_at(problem: Problem, x: np.ndarray) -> Flow:
     with jax.enable_x64(True):
         network, gain = network_at(problem, jnp.asarray(x))
     every = range(network.oscillator_count)
-    # The drive already includes the feedback.
+    # `Problem.drive` already includes the sensory feedback.
     bare = dataclasses.replace(network, sensory_feedback=0.0)
     return flow_of(bare, problem.drive, np.asarray(gain), every)
 

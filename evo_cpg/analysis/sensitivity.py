@@ -77,7 +77,7 @@ class Sensitivity(NamedTuple):
 
     @property
     def finite(self) -> float:
-        """Elasticity from the finite change."""
+        """Elasticity from simulations with finite changes of the parameter."""
         return self._relative(self.change / self.step if self.step else math.nan)
 
     def _relative(self, slope: float) -> float:

@@ -21,7 +21,7 @@ _ALIKE = 0.3
 # Relative height of peaks that count as equally high. The first of them is one stride, the others
 # are several.
 _AS_HIGH = 0.9
-# Factor between lags below which peaks belong to one stride.
+# Peaks of the autocorrelation whose lags differ by less than this factor belong to one stride.
 _SAME = 1.2
 # Lags of the autocorrelation per sample. Peaks of fast strides lie between samples.
 _BETWEEN = 8
@@ -36,7 +36,7 @@ _NOWHERE = 1e-6
 def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
     """Return the stride frequency from the autocorrelation of all joints together.
 
-    The stride is the shortest time after which all joints repeat. It is the first peak of
+    The stride is the shortest time after which all joints repeat: the lag m at the first peak of
 
         r(m) = sum_j cov_m(x_j, x_j) / sqrt(sum_j var_m(x_j) sum_j var'_m(x_j))
 

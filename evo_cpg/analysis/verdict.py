@@ -35,7 +35,7 @@ class Limits:
             of a quarter of a second in which it is a gain.
         push_out_energy: largest fraction of energy from lifting sunken points out of the ground.
         limb_energy: largest fraction of energy from limbs that push each other apart.
-        limit_energy: largest fraction of energy from joints pushed back to their limits.
+        limit_energy: largest fraction of energy from soft limits that push joints back.
         simulator_momentum: largest fraction of the environment's impulses that no force explains.
         penetration: largest penetration of the ground, m, or None for 1 cm or a fiftieth of the
             animal's length, whichever is less.
@@ -129,7 +129,7 @@ class Check(NamedTuple):
         key: key of the limit in `Limits`, or a name of its own.
         question: description of the measured quantity.
         measured: measured value.
-        limit: allowed value; None if the value is only reported.
+        limit: allowed value, or None if the value is only reported.
         least: whether the limit is a minimum, not a maximum.
         unit: unit of value and limit.
         detail: additional text.
@@ -145,7 +145,7 @@ class Check(NamedTuple):
 
     @property
     def passed(self) -> bool | None:
-        """Return whether the check passed; None without a limit."""
+        """Return whether the check passed, or None without a limit."""
         if self.limit is None:
             return None
         if math.isnan(self.measured):
@@ -166,7 +166,7 @@ class Verdict(NamedTuple):
     """Result of an audit.
 
     Attributes:
-        checks: all of them.
+        checks: results of all checks.
     """
 
     checks: tuple[Check, ...]
@@ -183,7 +183,7 @@ class Verdict(NamedTuple):
 
 
 def shown(value: float | None, unit: str = "") -> str:
-    """Return a number with its unit as text; fractions in per cent."""
+    """Return a number with its unit as text. Fractions are in per cent, and NaN is "diverged"."""
     if value is None:
         return ""
     if math.isnan(value):

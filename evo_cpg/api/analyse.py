@@ -151,7 +151,10 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
 
 
 def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:
-    """Return the fraction that `train` measured at half the step, or None for another champion."""
+    """Return the fraction of the displacement that is kept at half the physics step, or None.
+
+    `train` has measured it. None if it has not, or if it measured another champion.
+    """
     first = meta.get("half_step")
     if not isinstance(first, Mapping) or first.get("genes_sha256") != genes_digest(champion.genes):
         return None

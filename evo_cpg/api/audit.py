@@ -31,17 +31,18 @@ from evo_cpg.training.experiment import ExperimentParts, champion_keys, situatio
 from evo_cpg.training.probe import blinded
 from evo_cpg.training.variations import Variation, Varied
 
-# Number of unchecked body pairs that are listed by name, at most.
+# Largest number of unchecked body pairs that are listed by name.
 _NAMED = 5
 
 # Relative change of friction and drag in the variations.
 _CHANGE = 0.1
 
-# Standard deviation of initial joint angles, roll and pitch, rad, and number of draws.
+# Variation of the initial pose: standard deviation of joint angles, roll and pitch, rad, and number
+# of draws.
 _SHAKE, _DRAWS = 0.01, 8
 
-# Number of trials that a displacement is averaged over, with noise. Key of the check that compares
-# these with the trials that made the champion.
+# With noise: number of fresh trials that a displacement is averaged over, and key of the check that
+# compares these trials with the champion's own trials in training.
 _TRIALS, _CHANCE = 16, "pose"
 
 # Unaccounted energy is summed over stretches of this length, s. In single steps much of the energy
@@ -51,7 +52,7 @@ _STRETCH = 0.25
 # Shortest displacement, in lengths of the animal, for which variations are evaluated.
 _LEAST_DISPLACEMENT = 0.1
 
-# The replayed fitness must agree with the recorded one to this fraction.
+# Largest allowed relative error of the replayed fitness.
 _REPLAY = 1e-3
 
 
@@ -74,7 +75,7 @@ class Audit:
     """Result of an audit.
 
     Attributes:
-        verdict: all checks.
+        verdict: all checks, with their results.
         trials: trials of the champion in the unchanged simulation.
         step_length: duration of a physics step, s.
         opinions: results of the first trial: ours, then MuJoCo's. Empty without MuJoCo's.
@@ -186,7 +187,7 @@ def _complete(champion: Champion, replayed: Varied) -> Champion:
 def _opinions(
     experiment: ExperimentParts, champion: Champion, steps: PhysicsSteps
 ) -> tuple[tuple[Opinion, ...], str]:
-    """Return our trial and MuJoCo's, and the reason why one is missing."""
+    """Return opinions on the first trial, ours and MuJoCo's, and the reason if one is missing."""
     simulation, creature = experiment.simulation, experiment.creature
     theirs, missing = [], ""
     try:
@@ -276,7 +277,7 @@ def compile_steps(experiment: ExperimentParts) -> Callable[[Champion], tuple[Tri
 def books(
     experiment: ExperimentParts, champion: Champion, trials: tuple[Trial, ...], limits: Limits
 ) -> list[Check]:
-    """Return the checks of the trials themselves, each for the worst trial."""
+    """Return the checks that need no variation, such as energy, each for the worst trial."""
     simulation, mass = experiment.simulation, float(experiment.creature.mass)
     length, h = float(length_of(experiment.creature)), simulation.step_length
     limits = limits.of_length(length)
@@ -377,7 +378,7 @@ def _pairs_that_pass(experiment: ExperimentParts) -> str:
 def _variations(
     experiment: ExperimentParts, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
 ) -> dict[str, Variation]:
-    """Return the variation of the simulation for each key of a limit.
+    """Return variations of the simulation, by the key of the limit that each is checked against.
 
     Under noise, the champion was selected partly for its luck. So all variations except
     `precision` and `other_engine` use the same fresh noise, and are compared with the variation
@@ -442,7 +443,10 @@ def _replay(champion: Champion, replayed: Varied) -> Check:
 
 
 def _carried(experiment: ExperimentParts, trials: Sequence[Trial]) -> float:
-    """Return the displacement by the water's flow alone, mean over trials, m."""
+    """Return the displacement of a point that keeps the flow's velocity at the start, m.
+
+    The result is the mean over trials.
+    """
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     water, displacements = simulation.world.water, []
     if water is None:
@@ -480,7 +484,8 @@ def _kept(
     if not own > _LEAST_DISPLACEMENT * length_of(creature):
         return checks
     chance, drawn = kept[_CHANCE]
-    # Only the variation of poses has several draws without noise.
+    # Mean displacement with fresh noise: the reference of the other variations with several draws.
+    # Without noise, only the variation of poses has several draws.
     usual = float(drawn.mean_displacements(chance)[0])
     for key, (variation, one) in kept.items():
         of_own = variation.draws == 1 or key == _CHANCE
@@ -488,7 +493,8 @@ def _kept(
         displacements = one.mean_displacements(variation)
         detail = ", ".join(f"{x:.3g}" for x in displacements) + f" of {reference:.3g} m"
         if key == "limp_way":
-            # Subtract the displacement by the flow. No animal drifts against a current.
+            # Subtract the displacement by the flow. From the limp animal's displacement, subtract
+            # it only if it is positive.
             swum, limp = reference - carried, float(displacements.max()) - max(0.0, carried)
             if carried > 0 and swum <= _LEAST_DISPLACEMENT * length_of(creature):
                 # The displacement is due to the water alone.

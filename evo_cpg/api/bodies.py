@@ -64,7 +64,7 @@ class Bodies:
         if not any(each.any() for each in differs.values()):
             return None
         if frozenset(columns) not in self._made:
-            # For each number the first individual that differs, and the last individual.
+            # Plan from a few individuals: for each number the first that differs, and the last.
             self._plan(
                 columns, np.unique([*(each.argmax() for each in differs.values()), count - 1])
             )

@@ -74,7 +74,7 @@ class Heartbeat(Work):
     ):
         self._clock, self._lock = clock, threading.Lock()
         self.doing(what, expected)
-        # Silence of the work before counts, too.
+        # The silence since the last line of earlier work counts, too.
         self._next = self._start + FIRST
         if math.isfinite(printed):
             self._next = min(self._next, printed + BETWEEN)
@@ -185,7 +185,7 @@ def working(
         stays: whether the line stays on a terminal after the work.
 
     Yields:
-        Reports that the work may call.
+        Receiver whose methods the work may call to report its progress.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
@@ -197,7 +197,7 @@ def working(
         TextColumn("{task.description}", markup=False),
     ]
     columns += [BarColumn(bar_width=24), TimeRemainingColumn()] if counted else []
-    # Printed text goes above the line, unless standard output is a pipe.
+    # Text that the work prints goes above the progress line, unless standard output is a pipe.
     redirect = sys.stdout.isatty()
     with Progress(
         *columns,

@@ -189,7 +189,7 @@ class Environment:
     def _sense(
         self, animal: AnimalState, keys: Array | None, number: Array | int = 0
     ) -> tuple[AnimalState, Observation]:
-        """Return the animal after the push of a control step, and its observation."""
+        """Return the animal after the random push of a control step, and its observation."""
         constants = self._constants(keys)
         animal = push(self._simulation, constants, animal, jnp.asarray(number))
         return animal, sense(self._simulation, constants, animal)

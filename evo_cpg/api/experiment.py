@@ -71,7 +71,8 @@ class Experiment:
     Attributes:
         config: complete configuration.
         source: file of the configuration.
-        replaced: names of parts that were replaced in Python, unlike the configuration.
+        replaced: names of parts that were replaced in Python. The configuration does not describe
+            them.
         parts: internal parts of the experiment, not part of the stable interface.
     """
 
@@ -101,7 +102,8 @@ class Experiment:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without compiled programs, which no other process can use."""
-        # Measuring scales again costs a generation, and another machine may round differently.
+        # Keep the scales: measuring them again costs a generation, and another machine may round
+        # differently.
         kept = ("parts", "config", "source", "replaced", "scales")
         return {name: value for name, value in vars(self).items() if name in kept}
 

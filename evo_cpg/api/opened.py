@@ -22,7 +22,7 @@ class Replay(NamedTuple):
     """Results of a replayed trial.
 
     Attributes:
-        fitness: fitness that counts in the run.
+        fitness: mean fitness over all trials of the individual.
         frames: frames of one individual, see `evo_cpg.simulation.recording.Recorder`.
         recording: motion in the trial.
     """
@@ -114,7 +114,7 @@ class Opened:
             trial: number of the recorded trial, from 0.
             full: whether to record all quantities, see `evo_cpg.simulation.recording.Recorder`.
         """
-        # Importing the replay starts nothing, but it takes JAX a second.
+        # This import computes nothing, but takes a second, because it imports JAX.
         from evo_cpg.training.replay import compile_frames
 
         live = compile_frames(self.experiment, self.devices, trial, full)

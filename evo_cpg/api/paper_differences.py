@@ -12,9 +12,10 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped, shipped_names
 from evo_cpg.view.page.subject import Difference, Note, PaperDifferences
 
-# `  steps: 2000   # paper`: indent, key, value and comment.
+# Matches a line such as ` steps: 2000 # paper`: indent, key, value and comment.
 _LINE = re.compile(r"^( *)([A-Za-z_]\w*):\s*(.*?)\s*(?:# ?(.*))?$")
-# All ours: "paper: not said", "paper: 200; ours: 400" and "ours: half the paper's times".
+# These comments all mark a value as ours: "paper: not said", "paper: 200; ours: 400" and "ours:
+# half the paper's times".
 _WHOSE = re.compile(r"\bours\b|\bpaper\b(?!')")
 _CONTINUED = re.compile(r"^\s+# ?(.*)$")
 

@@ -48,7 +48,7 @@ _SEARCH = ("name", "seed", "runs", "evolution", "audit")
 
 @dataclasses.dataclass(frozen=True)
 class Member(Opened):
-    """Setting of a sweep, with its run.
+    """Setting of a sweep, with its run folder and experiment.
 
     Attributes:
         setting: name and values of the setting.
@@ -151,7 +151,7 @@ def read_plan(folder: Path) -> dict[str, Any] | None:
 
 def _is_plan(plan: Any) -> bool:
     for name in plan["settings"]:
-        # The setting's folder, next to the file, has this name.
+        # The run folder of the setting, next to sweep.json, gets this name.
         if not is_folder_name(name):
             raise ValueError(f"{name[:80]!r} is not allowed as the name of a setting")
     kinds = {"config": str, "config_sha256": str, "overrides": list, "settings": dict}
@@ -260,7 +260,7 @@ def evolve(
     Args:
         members: the settings.
         devices: number of devices that share the population.
-        title: text before the names of each group.
+        title: text before the names of the settings of each group.
         on_generation: called with a setting after each of its generations.
         warn: called with a sentence for each difference from the earlier machine.
     """
@@ -329,7 +329,8 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
         worth = [math.nan if one is None else one.worth for one in checkpoint.champions]
         curves.append(Curves(name, evaluated, best, np.array(worth)))
         fitness[name] = worth
-        # The row of each run holds the time of all runs together.
+        # Every row holds the time of all runs together, so the sum counts each generation once for
+        # each run.
         seconds = sum(row["seconds"] for row in checkpoint.history) / runs
         for run, champion in enumerate(checkpoint.champions):
             found = {} if champion is None else champion.terms

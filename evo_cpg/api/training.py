@@ -253,7 +253,7 @@ class Recorder:
         self.checks, self.skipped = least is not None, False
         self._experiment, self._folder, self._least = experiment, folder, least
         self._animal = animal
-        # The recording measures the reference displacement if there is no noise.
+        # Without noise, the recording also measures the displacement at the original step.
         self._measures_displacement = self.checks and experiment.simulation.noise.silent
         self._displacement: float | None = None
         self._thread = ThreadPoolExecutor(1, "recording")
@@ -405,7 +405,7 @@ def evolve(
         RunFolderError: no individual of any generation has a finite fitness.
         TeamError: another process was lost.
     """
-    # Importing the loop takes JAX a second.
+    # Importing the loop takes a second, because it imports JAX.
     from evo_cpg.training.loop import train as train_generations
     from evo_cpg.training.processes import ALONE
 

@@ -27,7 +27,8 @@ def version() -> str:
 def checkout() -> Path | None:
     """Return the folder of this program's checkout, or None if it was installed."""
     folder = Path(evo_cpg.__file__).parents[1]
-    # An installed package may lie in a checkout of another project.
+    # Look only in this folder: an installed package may lie deeper in a checkout of another
+    # project.
     return folder if os.path.exists(folder / ".git") else None
 
 
@@ -38,7 +39,7 @@ def commit() -> str | None:
 
 
 def program_commit() -> str | None:
-    """Return `commit`, dirty only if the program, configurations or benchmarks have changed."""
+    """Return `commit`. "-dirty" means changes of the program, configurations or benchmarks only."""
     folder = checkout()
     return folder and commit_of(folder, ("evo_cpg", "configs", "benchmarks", "pyproject.toml"))
 
@@ -63,7 +64,7 @@ def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
 
 
 def _engine() -> str:
-    """Return the engine of this machine, with the reason for the slower engine."""
+    """Return the engine of this machine, with the reason if it is plain JAX, the slower one."""
     from evo_cpg.fusion.engine import Engine, described
 
     with warnings.catch_warnings(record=True) as caught:
@@ -71,7 +72,7 @@ def _engine() -> str:
         try:
             found = described(Engine())
         except (AssertionError, RuntimeError):
-            # JAX 0.10 raises these errors if it has no such device.
+            # JAX 0.10 raises these errors if it finds no device of the requested platform.
             platforms = os.environ.get("JAX_PLATFORMS", "")
             return f"none: JAX finds no device for JAX_PLATFORMS={platforms}"
     if found["engine"] == "native":

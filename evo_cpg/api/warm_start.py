@@ -16,7 +16,7 @@ from evo_cpg.training.run_folder import RunFolderError
 
 What = Literal["champion", "population"]
 
-# Tag that keeps these draws apart from others of the same seed.
+# Tag that keeps the draws of the variations apart from other draws of the same seed.
 _AROUND = 6
 
 
@@ -33,7 +33,7 @@ class Start(NamedTuple):
 
 
 def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
-    """Return the first populations of an experiment, from an earlier run of the same plan.
+    """Return the first populations of an experiment, from a run with an equal body plan.
 
     If both have the same number of runs, each run starts from its own champion. Otherwise all
     start from the best. All genomes but the first are variations of the champion, made by the
@@ -42,7 +42,7 @@ def warm_start(experiment: ExperimentParts, path: Path, what: What) -> Start:
     Args:
         experiment: experiment that begins.
         path: folder of the earlier run.
-        what: the champion, or the population of the next generation.
+        what: what to start from: the champion, or the newest population of the earlier run.
 
     Raises:
         RunFolderError: there is no such run or champion, or its animals have another plan.
@@ -93,7 +93,7 @@ def _first_population(
 
 
 def _require_same_plan(experiment: ExperimentParts, earlier: ExperimentParts, path: Path) -> None:
-    """Check that both experiments have genomes of the same meaning.
+    """Check that controller, names of bodies and joints, and number of genes are equal.
 
     Raises:
         RunFolderError: the plans differ.

@@ -14,16 +14,17 @@ from evo_cpg.simulation.operations import Operations, estimate_operations
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.compile_times import expected_seconds
 
-# Operations below which no warning is printed. No shipped configuration has more.
+# Number of operations of a trial below which no warning of the cost is printed. No shipped
+# configuration has more.
 _MANY = 200_000
 
-# Operations of the shipped swimmer, for comparison.
+# Number of operations of the shipped swimmer's trial, for comparison.
 _SWIMMER = 18_000
 
-# Largest relative error of the estimate.
+# Largest relative error of the estimated number of operations.
 _ERROR = 0.15
 
-# Sections of a configuration that do not change the program of a trial.
+# Sections of a configuration that do not change the program of a trial, and keys in them that do.
 _NO_CODE = ("name", "seed", "evolution", "audit")
 _CODE = ("evolution.axes", "audit.disqualify")
 
@@ -74,7 +75,7 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
     if oscillators is None:
         return
     cpg, network, rate_gain = oscillators
-    # The other oscillators drive no joint.
+    # Warn only of oscillators that drive a joint.
     driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
     driven = driven & (rate_gain != 0)
     gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain

@@ -21,7 +21,7 @@ from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.probe import UNSEEING
 from evo_cpg.training.run_folder import RunFolder
 
-# Column of the summary for each key of a check.
+# Head of the summary's column for each key of a check.
 _KEPT = {
     "half_step": "half",
     "quarter_step": "quarter",
@@ -183,7 +183,7 @@ def show_checks(checks: tuple[Check, ...]) -> None:
 
 
 def show_opinions(opinions: Sequence[Opinion]) -> None:
-    """Print the results of several programs for the trial with the same commands."""
+    """Print the results of our simulation and of MuJoCo for the champion's first trial."""
     # The time in the air is not measured without ground, or with water everywhere.
     flight = [] if opinions[0].airborne is None else ["airborne"]
     rows = []

@@ -145,7 +145,7 @@ def together(distribution: Distribution, run: Path) -> Iterator["Team"]:
     except processes.TeamError as error:
         end(str(error))
     except Disagreement:
-        # All processes raise this error, so none may report another process as lost.
+        # All processes raise this error. So none shall report the end of another one as a loss.
         team.leave()
         raise
     else:

@@ -85,7 +85,8 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
     if generations is None:
         if champion.expected is None:
             return representatives(lineage, _SHOWN)
-        # The individual with the best recorded score may differ from the final champion.
+        # Under noise, the newest of the lineage may differ from the final champion, which is shown
+        # last.
         places = (champion.generation, champion.index)
         others = [each for each in lineage if (each.generation, each.index) != places]
         return [*representatives(others, _SHOWN - 1), champion]

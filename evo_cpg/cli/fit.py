@@ -28,7 +28,8 @@ def fit(
     noise: Annotated[
         list[str] | None,
         typer.Option(
-            help="Standard deviation, position=, attitude= or angle= (default: estimated)."
+            help="Standard deviation of a kind of column: position= (m), attitude= or angle= (rad) "
+            "(default: estimated)."
         ),
     ] = None,
     out: Annotated[

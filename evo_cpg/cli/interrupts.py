@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any, NoReturn
 
-# No exception may leave these functions, nor the functions that they call.
+# Names of functions that no exception may leave. Neither may it leave the functions that they call.
 _SILENT = frozenset({"__hash__", "__eq__", "__del__", "_xla_gc_callback"})
 
 _MOMENT = 0.01  # s

@@ -44,8 +44,8 @@ _GRACE = 10.0
 # Time limit of a local job, min: a year. The default of submitit is two minutes.
 _LONGEST = 60 * 24 * 365
 
-# Default time limit of a job of SLURM, min, and number of times that a job is queued again. Such a
-# job continues from its checkpoints.
+# Default time limit of a job of SLURM, min, and largest number of times that a job is queued again
+# at its time limit. The job then continues from its checkpoints.
 _TIMEOUT, _TIMES = 60, 1000
 
 # Number of last lines of a failed job's standard error that are shown.
@@ -146,7 +146,7 @@ def claimed(folder: Path, jobs: Jobs | None) -> Iterator[None]:
     """Lock a sweep: two commands would overwrite each other's checkpoints.
 
     Local jobs share the lock, so it is held until the last job has ended, even if this command ends
-    first. Jobs of SLURM are on a list.
+    first. Jobs of SLURM do not share the lock. A list, ``slurm.json``, names them.
 
     Args:
         folder: folder of the sweep.

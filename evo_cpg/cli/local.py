@@ -79,7 +79,7 @@ def _ended(processes: list[subprocess.Popen]) -> Iterator[None]:
                 name = signal.Signals(-code).name
                 print(f"evo-cpg: process {index} was ended by {name}", file=sys.stderr, flush=True)
         for process in processes:
-            # A stopped process reacts to no other signal.
+            # Send SIGKILL: a stopped process reacts to no other signal.
             process.kill()
             process.wait()
 

@@ -19,7 +19,8 @@ from evo_cpg.cli import streams
 from evo_cpg.cli.errors import ExitCode, message_for
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 
-# The help text lists them in this order. `import` is a keyword, so its file is `import_.py`.
+# Names of all commands, in the order of the help text. `import` is a keyword, so its file is
+# `import_.py`.
 COMMANDS = (
     "train",
     "resume",

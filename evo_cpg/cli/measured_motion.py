@@ -14,7 +14,7 @@ from evo_cpg.control.commanded import Commanded
 if TYPE_CHECKING:
     from evo_cpg.simulation.simulation import Simulation
 
-# Columns of commands begin with this.
+# Names of columns with commanded joint rates begin with this.
 TARGET = "target."
 
 # A command belongs to a control step if its time stamp is late by less than this fraction of a
@@ -27,8 +27,8 @@ _TIMES = {"s": 1.0, "ms": 1e-3}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
 _RATES = {f"{angle}/s": size for angle, size in _ANGLES.items()}
-# A column with this suffix shows that `evo-cpg export` wrote the file. The column of the root comes
-# first.
+# A column with this suffix shows that `evo-cpg export` wrote the file. The first such column
+# belongs to the root.
 _EXPORTED = ".rotation_xx"
 _ATTITUDE = ("xx", "yx", "zx", "zy", "zz")
 
@@ -96,7 +96,7 @@ def read_motion(path: Path) -> MeasuredMotion:
 
 
 def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
-    """Return the size of a column's unit, in SI units, or 1 if the column has no unit or use.
+    """Return the size of a column's unit, in SI units, or 1 if the column has no unit or is unused.
 
     An exported motion has a root, and only some of its columns are used.
 

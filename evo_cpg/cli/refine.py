@@ -31,9 +31,11 @@ def refine(
         ),
     ] = None,
     rounds: Annotated[int, typer.Option(min=1, help="Rounds of ascent and selection.")] = 5,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of each lane in a round.")] = 20,
+    steps: Annotated[
+        int, typer.Option(min=1, help="Gradient steps of each individual in a round.")
+    ] = 20,
     number: Number = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the lanes.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts and step sizes.")] = 0,
     cores: CoresOfRun = None,
 ) -> None:
     """Improve the champion along the gradient of its fitness."""
@@ -71,7 +73,8 @@ def _refine(
         config = config.model_copy(update={"controller": controller})
         experiment = build(config, folder.config, beside)
         print(
-            "bits have no derivative: the genes count as graded, and stay so in RUN after a gain",
+            "bits have no derivative, so the genes count as graded. After a gain in fitness, the "
+            "configuration in RUN has controller.graded: true",
             file=sys.stderr,
         )
     if keys and experiment.runs > 1:
@@ -174,7 +177,7 @@ def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
         "finite_slopes": done.finite,
         "seconds": done.seconds,
     }
-    # A user's own task may have a term of such a name.
+    # These columns replace a term of equal name, which a user's own task may have.
     return own | done.champion.terms | dict(zip(keys, done.values.tolist(), strict=True)) | own
 
 

@@ -127,7 +127,7 @@ def hertz(cycle: LimitCycle) -> str:
 
 
 def stability(cycle: LimitCycle, unit: str) -> tuple[str, str]:
-    """Return the size of the largest multiplier, and the recovery time with its unit."""
+    """Return the size of the largest Floquet multiplier, and the recovery time with its unit."""
     size = np.abs(cycle.multipliers[0])
     if np.isnan(size):
         return "unknown", "unknown"
@@ -242,7 +242,7 @@ def _chain(tree: Tree, settings: CpgSettings, joint: str | None) -> Chain:
 
 
 def _changes(settings: CpgSettings, found: Rhythm) -> dict[str, float]:
-    """Return changed keys of `controller.cpg`. The middle of the new range of b is b itself."""
+    """Return changed keys of `controller.cpg`. The middle of the new range of b is the found b."""
     low, high = settings.min_adaptation_gain, settings.max_adaptation_gain
     factor = 2 * found.adaptation_gain / (low + high)
     then = {key: getattr(found.settings, key) for key in _WEIGHTS}

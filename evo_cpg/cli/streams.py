@@ -50,7 +50,7 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
         descriptor: descriptor to write to.
         like: stream to replace, for its encoding, or None if the stream was closed.
     """
-    # Python makes standard error unbuffered rather than line-buffered if PYTHONUNBUFFERED is set.
+    # If PYTHONUNBUFFERED is set, Python's streams are not buffered. Buffer them by line here.
     by_line = getattr(like, "line_buffering", True) or getattr(like, "write_through", False)
     return io.TextIOWrapper(
         io.BufferedWriter(_Raw(descriptor, "wb", closefd=False)),
@@ -95,7 +95,7 @@ def _occupy(descriptor: int) -> None:
 
 
 def _escape(error: UnicodeError) -> tuple[str | bytes, int]:
-    """Return a byte of a file name unchanged, and escape other characters."""
+    """Encode a character that the encoding lacks. Bytes of file names stay, others are escaped."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     code = ord(error.object[error.start])

@@ -97,7 +97,8 @@ def resume_run(
         require_same(team, fingerprint(config))
         if team.leads:
             done = _require_alike(opened)
-            # Several processes must enter the loop, after which they leave the team.
+            # Only a single process may return here. Several processes must enter the loop and leave
+            # the team.
             by_itself = team.count == 1 and not tensorboard
             if by_itself and _finished(folder, done, experiment):
                 _say_finished(folder, experiment.generations)

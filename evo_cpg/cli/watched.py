@@ -20,7 +20,7 @@ _HEIGHT, _MARGIN = 9, 16
 _COLORS = (("champion", "bright_blue"), ("mean", "grey58"))
 
 _BLANK = 0x2800
-# Bit of each dot of a character, by column and by row from above.
+# Bit of each dot in the code of a Braille character, by column and by row from above.
 _BITS = ((0x01, 0x02, 0x04, 0x40), (0x08, 0x10, 0x20, 0x80))
 
 

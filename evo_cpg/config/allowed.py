@@ -11,7 +11,7 @@ from evo_cpg.config.keys import follow, put, value_at
 Schema = dict[str, Any]
 Place = tuple[str | int, ...]
 
-# Pydantic ends the location of a key of the wrong type with this part.
+# If a key has the wrong type, pydantic ends the location of the error with this part.
 _OF_KEY = "[key]"
 
 _SIMPLE = {
@@ -46,7 +46,7 @@ class Allowed:
         return self._words(self._at(place))
 
     def hint(self, place: Place, given: Any) -> str:
-        """Return how to write the probably intended value, or empty if it is unknown."""
+        """Return advice on how to write the probably intended value, or "" if it is unknown."""
         options = self._at(place)
         if place and isinstance(place[-1], int) and not isinstance(given, (list, dict)):
             # A flat list is given, but a list of lists is expected.
@@ -186,7 +186,7 @@ def _readings(given: Any) -> list[Any]:
     elif isinstance(given, list) and len(given) == 1:
         found.append(given[0])
     elif isinstance(given, dict) and len(given) == 1 and list(given.values()) == [None]:
-        # YAML reads a placeholder as a mapping.
+        # YAML reads a name that is only a placeholder, such as {i}, as a mapping.
         found.append(f"{{{next(iter(given))}}}")
     elif isinstance(given, bool):
         found.append({} if given else None)
@@ -196,7 +196,7 @@ def _readings(given: Any) -> list[Any]:
 
 
 def _simple_kind(option: Schema) -> str | None:
-    """Return the type of a single value, if a schema accepts any value of one type."""
+    """Return the JSON type of a schema that accepts any value of one simple type, or None."""
     named = "enum" in option or "const" in option
     return None if named or option.get("type") not in _SIMPLE else option["type"]
 
@@ -214,7 +214,7 @@ def _number_or_text(text: str) -> Any:
 
 
 def _entries(schema: Schema, part: str | int) -> list[Schema]:
-    """Return the schema of an entry of a list or a section, in a list, which may be empty."""
+    """Return a list with the schema of one entry of a list or section, or [] if there is none."""
     if isinstance(part, int):
         first = schema.get("prefixItems", [])
         found = first[part] if part < len(first) else schema.get("items")

@@ -133,7 +133,8 @@ def _build(
         for row in zip(*columns, strict=True)
     ]
     problem, pairs = "", None
-    # Equal surfaces may become different, and bodies may cover other points.
+    # With other numbers, equal surfaces may become different, and bodies may cover other points. So
+    # try more and more general layouts.
     layouts: tuple[PointLayout, ...] = "merged", "separate", "complete"
     for layout in layouts:
 
@@ -152,7 +153,7 @@ def _build(
             problem = "limbs can touch that cannot touch in the other bodies"
             break
         if len(set(sets)) > 1:
-            # Longer limbs may touch more bodies. All simulations check the same pairs.
+            # Longer limbs may touch more bodies. Let all simulations check the union of all pairs.
             pairs = every
             common, *simulations = build(pairs)
         try:

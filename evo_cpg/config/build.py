@@ -48,7 +48,7 @@ from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.system import resolved, with_working_folder
 from evo_cpg.training.experiment import ExperimentParts
 
-# Resolution of the quadrature that random surface points are drawn from.
+# Resolution of the dense surface points among which random points are drawn.
 _DENSE_RESOLUTION = 24
 
 
@@ -65,13 +65,13 @@ def build_experiment(
         config: the configuration.
         source: file of the configuration, for messages. If it is trusted
             (`evo_cpg.config.trust`), its folder is searched for a user's own classes.
-        folders: further folders to search if trusted, before the working folder.
+        folders: further folders to search for these classes if trusted, before the working folder.
         layout: layout of the surface points, common to the bodies of a batch.
         pairs: pairs of bodies to check in all creatures of a plan, or None to derive the pairs from
             the creature's own numbers.
 
     Raises:
-        ConfigError: parts do not fit together.
+        ConfigError: parts of the configuration do not fit together.
     """
     with located(source, config.model_dump(mode="json")):
         return _build_experiment(config, (Path(source).parent, *folders), layout, pairs)
@@ -157,7 +157,7 @@ def build_simulation(
         pairs: pairs of bodies to check, see `build_experiment`.
 
     Raises:
-        KeyProblem: parts do not fit together.
+        KeyProblem: parts of the configuration do not fit together.
     """
     engine = _choose_engine(config)
     creature = _build_creature(config)
@@ -212,7 +212,7 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
     try:
         own = term_names(task)
     except Exception:
-        # The user's own task fails. `check_own_returns` reports the error.
+        # The user's own task fails here. `check_own_returns` reports the error later.
         own = ()
     axes = [axis.name for axis in config.evolution.axes]
     requested: list[tuple[Key, str]] = [

@@ -15,7 +15,7 @@ Key = Sequence[str | int]
 class KeyProblem(UserError):
     """A problem with the value of a key, raised in code that does not know the file.
 
-    Outside this package it becomes a `ConfigError`, which has the file (`evo_cpg.config.lines`).
+    Before it leaves `evo_cpg.config`, `located` makes it a `ConfigError`, which names the file.
 
     Attributes:
         key: key of the value, relative to the section that is being read (`under`).
@@ -44,7 +44,7 @@ class ConfigError(KeyProblem):
     def __init__(self, source: str | Path, key: Key, problem: str, line: int | None = None):
         super().__init__(key, problem)
         self.source, self.line = source, line
-        # Text from a stranger may have any length.
+        # Text from a stranger may have any length, so clip it.
         where = [_clipped(str(source)), *([] if line is None else [f"line {line}"])]
         where += [_clipped(".".join(map(str, key)))] if key else []
         self.args = (": ".join([*where, _clipped(problem, 700)]),)
@@ -52,7 +52,7 @@ class ConfigError(KeyProblem):
 
 @contextlib.contextmanager
 def under(*key: str | int) -> Iterator[None]:
-    """Prefix the keys of problems that are raised within by the key of a section."""
+    """Add the key of a section before the keys of problems that the ``with`` block raises."""
     try:
         yield
     except ConfigError:

@@ -79,7 +79,7 @@ def _describe(kind: Schema) -> None:
         inherited |= documented_attributes(other.__doc__ or "")[1]
     kind["description"] = about
     for name, value in kind.get("properties", {}).items():
-        # The title repeats the key in words.
+        # Pydantic's title only repeats the key in words.
         value.pop("title", None)
         if name in own or name in inherited:
             value["description"] = own.get(name) or inherited[name]
@@ -88,7 +88,7 @@ def _describe(kind: Schema) -> None:
 
 
 def _tell_apart(value: Schema, kinds: Schema) -> None:
-    """Require the ``type`` of every kind except the default kind."""
+    """Make the key ``type`` required in the schemas of all kinds except the default kind."""
     meant = value.get("default")
     for option in value.get("oneOf") or value.get("items", {}).get("oneOf", ()):
         if "$ref" not in option:
@@ -100,7 +100,7 @@ def _tell_apart(value: Schema, kinds: Schema) -> None:
 
 
 def _read_from_file(kind: Schema, file: type[Section], instead_of: tuple[str, ...]) -> None:
-    """Allow the key of a file instead of the keys that are read from it."""
+    """Allow the key ``file`` instead of the keys whose values are read from that file."""
     named = file.model_json_schema()
     _describe(named)
     kind["properties"] = named["properties"] | kind["properties"]

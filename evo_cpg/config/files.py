@@ -10,7 +10,7 @@ def require_small(path: Path) -> None:
     """Check that a file does not exceed the size limit.
 
     Raises:
-        OSError: it does, or its size cannot be read.
+        OSError: the file is larger, or its size cannot be read.
     """
     size = path.stat().st_size
     if size > LARGEST:

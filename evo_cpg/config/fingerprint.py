@@ -14,7 +14,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 
 
 def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
-    """Return SHA-256 digests of a configuration and of the user's own code, once it is built.
+    """Return SHA-256 digests of a configuration and of the user's own code, after its import.
 
     Returns:
         ``config``, by keys of one or two parts (``seed``, ``evolution.population``), and ``code``,
@@ -49,7 +49,7 @@ def changes(before: Any, now: Mapping[str, Mapping[str, str]]) -> list[str]:
 
 
 def _code_digests(config: ExperimentConfig) -> dict[str, str]:
-    """Return SHA-256 digests of the source of the user's own classes, by module, once built.
+    """Return SHA-256 digests of the source of the user's own classes, by imported module.
 
     Imported modules are included if they are in the same folder or below it.
     """

@@ -16,7 +16,7 @@ _T = TypeVar("_T")
 
 
 def follow(place: Any, key: Key) -> tuple[Any, int]:
-    """Return the value at the longest existing part of a key, and the number of its parts."""
+    """Follow a key as far as it exists. Return the value there and the number of parts followed."""
     for known, part in enumerate(key):
         try:
             place = inside(place, part)

@@ -19,7 +19,8 @@ def located(source: Path | str, data: Any = None) -> Iterator[None]:
 
     Args:
         source: file of the configuration.
-        data: contents with overrides, whose values have no line. None for no lines.
+        data: contents of the configuration with overrides, whose values get no line. If None, no
+            error gets a line.
     """
     try:
         yield

@@ -60,7 +60,7 @@ def complete_config(
                     beside(source, entry["shape"]["file"])
         for override in overrides:
             _apply(data, override)
-            # Files named on the command line may be anywhere.
+            # The user wrote the overrides, so the files that they name may be anywhere.
             with trusting():
                 _read_files(data, source)
         with trusting():
@@ -187,7 +187,10 @@ def _mesh_entries(data: dict[str, Any]) -> Iterator[tuple[Key, dict[str, Any]]]:
 
 
 def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:
-    """Yield values that were wrongly read as numbers: booleans, quoted text, infinities."""
+    """Yield the key, value and problem of each value that pydantic wrongly accepts.
+
+    Such values are infinite numbers, booleans and quoted text as numbers, and others as booleans.
+    """
     if isinstance(given, dict) and isinstance(made, Mapping):
         inner = [(name, value, made[name]) for name, value in given.items() if name in made]
     elif isinstance(given, list) and isinstance(made, (list, tuple)):

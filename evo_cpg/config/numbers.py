@@ -17,13 +17,14 @@ from evo_cpg.config.load import check_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.spatial.numerics import Number
 
-# Sections without influence on a trial, and lists too long for single parameters.
+# Sections whose numbers are no parameters of a trial, and keys of lists that are too long to list
+# each number.
 _OUTSIDE = ("audit", "evolution", "noise")
 _LONG = ("vertices", "faces", "heights")
 
 
 def number_keys(config: ExperimentConfig) -> tuple[str, ...]:
-    """Return the keys of all real numbers that a trial may depend on."""
+    """Return the keys of all real numbers, except in `_OUTSIDE` sections and `_LONG` lists."""
     data = config.model_dump(mode="json", exclude=set(_OUTSIDE))
     return tuple(".".join(key) for key, _ in _numbers(data, ()))
 
@@ -43,7 +44,7 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     elif isinstance(place, int) and not isinstance(place, bool):
         problem = f"is a whole number ({place}) and has no derivative"
     elif isinstance(place, (dict, list)):
-        problem = f"is a part of the configuration, not a number: {_hint(config, key)}"
+        problem = f"is a section or a list, not a number: {_hint(config, key)}"
     else:
         problem = f"is {place!r}, not a number"
     raise ConfigError(source, parts, problem)

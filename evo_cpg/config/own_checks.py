@@ -1,4 +1,4 @@
-"""Checks of the values that a user's own classes return, in a trial of shapes only."""
+"""Checks of the values that a user's own classes return, by tracing their shapes and types."""
 
 import inspect
 import traceback
@@ -42,7 +42,7 @@ Test = Callable[[Any], str | None]
 
 
 def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
-    """Check the user's own classes in one control step, with shapes only.
+    """Check the user's own classes in one traced control step: only types and shapes.
 
     Raises:
         KeyProblem: a class fails, or returns a wrong type or shape.
@@ -145,7 +145,7 @@ def check_own_strategy(
     metrics: tuple[str, ...],
     where: str,
 ) -> None:
-    """Check a user's own strategy in two generations, with shapes only.
+    """Check a user's own strategy in two traced generations: only types and shapes.
 
     Args:
         strategy: strategy on one island.

@@ -37,7 +37,8 @@ def require_code(config: ExperimentConfig, folders: Iterable[Path]) -> None:
         module = part.type.partition(":")[0]
         top = module.partition(".")[0]
         if not top:
-            # A relative name without a package. The import itself reports the error.
+            # The name of the module is relative, but there is no package. The import reports the
+            # error.
             continue
         there, found = _found(top)
         if not there:

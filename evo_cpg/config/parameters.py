@@ -51,7 +51,7 @@ _ROUNDING = 16 * np.finfo(float).eps
 # Attribute of force laws that contains the wetted surfaces.
 _PATCHES = jax.tree_util.GetAttrKey("patches")
 
-# Elements that depend on a number, for each index of a leaf that has such elements.
+# Mask of the elements that depend on a number, by the index of the leaf that holds the elements.
 Change = dict[int, np.ndarray]
 
 
@@ -128,7 +128,8 @@ class Parameters:
         """
 
         def check(given: Array) -> np.ndarray:
-            # The trial's precision rounds the configuration's own values.
+            # Values that equal the configuration's own values in the trial's precision count as
+            # these values.
             known = np.asarray(given)
             own = self.values.astype(known.dtype)
             self.require(np.where(known == own, self.values, known))
@@ -260,8 +261,8 @@ def _change(
     if not all(other.has_layout_of(building.own) for other in others):
         raise KeyProblem(
             where,
-            "changes more than numbers (such as the parts, the joints or the time step), so it has "
-            "no derivative",
+            "changes more than numbers (such as joints, couplings of oscillators or the time "
+            "step), so it has no derivative",
         )
     change: Change = {}
     for place, leaf in enumerate(building.own.leaves):
@@ -313,7 +314,7 @@ def _neighbours(
 def _followed(
     building: Building, config: ExperimentConfig, changes: dict[str, Change]
 ) -> list[str]:
-    """Return the keys of the numbers on which traced and known leaves depend equally."""
+    """Return the keys of the numbers whose changes of leaves JAX can trace."""
     if not changes or not _hindrance(building, config, changes):
         return list(changes)
     if len(changes) == 1:
@@ -349,7 +350,7 @@ def _is_searched(building: Building, place: int) -> bool:
 
 
 def _undifferentiated(value: Array, refusal: ConfigError) -> Array:
-    """Return the value, and raise the refusal if the value is differentiated."""
+    """Return the value unchanged. Raise the refusal when JAX differentiates it."""
 
     @jax.custom_jvp
     def same(value: Array) -> Array:

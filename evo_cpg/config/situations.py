@@ -84,7 +84,7 @@ def build_situations(
 
 
 def _same_start(begins: list[Situation], x: float, y: float, heading: float) -> int | None:
-    """Return the index of the situation with this start, or None."""
+    """Return the index of an earlier situation with the same place and heading, or None."""
     for i, begin in enumerate(begins):
         if (*begin.start_position[:2], begin.start_heading) == (x, y, heading):
             return i
@@ -125,7 +125,7 @@ def require_light(config: ExperimentConfig, task: Task) -> None:
 def _is_still_within_reach(
     creature: Creature, world: World, start: Triple, light: Triple, problem: str | None
 ) -> Condition:
-    """Return whether `out_of_reach` finds no problem with other numbers either."""
+    """Return whether `out_of_reach` finds no problem. The numbers and the result may be traced."""
     holds = not problem
     if world.ground is not None:
         solid = (world.ground.floor, *world.ground.obstacles)

@@ -64,7 +64,7 @@ class Built(NamedTuple):
         )
 
     def agrees(self, leaves: list[Any], inputs: Inputs) -> list[Condition]:
-        """Return whether each leaf of another simulation is equal, except at the inputs.
+        """Return whether each leaf of another simulation equals the own leaf, except at the inputs.
 
         Raises:
             Undecidable: a traced leaf has another shape.

@@ -18,7 +18,7 @@ from evo_cpg.system import named, resolved, working_folder
 VARIABLE = "EVO_CPG_TRUST"
 
 _trusted = contextvars.ContextVar("trusted", default=False)
-# List that records the files that configurations name.
+# List that gets the files that configurations name in `recording_files`.
 _noted: contextvars.ContextVar[list[Path] | None] = contextvars.ContextVar("noted", default=None)
 
 
@@ -29,7 +29,7 @@ def trust() -> None:
 
 @contextlib.contextmanager
 def trusting(own: bool = True) -> Iterator[None]:
-    """Trust configurations within the context, unless ``own`` is False."""
+    """Trust configurations in the ``with`` block. If ``own`` is False, change nothing."""
     token = _trusted.set(own or _trusted.get())
     try:
         yield
@@ -39,7 +39,7 @@ def trusting(own: bool = True) -> Iterator[None]:
 
 @contextlib.contextmanager
 def recording_files() -> Iterator[list[Path]]:
-    """Yield a list that records the files that configurations name within, each once."""
+    """Yield a list that gets each file that configurations name in the ``with`` block, once."""
     files: list[Path] = []
     token = _noted.set(files)
     try:

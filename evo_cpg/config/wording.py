@@ -26,7 +26,7 @@ _TRUTHS = "YAML reads yes, no, on, off, true and false as booleans. Put text in 
 def worded(
     error: pydantic.ValidationError, model: type[pydantic.BaseModel], data: dict[str, Any]
 ) -> KeyProblem:
-    """Return the first problem, in words.
+    """Return one of pydantic's problems, in words.
 
     Keys that are not text and unknown keys come first, because a typo explains a missing key.
 

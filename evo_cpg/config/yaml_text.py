@@ -14,7 +14,8 @@ _TIMESTAMP = "tag:yaml.org,2002:timestamp"
 _MERGE, _VALUE, _TEXT = (f"tag:yaml.org,2002:{kind}" for kind in ("merge", "value", "str"))
 _DIGITS = list("-+.0123456789")
 _LINE_ENDS = "\x85\u2028\u2029"
-# YAML 1.1 of PyYAML reads 1e-3, 1.0e5 and -.5 as text, 0200 as 128 and 1:40 as 100.
+# Forms of numbers here. PyYAML (YAML 1.1) would read 1e-3, 1.0e5 and -.5 as text, 0200 as 128 and
+# 1:40 as 100.
 _NUMBERS = {
     _INT: re.compile(r"[-+]?(0|[1-9][0-9_]*|0x[0-9a-fA-F_]+|0b[01_]+)$"),
     _FLOAT: re.compile(
@@ -40,7 +41,7 @@ class _Loader(_SafeLoader):
     """
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Merge mappings: own keys override merged keys, and earlier mappings later ones.
+        """Merge mappings of ``<<``: own keys override merged keys, earlier mappings later ones.
 
         See https://yaml.org/type/merge.html.
         """

@@ -27,10 +27,12 @@ from evo_cpg.spatial.linear import matvec
 from evo_cpg.spatial.numerics import Number
 
 # XLA:CPU splits a sum over more than 32 terms into two passes and stores all products in between.
-# Sums over blocks of this many terms take one pass each (20 % of a control step).
+# Sums over blocks of this many terms take one pass each. The difference is 20 % of the time of a
+# control step.
 SUM_BLOCK = 32
 
-# For each layer: the weights ``(out, in, *n)`` in blocks of inputs, and the biases ``(out, *n)``.
+# For each layer: the weights ``(out, in, *n)``, cut into blocks of at most `SUM_BLOCK` inputs, then
+# the biases ``(out, *n)``.
 Weights = tuple[tuple[Array, ...], ...]
 
 
@@ -39,8 +41,9 @@ class BrainSettings:
     """Shape of the brain and range of its initial weights.
 
     Attributes:
-        hidden: units in each hidden layer, at least 1, or empty for a single layer.
-        temperature: T of eq. 3, more than 0. Small values make the units switches.
+        hidden: units in each hidden layer, at least 1. An empty list connects the inputs directly
+            to the outputs.
+        temperature: T of eq. 3, more than 0. If T is small, the output of a unit jumps from 0 to 1.
         init_range: largest magnitude of the uniform random genes of the first generation, more
             than 0.
 
@@ -81,7 +84,7 @@ class Brain(eqx.Module):
 
 
 def build_brain(input_count: int, output_count: int, settings: BrainSettings) -> Brain:
-    """Lay out a brain between given numbers of inputs and outputs."""
+    """Return the structure of a brain with given numbers of inputs and outputs."""
     return Brain((input_count, *settings.hidden, output_count), settings.temperature)
 
 
@@ -98,7 +101,8 @@ def decode_weights(brain: Brain, genes: Float[Array, "g *n"]) -> Weights:
     if genes.shape[0] != brain.gene_count:
         raise ValueError(f"the brain has {brain.gene_count} genes, but was given {genes.shape[0]}")
     sizes = list(itertools.pairwise(brain.sizes))
-    # Splits, not slices: their gradients are concatenated instead of padded and added.
+    # Use `jnp.split`, whose gradient is one concatenation. Gradients of slices are padded and
+    # added.
     layers = jnp.split(genes, list(itertools.accumulate((i + 1) * o for i, o in sizes))[:-1])
     weights = []
     for (count, units), layer in zip(sizes, layers, strict=True):

@@ -8,7 +8,8 @@ output sigma of the brain, between 0 and 1:
     u_e = u (1 + d),    u_f = u (1 - d),
     target = G g (y_e - y_f) - k_c q,    within plus and minus max_rate.
 
-The paper describes the last line only as "angular-velocity control".
+u_e and u_f are the tonic inputs of the extensor and flexor neuron. The paper describes the last
+line only as "angular-velocity control".
 
 | symbol | name |
 |---|---|
@@ -70,12 +71,12 @@ CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
 
 @dataclasses.dataclass(frozen=True)
 class AxisSettings:
-    """Special settings for the motors of one axis.
+    """Settings for the joints about one named axis.
 
     Attributes:
         gain: factor on ``rate_gain``.
-        centring: rate at which these joints return to their neutral angle, 1/s, or None for the
-            setting of the whole animal.
+        centring: rate at which the joints of the axis return to their neutral angle, 1/s, or None
+            for the setting of the whole animal.
         steering_range: largest relative difference between extensor and flexor drive, 0 to 1, or
             None for the setting of the whole animal.
 
@@ -98,19 +99,20 @@ class BrainCpgSettings:
     Attributes:
         cpg: the oscillators.
         brain: the network that sets them.
-        drive: variables that the brain sets. ``shared``: u and steering of each axis (of each
-            group), and one b for the whole animal. ``per_joint``: u, steering and b of each joint.
-            ``per_dof``: u, steering and b of each degree of freedom.
-        groups: names of bodies, or patterns such as ``*_arm``. Their joints have separate axes,
-            named ``group/axis``. Axes of all other bodies have the plain name.
+        drive: variables that the brain sets. ``shared``: u and steering d for each axis (of each
+            group), and one b for the whole animal. ``per_joint``: u, d and b for each joint.
+            ``per_dof``: u, d and b for each degree of freedom.
+        groups: bodies of each named group, as names or patterns such as ``*_arm``. The joints of a
+            group have separate axes, named ``group/axis``. Axes of all other bodies have the plain
+            name.
         steering_range: largest relative difference between extensor and flexor drive, 0 to 1.
         rate_gain: G, joint rate per unit of output, rad/s.
-        centring: k_c, rate at which a joint returns to its neutral angle, 1/s, at least 0, which
-            is the literal angular-velocity control.
+        centring: k_c, rate at which a joint returns to its neutral angle, 1/s, at least 0. The
+            value 0 is the paper's angular-velocity control.
         max_rate: largest commanded rate of a motor, rad/s, more than 0.
         axes: special settings of named axes, such as ``x`` or ``limbs/y``.
-        joint_rates: True to add the joint rates to the senses, which the paper's text lists but
-            its Table 2 does not.
+        joint_rates: True to give the joint rates to the brain. The paper's text lists them as
+            inputs, but its Table 2 does not.
 
     Raises:
         ValueError: a value is outside its range.
@@ -134,7 +136,7 @@ class BrainCpgSettings:
 
 
 class BrainCpg(Controller):
-    """Brain and spinal cord of one creature, with the neurons' state as its state.
+    """Brain and spinal cord of one creature. The state is the state of the spinal cord's neurons.
 
     Attributes:
         gene_count: number of the brain's weights.
@@ -149,8 +151,9 @@ class BrainCpg(Controller):
         max_adaptation_gain: b_max.
         max_rate: largest commanded rate, rad/s.
         max_amplitude: A_max, see `max_amplitude`.
-        source: index of the tonic input (and steering) of each oscillator.
-        gain_source: index of the adaptation gain of each oscillator.
+        source: index of each oscillator's tonic input among the tonic inputs that the brain sets.
+            It is also the index of its steering.
+        gain_source: index of each oscillator's adaptation gain among the gains that the brain sets.
         steering_range: d_max of each degree of freedom.
         rate_gain: G g of each degree of freedom, rad/s.
         centring: k_c of each degree of freedom, 1/s.
@@ -194,7 +197,7 @@ class BrainCpg(Controller):
         return random_weights(key, self.brain, batch, dtype, self.settings.brain.init_range)
 
     def initial_state(self, batch: tuple[int, ...], dtype: jnp.dtype | type) -> MatsuokaState:
-        """Return neurons at rest, except for slightly active extensors."""
+        """Return neurons at the network's initial potentials, without adaptation."""
         return matsuoka.initial_state(self.network, batch, dtype)
 
     def decode(self, genes: Float[Array, "g *n"]) -> Weights:
@@ -232,9 +235,9 @@ class BrainCpg(Controller):
         """Return the inputs of the brain: Table 2 of Iwadate 2010, every value from -1 to 1.
 
         The order is: light, pressure, cosine and sine to the vertical. Then: cosine of each joint
-        angle, sine of each, gain A / A_max of each oscillator in the last step. Then, if
-        ``joint_rates`` is True: each joint rate in units of ``max_rate``, clipped to 1. Last, not
-        in Table 2: depths of depth gauges, and readings of extra sensors.
+        angle, sine of each joint angle, amplitude abs(y_e - y_f) / A_max of each oscillator after
+        the last step. Then, if ``joint_rates`` is True: each joint rate in units of ``max_rate``,
+        clipped to -1 and 1. Last, not in Table 2: readings of depth gauges and of extra sensors.
         """
         angle = observation.joint_angle
         values = [
@@ -256,7 +259,7 @@ class BrainCpg(Controller):
     def cpg_inputs(
         self, outputs: Float[Array, "s *n"]
     ) -> tuple[Float[Array, "2 d *n"], Float[Array, "d *n"]]:
-        """Return tonic inputs of the neurons (extensors first) and gains of the oscillators."""
+        """Return tonic inputs of the neurons (extensors first) and adaptation gains."""
         count, source = max(self.source) + 1, np.array(self.source)
         tonic = self.max_tonic_input * outputs[:count][source]
         turn = (2 * outputs[count : 2 * count] - 1)[source]
@@ -339,7 +342,7 @@ def build_brain_cpg(
 
 
 def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:
-    """Return genes of a brain that sets no drive, so that the animal stays still."""
+    """Return genes that set all outputs of the brain to 0, so that the joints get no drive."""
     assert isinstance(controller, BrainCpg)
     *_, hidden, outputs = controller.brain.sizes
     genes = np.zeros(controller.gene_count, np.float32)
@@ -353,13 +356,13 @@ def max_amplitude(settings: BrainCpgSettings) -> Number:
     cpg = settings.cpg
     ranges = [_or(axis.steering_range, 0.0) for axis in settings.axes.values()]
     every = [settings.steering_range, *ranges]
-    # The first of equal maxima: if another one increased, it would be the maximum.
+    # This choice is static: derivatives are taken by the first of the largest ranges.
     steering = every[chosen(lambda: int(np.argmax(every)))]
     return cpg.max_tonic_input * (1 + steering) + xp.maximum(cpg.sensory_feedback, 0.0)
 
 
 def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str]:
-    """Return the axis of each degree of freedom, after the group of its body if it has one."""
+    """Return the axis name of each degree of freedom, as ``group/axis`` if its body has a group."""
     group_of: dict[int, str] = {}
     for group, patterns in groups.items():
         found = matching_bodies(tree, patterns, ("groups", group))

@@ -18,8 +18,8 @@ class Commanded(Controller):
 
     Attributes:
         tree: the creature.
-        rates: commanded rate of each degree of freedom in each control step, rad/s. The last one
-            is held.
+        rates: commanded rate of each degree of freedom in each control step, rad/s. After the end
+            of the table its last row is held.
         gene_count: 0.
     """
 
@@ -42,13 +42,13 @@ class Commanded(Controller):
     def act(
         self, decoded: Float[Array, "g *n"], state: Int[Array, "*n"], observation: Observation
     ) -> tuple[Int[Array, "*n"], Command]:
-        """Return the rates of the present control step."""
+        """Command the rates of the present control step, and count the step."""
         del decoded
         still = jnp.zeros_like(observation.joint_angle)
         if self.rates is None:
             return state + 1, Command(still, still)
         table = jnp.asarray(array_of(self.rates), still.dtype)
-        # All individuals are at one step.
+        # All individuals have completed the same number of steps.
         row = table[jnp.minimum(state.reshape(-1)[0], len(table) - 1)]
         rate = jnp.broadcast_to(expand_dims_like(row, still), still.shape)
         return state + 1, Command(rate, rate)

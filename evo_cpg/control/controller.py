@@ -18,12 +18,14 @@ class Observation(NamedTuple):
 
     Attributes:
         light: strength at each light sensor, 0 to 1.
-        pressure: 1 where the ground presses a sensor harder than the water does, else 0.
-        vertical_cosine: cosine of the angle between a sensor's axis and the vertical.
-        vertical_sine: sine of the angle between a sensor's axis and the vertical.
+        pressure: for each pressure sensor, 1 if the ground presses its body harder than the water
+            does, else 0.
+        vertical_cosine: cosine of the angle between each light sensor's axis and the vertical.
+        vertical_sine: sine of the angle between each light sensor's axis and the vertical.
         joint_angle: joint angles, rad.
         joint_rate: joint rates, rad/s.
-        depth: depth of each gauge below the water's surface, 0 to 1 at full scale and below.
+        depth: depth of each gauge below the water's surface, as a fraction of its full scale,
+            clipped to 0 and 1.
         custom: readings of the creature's `sensors`, concatenated. None if there are none.
     """
 
@@ -44,8 +46,8 @@ class Command(NamedTuple):
         target_rate: rate for each motor's velocity servo to follow, rad/s.
         signal: rhythm behind the rate, for plots of the phase lag: the output y_e - y_f of each
             oscillator, or an equivalent.
-        target_angle: neutral angle for each motor's spring, rad. None leaves the springs at their
-            neutral angle.
+        target_angle: angle that each motor's spring pulls its joint to, rad. None is the neutral
+            angle of every joint.
     """
 
     target_rate: Float[Array, "d *n"]
@@ -75,10 +77,11 @@ class Controller(eqx.Module):
     The controller itself is structure and settings, common to the whole population. Individuals
     differ in the ``genes``. The ``state``, any pytree of arrays, changes in time.
 
-    To write a controller, subclass this, declare the number of genes, and define the three
-    methods. They must be pure JAX functions: no Python branches on array values, no changes in
-    place. Arrays have their components first and individuals on the trailing axes. There may be
-    none of these, so plain arithmetic serves one individual and a population.
+    To write a controller, subclass this, declare the number of genes, and define ``random_genes``,
+    ``initial_state`` and ``act``. They must be pure JAX functions: no Python branches on array
+    values, no changes in place. Arrays have their components first and individuals on the trailing
+    axes. A single individual has no trailing axes, so plain arithmetic serves one individual and a
+    population.
 
     ``act`` is called once per control step (1/60 s by default) with the senses at the start of the
     step. Its command is held until the next call.
@@ -125,7 +128,7 @@ class Controller(eqx.Module):
 
     @property
     def rhythm_generator(self) -> Oscillators | None:
-        """Return the oscillators of the rhythm (None unless overridden)."""
+        """Return the oscillators that make the rhythm (None unless overridden)."""
         return None
 
     @abc.abstractmethod
@@ -153,7 +156,7 @@ class Controller(eqx.Module):
         """Return the genes in the form that `act` takes. They are unchanged unless overridden.
 
         Called once per trial. Compute here everything that does not change in the trial. It is then
-        computed once, and a gradient accumulates over these arrays.
+        computed once, and a gradient over all steps is summed in the decoded arrays.
 
         Args:
             genes: genes of each individual.
@@ -168,7 +171,7 @@ class Controller(eqx.Module):
 
         Args:
             decoded: genes of each individual from `decode`.
-            state: state from `initial_state` or the last step.
+            state: state from `initial_state`, or from the previous call.
             observation: senses at the start of the step.
 
         Returns:

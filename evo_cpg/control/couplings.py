@@ -1,18 +1,20 @@
 """Additional couplings between chosen oscillators and around rings, beyond the tree's couplings.
 
-A is the inhibition of each oscillator (row) by the other side of each other one (column). A
-negative A is inhibition by the same side. Both are in units of ``pair_weight``. A pair in which the
-target follows the source by the lag L is coupled by
+A[i, j] is the inhibition of oscillator i by the opposite side of oscillator j: extensor by flexor,
+and flexor by extensor. A negative element is inhibition by the same side. Elements are in units of
+``pair_weight``. A pair in which the target lags behind the source by L is coupled by
 
     A[target, source] = w (cos L + sin L),    A[source, target] = w (cos L - sin L),        (1)
 
-n oscillators around a ring, each behind the previous one by L, with n L whole turns, are coupled by
+n oscillators around a ring, each behind the previous one by L, where n L is a multiple of 360
+degrees, are coupled by
 
     A[i, j] = w / (n - 1) (cos (i - j) L + sin (i - j) L)    for all i and j of the ring.    (2)
 
-The cosine is symmetric and sets the distance. The sine is antisymmetric and selects the leader. At
-L = 0 all swing together. At 180 degrees neighbours swing against each other. At 90 degrees the
-source pushes the target, which pulls the source back.
+The cosine term is equal in both directions of a pair and sets the size of the lag. The sine term
+changes its sign with the direction and selects the leader. At L = 0 all swing together. At 180
+degrees neighbours swing against each other. At 90 degrees the source acts on the target with w, and
+the target on the source with -w.
 
 In a ring of equal oscillators with equal drives, a wave with exactly this lag is a solution by
 symmetry. ``docs/models/controller.md`` shows which waves grow.
@@ -32,10 +34,11 @@ from evo_cpg.errors import nearest
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# Cosines and sines below this are rounding.
+# Cosines and sines of a smaller size are rounding errors.
 _NO_COUPLING = 1e-12
 
-# Largest error of each lag in degrees for a ring that closes: 51.43 for 7 is accurate enough.
+# A ring closes if each lag is this near (degrees) to a multiple of 360 / n. So a lag of 51.43
+# closes a ring of 7.
 _CLOSED_DEG = 0.1
 
 
@@ -63,7 +66,7 @@ class CouplingError(UnfitError):
 
 @dataclasses.dataclass(frozen=True)
 class Coupling:
-    """Effect of one oscillator, or of each of several, on another one.
+    """Coupling of one pair of oscillators, source and target, or of several pairs.
 
     Attributes:
         source: a degree of freedom, or a pattern such as ``left_*.z``.
@@ -74,7 +77,8 @@ class Coupling:
             inhibits the same side, and the target swings the opposite way. The target is exactly
             in step only if both receive equal inhibition. Otherwise it lags or leads.
         lag_deg: lag of the target behind the source, degrees, with coupling in both directions.
-            None couples from source to target only. Other couplings of the two change the lag.
+            None couples in one direction only: the source acts on the target. Other couplings of
+            the two change the lag.
 
     Raises:
         ValueError: a value is outside its range.
@@ -101,10 +105,10 @@ class Ring:
     Attributes:
         oscillators: degrees of freedom, or patterns such as ``arm*_1.y``, in the order of the
             ring. Matches of a pattern are in the order of the bodies.
-        lag_deg: lag of each behind the previous one, degrees. The lags of all oscillators add up
-            to whole turns.
-        weight: largest total inhibition of one oscillator by the others, in units of
-            ``pair_weight``, at least 0.
+        lag_deg: lag of each oscillator behind the previous one, degrees. All lags around the ring
+            add up to a multiple of 360 degrees.
+        weight: upper bound for the sum of all inhibitions of one oscillator by the others, in units
+            of ``pair_weight``, at least 0.
 
     Raises:
         ValueError: a value is outside its range.
@@ -185,7 +189,7 @@ def explicit_weights(
 
     Raises:
         CouplingError: names do not exist or do not fit together, a ring does not close, or two
-            couplings have one source and target.
+            couplings have the same source and target.
     """
     weights: dict[tuple[int, int], Number] = {}
     written: dict[tuple[int, int], str] = {}
@@ -224,10 +228,12 @@ def start_phases(
     rings: tuple[Ring, ...],
     joined: Float[Numbers, "o o"],
 ) -> Float[Numbers, " o"]:
-    """Return the initial lag of each oscillator behind the first of its connected ones, rad.
+    """Return the initial phase lag of each oscillator behind the first of its connected group, rad.
 
-    Explicit lags come first. All other connected oscillators start together. If lags contradict
-    each other around a loop, rings come first, then couplings in the order of the settings.
+    Rings and couplings set the lags of their oscillators. A coupling without a lag sets 0, or 180
+    degrees if its weight is negative. Oscillators coupled only by the tree start in phase. If lags
+    contradict each other around a loop, rings come first, then couplings in the order of the
+    settings.
 
     Args:
         tree: the creature.
@@ -331,7 +337,8 @@ def _pairs(tree: Tree, coupling: Coupling, number: int) -> Iterator[tuple[int, i
     """Yield sources and targets, pair by pair.
 
     Raises:
-        CouplingError: numbers of both differ and none is one, or an oscillator couples to itself.
+        CouplingError: the numbers of sources and targets differ and neither is one, or an
+            oscillator couples to itself.
     """
     where = ("couplings", number)
     sources = matching_oscillators(tree, coupling.source, (*where, "source"))
@@ -351,7 +358,7 @@ def _pairs(tree: Tree, coupling: Coupling, number: int) -> Iterator[tuple[int, i
 
 
 def _cosine_and_sine(lag_deg: Number) -> tuple[Number, Number]:
-    """Return cosine and sine of a lag. Rounding errors become exactly 0, which is no coupling."""
+    """Return cosine and sine of a lag. Values below `_NO_COUPLING` become exactly 0."""
     cosine, sine = xp.cos(xp.deg2rad(lag_deg)), xp.sin(xp.deg2rad(lag_deg))
     cosine_counts, sine_counts = chosen(
         lambda: (abs(cosine) > _NO_COUPLING, abs(sine) > _NO_COUPLING)

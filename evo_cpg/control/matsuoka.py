@@ -22,12 +22,13 @@ other with weight a. Oscillators of one axis on successive bodies inhibit each o
 contralaterally (extensor to flexor, flexor to extensor). Inhibition is stronger from parent to
 child than back. That asymmetry makes the wave run from head to tail.
 
-If the two axes point in opposite directions, contralateral inhibition of muscles is ipsilateral
-between neurons. An example is the z of a right leg that swings forwards by a turn about -z. The
-axes of one joint may inhibit each other contralaterally, too (``cross_weight``). Any oscillators
-may be coupled one by one or around a ring (`evo_cpg.control.couplings`). One signed matrix
-(oscillator by oscillator) holds all this. Its positive part A acts from one side to the other, its
-negative part B within a side:
+A joint axis may point against its parent's axis, such as the axis of a right leg that swings
+forwards by a turn about -z. Inhibition of opposite muscles then couples extensor with extensor and
+flexor with flexor. The axes of one joint may inhibit each other contralaterally, too
+(``cross_weight``). Any oscillators may be coupled one by one or around a ring
+(`evo_cpg.control.couplings`). One signed matrix (oscillator by oscillator) holds all this. Its
+positive elements A inhibit the opposite neuron (extensor to flexor). The sizes of its negative
+elements, B, inhibit the equal neuron (extensor to extensor):
 
     T_r dx_e/dt + x_e = -A y_f - B y_e - b z_e + u_e + s,    and the same with e and f exchanged.
 
@@ -72,11 +73,11 @@ TIME_CONSTANTS = {"swapped": (0.153337, 1.181958), "as_printed": (1.181958, 0.15
 # signals then stay within 1e-3 (rms) of the exact ones for 33 s, phase included.
 SUBSTEP_FRACTION = 0.25
 
-# Largest number of substeps that are written out.
+# Largest number of substeps that are unrolled. More substeps run in `jax.lax.scan`.
 _UNROLLED = 3
 
-# Initial potential of extensors as a fraction of the largest tonic input. Flexors start at 0
-# unless a lag is set. A symmetric start would never oscillate.
+# Initial potential of extensors as a fraction of the largest tonic input. Flexors start at 0 unless
+# a phase lag is set. A pair that starts with equal neurons would never oscillate.
 INITIAL_FRACTION = 0.1
 
 
@@ -94,14 +95,15 @@ class CpgSettings:
             least 0.
         child_weight: inhibition from a child's oscillator, in units of ``pair_weight``, at least 0.
         cross_weight: mutual inhibition of successive axes of one joint, in units of
-            ``pair_weight``, at least 0. They then turn nearly in step, positive with positive.
-        opposite: bodies, or patterns such as ``front_*``, whose oscillators follow the opposite
-            side of their parents', as for front legs that step against hind legs.
+            ``pair_weight``, at least 0. The axes then swing nearly in phase: both signals are
+            positive together.
+        opposite: bodies, or patterns such as ``front_*``, whose couplings to the parent's
+            oscillators change their sign. So front legs step against hind legs.
         couplings: couplings between chosen oscillators. They replace the tree's couplings between
             the same oscillators. All other couplings of the tree stay.
         rings: rings of oscillators with a constant lag from one to the next. They replace the
             tree's couplings between the oscillators of the ring.
-        sensory_feedback: the s of eq. 4, equal for every neuron.
+        sensory_feedback: the constant s of eq. 4, equal for every neuron.
         max_tonic_input: u_max, more than 0. Outputs are proportional to it.
         min_adaptation_gain: smallest b, more than 0.
         max_adaptation_gain: largest b.
@@ -145,10 +147,10 @@ class MatsuokaNetwork(eqx.Module):
     """Connections and time constants, with one oscillator per degree of freedom of the tree.
 
     Attributes:
-        offsets: diagonals of the inhibition A from the other side that are not zero. Offset k means
-            that oscillator i + k inhibits oscillator i.
+        offsets: offsets of the nonzero diagonals of A, the inhibition by the opposite neuron.
+            Offset k means that oscillator i + k inhibits oscillator i.
         weights: these diagonals, ``weights[m, i] = A[i, i + offsets[m]]``, 0 outside.
-        own_offsets: diagonals of the inhibition B from the same side that are not zero.
+        own_offsets: offsets of the nonzero diagonals of B, the inhibition by the equal neuron.
         own_weights: these diagonals of B, 0 outside.
         rise_time: T_r, s.
         adaptation_time: T_a, s.
@@ -172,7 +174,7 @@ class MatsuokaNetwork(eqx.Module):
 
     @property
     def matrix(self) -> Float[np.ndarray, "o o"]:
-        """Inhibition of each oscillator by each other one (see `inhibition_matrix`)."""
+        """Inhibition of oscillators (rows) by oscillators (columns), see `inhibition_matrix`."""
         count = self.oscillator_count
         matrix = np.zeros((count, count))
         for sign, offsets, weights in (
@@ -199,7 +201,7 @@ class Oscillators(NamedTuple):
     Attributes:
         settings: settings that the oscillators were built from.
         network: one oscillator per degree of freedom.
-        rate_gain: joint rate per unit of output of each, rad/s.
+        rate_gain: joint rate per unit of output of each oscillator, rad/s.
     """
 
     settings: CpgSettings
@@ -222,8 +224,9 @@ class MatsuokaState(eqx.Module):
 def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[Numbers, "o o"]:
     """Return the inhibition of each oscillator (row) by each other one (column).
 
-    An oscillator is joined to one on its body's nearest ancestor that has its axis. An ancestor may
-    be joined to several oscillators (a trunk with limbs).
+    An oscillator is coupled to the oscillator of the same axis on the nearest ancestor of its body
+    that has this axis. An ancestor's oscillator may be coupled to several others (a trunk with
+    limbs).
 
     Returns:
         Matrix, positive for inhibition by the other side, negative for the same side.
@@ -277,7 +280,7 @@ def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
 
 
 def parts(network: MatsuokaNetwork) -> list[tuple[int, ...]]:
-    """Return groups of oscillators that are joined to each other, directly or not.
+    """Return groups of oscillators that are coupled to each other, directly or through others.
 
     Axes that do not inhibit each other have independent rhythms, each with its own phase.
     """
@@ -319,11 +322,11 @@ def diagonal(matrix: Float[Numbers, "o o"], offset: int) -> Float[Numbers, " o"]
 def _diagonals(
     matrix: Float[Numbers, "o o"], there: Bool[np.ndarray, "o o"]
 ) -> tuple[tuple[int, ...], Float[Numbers, "k o"]]:
-    """Return the non-empty diagonals, each as long as the matrix, and their offsets.
+    """Return the offsets of the non-empty diagonals, and the diagonals, each padded with zeros.
 
     Args:
         matrix: the elements.
-        there: True for elements that count. All others are zero.
+        there: True for elements to keep. All others become zero.
     """
     count = len(matrix)
     offsets = [k for k in range(1 - count, count) if np.diagonal(there, k).any()]
@@ -337,7 +340,7 @@ def initial_state(
     batch: tuple[int, ...] = (),
     dtype: jnp.dtype | type = jnp.float32,
 ) -> MatsuokaState:
-    """Return neurons at their initial potentials, without adaptation.
+    """Return neurons at their initial potentials, with all adaptations z at 0.
 
     Args:
         network: network with the initial potentials.
@@ -406,8 +409,8 @@ def runge_kutta_step(
     """Take one classical fourth-order step, written with the stages' states.
 
     s1, s2 and s3 are the states at which the second to fourth derivatives are computed. The usual
-    ``s + h/6 (k1 + 2 k2 + 2 k3 + k4)`` is ``(s1 + 2 s2 + s3 - s) / 3 + h/6 k4``. A stage then
-    needs only the previous one.
+    ``s + h/6 (k1 + 2 k2 + 2 k3 + k4)`` is ``(s1 + 2 s2 + s3 - s) / 3 + h/6 k4``. So k1, k2 and k3
+    need not be stored.
 
     Potentials have rows of zeros around them, so that each diagonal of A takes a plain slice.
     """

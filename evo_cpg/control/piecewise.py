@@ -6,12 +6,12 @@ The signs of all potentials form the *pattern*. For a given pattern a state s mo
     ds/dt = A s + c,    s(t + h) = s(t) + E(h) (s(t), 1),
 
 with E(h) from the matrix exponential. A step has no integration error, however stiff the network
-is, and may last as long as the pattern. Steps are halved until a cubic through their ends predicts
-their middle. The cubic finds zero crossings of potentials. A Taylor series, exact in this range,
-then locates the crossing.
+is, and may last as long as the pattern. Steps are halved until a cubic (Hermite, through values and
+derivatives at the ends) predicts the potentials in the middle. The cubic finds zero crossings of
+potentials. A Taylor series, exact in this range, then locates the crossing.
 
 The field is continuous where the pattern changes. So the derivative of the flow is the product of
-the pieces' derivatives, without a term for the change.
+the pieces' derivatives, without an extra term for the change of the pattern.
 
 Units: time in units of ``T_r + T_a``, states in units of the largest drive. The equations are
 homogeneous in both, so tolerances do not depend on the strength of the drive or the speed of the
@@ -29,19 +29,21 @@ from jaxtyping import Bool, Complex, Float
 
 from evo_cpg.control.matsuoka import MatsuokaNetwork
 
-# Shortest tabulated step times the largest rate of the network, and number of Taylor terms that are
-# exact to rounding below it: 0.125^12 / 12! = 3e-20.
+# Shortest tabulated step times the largest rate of the network. Number of Taylor terms with which a
+# step of this length is exact to rounding: 0.125^12 / 12! = 3e-20.
 _SHORTEST, _TERMS = 0.125, 12
 
-# Largest size of a network with tabulated steps. Every pattern needs a table, and tables of more
-# than 25 oscillators are slow to build. Larger networks use Taylor series for steps of up to the
-# second number times the largest rate: 0.5^12 / 12! = 5e-13.
+# Largest number of state variables (4 for each oscillator) of a network with tabulated steps. Every
+# pattern needs a table, and tables of more than 25 oscillators are slow to build. Larger networks
+# use Taylor series. Their longest step times the largest rate is the second number: 0.5^12 / 12! =
+# 5e-13.
 _TABULATED, _SERIES = 100, 0.5
 
-# Largest relative error of the cubic in the middle of a step. It then holds everywhere, and the
-# cubic shows every crossing except dips of this relative size.
+# Largest relative error of the cubic in the middle of a step. The cubic is then accurate in the
+# whole step, and shows every zero crossing except dips of this relative size.
 _SMOOTH = 1e-4
-# A step twice as long has 16 times the error.
+# The next step is twice as long if the error is below this. Doubling a step multiplies the error by
+# 16.
 _LENGTHEN = _SMOOTH / 32
 
 # Potentials below this, in units of the largest drive, are rounding errors without a sign.
@@ -60,17 +62,17 @@ _CUBIC = np.stack(
     axis=1,
 )
 
-# Largest growth in a tabulated step. No step with more growth is smooth.
+# Largest element of a tabulated matrix. A step in which a mode grows more is never smooth enough.
 _LARGEST_GROWTH = 1e6
 
-# Largest change of a state at rest, as a fraction of the drive in a unit of time. It is also the
-# limit for growth rates.
+# Largest derivative of a state that counts as at rest, in units of the flow. Also the largest
+# growth rate of its modes.
 _STILL = 1e-12
 
-# Largest relative error of a sum of modes that represents a distance.
+# Largest relative error of the sum of modes that represents a distance from an equilibrium.
 _REBUILT = 1e-9
 
-# Exponent of two for the longest part of a leap, in units of the flow.
+# The longest time that `Flow.leap` tries to add is two to this power, in units of the flow.
 _LEAP = 50
 
 # Number of time constants after which a mode has vanished: e^-50 = 2e-22.
@@ -107,7 +109,7 @@ class Run(NamedTuple):
 
     Attributes:
         state: final state.
-        duration: requested duration, or less.
+        duration: duration of the run: as requested, or less if enough neurons have started to fire.
         tangent: derivative of the final state with respect to the initial one, or None unless
             requested.
         onsets: starts of firing, in order of time.
@@ -144,8 +146,8 @@ class _Piece(NamedTuple):
 
     Attributes:
         generator: A, with the constant c in the last column.
-        steps: E(h) for each tabulated length h of a step, longest first. An entry is None if a mode
-            would grow by more than `_LARGEST_GROWTH` in that step.
+        steps: E(h) minus the identity for each tabulated length h of a step, longest first. An
+            entry is None if an element would exceed `_LARGEST_GROWTH`.
     """
 
     generator: np.ndarray
@@ -176,7 +178,7 @@ class Flow:
     Attributes:
         second: length of a second in units of the flow.
         ratio: T_r / T_a.
-        scale: largest drive, the unit of states.
+        scale: largest magnitude of the drive, the unit of states.
         steps_left: number of steps left before `BudgetError`.
     """
 
@@ -307,7 +309,7 @@ class Flow:
 
     @property
     def driven(self) -> bool:
-        """True if any neuron has a drive. No neuron fires for long without a drive."""
+        """True if any neuron has a positive drive. Otherwise all neurons soon cease to fire."""
         return bool((self._drive > 0).any())
 
     def stands_still(self, state: Float[np.ndarray, " k"]) -> bool:
@@ -364,7 +366,10 @@ class Flow:
         return (near.state + grown, time) if time else (state, 0.0)
 
     def equilibrium(self, state: Float[np.ndarray, " k"]) -> Rest | None:
-        """Return the equilibrium of this state's pattern, or None if it has another pattern."""
+        """Return the equilibrium of the linear flow of this state's pattern.
+
+        Return None if that equilibrium does not exist or has another pattern.
+        """
         firing = self._pattern(state)
         generator = self._piece(firing).generator
         try:
@@ -435,7 +440,8 @@ class Flow:
         generator[n:k, n:k] = -self._adaptation * np.eye(n)
         if not self._depth:
             return _Piece(generator, [None])
-        # Leave out the identity, which would cost slow rates their digits.
+        # Store E(h) minus the identity. Adding the identity would round off the small changes of
+        # slow modes.
         shortest = generator * self._lengths[-1]
         step = term = shortest
         for order in range(2, _TERMS):
@@ -470,7 +476,7 @@ class Flow:
         if not self._depth:
             # The series is exact within a whole step.
             left = min(left, float(self._lengths[0]))
-        # A series from here reaches the shortest step in both directions.
+        # The Taylor series at this time is exact for the shortest step, forwards and backwards.
         terms = _terms(piece.generator, columns)
         series = [float(term[neuron, 0]) for term in terms]
         reach, moment = float(self._lengths[-1]), left
@@ -488,13 +494,14 @@ class Flow:
 def returned(
     onsets: Sequence[Crossing], near: float
 ) -> tuple[Float[np.ndarray, " k"], float] | None:
-    """Return the last state at a start of firing, and the time since nearly this state.
+    """Return the last state at a start of firing, and the time since it last nearly occurred.
 
-    Returns None if the state did not recur.
+    Return None if no earlier start of firing of this neuron had nearly this state.
 
     Args:
         onsets: starts of firing of one run.
-        near: largest distance of the two states, as a fraction of the swing.
+        near: largest difference of two states that count as equal, as a fraction of the states'
+            range.
     """
     if not onsets:
         return None
@@ -528,7 +535,7 @@ def _sum(terms: Sequence[np.ndarray], duration: float) -> np.ndarray:
 def _first_root(
     x0: np.ndarray, x1: np.ndarray, v0: np.ndarray, v1: np.ndarray, neurons: np.ndarray, place: int
 ) -> tuple[float, int]:
-    """Return where in a step the first cubic crosses zero before a place, and its neuron."""
+    """Return the fraction of a step at which the first cubic crosses zero, and its neuron."""
     low = np.full(len(neurons), _PLACES[place - 1] if place else 0.0)
     high = np.full(len(neurons), _PLACES[place])
     a, b, c = x0[neurons], v0[neurons], 3 * (x1 - x0)[neurons] - (2 * v0 + v1)[neurons]

@@ -1,19 +1,19 @@
 """The controller of Fukui 2003: a few postures that an animal takes in turn, repeatedly.
 
-A posture is one angle for every joint. The motors are springs that pull to it (2.5 to 2.7 of the
-thesis). There is no sensing: posture k = 0, 1, ... is held while
+A posture is one angle for every joint. The motors are springs that pull each joint to its angle
+(sections 2.5 to 2.7 of the thesis). There is no sensing: posture k = 0, 1, ... is held while
 
     k T <= t < (k + 1) T,
 
-and the first follows the last. The angles evolve as bits (3.2). Each joint has B bits b_1 ... b_B
-in each posture:
+and the first follows the last. The angles evolve as bits (section 3.2). Each joint has B bits b_1
+... b_B in each posture:
 
     theta = theta_0 + step sum_i 2^(B - i) b_i,    q = theta - theta_n.
 
 The thesis counts theta from straight up, so that 180 degrees is straight down, and allows 110, 130,
-... 250 degrees. T is 1/3 s in its chapter 2 and 0.3 s in chapter 5. The order of the bits and the
-reference of a lower leg's angle are not stated. Here the genome goes posture by posture, joint by
-joint, most significant bit first, and q is the angle from the parent body.
+... 250 degrees. T is 1/3 s in its chapter 2 and 0.3 s in chapter 5. The thesis does not state the
+order of the bits and the reference of a lower leg's angle. Here the genome goes posture by posture,
+joint by joint, most significant bit first, and q is the angle from the parent body.
 
 | symbol | name |
 |---|---|
@@ -22,7 +22,7 @@ joint, most significant bit first, and q is the angle from the parent body.
 | theta_n | ``neutral_angle`` (degrees) |
 | B | ``bits_per_joint`` |
 | q | ``target_angle`` (rad) |
-| r | ``steps_per_posture`` (control steps, a fraction) |
+| r | ``steps_per_posture`` (control steps, a rational number) |
 """
 
 import dataclasses
@@ -41,8 +41,9 @@ from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# Number of periods with exact switches. It is infinite if this many periods are a whole number of
-# control steps. A trial of the thesis, 20 s, has 60.
+# Number of periods whose switches are at exactly the right control step. If this many periods are a
+# whole number of control steps, all later switches are exact too. A trial of the thesis, 20 s, has
+# 60 periods.
 EXACT_PERIODS = 500
 
 # Largest fraction of a control step by which a switch may be early. So 20 control steps of 1/60 s
@@ -52,7 +53,8 @@ TOLERANCE = 1e-6
 # Largest excess of an angle over a limit, rad: both are rounded from degrees.
 _ANGLE_TOLERANCE = 1e-6
 
-# In control steps. The largest product in `posture`, EXACT_PERIODS^2 times this, is below 2^31.
+# Longest period of a posture, control steps. The largest product in `PostureController.posture`,
+# EXACT_PERIODS^2 times this, is below 2^31.
 LONGEST_PERIOD = 8000
 
 
@@ -62,7 +64,7 @@ class PostureSettings:
 
     Attributes:
         postures: number of postures, 1 to 1000.
-        period: time for which each is held, s, more than 0.
+        period: time for which each posture is held, s, more than 0.
         lowest_angle: angle of a joint whose bits are all 0, degrees.
         angle_step: difference between neighbouring angles, degrees, more than 0.
         bits_per_joint: B, bits for each joint of each posture, 1 to 16. They encode 2^B angles.
@@ -207,7 +209,7 @@ def build_posture_controller(
 
 
 def one_posture(controller: Controller, angle: float) -> Float[np.ndarray, " g"]:
-    """Return genes that turn all joints to one angle (degrees) in every posture."""
+    """Return genes that turn all joints to one angle (theta, degrees) in every posture."""
     assert isinstance(controller, PostureController)
     settings = controller.settings
     number = round((angle - settings.lowest_angle) / settings.angle_step)
@@ -218,7 +220,7 @@ def one_posture(controller: Controller, angle: float) -> Float[np.ndarray, " g"]
 def _beyond(
     tree: Tree, settings: PostureSettings
 ) -> tuple[Bool[Numbers, " d"], tuple[Number, Number]]:
-    """Return which joints a motor would pull beyond a limit, and the extreme angles, degrees."""
+    """Return which joints a motor would pull beyond a limit, and the range of angles, degrees."""
     lowest = settings.lowest_angle - settings.neutral_angle
     highest = lowest + settings.angle_step * (2**settings.bits_per_joint - 1)
     least, most = xp.deg2rad(xp.array([lowest, highest]))

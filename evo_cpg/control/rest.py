@@ -12,22 +12,23 @@ from jaxtyping import Bool, Float
 from evo_cpg.control.matsuoka import MatsuokaNetwork, parts, sub_network
 from evo_cpg.control.piecewise import BudgetError, Flow, Run, returned
 
-# Longest run of a network, in units of T_r + T_a, its first stretch, and the growth of stretches.
+# A network runs in stretches of time. Longest total run and first stretch, in units of T_r + T_a,
+# and ratio of each stretch to the previous one.
 _LONGEST, _STRETCH, _LONGER = 70.0, 10.0, 1.5
 
-# Starts of firing per neuron and unit of time after which a stretch ends early.
+# Largest number of starts of firing per neuron and unit of time. A stretch with more ends early.
 _ONSETS = 4
 
-# Largest distance between two states of a repeating part, as a fraction of its swing: while the
-# network runs, and at the end.
+# Largest difference between two states of a part that repeats itself, as a fraction of the range of
+# its states. The first number holds while the network runs, the second after the longest run.
 _NEAR, _NEAR_ENOUGH = 1e-4, 0.02
 
 # Largest swing of the output of an oscillator at rest, as a fraction of its neurons' firing.
 _LEAST_SWING = 1e-3
 
-# Parts with more oscillators than this first get an inexact simulation with all gains at once.
-# Oscillators that swing in it are not reported to rest. Below: its tolerances, then its settling
-# time and observed time in units of the slower time constant.
+# Parts with more oscillators than this first get an inexact simulation with all adaptation gains at
+# once. Oscillators that swing in it are not reported to rest. Below: its tolerances, then its
+# settling time and observed time in units of the slower time constant.
 _LARGE = 12
 _RELATIVE, _ABSOLUTE = 1e-4, 1e-5
 _SETTLING, _SEEN = 60.0, 10.0
@@ -39,10 +40,11 @@ _BUDGET = 20_000
 def resting(
     network: MatsuokaNetwork, tonic_input: float, min_gain: float, max_gain: float
 ) -> list[int]:
-    """Return the oscillators whose output does not swing, with smallest, middle and largest gain.
+    """Return the oscillators whose output swings with none of three adaptation gains.
 
-    Only certain cases count: the whole part is near a stable equilibrium, or it repeats itself
-    while these oscillators rest.
+    The gains are the smallest, the middle and the largest. Only certain cases count: a part (set of
+    coupled oscillators) certainly decays to an equilibrium, or repeats itself while these
+    oscillators rest.
 
     Args:
         network: connections and time constants.
@@ -71,7 +73,7 @@ def resting(
 
 
 def _part_rests(part: MatsuokaNetwork, drive: float, gain: float) -> Bool[np.ndarray, " o"]:
-    """Return which oscillators of a part rest with a gain."""
+    """Return which oscillators of a part certainly rest with one adaptation gain."""
     count = part.oscillator_count
     flow = Flow(part, np.full((2, count), drive), np.full(count, gain))
     if not flow.driven:
@@ -96,7 +98,7 @@ def _part_rests(part: MatsuokaNetwork, drive: float, gain: float) -> Bool[np.nda
 def _seems_to_rest(
     part: MatsuokaNetwork, drive: float, gains: Float[np.ndarray, " g"]
 ) -> Bool[np.ndarray, " o"]:
-    """Return which oscillators of a part seem to rest with all gains."""
+    """Return which oscillators of a part barely swing with any of the adaptation gains."""
     from scipy.integrate import solve_ivp
 
     count = part.oscillator_count

@@ -94,7 +94,7 @@ class Joint:
     """A joint of 1 to 3 rotational axes between a body and its parent.
 
     The axes turn in order, usually x, y and z. Each axis is fixed in the frame that the axes before
-    it have turned. The second of three axes must therefore keep clear of 90 degrees.
+    it have turned. The angle of the second of three axes must therefore keep clear of 90 degrees.
 
     Attributes:
         parent: name of the parent body.
@@ -184,7 +184,7 @@ class DepthSensor:
     Attributes:
         body: name of the body with the sensor.
         position: position in the body's frame, m.
-        full_scale: depth at and below which the sensor reads 1, m.
+        full_scale: depth at which the sensor reads 1, as at all greater depths, m.
     """
 
     body: str
@@ -268,7 +268,7 @@ def lowest_height(creature: Creature, pose: tuple[Numbers, Numbers] | None = Non
 def lowest_along(
     creature: Creature, up: Numbers, pose: tuple[Numbers, Numbers] | None = None
 ) -> Number:
-    """Return the height of the lowest point along any direction, m.
+    """Return the smallest coordinate of any point of the creature along a direction, m.
 
     Args:
         creature: the creature.
@@ -291,10 +291,10 @@ def length_of(creature: Creature) -> Number:
 
 
 def topological_order(creature: Creature) -> list[int]:
-    """Return the indices of the bodies level by level, with parents before children.
+    """Return the indices of the bodies by their depth in the tree, parents before children.
 
-    Bodies of one level are ordered by their number of joint axes, then by their index. Bodies that
-    the physics can treat together are therefore adjacent.
+    Bodies of one depth are ordered by their number of joint axes, then by their index. Most bodies
+    that the physics can treat together are therefore adjacent.
 
     Raises:
         CreatureError: the creature has no body, no root or several, a name used twice, a joint to a

@@ -4,11 +4,12 @@
 fine mesh:
 
 - Contact with the ground and buoyancy use the hull of at most `MOST_CORNERS` corners at which three
-  planes meet. If the mesh has more corners, the farthest from the centre is first, and each further
-  one is the farthest from those chosen before. For buoyancy the hull is scaled to the mesh's volume
-  about the mesh's centre.
-- The surface has about as many points in water as an ellipsoid. Coplanar triangles are one facet.
-  If there are more facets than points, neighbouring facets share a point.
+  planes meet. If the mesh has more corners, the corner farthest from the centre is chosen first.
+  Each further corner is the farthest from all corners chosen before. For buoyancy the hull is
+  scaled to the mesh's volume about the mesh's centre.
+- The quadrature over the surface in water has at most about as many points as an ellipsoid's.
+  Coplanar triangles are one facet. If there are more facets than points, neighbouring facets share
+  a point.
 """
 
 import dataclasses
@@ -40,22 +41,25 @@ SHORTEST, LONGEST = 1e-3, 100.0
 # largest volume of a flat mesh, as a fraction of the cube of that side.
 _DENT, _FLAT = 1e-3, 1e-9
 
-# Height of a triangle below which rounding in files (single precision) turns it noticeably, as a
-# fraction of the longest side.
+# Height of a triangle below which rounding in files (single precision) turns its normal noticeably,
+# as a fraction of the mesh's longest side.
 _THIN = 1e-4
 # Largest fraction of the surface in thin triangles.
 _LOST = 1e-4
 # Angle (rad) below which planes count as one. Rounding in files turns planes by 1e-6.
 _SAME_PLANE = 1e-4
-# Least spread of the planes at a corner, smallest over largest, squared radians.
+# Least spread of the normals at a corner, squared radians: smallest over largest eigenvalue of the
+# sum of n n^T over its triangles. A vertex with less spread lies on an edge or in a face.
 _SPREAD = 1e-7
-# Difference in reach, as a fraction of its range, below which corners count as equally far.
+# Difference between the coordinates of corners along a direction below which the corners count as
+# equally far, as a fraction of the range of all corners.
 _EQUALLY_FAR = 1e-9
 # Steps of Lloyd's iteration, after which facets hardly change their points.
 _SHARING_STEPS = 20
-# Fewest surface points that share facets: an icosahedron's vertices.
+# Fewest points among which the facets of a mesh are divided: as many as an icosahedron's vertices.
 _FEWEST_POINTS = 12
-# Relative difference of the second moments of a facet below which it has no axes of its own.
+# Relative difference of the two second moments of a facet below which its principal axes are not
+# unique.
 _ROUND = 1e-6
 # Pairs of points and triangles for which distances are computed at a time: some 100 MB.
 _PAIRS = 400_000
@@ -84,7 +88,7 @@ class ConvexMesh(Shape):
 
     @functools.cached_property
     def triangles(self) -> np.ndarray:
-        """The faces' corners ``(f, 3, 3)``, m."""
+        """Positions of the three corners of each face ``(f, 3, 3)``, m."""
         return self.points[np.array(self.faces)]
 
     @property
@@ -126,7 +130,7 @@ class ConvexMesh(Shape):
 
     @functools.cached_property
     def inner_ellipsoid(self) -> tuple[np.ndarray, np.ndarray]:
-        """Largest ellipsoid in the mesh about its centre, with the shape of its second moments.
+        """Largest ellipsoid in the mesh about its centre, with the proportions of `stretch`.
 
         Returns:
             Semi-axes, m, and axes as columns.
@@ -232,11 +236,12 @@ class ConvexMesh(Shape):
 
         Four points at one standard deviation along the facet's principal axes lie within any convex
         facet (Kannan, Lovasz and Simonovits 1995). They are Gauss points on a rectangle. Resolution
-        1 has one point in the middle of each facet. Facets are cut into quarters above 2.
+        1 has one point in the middle of each facet, and so has a mesh for which four would be too
+        many. From resolution 4 on, facets are cut into quarters while the number of points allows.
 
-        The number of points is limited to an ellipsoid's, 8 times the squared resolution. If there
-        are more facets, neighbouring facets share a point with their whole area, at their mean
-        position and along their mean normal.
+        The number of points is limited to an ellipsoid's, 8 times the squared resolution, or to 12
+        if that is more. If there are more facets, neighbouring facets share a point with their
+        whole area, at their mean position and along their mean normal.
         """
         facets = self._facets()
         budget = max(8 * resolution**2, _FEWEST_POINTS)
@@ -259,7 +264,10 @@ class ConvexMesh(Shape):
         return [np.flatnonzero(first == i) for i in np.unique(first)]
 
     def _shared_surface(self, facets: list[np.ndarray], count: int) -> Surface:
-        """Assign facets to points by position and normal (Lloyd's iteration)."""
+        """Return at most ``count`` points, each for a cluster of facets (Lloyd's iteration).
+
+        The facets of a cluster are similar in position and normal.
+        """
         normals, areas = self.planes
         area = np.array([areas[facet].sum() for facet in facets])
         middle = np.array(
@@ -326,7 +334,11 @@ def _require_triangles(vertices: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _sensible_length(vertices: np.ndarray) -> float:
-    """Return the longest side of the bounding box, m."""
+    """Return the longest side of the bounding box, m, if it is from `SHORTEST` to `LONGEST`.
+
+    Raises:
+        MeshError: the side is shorter or longer.
+    """
     with np.errstate(over="ignore"):
         longest = float(np.ptp(vertices, axis=0).max())
     if longest > LONGEST:
@@ -372,8 +384,8 @@ def _require_broad(triangles: np.ndarray, longest: float) -> None:
     areas, thin = _planes(triangles)[1], ~_is_broad(triangles, longest)
     if areas[thin].sum() > _LOST * areas.sum():
         raise MeshError(
-            f"{thin.sum()} of its {len(triangles)} triangles are lower than {_THIN:.2%} of its "
-            "longest side. Make it thicker, or use fewer triangles"
+            f"{thin.sum()} of its {len(triangles)} triangles are lower than {_THIN:.2%} of the "
+            "mesh's longest side. Make the mesh thicker, or use fewer triangles"
         )
 
 
@@ -401,7 +413,7 @@ def _planes(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _is_broad(triangles: np.ndarray, longest: float) -> np.ndarray:
-    """Return which triangles ``(f,)`` are high enough for a certain normal."""
+    """Return which triangles ``(f,)`` are high enough for a reliable normal."""
     sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=-1)
     return 2 * _planes(triangles)[1] > _THIN * longest * sides.max(1)
 
@@ -459,7 +471,7 @@ class _Moments(NamedTuple):
 def _moments(triangles: np.ndarray) -> _Moments:
     """Return the moments of triangles ``(t, 3, 3)`` in one plane.
 
-    Deviations are two vectors along the principal axes.
+    ``deviations`` are two vectors along the principal axes, each one standard deviation long.
     """
     a, b, c = triangles.swapaxes(0, 1)
     doubled = np.cross(b - a, c - a)
@@ -485,7 +497,7 @@ def _moments(triangles: np.ndarray) -> _Moments:
 
 
 def _halves(triangles: np.ndarray) -> list[np.ndarray]:
-    """Cut a flat piece through its middle across its longest axis."""
+    """Return both halves of a flat piece, cut through its middle across its longest axis."""
     piece = _moments(triangles)
     height = (triangles - piece.centre) @ piece.deviations[1]
     halves: list[np.ndarray] = []

@@ -15,7 +15,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.decisions import Condition
 from evo_cpg.spatial.numerics import Numbers, xp
 
-# Widening of joint limits (rad), because joints give way.
+# Widening of joint limits (rad), because loads push joints beyond their soft limits.
 _GIVE = 0.15
 
 # Number of pieces into which all ranges of a chain of joints are cut.
@@ -78,7 +78,10 @@ def _swept(tree: Tree, chain: list[int], box: Interval, most: int) -> Interval:
 
 
 def _turns(axis: Numbers, edges: Numbers) -> Interval:
-    """Return ranges ``(3, 3, k)`` of rotations between k + 1 angles, by Rodrigues' formula."""
+    """Return ranges ``(3, 3, k)`` of the elements of rotation matrices, by Rodrigues' formula.
+
+    Each range covers all rotations between two successive angles of ``edges``.
+    """
     x, y, z = axis
     along = xp.outer(axis, axis)[..., None]
     cross = xp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[..., None]

@@ -23,8 +23,8 @@ from evo_cpg.spatial.numerics import Numbers, is_traced, xp
 # boxes count as overlapping.
 _PROJECTIONS, _TOUCH = 200, 1e-4
 
-# Numbers of pieces to try first, and the factor on the size of bodies with them. If bodies of that
-# size never meet, fewer pieces are enough for similar bodies.
+# Numbers of pieces of joint ranges that are tried first, and the factor on the size of bodies in
+# these tries. If the enlarged bodies never meet, the same number shows it for similar bodies, too.
 _FEWER_PIECES, _SLACK = (1, 8, 27, 125), 1.25
 
 # Pairs of body names.
@@ -51,8 +51,8 @@ class SelfCollision:
         exclude: pairs of bodies that may pass through each other.
         include: pairs of bodies that must not, even neighbours or bodies that overlap in the
             neutral pose.
-        only: pairs of several creatures of one plan, which alone are considered. Pairs that overlap
-            in the neutral pose may still pass (`passing_at_rest`).
+        only: the only pairs to consider, collected from several creatures of one plan, or None for
+            the rule. Pairs that overlap in the neutral pose may still pass (`passing_at_rest`).
     """
 
     exclude: PairNames = ()
@@ -157,7 +157,7 @@ def _candidates(
 
 
 def _ruled(tree: Tree, settings: SelfCollision) -> list[tuple[int, int]]:
-    """Return the pairs that must not pass if they can meet and do not overlap initially."""
+    """Return the pairs that the rule keeps if they can meet and do not overlap in neutral pose."""
     every = set(itertools.combinations(range(len(tree.names)), 2))
     excluded, included = (_indices(tree.names, x) for x in (settings.exclude, settings.include))
     joined = {(parent, body) for body, parent in enumerate(tree.parents) if parent >= 0}
@@ -172,7 +172,7 @@ def _boxes(creature: Creature, tree: Tree) -> tuple[Numbers, Numbers]:
 
 
 def _indices(names: tuple[str, ...], given: tuple[tuple[str, str], ...]) -> set[tuple[int, int]]:
-    """Return pairs of indices, the lower index first."""
+    """Return pairs of names as pairs of indices in ``names``, the lower index first."""
     found = [sorted(map(names.index, pair)) for pair in given]
     return {(first, second) for first, second in found}
 

@@ -8,8 +8,8 @@ A new kind of shape is a class here. Only the exchange with MuJoCo depends on it
 
 Every shape is centred on its own frame. Elongated shapes point along their x axis, the direction
 that an animal faces. ``surface(resolution)`` returns points ``(n, 3)`` in m, unit outward normals
-``(n, 3)`` and areas ``(n,)`` in m^2. The points are symmetric, so a uniform flow causes no sideways
-force on a shape at rest. The quadrature converges as the resolution grows.
+``(n, 3)`` and areas ``(n,)`` in m^2. Except on meshes the points are symmetric, so a flow along an
+axis causes no sideways force on a shape at rest. The quadrature converges as the resolution grows.
 """
 
 import abc
@@ -28,8 +28,8 @@ from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
 # righting moment of a level capsule about its short axes is 33 % / n^2 = 2 % too large.
 _SLICES = 4
 
-# Edge radius of a box in pictures, as a fraction of its smallest half size. Vertices along a
-# quarter circle: 6 look round on a body that fills a third of a frame.
+# Edge radius of a box in pictures, as a fraction of its smallest half size. Vertices along an
+# eighth of a circle: 6 look round on a body that fills a third of a frame.
 _ROUNDING, _QUARTER = 0.28, 6
 
 Profile = Literal["box", "ball", "disc", "polyhedron"]
@@ -86,7 +86,8 @@ class ObstaclePart(NamedTuple):
         kind: a box with sharp edges, a line along x, a ball, or an ellipsoid.
         centre: centre in the shape's frame, m.
         half_extents: half extents of a box or a line, or semi-axes of an ellipsoid, m.
-        radius: radius of the ball that sweeps the part, m.
+        radius: radius of rounding, m. The part is all points within this distance of its box, line,
+            centre (ball) or ellipsoid.
         axes: axes in the shape's frame, as columns, or None for the frame's axes.
         corners: corners ``(k, 3)`` of a mesh around an ellipsoid, along ``axes``, m, or None
             without a mesh.
@@ -159,7 +160,7 @@ class Shape(abc.ABC):
 
     @property
     def stretch(self) -> tuple[Numbers, Numbers]:
-        """Half lengths ``(3,)`` along the principal axes, m, and these as columns ``(3, 3)``."""
+        """Half lengths ``(3,)`` along the principal axes, m, and the axes as columns ``(3, 3)``."""
         return self.half_extents, xp.eye(3)
 
     @property
@@ -190,7 +191,10 @@ class Shape(abc.ABC):
         """
 
     def height(self, directions: np.ndarray) -> np.ndarray:
-        """Return the extent of a shape of known size along unit vectors ``(..., 3)``, m."""
+        """Return the coordinate of the farthest point along unit vectors ``(..., 3)``, m.
+
+        The shape's size must be known, not traced.
+        """
         box = self.rounded_box
         half = np.asarray(box.half_extents, float)
         middle = directions @ np.asarray(box.centre, float)
@@ -528,7 +532,7 @@ def _ring(resolution: int) -> Numbers:
 
 
 def _cube_rule(resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return points ``(n, 3)`` on the cube from -1 to 1, normals, and weights: 1 on each face."""
+    """Return points ``(n, 3)`` on the cube from -1 to 1, normals, weights with sum 1 on a face."""
     nodes, weights = np.polynomial.legendre.leggauss(resolution)
     u, v = (grid.ravel() for grid in np.meshgrid(nodes, nodes, indexing="ij"))
     unit = np.eye(3)

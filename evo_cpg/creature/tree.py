@@ -1,8 +1,8 @@
 """The creature in the form of the physics: a static tree and constant arrays.
 
-Bodies are ordered level by level (see `topological_order`). Bodies of one level with limbs of the
-same build form a `Group`, which the recursions treat at once. The origin of each body's working
-frame is at its joint (the root's at its centre), with the axes of the body's own frame.
+Bodies are ordered by depth in the tree (see `topological_order`). Adjacent bodies of one depth with
+limbs of the same build form a `Group`, which the recursions treat at once. The origin of a body's
+working frame is at its joint (the root's at its centre), with the axes of the body's own frame.
 
 | symbol | name |
 |---|---|
@@ -31,7 +31,7 @@ LIMIT_DAMPING_RATIO = 1.0
 
 
 class Group(NamedTuple):
-    """Bodies of one level with limbs of the same build, such as all four thighs.
+    """Bodies of one depth in the tree with limbs of the same build, such as all four thighs.
 
     The physics treats them side by side. Limbs have the same build if they have equally many joint
     axes, and carry equally many limbs of the same build. A trunk segment is not in a
@@ -60,7 +60,7 @@ class Tree(eqx.Module):
         dof_names: names of the degrees of freedom, ``body.axis``.
         dof_bodies: index of the body that each degree of freedom moves.
         joint_offset: joint position in the parent's frame, m.
-        joint_orientation: child frame to parent frame in the neutral pose.
+        joint_orientation: rotation from child frame to parent frame in the neutral pose.
         joint_axes: unit vectors in the child's neutral frame.
         mass: mass of each body, kg.
         volume: volume of each body, m^3.
@@ -68,7 +68,7 @@ class Tree(eqx.Module):
         inertia: spatial inertia in the working frame, kg m^2, kg m and kg.
         stiffness: stiffness of the passive springs, N m/rad.
         damping: passive damping, N m s/rad.
-        armature: rotor inertia, kg m^2.
+        armature: rotor inertia of each axis, kg m^2.
         lower: lower joint limit, rad.
         upper: upper joint limit, rad.
         servo_gain: torque of the motors per rate error, N m s/rad, 0 for a passive axis.

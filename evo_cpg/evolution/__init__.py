@@ -1,1 +1,1 @@
-"""The genetic algorithm."""
+"""Searches for good genomes: genetic algorithms, maps of behaviour, evosax, pyribs, islands."""

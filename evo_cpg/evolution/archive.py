@@ -28,16 +28,16 @@ class Axis(NamedTuple):
 
 
 class Archive(NamedTuple):
-    """The elite of each cell. Checkpoints hold the arrays by these names.
+    """Elites: the fittest individual so far of each cell. Checkpoints use the names of the arrays.
 
     Attributes:
         genes: genome of each elite.
         fitness: fitness of each elite, or -inf if the cell is empty.
         descriptors: descriptors of each elite, in the order of the axes.
-        generation: generation in which each elite was found, from 0.
-        index: index of each elite in that population. Generation and index select the random
-            numbers of the elite's trials.
-        told: number of generations that the archive has seen.
+        generation: generation in which each elite was found, from 0, or -1 if the cell is empty.
+        index: index of each elite in the population of that generation. Generation and index select
+            the random numbers of the elite's trials.
+        told: number of generations whose individuals were entered into the archive.
     """
 
     genes: Float[Array, "g cells"]

@@ -1,15 +1,15 @@
 """The genetic algorithm on bits of Fukui 2003, chapter 3.
 
-The best 7 of 15 individuals stay unchanged. Children of 4 pairs overwrite the other 8, two of each
-pair. The 8 parents are drawn independently by rank, so one may be both parents of a pair. Ranks 9
-to 15 are never parents. One-point crossover makes the children. A child mutates with probability
-1/2, in 2 to 30 random genes.
+The best 7 of 15 individuals stay unchanged. Eight children overwrite the other 8: two children of
+each of 4 pairs of parents. The 8 parents are drawn independently by rank, so one may be both
+parents of a pair. Ranks 9 to 15 are never parents. One-point crossover makes the children. A child
+mutates with probability 1/2. A mutation changes 2 to 30 random genes.
 
 The thesis does not say whether mutation is per child or per pair, or how a gene changes. Here each
 child has its own mutation. A gene is redrawn unless ``mutation`` is "flip". Chapter 4 describes a
-first attempt with 5 kept and 10 replaced (``elites`` 5). It proposes to keep several copies of the
-best (``best_copies``). Differs from the thesis: an individual that diverged is never kept, and one
-more child takes its place.
+first attempt with 5 individuals kept and 10 replaced (``elites`` 5). The chapter proposes to keep
+several copies of the best individual (``best_copies``). Differs from the thesis: an individual that
+diverged is never kept, and one more child takes its place.
 
 A bit is a gene of 0.0 or 1.0, so that one type of array serves all genomes. Genes come first and
 individuals last, ``(g, n)``.
@@ -40,9 +40,9 @@ class BitGenetics(Genetics):
         population: number of individuals.
         elites: number of places for the best individuals, unchanged, in the next generation.
             Children fill the other places.
-        best_copies: number of these places for the best individual.
-        rank_probabilities: probability of each rank to be a parent, best first. Lower ranks have
-            probability 0.
+        best_copies: number of the elites' places that copies of the best individual take.
+        rank_probabilities: probability of each rank to be drawn as a parent, best first. Ranks
+            after the last number have probability 0.
         mutation_probability: probability that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes. All numbers in between are
             equally likely.
@@ -114,11 +114,13 @@ class BitGenetics(Genetics):
         """
         del trial_fitness
         parent_key, cross_key, mutate_key = jax.random.split(key, 3)
-        # Pairs for every place, because the number of elites is known only at run time.
+        # Make children for every place, because the number of finite elites is known only at run
+        # time.
         pairs = -(-self.population // 2)
         parents = draw_parents(parent_key, fitness, np.array(self.rank_probabilities), 2 * pairs)
         children = one_point_crossover(cross_key, genes, parents[:pairs], parents[pairs:], 1.0)
-        # Drop children at the front, so that the elites, which come first, split at most one pair.
+        # If there is one child too many, drop the first. Elites overwrite the first children, and
+        # so separate at most one pair of siblings.
         children = children[:, 2 * pairs - self.population :]
         children = bit_mutation(
             mutate_key,
@@ -130,7 +132,7 @@ class BitGenetics(Genetics):
         return keep_elites(genes, fitness, children, self.elites, self.best_copies)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Mutate all individuals but the first."""
+        """Return the genomes, with a mutation in each but the first."""
         changed = bit_mutation(key, genes, 1.0, *self.mutated_genes, self.mutation)
         return changed.at[:, 0].set(genes[:, 0])
 
@@ -188,20 +190,20 @@ def bit_mutation(
 def different_places(
     key: Array, count: int, number: Int[Array, " n"], most: int
 ) -> Int[Array, "most n"]:
-    """Draw a set of different places of 0 to ``count`` - 1 for each individual, all equally likely.
+    """Draw a set of indices from 0 to ``count`` - 1 for each individual, all sets equally likely.
 
     Floyd's algorithm (Bentley and Floyd 1987, Communications of the ACM 30, 754) extends a set of
-    places below ``j``. It adds a random place of 0 to ``j``, or ``j`` itself if that place is in
+    indices below ``j``. It adds a random index from 0 to ``j``, or ``j`` itself if that index is in
     the set. ``j`` rises to ``count`` - 1.
 
     Args:
         key: random key.
-        count: number of places to draw from.
-        number: number of places for each individual.
+        count: number of indices to draw from.
+        number: number of indices to draw for each individual.
         most: upper bound of these numbers.
 
     Returns:
-        The places in arbitrary order, then ``count`` as padding.
+        The indices of each individual in arbitrary order, then ``count`` as padding.
     """
     step = jnp.arange(most)[:, None]
     needed = step < number[None]

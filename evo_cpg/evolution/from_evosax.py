@@ -2,17 +2,17 @@
 
 evosax is installed with the extra ``evosax``. Importing it starts JAX, so the import waits until a
 strategy is built. evosax minimises, so fitness changes its sign. An individual that diverged gets
-the worst fitness of the others, because many algorithms compute with it. For genomes of bits the
-algorithm searches real numbers, and a gene is 1 where its number is positive.
+the worst fitness of the others, because many algorithms compute with the fitness values. For
+genomes of bits the algorithm searches real numbers, and a gene is 1 where its number is positive.
 
-Like any other search it begins with the random genomes of the controller, on which scales are
-measured. A distribution then starts at the mean of the better half of them. A population starts
-with all of them.
+Like any other search it begins with the random genomes of the controller, on which the task's
+scales are measured. An algorithm with a distribution then starts at the mean of the better half of
+these genomes. An algorithm with a population starts with all of them.
 
-Genes are clipped to bounds after the draw. The algorithm gets its own numbers back where the
-evaluated genes still match them. Full covariance matrices (``CMA_ES``, ``MA_ES``) need memory and
-time with the square of the number of genes. Alternatives for a brain of 3000 are ``Sep_CMA_ES``,
-``LM_MA_ES``, ``Open_ES`` and ``DifferentialEvolution``.
+Genes are clipped to bounds after the draw. The algorithm gets back the numbers that it drew, before
+clipping, where they still give the evaluated genes. Full covariance matrices (``CMA_ES``,
+``MA_ES``) need memory and time with the square of the number of genes. Alternatives for a brain of
+3000 are ``Sep_CMA_ES``, ``LM_MA_ES``, ``Open_ES`` and ``DifferentialEvolution``.
 """
 
 import dataclasses
@@ -33,12 +33,12 @@ from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 
 
 class Sample(NamedTuple):
-    """State that is carried from one generation to the next.
+    """State of the search between generations.
 
     Attributes:
         numbers: numbers that the algorithm drew, or numbers of the first genes.
         state: state of the algorithm.
-        told: number of generations with results. The algorithm begins after the first.
+        told: number of evaluated generations. The algorithm starts after the first.
     """
 
     numbers: Float[Array, "g n"]
@@ -90,7 +90,7 @@ class Evosax(Strategy):
         return Sample(numbers, self._started(key, numbers, fitness), jnp.int32(0))
 
     def ask(self, key: Array, state: Sample) -> tuple[Float[Array, "g n"], Sample]:
-        """Return the first genomes, then genomes that the algorithm draws."""
+        """Return the first genomes in generation 0, later genomes that the algorithm draws."""
         with jax.numpy_rank_promotion("allow"):
             rows, inner = self._algorithm.ask(key, state.state, self._params)
         first = state.told == 0
@@ -177,7 +177,10 @@ def _build(
     learning_rate: float,
     options: tuple[tuple[str, Any], ...],
 ) -> tuple[Any, Any]:
-    """Build the algorithm and its defaults, once per settings: `jax.jit` compares by identity."""
+    """Build the algorithm and its default parameters, once for equal settings.
+
+    `jax.jit` compares algorithms by identity, and would compile again for a new object.
+    """
     kind = getattr(_evosax(), name)
     taken, given = inspect.signature(kind).parameters, dict(options)
     if "std_schedule" in taken:

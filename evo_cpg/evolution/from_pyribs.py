@@ -1,26 +1,28 @@
 """CMA-MAE of pyribs (Tjanaka et al. 2023, Fontaine and Nikolaidis 2023) as a strategy.
 
-Like any other search it begins with the random genomes of the controller, on which scales are
-measured. After that several evolution strategies, the *emitters*, put their samples into one map.
-Each adapts a normal distribution, which starts at the mean of the better half of the first genomes.
-A cell of the map has a threshold that fitness must exceed to enter. The threshold rises at each
-entry,
+Like any other search it begins with the random genomes of the controller, on which the task's
+scales are measured. After that several evolution strategies, the *emitters*, put their samples into
+one map. Each adapts a normal distribution, which starts at the mean of the better half of the first
+genomes. A cell of the map has a threshold that fitness must exceed to enter. The threshold rises at
+each entry,
 
     threshold <- (1 - a) threshold + a fitness,
 
 from ``threshold_min`` on, with the learning rate ``a``. The default threshold is the median of the
-valid individuals in the emitters' first generation. An emitter ranks its sample by the height above
-the thresholds. Thresholds rise in explored regions, so the emitter moves to lower ones.
-``a = 0`` only optimises, as CMA-ES does. ``a = 1`` is CMA-ME. Other settings follow Fontaine and
-Nikolaidis. The better half of a sample are parents. When its sample has converged, an emitter
-restarts at an elite of the map.
+valid individuals in the emitters' first generation. An emitter ranks its sample by the excess of
+fitness over the threshold. Thresholds rise in explored regions, so the emitter moves to regions
+with lower thresholds. ``a = 0`` only optimises the fitness, as CMA-ES does. ``a = 1`` is CMA-ME.
+Other settings follow Fontaine and Nikolaidis. The better half of a sample are the parents of the
+next distribution. When its sample has converged, an emitter restarts at a random elite of the
+emitters' map.
 
 pyribs is installed with the extra ``pyribs``, and imported when a strategy is built. Emitters and
 their map run on the host, in a callback of `Ribs.ask` and `Ribs.tell`. Between calls they are a
 pytree of arrays (see `evo_cpg.evolution.pyribs_host`).
 
-The emitters' map may replace the fittest of a cell by a worse one above the threshold. So the map
-that a run shows is a separate `evo_cpg.evolution.archive.Archive` of all individuals.
+The emitters' map may replace the fittest individual of a cell by a worse one above the threshold.
+So a run shows another map, `evo_cpg.evolution.archive.Archive`, which keeps the fittest of all
+individuals in each cell.
 
 Some individuals do not enter the emitters' map, and rank below all others of their emitter. They
 have diverged, have a descriptor that is not finite, or are migrants. While no
@@ -68,10 +70,10 @@ class State(NamedTuple):
     """State of the search.
 
     Attributes:
-        archive: map of all individuals.
+        archive: map with the fittest of all individuals in each cell.
         cells: map of the emitters.
         emitters: distributions of the emitters.
-        drawn: last sample: the numbers of each individual, and the draws behind them.
+        drawn: last sample: the latent numbers of each individual, and other arrays of the draw.
     """
 
     archive: Archive
@@ -132,7 +134,7 @@ class Ribs(MapStrategy):
         layout(self._settings)
 
     def map_of(self, state: State) -> Archive:
-        """Return the map of all individuals."""
+        """Return the map with the fittest of all individuals in each cell."""
         return state.archive
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Beginning:
@@ -141,7 +143,10 @@ class Ribs(MapStrategy):
         return Beginning(self.empty(genes), genes)
 
     def ask(self, key: Array, state: State | Beginning) -> tuple[Float[Array, "g n"], State]:
-        """Return the first genomes, then samples of the emitters from their own random numbers."""
+        """Return the first genomes in generation 0, later samples of the emitters.
+
+        The emitters have their own random numbers, so ``key`` is unused.
+        """
         del key
         if isinstance(state, Beginning):
             nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes(self._settings))
@@ -157,7 +162,8 @@ class Ribs(MapStrategy):
     ) -> State:
         """Return the state after the results.
 
-        The emitters start after the first population, at the mean of its better half, in numbers.
+        The emitters start after the first population, at the mean of the latent numbers of its
+        better half.
         """
         found = descriptor_rows(evaluation, self.measured())
         numbers, better = self._latent.numbers(genes), rank_order(evaluation.fitness)
@@ -208,7 +214,7 @@ class Ribs(MapStrategy):
         )
 
     def _rows(self, drawn: Arrays) -> Float[Array, "n g"]:
-        """Return the numbers of every individual."""
+        """Return the latent numbers of every individual of a sample."""
         return drawn[SAMPLE].reshape(self.population, self.gene_count)
 
 

@@ -1,9 +1,9 @@
 """Step from one generation to the next: elites, rank roulette, crossover, mutation.
 
 `Genetics` is the common part of the genetic algorithms. `RealGenetics` is for real-valued genomes,
-and `bits` has the algorithm on bits. Population, mutation rate and crossover probability of the
-real-valued one are from Iwadate 2010 (Table 4). Elites and rank roulette are from Fukui 2003. Genes
-come first and individuals last, ``(g, n)``.
+and the module `bits` has the algorithm on bits. Population, mutation rate and crossover probability
+of `RealGenetics` are from Iwadate 2010 (Table 4). Elites and rank roulette are from Fukui 2003.
+Genes come first and individuals last, ``(g, n)``.
 """
 
 import abc
@@ -25,11 +25,11 @@ from evo_cpg.evolution.variation import gaussian_mutation, one_point_crossover
 
 
 class Genetics(Strategy):
-    """A genetic algorithm, with its population as its state.
+    """A genetic algorithm. Its state is the next population to evaluate.
 
     Attributes:
         population: number of individuals.
-        checks_genes: False, because it only varies the genes that the controller drew.
+        checks_genes: False, because mutation and crossover of finite genes are finite.
     """
 
     population: eqx.AbstractVar[int]
@@ -42,7 +42,10 @@ class Genetics(Strategy):
         return genes
 
     def ask(self, key: Array, state: Float[Array, "g n"]) -> tuple[Float[Array, "g n"], tuple]:
-        """Return the population. `tell` receives it again, so the state is empty."""
+        """Return the population.
+
+        `tell` receives these genes as an argument, so the state is empty.
+        """
         del key
         return state, ()
 
@@ -137,7 +140,7 @@ def keep_elites(
     elite_count: int,
     best_copies: int = 1,
 ) -> Float[Array, "g n"]:
-    """Put the best individuals, unchanged and best first, in the place of the first children.
+    """Replace the first children by the best individuals of the old population, best first.
 
     Args:
         genes: the old population.
@@ -145,7 +148,7 @@ def keep_elites(
             is not finite.
         children: one child for every place.
         elite_count: number of places for elites.
-        best_copies: number of these places for the best individual.
+        best_copies: number of the elites' places that copies of the best individual take.
     """
     if elite_count == 0:
         return children

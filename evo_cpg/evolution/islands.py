@@ -1,10 +1,11 @@
 """Islands: sub-populations that evolve separately and exchange their best individuals.
 
-Every island has its own strategy, all with equal settings. At regular intervals the best of each
-island replace the worst of the next one, before its strategy gets the results. The islands form a
-ring, as in Cohoon et al. 1987, Punctuated equilibria: a parallel genetic algorithm. So migration
-works with every strategy. For one with a distribution the migrants are individuals injected into
-its sample (Hansen 2011, Injecting external solutions into CMA-ES).
+Every island has its own strategy, all with equal settings. At regular intervals copies of the best
+individuals of each island replace the worst of the next island. The next island's strategy then
+gets the migrants' genes and results as its own, so migration works with every strategy. The islands
+form a ring, as in Cohoon et al. 1987, Punctuated equilibria: a parallel genetic algorithm. For a
+strategy with a distribution the migrants are individuals injected into its sample (Hansen 2011,
+Injecting external solutions into CMA-ES).
 
 Islands stand side by side on the axis of individuals, ``(g, islands x n)``.
 """
@@ -94,7 +95,7 @@ class Islands(Strategy):
         return {name: values.mean() for name, values in found.items()}
 
     def _arrivals(self, fitness: Float[Array, " n"], now: Array) -> Int[Array, " n"]:
-        """Return the source of every place: its own index, or a previous island's migrant."""
+        """Return the index of the individual to copy to every place: itself, or a migrant."""
         size = self.population // self.count
         first = size * np.arange(self.count)[:, None]
         order = first + jax.vmap(rank_order)(fitness.reshape(self.count, -1))

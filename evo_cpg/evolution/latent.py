@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-# Fraction of bits that are flipped in a population around one individual.
+# Probability that a bit is flipped in a population around one individual.
 _FLIPPED = 0.1
 
 
@@ -19,7 +19,8 @@ class Latent(NamedTuple):
 
     Attributes:
         binary: True if genes are bits.
-        sigma: standard deviation of the first sample, which is half the distance between two bits.
+        sigma: standard deviation of the first sample. The numbers of the bits 0 and 1 are -sigma
+            and sigma.
         gene_bound: largest magnitude of a gene, or None for bits.
     """
 
@@ -35,11 +36,11 @@ class Latent(NamedTuple):
         return jnp.clip(numbers, -bound, bound)
 
     def numbers(self, genes: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return numbers for these genes."""
+        """Return numbers that `genes` converts to these genes."""
         return self.sigma * (2.0 * genes - 1.0) if self.binary else genes
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Add normal noise, or flip one bit in ten, in all genomes but the first."""
+        """Add normal noise, or flip each bit with probability 0.1, in all genomes but the first."""
         if self.binary:
             flipped = jax.random.bernoulli(key, _FLIPPED, genes.shape)
             changed = jnp.where(flipped, 1.0 - genes, genes)

@@ -53,11 +53,11 @@ class Variation(eqx.Module):
     def __call__(
         self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
     ) -> Float[Array, "g n"]:
-        """Return children, one of each pair of parents."""
+        """Return children of the genomes on the map, one child of each pair of parents."""
 
     @abc.abstractmethod
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Return genomes with a small change of each."""
+        """Return the genomes, each with a small random change."""
 
 
 class AlongTheLine(Variation):
@@ -89,10 +89,11 @@ class AlongTheLine(Variation):
 
 
 class OfBits(Variation):
-    """Variation of bits: crossover of the two parents, and mutation.
+    """Variation of genomes of bits: crossover of the two parents, and mutation.
 
     Attributes:
-        crossover: probability that the parents are crossed. Otherwise a child copies the first.
+        crossover: probability that the parents are crossed. Otherwise a child copies the first
+            parent.
         mutation_probability: probability that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes.
         mutation: change of a mutated gene, one of ``bits.MUTATIONS``.
@@ -160,7 +161,10 @@ class MapStrategy(Strategy):
         return tuple(axis.name for axis in self.axes)
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
-        """Return ``coverage`` (fraction of filled cells) and ``mean_elite`` (mean fitness)."""
+        """Return ``coverage`` (fraction of filled cells) and ``mean_elite``.
+
+        ``mean_elite`` is the mean fitness of the elites.
+        """
         fitness = self.map_of(state).fitness
         filled = jnp.isfinite(fitness)
         count = filled.sum()
@@ -168,7 +172,7 @@ class MapStrategy(Strategy):
         return {"coverage": count / self.cells, "mean_elite": total / count}
 
     def cell_of(self, descriptors: Float[Array, "k n"]) -> Int[Array, " n"]:
-        """Return the cell of each individual. Descriptors that are not finite count as lowest."""
+        """Return the cell of each individual. A descriptor that is not finite counts as ``low``."""
         number = jnp.zeros(descriptors.shape[1:], jnp.int32)
         for axis, value in zip(self.axes, descriptors, strict=True):
             place = (value - axis.low) / (axis.high - axis.low) * axis.cells
@@ -192,7 +196,7 @@ class MapStrategy(Strategy):
     def entered(
         self, archive: Archive, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Archive:
-        """Return the map with all individuals that are fitter than the elite of their cell."""
+        """Return the map in which individuals have replaced the elites with less fitness."""
         found = descriptor_rows(evaluation, self.measured())
         fitness = jnp.where(jnp.isfinite(found).all(0), evaluation.fitness, -jnp.inf)
         cell = self.cell_of(found)
@@ -250,7 +254,7 @@ class MapElites(MapStrategy):
             return state.genes, state.archive
         draw_key, vary_key = jax.random.split(key)
         filled = jnp.isfinite(state.fitness)
-        # An empty map has zeros as parents, which is a new start.
+        # If the map is empty, all parents are genomes of zeros. The search then starts again there.
         (occupied,) = jnp.nonzero(filled, size=self.cells, fill_value=0)
         number = jnp.maximum(filled.sum(), 1)
         parents = occupied[jax.random.randint(draw_key, (2, self.population), 0, number)]

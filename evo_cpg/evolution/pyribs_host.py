@@ -1,19 +1,20 @@
 """The part of CMA-MAE that runs on the host: evolution strategies of pyribs, and their map.
 
 No object of pyribs outlives a call. Between calls its numbers are arrays, which a checkpoint holds.
-Each call rebuilds the object to the same bits, by public names:
+Each call rebuilds the object, bit for bit, by public names:
 
 - The evolution strategies are classes of `ribs.emitters.opt`, with `reset`, `ask`, `tell` and
-  `check_stop`. pyribs' own emitter does not expose its strategy. So `adapt` has its few steps:
-  rank by improvement, adapt, restart.
+  `check_stop`. pyribs' own emitter does not expose its strategy. So `adapt` repeats the few steps
+  of that emitter: rank by improvement, adapt, restart.
 - `vars` lists the attributes of a strategy, as for `copy` and `pickle`. The time at which an
   attribute is set shows its purpose (`Layout`).
 - pyribs' random numbers come from generators that are passed to it.
 - The map is ours (`enter`), because the thresholds of pyribs' map cannot be set. Its sums and
-  thresholds have the bits of `ribs.archives.GridArchive`.
+  thresholds are equal, bit for bit, to those of `ribs.archives.GridArchive`.
 
-NumPy rounds differently with different kinds of numbers. So numbers of a strategy are kept as
-float64, by their bits (two ``uint32`` each), together with their kinds.
+NumPy rounds differently with different types of numbers (Python float, float32, float64). So
+numbers of a strategy are kept as the bits of a float64 (two ``uint32`` each), together with their
+types.
 """
 
 import functools
@@ -41,13 +42,14 @@ SAMPLE = "_solutions"
 SEED_WORDS = 4
 """Number of 32-bit words in a seed for NumPy's generators."""
 
-# Kinds of numbers that a strategy holds.
+# Types of numbers that a strategy holds. Arrays ``kinds`` store indices into this tuple.
 _KINDS = (float, np.float32, np.float64)
 
 # Length of a word in the state of a generator (PCG64), bits.
 _WORD = 32
 
-# Added to a place on an axis, in cells and units, before rounding down, as in pyribs.
+# Added to cells * (descriptor - low) before the division by the range and rounding down, as in
+# pyribs.
 _EPSILON = np.float32(1e-6)
 
 # Arrays by name. Arrays of emitters have the emitters on the first axis.
@@ -140,7 +142,7 @@ def layout(settings: RibsSettings) -> Layout:
         and (before.get(name) is None or not np.array_equal(before[name], x))
     ]
     arrays = [name for name in set_now if isinstance(held[name], np.ndarray)]
-    # Order of the kinds in a checkpoint since 1.0: Adam's parameters come first.
+    # Checkpoints since 1.0 have this order: Adam's parameters come first.
     vectors = tuple(sorted(arrays, key=lambda name: not name.endswith("_theta")))
     scalars = tuple(name for name in set_now if name not in vectors)
     drawn = tuple(name for name, x in held.items() if x is None)
@@ -149,7 +151,7 @@ def layout(settings: RibsSettings) -> Layout:
 
 @functools.lru_cache(maxsize=16)
 def shapes(settings: RibsSettings) -> tuple[PyTree, PyTree, PyTree]:
-    """Return the shapes of the arrays of the map, of the emitters, and of their draws."""
+    """Return the shapes and types of the arrays of the map, of the emitters, and of their draws."""
     seeds = np.zeros((1 + settings.emitters, SEED_WORDS), np.uint32)
     started = start_emitters(settings, np.zeros(settings.gene_count, np.float32), seeds)
     cells, emitters = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), started)
@@ -220,7 +222,8 @@ def adapt(
         drawn: draws of the emitters.
         fitness: fitness of the population, all finite.
         measures: descriptors of each individual, by axis, all finite.
-        counts: True for individuals that may enter. The others rank below all of their emitter.
+        counts: True for individuals that may enter the map. The others rank below all others of
+            their emitter.
     """
     cells = {name: np.array(array) for name, array in cells.items()}
     if np.isnan(cells["threshold_min"]) and counts.any():
@@ -232,7 +235,7 @@ def adapt(
         solutions = drawn[SAMPLE].reshape(-1, settings.gene_count)
         worth = {"solution": solutions, "objective": fitness, "measures": measures}
         value[counts] = enter(settings, cells, {name: x[counts] for name, x in worth.items()})
-        # Below all others, and finite: the strategies compute with it.
+        # Rank these individuals last, with a finite value, because the strategies compute with it.
         value[~counts] = np.nextafter(value[counts].min(), -np.inf)
     if cells["count"] == 0:
         return cells, emitters
@@ -255,7 +258,7 @@ def enter(settings: RibsSettings, cells: Arrays, worth: Arrays) -> Float[np.ndar
     """Enter individuals into the map, in place.
 
     Returns:
-        The height of each above the threshold of its cell.
+        The fitness of each individual minus the threshold of its cell.
     """
     low = np.array([axis.low for axis in settings.axes], np.float32)
     high = np.array([axis.high for axis in settings.axes], np.float32)
@@ -365,7 +368,7 @@ def _stacked(rows: list[Arrays]) -> Arrays:
 
 
 def _generator_words(generator: np.random.Generator) -> np.ndarray:
-    """Return the state of a generator: two numbers of 128 bits, and half a number left over."""
+    """Return the state of a generator: two numbers of 128 bits, and 32 bits left from a draw."""
     state = generator.bit_generator.state
     words = [
         (state["state"][name] >> shift) % 2**_WORD

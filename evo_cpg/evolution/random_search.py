@@ -30,10 +30,10 @@ class RandomSearch(Strategy):
     def ask(
         self, key: Array, state: Float[Array, "g n"] | None
     ) -> tuple[Float[Array, "g n"], None]:
-        """Return the first genomes, then new random genomes."""
+        """Return the first genomes in the first generation, later new random genomes."""
         return self.draw(key) if state is None else state, None
 
     def tell(
         self, key: Array, state: None, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> None:
-        """Return the empty state, because nothing is learnt."""
+        """Return None: random search ignores the results."""

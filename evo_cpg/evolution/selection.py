@@ -1,9 +1,9 @@
 """Selection of parents: rank roulette, and lexicase selection for several trials.
 
 Fukui 2003, chapter 3, draws parents by rank, not by the size of their fitness, with fixed
-probabilities for ranks 1 to 8. Iwadate 2010 does not say how parents were drawn, so one operator
-serves both. Fitness is maximised. NaN and -inf rank last. Equal fitness keeps the order of the
-population, so ties are decided reproducibly.
+probabilities for ranks 1 to 8. Iwadate 2010 does not say how parents were drawn, so `draw_parents`
+serves both papers. Fitness is maximised. NaN and -inf rank last. Equal fitness keeps the order of
+the population, so ties are decided reproducibly.
 
 Lexicase selection (Spector 2012) filters by one trial after another instead of by their mean. It
 keeps individuals that do well in a single trial. A tolerance adapts it to real numbers (La Cava,
@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-# Each draw holds a row as long as the population.
+# Number of parents drawn at once by lexicase selection. Each draw holds arrays as long as the
+# population.
 _DRAWS_AT_ONCE = 64
 
 
@@ -26,7 +27,7 @@ def rank_order(fitness: Float[Array, " n"]) -> Int[Array, " n"]:
 
 
 def linear_rank_probabilities(count: int, parent_fraction: float) -> np.ndarray:
-    """Return ``(count,)`` probabilities of ranks as parents, falling linearly to 0 after the last.
+    """Return ``(count,)`` probabilities of the ranks, falling linearly to 0 after the last parent.
 
     Args:
         count: individuals in the population.
@@ -62,9 +63,9 @@ def draw_by_lexicase(
 ) -> Int[Array, " count"]:
     """Draw indices of parents, each by a random order of the trials.
 
-    Each trial keeps the remaining individuals with a fitness within its tolerance of the best
-    among them. The tolerance is the median absolute deviation of that trial's fitness. After the
-    last trial all remaining individuals are equally likely.
+    Each trial keeps those of the remaining individuals whose fitness in it is within its tolerance
+    of the best of them. The tolerance is the median absolute deviation of that trial's fitness.
+    After the last trial all remaining individuals are equally likely.
 
     Args:
         key: random key.

@@ -6,7 +6,7 @@ and `tell` with their evaluation:
 
     init ---> ask ---> (trials) ---> tell ---> ask ---> (trials) ---> ...
 
-Both are pure JAX functions and part of one compiled generation step. Genes come first and
+Both are pure JAX functions. One compiled program per generation contains both. Genes come first and
 individuals last, ``(g, n)``. Fitness is maximised.
 """
 
@@ -28,8 +28,9 @@ class Evaluation(eqx.Module):
     Attributes:
         fitness: fitness of every individual, to be maximised. It is the mean over the trials, or
             -inf if the individual diverged in any.
-        terms: the task's terms by name, averaged over the trials.
-        descriptors: terms that describe the behaviour of an individual, see `Task.descriptors`.
+        terms: the task's terms and measures by name, averaged over the trials.
+        descriptors: numbers that describe the behaviour of an individual: `Task.descriptors` and
+            the measures of gait.
         trial_fitness: fitness in each trial.
     """
 
@@ -100,7 +101,7 @@ class Strategy(eqx.Module):
 
     @abc.abstractmethod
     def ask(self, key: Array, state: PyTree[Array]) -> tuple[Float[Array, "g n"], PyTree[Array]]:
-        """Return genomes to evaluate, all finite, and the state.
+        """Return genomes to evaluate, all finite, and the state for `tell`.
 
         Args:
             key: random key.
@@ -129,7 +130,7 @@ class Strategy(eqx.Module):
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """Return a first population around one individual: its copies with small changes.
 
-        Unless overridden, all but the first stay as given.
+        Unless overridden, all copies stay unchanged.
 
         Args:
             key: random key.
@@ -166,7 +167,7 @@ class Strategy(eqx.Module):
 def worst_finite(fitness: Float[Array, " n"]) -> Float[Array, " n"]:
     """Replace fitness that is not finite by the worst finite fitness, or 0 if there is none.
 
-    For strategies that compute with it.
+    Strategies that compute with fitness values use this.
     """
     alive = jnp.isfinite(fitness)
     worst = jnp.where(alive, fitness, jnp.inf).min()
@@ -174,6 +175,6 @@ def worst_finite(fitness: Float[Array, " n"]) -> Float[Array, " n"]:
 
 
 def descriptor_rows(evaluation: Evaluation, names: tuple[str, ...]) -> Float[Array, "k n"]:
-    """Return descriptors, or otherwise terms, by name."""
+    """Return one row per name: the descriptor of that name, or else the task's term."""
     known: dict[str, ArrayLike] = {**evaluation.terms, **evaluation.descriptors}
     return jnp.stack([jnp.asarray(known[name]) for name in names])

@@ -1,8 +1,8 @@
 """Crossover of any genomes, and mutation of real-valued genomes.
 
-Genes come first and individuals last. Random numbers cost most of the time: one for each of 600,000
-genes takes longer than to rank, cross and copy the genes. So mutation draws only the gaps between
-genes that change, and noise for these genes.
+Genes come first and individuals last. Random numbers take most of the time: to draw one for each of
+600,000 genes takes longer than to rank, cross and copy the genes. So mutation draws random numbers
+only for the distances between genes that change, and for their noise.
 """
 
 import math
@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, ScalarLike, UInt32
 
-# The array of changed genes is too short with a chance below exp(-50), about 2e-22 per generation.
-# Any float32 random number is coarser.
+# In one generation the array of changed genes is too short with a probability below exp(-50), about
+# 2e-22. A float32 random number does not resolve such probabilities.
 _LOG_CHANCE_OF_MORE = 50.0
 
 # Largest number of genes that are mutated at once. Their positions are sums of 32-bit numbers.
@@ -26,7 +26,7 @@ def one_point_crossover(
     second: Int[Array, " pairs"],
     probability: ScalarLike,
 ) -> Float[Array, "g children"]:
-    """Return two adjacent children of each pair, cut and rejoined at one random position.
+    """Return two adjacent children of each pair of parents, with swapped genes after a random cut.
 
     Args:
         key: random key.
@@ -68,28 +68,28 @@ def gaussian_mutation(
     which_key, noise_key = jax.random.split(key)
     places = random_places(which_key, genes.size, rate)
     noise = sigma * jax.random.normal(noise_key, places.shape, genes.dtype)
-    # Index by row and column. If all genes were in one row, XLA:CPU would cross gene by gene, with
-    # two divisions each. That doubles the time of a generation.
+    # Index by row and column. If this were an index into the flattened genes, XLA:CPU would compute
+    # the crossover gene by gene, with two divisions each. That doubles the time of a generation.
     place = places // genes.shape[1], places % genes.shape[1]
     return jnp.clip(genes.at[place].add(noise, mode="drop"), jnp.negative(bound), bound)
 
 
 def random_places(key: Array, count: int, rate: float) -> UInt32[Array, " m"]:
-    """Draw places of 0 to ``count`` - 1, each independently with the same probability.
+    """Draw indices from 0 to ``count`` - 1, each independently with the same probability.
 
-    The number of omitted places before the next one is a geometric deviate,
-    ``floor(log(u) / log(1 - rate))`` with ``u`` uniform between 0 and 1 (Devroye 1986, Non-Uniform
-    Random Variate Generation, chapter X).
+    The number of indices left out before the next drawn one is a geometric deviate, ``floor(log(u)
+    / log(1 - rate))`` with ``u`` uniform between 0 and 1 (Devroye 1986, Non-Uniform Random Variate
+    Generation, chapter X).
 
     Args:
         key: random key.
-        count: number of places to draw from.
-        rate: probability of each place.
+        count: number of indices to draw from.
+        rate: probability that an index is drawn.
 
     Returns:
-        The places in ascending order, then ``count`` as padding.
+        The drawn indices in ascending order, then ``count`` as padding.
     """
-    # Bernstein's inequality bounds the number of places.
+    # Bernstein's inequality bounds the number of drawn indices.
     variance = count * rate * (1 - rate)
     third = _LOG_CHANCE_OF_MORE / 3
     margin = third + math.sqrt(third**2 + 2 * _LOG_CHANCE_OF_MORE * variance)
@@ -99,7 +99,7 @@ def random_places(key: Array, count: int, rate: float) -> UInt32[Array, " m"]:
     uniform = uniform + jnp.finfo(jnp.float32).eps / 2
     left_out = jnp.floor(_gap_per_log(rate) * jnp.log(uniform))
     steps = 1 + jnp.minimum(left_out, count).astype(jnp.uint32)
-    # Sums are capped just beyond the last place, so they cannot overflow.
+    # Sums are capped just beyond the last index, so they cannot overflow.
     ends = jax.lax.associative_scan(lambda a, b: jnp.minimum(a + b, count + 1), steps)
     return ends - 1
 

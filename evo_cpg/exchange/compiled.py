@@ -19,11 +19,11 @@ from evo_cpg.installation import command_for
 
 _Section = TypeVar("_Section", bound=Section)
 
-# Largest relative difference of equal values, and number of digits that are written.
+# Largest relative difference of values that count as equal, and number of digits that are written.
 TOLERANCE = 1e-6
 _DIGITS = 12
 
-# Number of the body that the world's elements belong to.
+# MuJoCo's number of the body that holds the elements of the world.
 WORLD = 0
 
 
@@ -34,7 +34,7 @@ class Compiled(NamedTuple):
         mujoco: the module.
         model: the compiled model.
         source: the file, for messages.
-        refusals: faults that no creature can have.
+        refusals: faults found so far, for which the file is refused.
         lines: known lines of the elements in the file, by kind and number.
     """
 
@@ -49,17 +49,17 @@ class Compiled(NamedTuple):
         return Item(self, kind, number)
 
     def enabled(self, flag: str) -> bool:
-        """Return whether an option flag, off by default, is enabled. Unknown flags are not."""
+        """Return whether an option flag, off by default, is enabled. False for an unknown flag."""
         bit = getattr(self.mujoco.mjtEnableBit, f"mjENBL_{flag.upper()}", 0)
         return bool(self.model.opt.enableflags & int(bit))
 
     def disabled(self, flag: str) -> bool:
-        """Return whether a flag of the option element is disabled. Unknown flags are not."""
+        """Return whether an option flag, on by default, is disabled. False for an unknown flag."""
         bit = getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}", 0)
         return bool(self.model.opt.disableflags & int(bit))
 
     def owners(self, kind: str, wrong: Any) -> Iterator[tuple["Item", tuple[int, ...]]]:
-        """Yield the elements with wrong values, and the place of each value.
+        """Yield the elements with wrong values, and the index of each. Skip geoms of the world.
 
         Args:
             kind: kind of the elements, ``dof`` for degrees of freedom of joints.
@@ -118,7 +118,7 @@ class Item(NamedTuple):
         Args:
             section: class of the section.
             values: values of its keys, or None for an unset key.
-            what: name of the element in messages, if it has another one.
+            what: name of the element in messages, or empty for its own name.
 
         Raises:
             RefusedError: the values break the section's rules.
@@ -176,8 +176,8 @@ def compile_model(path: Path) -> Compiled:
 def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
     """Return the lines of elements, none for a file of a single line.
 
-    An included element has the line of the included file and is left out. Its name is not in that
-    line of this file.
+    MuJoCo gives an included element its line in the included file. Such an element is left out. It
+    is recognised because that line of this file does not hold its name.
     """
     text = path.read_text(encoding="utf-8", errors="replace").splitlines()
     kinds = {
@@ -232,5 +232,5 @@ def tidy(value: float) -> float:
 
 
 def tidy_vector(values: np.ndarray) -> tuple[float, ...]:
-    """Return coordinates after `tidy`, and 0 for remainders of numbers that cancel."""
+    """Return coordinates after `tidy`. A tiny remainder of numbers that cancel becomes 0."""
     return tuple(0.0 if abs(value) <= 10.0**-_DIGITS else tidy(value) for value in values)

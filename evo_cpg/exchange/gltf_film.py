@@ -24,11 +24,11 @@ from evo_cpg.view.textures import floor_texture
 
 # Rotation from z upwards to y upwards: a quarter turn about x, as a quaternion x, y, z, w.
 Z_UP = (-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5))
-# Distance that the ground reaches beyond the animal's path, in its radii.
+# Distance that the ground reaches beyond the animal's path, in radii of the animal.
 _MARGIN = 6.0
 _STONE, _WATER, _WATER_OPACITY = (0.55, 0.53, 0.5), "#4cadd2", 0.35
-# Brightness of the sun, in the lux of viewers (pi is a white sheet at full tone), and of a lamp at
-# one radius of the animal.
+# Illuminance by the sun, and by the light at a distance of one radius of the animal, lux. Viewers
+# show a white sheet under pi lux at full brightness.
 _SUN, _LAMP = 3.0, 2.0
 _FPS = 30.0
 
@@ -62,7 +62,7 @@ def gltf_film(panel: Panel) -> bytes:
 
 
 def _apart(creature: Creature, name: str) -> str:
-    """Return a name of the scenery, changed if a body has it."""
+    """Return a name for a node of the scenery, with underscores added if a body has the name."""
     names = {body.name for body in creature.bodies}
     while name in names:
         name += "_"

@@ -113,7 +113,7 @@ def mjcf_model(
     if orientation is not None and angles is not None:
         hinges = [name for i in order for name in joint_names(creature.bodies[i])]
         pose = dict(zip(hinges, angles, strict=True))
-        # MuJoCo orders joints as in the file, limb by limb. The tree orders them level by level.
+        # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.
         bends = [pose[joint.get("name", "")] for joint in place.iter("joint")]
         keyframe = SubElement(root, "keyframe")
         SubElement(keyframe, "key", name=_START, qpos=number_text(*start, *orientation, *bends))
@@ -138,7 +138,7 @@ def _add_bodies(
         children.setdefault(body.joint.parent if body.joint else "", []).append(body)
 
     def add(outer: Element, body: Body, parent_anchor: tuple[float, float, float]) -> None:
-        """Add a body in the frame of its parent's joint, which lies at ``parent_anchor``."""
+        """Add a body in its parent's MJCF frame, whose origin is ``parent_anchor`` in our frame."""
         joint = body.joint
         own_anchor = joint.child_anchor if joint else (0.0, 0.0, 0.0)
         element = SubElement(outer, "body", name=body.name)

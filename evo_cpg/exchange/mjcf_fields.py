@@ -8,9 +8,9 @@
 | `REFUSED_COUNTS` | a number of elements, all of which are refused |
 | `OPTIONS_LEFT_OUT`, `LEFT_OUT_COUNTS` | left out, by name |
 
-All other fields do not affect the animal's motion, or give the places of others. A test covers
-every field of the installed MuJoCo, so a new field is noticed. Fields that older versions lack are
-skipped.
+All other fields do not affect the animal's motion, or hold the addresses of other fields. A test
+covers every field of the installed MuJoCo, so a new field is noticed. Fields that older versions
+lack are skipped.
 """
 
 from typing import NamedTuple
@@ -40,7 +40,7 @@ READ = {
     "actuator_gainprm": ("actuator", "gain"),
     "actuator_biasprm": ("actuator", "bias"),
 }
-# Infinite values limit nothing.
+# These values may be infinite. An infinite value limits nothing.
 READ_LIMITS = {
     "jnt_actfrcrange": ("joint", "actuatorfrcrange"),
     "actuator_forcerange": ("actuator", "forcerange"),
@@ -98,7 +98,7 @@ NEUTRAL = {
     "actuator_armature": Neutral("actuator", "armature"),
 }
 
-# A contact pair that only keeps two bodies apart.
+# Values of a contact pair that only keeps two bodies apart, by field.
 PLAIN_PAIR: dict[str, float | tuple[float, ...]] = {
     "pair_solref": _SOLREF,
     "pair_solimp": _SOLIMP,
@@ -162,7 +162,7 @@ def require_numbers(compiled: Compiled) -> None:
 
 
 def refuse_fields(compiled: Compiled) -> None:
-    """Refuse the elements of the creature with a property that no creature has."""
+    """Refuse elements of the animal with a field that has another value than in `NEUTRAL`."""
     model = compiled.model
     for field, (kind, word, values) in NEUTRAL.items():
         found = getattr(model, field, None)
@@ -190,7 +190,7 @@ def refuse_elements(compiled: Compiled) -> None:
 
 
 def left_out_options(compiled: Compiled) -> list[str]:
-    """Return names of options of the world whose values are to be reported."""
+    """Return names of the world's options that have unusual values, to be reported as left out."""
     found = []
     for name, allowed in OPTIONS_LEFT_OUT.items():
         value = np.ravel(getattr(compiled.model.opt, name, allowed))

@@ -50,7 +50,8 @@ class Imported(NamedTuple):
 
     Attributes:
         creature: configuration of the creature.
-        left_out: parts that belong to the world, or do not affect the motion.
+        left_out: names of parts of the file that are not in the creature, because they belong to
+            the world or do not affect the motion.
     """
 
     creature: CreatureConfig
@@ -205,7 +206,7 @@ def _collisions(compiled: Compiled) -> list[str]:
     model = compiled.model
     own = model.geom_bodyid != WORLD
     bits = np.stack([model.geom_contype, model.geom_conaffinity], 1)
-    # MuJoCo's default, and the value of our own export.
+    # Contact bits of MuJoCo's default, and of our own export.
     usual = (bits == [1, 1]).all(1) | (bits == [0, 1]).all(1)
     unusual = int((own & ~usual).sum())
     # A pair with the ground belongs to the ground. `self_collision` gives pairs without friction.

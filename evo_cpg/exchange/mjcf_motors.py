@@ -3,7 +3,7 @@
 | here | in MJCF |
 |---|---|
 | motor with a spring | ``position``: ``kp`` is its stiffness, ``kv`` its gain |
-| motor without | ``velocity``: ``kv`` is its gain |
+| motor without a spring | ``velocity``: ``kv`` is its gain |
 | torque limit | ``forcerange`` |
 | velocity servo with the caller's gain | ``motor`` with limits, in the import |
 """
@@ -19,7 +19,7 @@ from evo_cpg.creature.creature import Actuator
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 from evo_cpg.exchange.mjcf_ground import number_text
 
-# Number of groups that can be disabled.
+# Number of actuator groups that MuJoCo can disable.
 _GROUPS = 31
 
 
@@ -106,7 +106,9 @@ def _read_motor(
         raise item.refusal("it has no limits", "ctrlrange or forcerange")
     for lower, upper in torques:
         if not np.isclose(-lower, upper, rtol=TOLERANCE):
-            raise item.refusal(f"its limits {lower:g} and {upper:g} differ", "equal limits")
+            raise item.refusal(
+                f"its limits {lower:g} and {upper:g} differ in size", "limits of equal size"
+            )
     values = {
         "gain": tidy(gain),
         "stiffness": tidy(stiffness),
@@ -116,7 +118,7 @@ def _read_motor(
 
 
 def command_ranges(compiled: Compiled) -> list[int]:
-    """Return the numbers of servos whose commands have limits, which ours lack."""
+    """Return the numbers of servos whose commands have limits. Our servos lack such limits."""
     model = compiled.model
     affine = model.actuator_biastype == compiled.mujoco.mjtBias.mjBIAS_AFFINE
     return [i for i in range(len(affine)) if affine[i] and _limits_commands(compiled, i)]
@@ -134,5 +136,5 @@ def _place(compiled: Compiled, what: str, number: int) -> int:
 
 
 def _boundless(torque: np.ndarray) -> bool:
-    """Return whether limits exceed, both ways, the largest that a creature can have."""
+    """Return whether both limits exceed the largest torque limit that a creature can have."""
     return bool(torque.min() < -LARGEST and torque.max() > LARGEST)

@@ -29,11 +29,12 @@ from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_
 from evo_cpg.exchange.mjcf_ground import number_text
 from evo_cpg.exchange.refusals import ExchangeError
 
-# Error of an inertia from turning it, as a fraction of the largest moment. A mesh has corners in
-# single precision, so `TOLERANCE` applies to it.
+# Rounding error of an inertia tensor that was rotated, as a fraction of the largest moment. A mesh
+# has corners in single precision, so `TOLERANCE` applies to its inertia.
 _ROUNDING = 1e-12
 
-# Proper rotations of a box onto itself. Columns are the new axes in the old ones.
+# Proper rotations that map the axes of a box onto each other. Columns are the new axes in the old
+# ones.
 _TURNS = [
     turn
     for order in itertools.permutations(np.eye(3))
@@ -43,7 +44,7 @@ _TURNS = [
 
 
 class Placed(NamedTuple):
-    """A body's shape, and our frame of the body in the frame of MuJoCo's body."""
+    """A body's shape, and the origin (m) and axes of our body frame in MuJoCo's body frame."""
 
     shape: ShapeConfig
     centre: np.ndarray

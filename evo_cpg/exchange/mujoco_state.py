@@ -15,7 +15,7 @@ from evo_cpg.physics.state import State
 
 
 def dof_order(model: Any, tree: Tree) -> Int[np.ndarray, " d"]:
-    """Return MuJoCo's index of each of the tree's degrees of freedom, without the root's six."""
+    """Return MuJoCo's index of each degree of freedom of the tree, counted after the root's six."""
     order = []
     for name in dict.fromkeys(tree.names[i] for i in tree.dof_bodies):
         body = model.body(name)

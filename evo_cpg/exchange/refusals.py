@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from evo_cpg.errors import UserError
 
-# Number of elements with one fault that are named. The rest is counted.
+# Largest number of elements with the same fault that are named. Further elements are only counted.
 _NAMED = 5
 
 

@@ -1,4 +1,4 @@
-"""A second opinion on a champion: the same motor commands in MuJoCo.
+"""A second opinion on a champion: its trial, repeated in MuJoCo.
 
 The exported model (`evo_cpg.exchange.mjcf_export`) starts in the champion's initial state. There
 are two modes of driving it:
@@ -46,7 +46,7 @@ from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 
-# Least upward component of the root's z axis in an upright animal.
+# Least upward component of the root's z axis in an upright animal: the cosine of 60 degrees.
 _UPRIGHT = 0.5
 
 # Hard contacts: longest MuJoCo step (s), and stiffness of friction relative to the normal
@@ -63,7 +63,8 @@ class Opinion(NamedTuple):
     Attributes:
         program: name of the program.
         path: path of the root, m, the start first.
-        upright: fraction of the time in which the root's up axis points up.
+        upright: fraction of the time in which the root's z axis is less than 60 degrees from the
+            vertical.
         airborne: fraction of the time in which nothing touches the ground and no body's centre is
             under water. None without ground or with water everywhere, because it has no meaning
             then.
@@ -110,7 +111,8 @@ class Brain:
             constants, animal = begin_episode(simulation, alone, keys, number)
         contact_model = simulation.world.contact_model
         owners = np.array([] if contact_model is None else contact_model.bodies, int)
-        # A body's first contact point stands for all of them, because the skin sums their forces.
+        # The force of a body is put on its first contact point. Pressure sensors sum the forces of
+        # all points of a body.
         self._first = {body: int(np.flatnonzero(owners == body)[0]) for body in set(owners)}
         self._points, self._nerves = len(owners), animal.nerves
 
@@ -162,7 +164,7 @@ def second_opinion(
     hard: bool = False,
     brain: Brain | None = None,
 ) -> Opinion:
-    """Return MuJoCo's outcome.
+    """Simulate the trial in MuJoCo, and return its outcome.
 
     Args:
         simulation: simulation of the trial.
@@ -259,7 +261,7 @@ class _Player:
     def commands(
         self, target_rate: Float[np.ndarray, "d t"], target_angle: Float[np.ndarray, "d t"]
     ) -> Float[np.ndarray, "t motors"]:
-        """Return the motor commands of each step, which give the torques of our motor laws."""
+        """Return the commands of MuJoCo's motors for each step, which give our motors' torques."""
         tree = self.tree
         gain, stiffness = (
             np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)
@@ -359,6 +361,6 @@ def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:
 
 
 def _upright_fraction(orientation: Float[np.ndarray, "4 t"]) -> float:
-    """Return the fraction of the time in which the root's z axis points up."""
+    """Return the fraction of the time in which the root's z axis is within 60 degrees of up."""
     _, x, y, _ = orientation
     return float((1.0 - 2.0 * (x * x + y * y) > _UPRIGHT).mean())

@@ -15,7 +15,8 @@ Lowering simplifies each operation as it is made (`frontend.simplify`). Simplifi
 separate pass, because lowering depends on it: the place of a slice must be a known number.
 
 Passes from graph to graph and rewrite rules are optional (`PASSES`, `RULES`). Without them the
-program costs more and computes the same. Only sums without multiply-adds round differently.
+program takes more operations and computes the same. Only sums round differently without
+multiply-adds.
 
 | environment variable | after each pass |
 |---|---|
@@ -130,9 +131,9 @@ def to_llvm(
 
 @contextlib.contextmanager
 def _without_collector() -> Iterator[None]:
-    """Pause Python's garbage collector: there are a million objects and no cycles.
+    """Pause Python's garbage collector: the passes make a million objects without reference cycles.
 
-    The collector took half of the time of the passes.
+    The collector would take half of the time of the passes.
     """
     enabled = gc.isenabled()
     gc.disable()

@@ -1,8 +1,8 @@
 """Iterate until every individual has converged, and differentiate the solution.
 
-JAX has no reverse mode through such a loop, and the derivative does not depend on the iterations.
-By the implicit function theorem it equals the derivative of one more Newton step at the solution.
-JAX differentiates that step, which leaves the solution unchanged.
+JAX has no reverse mode through ``while_loop``. By the implicit function theorem the derivative of
+the solution does not depend on the iterations. It equals the derivative of one more Newton step at
+the solution. JAX differentiates that step, which leaves the solution unchanged.
 """
 
 import functools
@@ -47,11 +47,12 @@ def implicit(
     """Return the first result of ``search(x)``, with the derivatives of ``replay``.
 
     Args:
-        search: function that returns an answer, and notes on how the answer was found.
-        replay: function from the notes to the same answer, by steps that JAX can differentiate.
-            It runs only if a derivative is requested.
+        search: function that returns an answer, and the arrays from which ``replay`` repeats it
+            (notes).
+        replay: function from the notes to the same answer, by operations that JAX can
+            differentiate. It runs only if a derivative is requested.
         x: initial value of the search. The derivative by ``x`` is zero.
-        like: notes of the same shape.
+        like: example of the notes, with their shapes and types.
     """
     found, found_closed = jax.closure_convert(search, x)
     again, again_closed = jax.closure_convert(replay, like)

@@ -1,8 +1,8 @@
 """Choose the engine that computes fused programs: native code if possible, else JAX.
 
-The engine is chosen when a program is traced, and a compiled program keeps its engine. A separate
-process tests native code before its first use with some versions of JAX and llvmlite. A mistake
-there could end the process without an exception.
+The engine is chosen when a program is traced, and a compiled program keeps its engine. A self-test
+in a separate process precedes the first use of native code with each combination of machine,
+Python, JAX and llvmlite. A mistake in native code could end the process without an exception.
 """
 
 import contextlib
@@ -42,7 +42,7 @@ class Engine(NamedTuple):
 
 
 class EngineWarning(UserWarning):
-    """A program runs on plain JAX instead of native code."""
+    """Warning that a program runs on plain JAX instead of native code."""
 
 
 _AUTO = Engine()
@@ -53,7 +53,7 @@ _fallbacks: contextvars.ContextVar[list[str]] = contextvars.ContextVar("fallback
 
 @contextlib.contextmanager
 def using(engine: Engine) -> Iterator[None]:
-    """Trace with the given engine."""
+    """Use the given engine for all programs that are traced within the block."""
     token = _chosen.set(engine)
     try:
         yield
@@ -161,7 +161,8 @@ def _wrong(found: machine.Target) -> str:
     if machine.passed_self_test(found, jax.__version__):
         return ""
     command = [sys.executable, "-m", "evo_cpg.fusion.self_test", found.name]
-    # The last line of a filtered error is JAX's remark on the shortened traceback.
+    # The last line of the output must be the error. If JAX filtered the traceback, the last line
+    # would be its remark on that.
     own = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_TRACEBACK_FILTERING": "off"}
     try:
         test = subprocess.run(

@@ -34,7 +34,7 @@ def fuse(function: Callable, *args: Any, batch_ndim: int, name: str = "") -> Any
     Args:
         function: function of pytrees of arrays with any number of trailing batch axes, or none.
             It must treat every individual alike.
-        args: arrays whose last ``batch_ndim`` axes are equal.
+        args: pytrees of arrays. The last ``batch_ndim`` axes have the same lengths in all arrays.
         batch_ndim: number of batch axes.
         name: name of the function, for messages.
     """

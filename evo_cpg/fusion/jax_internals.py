@@ -1,4 +1,4 @@
-"""All uses of JAX beyond its public interface, so that a new version breaks one file."""
+"""All uses of JAX beyond its public interface, so that a new version breaks only this file."""
 
 import functools
 from collections.abc import Callable, Sequence
@@ -43,7 +43,7 @@ def implement(
     batch: Callable,
     transpose: Callable | None = None,
 ) -> None:
-    """Teach JAX the rules of a primitive.
+    """Register the rules of a primitive with JAX.
 
     Args:
         primitive: the primitive.
@@ -110,7 +110,7 @@ def _random_function(name: str, params: dict, equation: Any) -> Callable:
 
 
 def _words(aval: Any) -> jax.ShapeDtypeStruct:
-    """Return the shape and type of an array as traced: a key is two numbers."""
+    """Return the shape and type of an array as traced: a random key is two uint32 words."""
     if jax.numpy.issubdtype(aval.dtype, jax.dtypes.prng_key):
         return jax.ShapeDtypeStruct((*aval.shape, *aval.dtype._impl.key_shape), "uint32")
     return jax.ShapeDtypeStruct(aval.shape, aval.dtype)
@@ -125,7 +125,10 @@ _QUICK: dict[str, Any] = {
 
 
 def quick_jit(function: Callable, **options: Any) -> Callable:
-    """Return `jax.jit` of a function that takes longer to compile than to run."""
+    """Return `jax.jit` of a function, with options that make XLA compile fast (`_QUICK`).
+
+    Use it for a function that takes longer to compile than to run.
+    """
 
     @functools.cache
     def jitted() -> Callable:

@@ -19,7 +19,7 @@ class InstructionSet(NamedTuple):
         bytes: size of a vector, bytes.
         registers: number of vector registers.
         needs: LLVM's names of the processor features that the set requires.
-        compresses: whether an instruction compresses the chosen numbers of a vector.
+        compresses: whether an instruction moves chosen numbers of a vector into its first lanes.
     """
 
     bytes: int
@@ -37,10 +37,13 @@ INSTRUCTION_SETS = {
 """A fact: instruction sets by name. A processor uses the first one that it has."""
 
 LANES = 16
-"""A fact: float32 numbers in the widest vector. Individuals per device are rounded up to it."""
+"""A fact: float32 numbers in the widest vector.
+
+The number of individuals on a device is rounded up to a multiple of it.
+"""
 
 CACHE_LINE = 64
-"""A fact, bytes: size of a cache line. Places in scratch memory begin with a line."""
+"""A fact, bytes: size of a cache line. Every place in scratch memory begins at a line."""
 
 VALUE_REGISTERS = 0.75
 """Fitted: fraction of the registers that hold values. The other registers hold constants and
@@ -75,13 +78,13 @@ MOST_OPERATIONS = 600_000
 """A limit: operations of a program. A larger one would take minutes and much memory to compile."""
 
 SHORTEST_BRANCH = 60
-"""Fitted: least number of scalars of a branch that is skipped if no individual takes it."""
+"""Fitted: least number of scalars in a branch that a vector skips if no individual takes it."""
 
 LONGEST_ELIMINATION = 5000
-"""Fitted: most products of an elimination that is written out. A longer one is a loop."""
+"""Fitted: most products of an elimination in written-out code. Longer ones run in a loop."""
 
 LONGEST_LISTS = 1 << 17
-"""A limit: scalars that a loop may return as lists. Each is a row of memory for every vector."""
+"""A limit: scalars that a loop may stack over its rounds. Each is a row of memory per vector."""
 
 LONGEST_SELF_TEST = 120.0
 """A limit, s: time after which the self-test of native code has failed. It takes 2 s."""

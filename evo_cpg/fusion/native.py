@@ -24,7 +24,8 @@ class Native(NamedTuple):
     Attributes:
         name: name of the handler in XLA.
         scratch: bytes of working memory.
-        width: minimum number of individuals.
+        width: number of individuals in a vector, and so the minimum number of individuals in a
+            call.
     """
 
     name: str

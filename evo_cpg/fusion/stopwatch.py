@@ -67,7 +67,7 @@ def counted(compiler: bool = False) -> Iterator[None]:
     """Add the time of the block to the measurement.
 
     Args:
-        compiler: whether the block is LLVM's part, within a block that is already counted.
+        compiler: True for the time in LLVM, which lies within a block that is counted already.
     """
     spent, start = _spent.get(), time.perf_counter()
     try:

@@ -2,4 +2,4 @@
 
 
 class Unsupported(Exception):
-    """The program has a part that cannot become scalar code, or not on this machine."""
+    """Raised if a part of a program cannot become native code, or this machine has none."""

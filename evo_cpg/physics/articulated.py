@@ -47,8 +47,8 @@ class Accelerations(NamedTuple):
     """Accelerations in addition to the velocity-product accelerations of `Kinematics`.
 
     Attributes:
-        root: acceleration of the root's velocity, angular, then linear.
-        qdd: joint accelerations.
+        root: acceleration of the root's velocity: angular, rad/s^2, then linear, m/s^2.
+        qdd: joint accelerations, rad/s^2.
     """
 
     root: Float[Array, "6 *n"]

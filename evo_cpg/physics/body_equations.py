@@ -63,7 +63,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     needed = _gyration(world, velocity) - wrench
     moment, force = needed[:3], needed[3:]
     if not world.submerged:
-        # Drag slows spins in water.
+        # Under water drag slows spins, so this correction is not needed.
         moment = moment + gyroscopic_change(tree, velocity[:3], h)
     angular, mixed, linear = (matmul_t(matmul(rotation, block), rotation) for block in matrix)
     bias = Wrench(matvec(rotation, moment), matvec(rotation, force))
@@ -71,7 +71,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
 
 
 def bias_of_mean(world: World, kin: Kinematics, moving: BodyMotion, h: float) -> Wrench:
-    """Return the change of the bias wrench with mean velocity products, world axes.
+    """Return the change of the bias wrench by means of velocity products over a step, world axes.
 
     Args:
         world: the creature and its environment.
@@ -108,7 +108,7 @@ def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6
     momentum, w, v = matvec(inertia, velocity), velocity[:3], velocity[3:]
     across = momentum[3:]
     small = _turn_easily(world.tree)
-    # Drag slows falling bodies in deep water.
+    # In deep water drag keeps v small, so rounding of v x m v does not matter.
     if not world.submerged and (is_traced(small) or small.any()):
         # The part m v of the momentum adds only rounding to the moment v x m v.
         without = xp.where(small[None, None], 0.0, world.tree.inertia[3:, 3:])
@@ -138,7 +138,7 @@ def gyroscopic_change(
         h: step, s.
     """
     own = central_inertia(tree)
-    # Cramer's rule multiplies three moments of inertia.
+    # Cramer's rule multiplies three moments of inertia. The scale keeps the product within float32.
     scale = toward_one(xp.trace(own)) ** 2
     inertia = expand_dims_like(scale[None, None] * own, angular, angular.ndim + 1)
     momentum = matvec(inertia, angular)

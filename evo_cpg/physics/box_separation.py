@@ -24,7 +24,7 @@ _CLEARLY, _CLEAR_FRACTION = 1e-5, 1e-3
 # Alternating projections onto both faces that bring an overhanging corner into their overlap.
 _PROJECTIONS = 2
 
-# Squared length (m^2) added to divisors.
+# Small number added to the square of a length without unit, so that no divisor is zero.
 _FLOOR = 1e-12
 
 
@@ -162,7 +162,7 @@ def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) 
     left = face.over.half_extents - side * own
     point = face.corner
     for one in which:
-        # The axis ``one + 1`` places after the steepest axis.
+        # Select the axis ``one + 1`` places after the steepest axis, modulo 3.
         after = [jnp.where(steep == (k - 1 - one) % 3, left[k], 0.0) for k in range(3)]
         point = point + matvec(inward, jnp.stack(after))
     point = _over_both(face.normal, face.under, face.over, point)
@@ -185,7 +185,7 @@ def _on_plane(face: _Face, point: Array, gap: Array) -> Separation:
 
 
 def _largest(gaps: Array, normals: Array) -> tuple[Array, Array]:
-    """Return the largest gap and its normal."""
+    """Return the largest of three gaps, and the normal that belongs to it."""
     best, normal = gaps[0], normals[:, 0]
     for k in range(1, len(gaps)):
         more = gaps[k] > best

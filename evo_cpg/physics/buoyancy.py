@@ -16,8 +16,8 @@ energy. E depends on the distribution of height over the cell (`Cell.profile`):
 
       f = sum_s s_1 s_2 s_3 max(0, d + s.w)^3 / (48 w_1 w_2 w_3),      s_i = +1 or -1.
 
-  The sum takes some 240 operations. A lattice of points needs a width of seven for a righting
-  moment within 1 %.
+  The sum takes some 240 operations. A lattice would need seven points along each edge for a
+  righting moment within 1 %.
 - *Polyhedron.* E is an integral over the triangles (Gauss). A triangle has the area A, the outward
   normal n and corners at the depths t,
 
@@ -131,7 +131,7 @@ def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
 
 
 def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Displacement:
-    """Return the water that each body displaces.
+    """Return volume and first moment of the part of each body that is under water.
 
     Args:
         cells: cells of the creature.

@@ -13,8 +13,8 @@ point below the ground is a slow exit. ``v_bounce`` is the restitution times the
 for a point that would hit within the step. Friction falls from static to dynamic with the sliding
 speed (Stribeck), ``mu = mu_d + (mu_s - mu_d) / (1 + (v / v_s)^2)``.
 
-Differs from a spring and damper under each point: their step of 1/240 s cannot return more than
-0.68 of the speed. These laws use the velocity at the end of the step.
+Differs from a spring and damper under each point, which with steps of 1/240 s cannot return more
+than 0.68 of the speed. The laws here use the velocity at the end of the step.
 
 Restitution point by point (Newton's hypothesis) can add energy to a tree. If contact forces would
 do positive work, ``v_bounce`` of all points of the individual is reduced, finally to zero
@@ -107,7 +107,7 @@ class ContactLinearization(NamedTuple):
 
 
 def rest_velocity(gap: Array, h: float) -> Array:
-    """Return v* of points with a gap (m), m/s."""
+    """Return v* without restitution, m/s, for points with a gap (m)."""
     push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
     # Multiply by a reciprocal: a division costs a processor many times as much.
     return jnp.where(gap > 0, (-1.0 / h) * gap, push)
@@ -158,14 +158,19 @@ def bounded(contacts: Contacts, fraction: Float[Array, "*n"]) -> Contacts:
 
 
 def lifting_power(contacts: Contacts, force: Float[Array, "3 p *n"]) -> Float[Array, "*n"]:
-    """Return the power of contact forces (N, contact frame) that lift points out, W."""
+    """Return the power of contact forces that lift sunken points out of the ground, W.
+
+    Args:
+        contacts: contacts of the step.
+        force: force on every point, contact frame, N.
+    """
     return jnp.maximum(contacts.rest_velocity * force[2], 0.0).sum(0)
 
 
 def resting_stiffness(contact_model: ContactModel, h: float) -> Float[Numbers, " p"]:
     """Return the normal force on a resting point per depth, N/m, from ``v* = v_n + f_n / c``.
 
-    The value holds up to the depth ``5/2 h`` m (h in s), below which the exit speed is constant.
+    The value holds up to the depth ``5/2 h`` m (h in s), beyond which the exit speed is constant.
     """
     return contact_model.stiffness * BAUMGARTE_FRACTION / h**2
 
@@ -280,7 +285,7 @@ def contact_wrench(
     Args:
         contact_model: contact points of the creature.
         contacts: contacts of the step.
-        force: force on every point.
+        force: force on every point, contact frame, N.
         like: wrenches of the bodies, for shapes and type.
     """
     force = matvec_t(contacts.frame, force)

@@ -33,8 +33,8 @@ CORNERS = 4
 # Nearest obstacles of each kind that a part of a creature may touch.
 NEAREST = 2
 
-# Contact points of a box, a line, a ball and an ellipsoid with all obstacles at the same time, and
-# with one block. One boulder gives one point.
+# Most contact points of a box, a line, a ball and an ellipsoid with all obstacles at the same time,
+# and with one block. One boulder gives one point.
 _POINTS, _ON_BLOCK = (4, 2, 2, 2), (4, 2, 1, 1)
 
 _UP = (0.0, 0.0, 1.0)
@@ -76,14 +76,15 @@ class Ground(eqx.Module):
 
 
 class Parts(NamedTuple):
-    """Parts of one kind of a creature.
+    """All solid parts of one kind in a creature, for example all boxes.
 
     Attributes:
         bodies: index in the tree of each part's body.
         centre: centre of each part in the body's working frame, m.
         axes: axes as columns in the body's working frame, or None if all are the frame's axes.
         half_extents: half extents of a box or of a line along x, or semi-axes of an ellipsoid, m.
-        radius: radius of the ball that sweeps the part, m.
+        radius: radius of rounding, m. A part is all points within this distance of its box, line,
+            centre (ball) or ellipsoid.
         corners: corners of meshes around ellipsoids, along the axes, m. A part without a mesh has
             zeros. None without any mesh.
     """
@@ -145,7 +146,7 @@ class ContactModel(NamedTuple):
         restitution: restitution of the body on this ground, for every contact point.
         static_friction: static friction of the body on this ground, for every contact point.
         dynamic_friction: dynamic friction of the body on this ground, for every contact point.
-        stiffness: c h, kg.
+        stiffness: c h of every contact point, kg.
     """
 
     ground: Ground

@@ -21,7 +21,7 @@ from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_
 from evo_cpg.spatial.mixed_array import MixedArray
 from evo_cpg.spatial.numerics import Numbers, xp
 
-# Slope up to which corners of a mesh count as level with the lowest one. The corners of a body that
+# Slope up to which corners of a mesh count as low as the lowest one. The corners of a body that
 # falls flat at 5 rad/s are found 5 steps ahead.
 _TILT = 0.1
 
@@ -77,7 +77,7 @@ def _lowest(contact_model: ContactModel, kin: Kinematics, h: float) -> list[Cont
     sloping = h > 0 and not isinstance(floor[0], Plane)
     size = expand_dims_like(_sizes(contact_model), above)
     if sloping and angular + ellipsoids:
-        # The front of a body meets a cliff ahead.
+        # Take the normal where the front of a fast body will meet the ground, such as a cliff.
         least, velocity = fast_from(contact_model.ground.margin, size), linear + cross(spin, centre)
         time = time_of_crossing(floor, origin + centre, velocity, 0.0, least, h, size)
         _, up = _surface(floor, origin + centre + time[None] * velocity)

@@ -23,7 +23,7 @@ from evo_cpg.spatial.linear import expand_dims_like
 
 
 class Equations(NamedTuple):
-    """Constants of the search within a step.
+    """Equations of one step, which stay constant while the solver searches for the accelerations.
 
     Attributes:
         state: state at the start of the step.

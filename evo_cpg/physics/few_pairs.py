@@ -1,7 +1,8 @@
 """Contacts of a few pairs of bodies, written out one by one.
 
-A pair couples branches of the tree. In generalized coordinates a pair is a few elements of the
-matrix (`evo_cpg.physics.step_problem`). `evo_cpg.physics.pairs` has the contact law.
+The contact of a pair couples two branches of the tree of bodies. In generalized coordinates the
+contact changes a few elements of the mass matrix (`evo_cpg.physics.step_problem`).
+`evo_cpg.physics.pairs` has the contact law.
 """
 
 from typing import NamedTuple

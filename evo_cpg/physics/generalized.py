@@ -36,7 +36,7 @@ from evo_cpg.physics.spatial_algebra import (
 
 
 def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
-    """Return the accelerations ``(3, b, *n)`` of all bodies, in addition to `Kinematics`."""
+    """Return the accelerations ``(3, b, *n)`` of all bodies, without those of `Kinematics`."""
     batch_ndim, qdd = y.ndim - 1, root.joint_part(y)
     a = PerBody([root.acceleration(y)], batch_ndim)
     for i in tree.groups:

@@ -64,7 +64,7 @@ def displaced(q: Float[Array, " d"], x: Float[Array, " d"]) -> Float[Array, " d"
 
 
 def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3 c *n"]]:
-    """Return the rotation of every body to its parent, then the joint axes in the parent's frame.
+    """Return columns: every body's rotation to its parent, then joint axes in the parent's frame.
 
     Joints with equal axes are computed together.
     """
@@ -129,10 +129,10 @@ def carried(
 
 
 def accelerated(motion: Motion, axes: Float[Array, "3 k b *n"], x: Array) -> Motion:
-    """Return ``a + S x`` of bodies.
+    """Return the accelerations ``a + S x`` of bodies whose joints accelerate by x.
 
     Args:
-        motion: a.
+        motion: a, accelerations of the bodies with locked joints.
         axes: S, world axes of the degrees of freedom.
         x: accelerations of the degrees of freedom, ``(k, b, *n)``.
     """
@@ -201,9 +201,9 @@ class Condensed(NamedTuple):
     """Joints of a group, eliminated from the equations of their bodies.
 
     Attributes:
-        inertia: I^a.
-        bias: p^a.
-        yielding: K.
+        inertia: I^a, the inertias that the parents feel.
+        bias: p^a, the bias wrenches that the parents feel.
+        yielding: K, the joints' yielding to accelerations of the parents.
         free: ``G^-1 u``: joint accelerations if the parents do not accelerate.
     """
 

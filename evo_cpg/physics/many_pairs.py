@@ -51,11 +51,11 @@ _MARGIN = 0.1
 
 
 class _Points(NamedTuple):
-    """The points of pairs of one kind, ``(points, *n)`` each; 0 where left out.
+    """The points of pairs of one kind, ``(points, *n)`` each. Points that are left out have zeros.
 
     Attributes:
         watched: 1 where a point counts in this step.
-        gap: distance between the bodies, m; negative where they overlap.
+        gap: distance between the bodies, m, negative where they overlap.
         normal: x, y and z, from the first body to the second.
         first: the first body's point, x, y and z from the root's origin, m.
         second: the second body's point, x, y and z from the root's origin, m.
@@ -85,7 +85,7 @@ class _Paths(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """Pairs of one kind.
+    """A run: consecutive pairs of one kind, with their points in this step.
 
     Attributes:
         kind: the kind, and the number of pairs.
@@ -118,9 +118,9 @@ class ManyPairContacts:
         kin: kinematics at the start of the step.
         qd: joint rates at the start of the step, rad/s.
         h: step, s.
-        found: runs with points that were found before in this step; None to find them.
-        rates_change: joint accelerations that lead to the rates of the velocity-product bias; None
-            for the rates at the start.
+        found: runs with points that were found before in this step, or None to find them.
+        rates_change: joint accelerations that lead to the rates of the velocity-product bias, or
+            None for the rates at the start.
     """
 
     def __init__(
@@ -161,7 +161,7 @@ class ManyPairContacts:
         return ManyPairForces(self, qdd)
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
-        """Return where any pair pushes at joint accelerations."""
+        """Return for which individuals any pair pushes at joint accelerations."""
         twists, accelerations = self.twists(qdd), self.accelerations(self.bias)
 
         def look(run: _Run, found: Array, q: Array) -> Array:
@@ -172,7 +172,7 @@ class ManyPairContacts:
         return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
 
     def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
-        """Return where another bias would move a touching pair by more than `LARGEST_DRIFT`."""
+        """Return for which individuals another bias moves a touching pair by > `LARGEST_DRIFT`."""
         twists, before, after = (
             self.twists(qdd),
             self.accelerations(self.bias),
@@ -192,7 +192,7 @@ class ManyPairContacts:
         return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
 
     def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
-        """Return ``J rates`` of all points, m/s; 0 for points that are left out."""
+        """Return ``J rates`` of all points, m/s, or 0 for points that are left out."""
         twists = self.twists_of(rates)
 
         def look(run: _Run, q: Array) -> Array:
@@ -269,7 +269,7 @@ class ManyPairContacts:
     # Loops.
 
     def over_points(self, look: Callable, start: Any) -> Any:
-        """Fold a function over the points that any individual watches."""
+        """Fold a function over the points that are watched for at least one individual."""
         for run in self.runs:
 
             def round_(carry: Any, q: Array, run: _Run = run) -> tuple[Any, None]:
@@ -440,7 +440,7 @@ def _plus(sums: Array, places: Array, values: Array) -> Array:
 
 
 def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
-    """Find the points of all pairs."""
+    """Find the nearest points of all pairs at the start of the step."""
     tree, pairs, h = contacts.tree, contacts.pairs, contacts.h
     # Positions are relative to the root's origin.
     kin = contacts.kin._replace(origin=contacts.places)

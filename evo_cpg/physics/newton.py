@@ -27,7 +27,8 @@ from evo_cpg.spatial.linear import dot, matvec
 # cones still change. In float64, in which derivatives are checked, the third serves for both.
 _TOLERANCE, _ROUGH, _EXACT = 1e-3, 0.05, 1e-10
 
-# Derivative at which a line search ends, as a fraction of the initial one. Most evaluations.
+# Derivative at which a line search ends, as a fraction of the initial derivative, and the largest
+# number of evaluations in a search.
 _FLAT, _EVALUATIONS = 0.3, 30
 
 
@@ -36,13 +37,13 @@ class _Bracket(NamedTuple):
 
     Attributes:
         low: a length at which the potential falls.
-        low_slope: derivative at the lower end; halved if that end has stayed.
+        low_slope: derivative at the lower end, halved if that end has stayed.
         high: a length at which the potential rises.
-        high_slope: derivative at the upper end; halved if that end has stayed.
+        high_slope: derivative at the upper end, halved if that end has stayed.
         length: the latest length.
         slope: derivative at the latest length.
         moved: end that moved last: 1 the upper, -1 the lower, 0 none.
-        evaluations: number of evaluations.
+        evaluations: number of evaluations of the derivative.
     """
 
     low: Float[Array, "*n"]
@@ -85,7 +86,7 @@ def damped_step(
     """
     velocity = problem.velocity(y)
     linear = problem.linearized(radius, joint_part(y), velocity)
-    # Rounding would determine the length of the step below this derivative.
+    # If the potential falls more slowly than this, rounding would determine the step's length.
     tolerance, _ = tolerances(y)
     least = problem.h * tolerance**2 * problem.square_of_forces(y, linear)
     return line_search(problem, radius, y, velocity, problem.motion(linear), least)

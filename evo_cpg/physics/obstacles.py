@@ -38,8 +38,9 @@ from evo_cpg.spatial.linear import (
 )
 from evo_cpg.spatial.numerics import Number
 
-# Depth (m) taken off each further point on one obstacle, so that a part that lies on two obstacles
-# has points on both.
+# Gap (m) added in the ranking to each further point on one obstacle, so that a part that lies on
+# two obstacles has points on both. In the ranking of obstacles, it is the weight of the distance
+# from the part's centre to the obstacle.
 _BEHIND = 1e-3
 
 # Squared length (m^2) added under a root, so that the root has a gradient at zero.
@@ -55,7 +56,7 @@ def obstacle_points(
         solids: the parts.
         ground: ground with one obstacle at least.
         kin: kinematics of the creature.
-        h: time in which no part passes through an obstacle, s.
+        h: step, s. Fast parts meet the obstacles in their way instead of passing through them.
     """
     found = []
     for parts, most, ellipsoids, *touches in (
@@ -159,7 +160,7 @@ def _nearest(
     distances = [_apart(parts.at, box) for box in boxes]
     times = [jnp.zeros_like(distance) for distance in distances]
     if h > 0:
-        # One box for all parts and individuals: constants cost no operation.
+        # Each obstacle is one box for all parts and individuals: constants cost no operation.
         point = jnp.zeros((3, *(1 for _ in parts.origin.shape[1:])), parts.origin.dtype)
         single = [_as_box(obstacle, point) for obstacle in obstacles]
         stacked = jax.tree.map(lambda *each: jnp.stack(each), *single)
@@ -269,7 +270,7 @@ def _point(parts: Moving, found: Separation, carried: float | None = None) -> Co
     Args:
         parts: parts of the creature.
         found: separations.
-        carried: fraction of the normal that turns with the part; None for the separation's.
+        carried: fraction of the normal that turns with the part, or None for the separation's.
     """
     offset = found.second - parts.origin
     fraction = found.carried[1] if carried is None else carried * jnp.ones_like(found.gap)
@@ -294,7 +295,9 @@ def tangent_point(
     normal: Float[Array, "3 p *n"],
     angular: Float[Array, "3 p *n"],
 ) -> tuple[Float[Array, "3 p *n"], Float[Array, "p *n"]]:
-    """Return the tangent point of a plane from an ellipsoid's centre, and its curvature term.
+    """Return the vector from an ellipsoid's centre to the point that a tangent plane touches.
+
+    The second result is the point's surface-curvature acceleration along the normal, m/s^2.
 
     Args:
         axes: axes of the ellipsoid, as columns.

@@ -79,6 +79,6 @@ class PairBias(NamedTuple):
 
 
 def reduced(restitution: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """Halve the restitution; return 0 after the last allowed halving."""
+    """Halve the restitution, or return 0 after the last allowed halving."""
     less = _REDUCTION * restitution
     return jnp.where(less < _REDUCTION**_REDUCTIONS, 0.0, less)

@@ -132,7 +132,7 @@ class Pairs(eqx.Module):
 
 
 def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs | None:
-    """Return the pairs of a creature that may touch; None if there are none.
+    """Return the pairs of bodies that may touch and must not pass, or None if there are none.
 
     If the pairs are those of a whole plan (``settings.only``), pairs that may pass through each
     other in this creature have zero stiffness and no force.
@@ -154,7 +154,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
         return first, second, tuple(Alike(*case, len(list(same))) for case, same in groups)
 
     def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
-        """Return whether each pair still has the right kind."""
+        """Return whether each pair still has its recorded kind with the present numbers."""
         if settings.only is None and is_traced(tree, boxes):
             raise Undecidable("traced numbers cannot decide which limbs can touch")
         kinds = [run for run in made[2] for _ in range(run.count)]

@@ -30,11 +30,12 @@ from evo_cpg.spatial.rotation import integrate_quaternion, quaternion_to_matrix
 # Degrees of freedom of the root.
 ROOT_DOFS = 6
 
-# Components of a generalized vector.
+# Slices of a generalized vector: components of the root, then of the joints.
 ROOT, JOINTS = slice(0, ROOT_DOFS), slice(ROOT_DOFS, None)
 
 # Static coordinates of the root (`evo_cpg.physics.statics`): displacement, then rotation vector.
-# The first `LENGTHS` are in m. Level ground is the same everywhere along `SYMMETRIES`.
+# The first `LENGTHS` are in m. Motion along `SYMMETRIES` (x, y, turn about z) does not change the
+# height above level ground.
 LENGTHS, SYMMETRIES = 3, (0, 1, 5)
 
 
@@ -57,12 +58,12 @@ def at_rest(joint_rates: Float[Array, "d *n"]) -> Float[Array, "6 *n"]:
 
 
 def rotation(orientation: Float[Array, "4 *n"]) -> Float[Array, "3 3 *n"]:
-    """Return the rotation from root to world."""
+    """Return the matrix that rotates vectors from root axes to world axes."""
     return quaternion_to_matrix(orientation)
 
 
 def motion(velocity: Float[Array, "6 *n"]) -> BodyMotion:
-    """Return the motion of the root's body."""
+    """Return velocity and velocity-product acceleration of the root's body."""
     w, v = angular(velocity), linear(velocity)
     return BodyMotion(w, v, jnp.zeros_like(w), cross(v, w))
 
@@ -83,7 +84,7 @@ def moved(
 def displaced(
     position: Float[Array, "3"], orientation: Float[Array, "4"], x: Float[Array, " k"]
 ) -> tuple[Float[Array, "3"], Float[Array, "4"]]:
-    """Return the pose at the root's static coordinates from another one."""
+    """Return the pose that the root's static coordinates x reach from a given pose."""
     return position + x[:LENGTHS], integrate_quaternion(orientation, x[LENGTHS:ROOT_DOFS], 1.0)
 
 
@@ -111,7 +112,7 @@ def joint_rows(dofs: np.ndarray) -> np.ndarray:
 
 
 def acceleration(y: Float[Array, "v *n"]) -> Motion:
-    """Return the root's acceleration in generalized accelerations."""
+    """Return the root's part of a vector of generalized accelerations."""
     return Motion(y[:3], y[3:ROOT_DOFS])
 
 

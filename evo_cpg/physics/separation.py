@@ -2,8 +2,8 @@
 
 Boxes with sharp edges are in `evo_cpg.physics.box_separation`. For all other bodies the gap is the
 distance between the boxes minus the radii. For two lines it is found in closed form (Ericson 2005,
-5.1.9). For a line and a box it is found from plane to plane of the faces, and for two boxes by
-alternating projections.
+5.1.9). For a line and a box the line is searched between its crossings of the faces' planes. For
+two boxes the nearest points are found by alternating projections.
 
 A face or a side that lands flat turns about a single contact point. Faces of boxes therefore have
 further points along the edges that lie on the other face. Capsules, and boxes that are longest
@@ -48,13 +48,13 @@ _FLOOR, _TINY = 1e-12, 1e-20
 
 
 class RoundedBoxes(NamedTuple):
-    """Placed boxes, swept by balls.
+    """Rounded boxes in the world: all points within a radius of each box.
 
     Attributes:
         centre: centres of the boxes, m.
         axes: x, y and z axes of the boxes as columns.
         half_extents: half extents of the boxes, m.
-        radius: radii of the balls, m.
+        radius: radii, m.
     """
 
     centre: Float[Array, "3 p *n"]
@@ -67,7 +67,7 @@ class Separation(NamedTuple):
     """Gap and normal of pairs of bodies, at one point of each body.
 
     Attributes:
-        gap: distance between the bodies, m; negative where they overlap.
+        gap: distance between the bodies, m, negative where they overlap.
         normal: unit vector from the first body to the second.
         first: point of the first body that is nearest to the second, or deepest in it, m.
         second: point of the second body that is nearest to the first, or deepest in it, m.
@@ -83,7 +83,11 @@ class Separation(NamedTuple):
 
 
 def separation_of_lines(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
-    """Return the separations of two lines (capsules, balls): at the nearest point and the end."""
+    """Return two separations of pairs of lines (capsules, balls).
+
+    The first is at the nearest points. The second is at the far end of the length along which both
+    lines overlap.
+    """
     d, e = a.axes[:, 0], b.axes[:, 0]
     away = a.centre - b.centre
     both, own, other = dot(d, e), dot(d, away), dot(e, away)

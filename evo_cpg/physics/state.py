@@ -100,7 +100,7 @@ def resting_state(
         dtype: floating-point type of every array.
         position: position of the root, m.
         orientation: orientation of the root, unit quaternion (w, x, y, z).
-        angles: joint angles, rad; None for the neutral pose.
+        angles: joint angles, rad, or None for the neutral pose.
     """
 
     def fill(values) -> Array:

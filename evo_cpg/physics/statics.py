@@ -51,7 +51,7 @@ class FrictionState(NamedTuple):
     Attributes:
         point: the body's contact point in the base pose, in body axes, m.
         place: position of the contact point in the base pose, in the world, m.
-        slip: displacement from where the point touched down, m; counts for sticking points.
+        slip: displacement from where the point touched down, m. It counts only for sticking points.
         held: 1 for a sticking point, 0 for a sliding point.
         drag: friction force of a sliding point, N.
     """

@@ -36,15 +36,15 @@ class Effort(NamedTuple):
     """Motor and contact forces of one step.
 
     Attributes:
-        torque: torque on each axis at the end of the step, N m.
+        torque: torque of the motor on each axis at the end of the step, N m.
         energy: energy of all motors, the sum of |torque x rate| over the step, J.
         contact_frame_force: force of the ground on every contact point, in its contact frame (two
-            tangents, then the normal), N; None without ground.
+            tangents, then the normal), N, or None without ground.
         contact_force: force of the ground on every contact point, in world axes, N.
-        pair_force: force between the bodies at every point of `World.pairs`, N; None if no bodies
-            can touch.
-        residual: residual of the step's equations; None if they are solved exactly.
-        warmstart: warm start of the next step; None if no iteration is needed.
+        pair_force: force between the bodies at every point of `World.pairs`, N, or None if no
+            bodies can touch.
+        residual: residual of the step's equations, or None if they are solved exactly.
+        warmstart: warm start of the next step, or None if no iteration is needed.
     """
 
     torque: Float[Array, "d *n"]
@@ -72,10 +72,10 @@ def step(
         state: state at the start of the step.
         target_rate: target rates of the motors, constant over the step, rad/s.
         h: step, s.
-        target_angle: target angles of the motors' springs, rad; None for the neutral pose.
-        warmstart: result of the previous step, which saves iterations; None for a first step. The
-            solution changes only within the solver's tolerance.
-        friction_scale: factor of the world's static and dynamic friction; None for 1.
+        target_angle: target angles of the motors' springs, rad, or None for the neutral pose.
+        warmstart: result of the previous step, which saves iterations, or None for a first step.
+            The solution changes only within the solver's tolerance.
+        friction_scale: factor of the world's static and dynamic friction, or None for 1.
     """
     run = functools.partial(_step, world, h)
     given = state, target_rate, target_angle, warmstart, friction_scale
@@ -83,7 +83,7 @@ def step(
 
 
 def first_warmstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmstart | None:
-    """Return the warm start of a trial's first step; None if steps need no iteration."""
+    """Return the warm start of a trial's first step, or None if steps need no iteration."""
     return coldstart(world, batch, dtype) if needs_iteration(world) else None
 
 
@@ -111,7 +111,7 @@ def _step(
     with jax.named_scope("solve"):
         first = solve_at_once(world, h, equations)
         equations = with_mean_products(world, h, equations, *first)
-        # The matrix is the same, only the forces differ.
+        # Both solves have the same matrix, only their forces differ.
         found = solve_at_once(world, h, equations)
     motor = (
         equations.start_torque

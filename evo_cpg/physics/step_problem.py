@@ -82,8 +82,8 @@ class Linearization(NamedTuple):
     Attributes:
         torque: torque of motors and limits of joints at zero joint acceleration, N m.
         derivative: decrease of that torque per end-of-step rate, N m s/rad.
-        contact: laws of the contact points; None without ground.
-        pairs: forces of the pairs; None if no pair can touch.
+        contact: laws of the contact points, or None without ground.
+        pairs: forces of the pairs, or None if no pair can touch.
     """
 
     torque: Float[Array, "d *n"]
@@ -135,7 +135,7 @@ class StepProblem(NamedTuple):
         return self._replace(equations=equations._replace(pairs=pairs))
 
     def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
-        """Return the contact points' final velocities (contact frame), m/s; None without ground."""
+        """Return the contact points' final velocities, contact frame, m/s. None without ground."""
         contacts = self.equations.contacts
         if contacts is None:
             return None
@@ -159,7 +159,7 @@ class StepProblem(NamedTuple):
         Args:
             radius: radii of the friction cones, N.
             qdd: joint accelerations, rad/s^2.
-            velocity: velocities of the contact points, m/s; None without ground.
+            velocity: velocities of the contact points, m/s, or None without ground.
         """
         tree, equations = self.world.tree, self.equations
         state, start_torque = equations.state, equations.start_torque
@@ -308,7 +308,7 @@ class StepProblem(NamedTuple):
     def must_reduce_restitution(
         self, y: Float[Array, "v *n"], linear: Linearization
     ) -> Bool[Array, "*n"]:
-        """Return where bouncing contacts do positive work on the creature, or a limb whirls.
+        """Return for which individuals bouncing contacts do positive work, or a limb whirls.
 
         The work uses the mean of the velocities before and after the step. Lifting points out of
         the ground does not count. A whirling limb turns by more than `_LARGEST_TURN` in the step,
@@ -324,7 +324,7 @@ class StepProblem(NamedTuple):
         return ((power > 0) | whirls) & (contacts.bounce > 0).any(0)
 
     def touches(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
-        """Return where a motion would need contact forces."""
+        """Return for which individuals a motion would need contact forces."""
         contacts, pairs, velocity = self.equations.contacts, self.equations.pairs, self.velocity(y)
         found = jnp.zeros(y.shape[1:], bool)
         if contacts is not None and velocity is not None:
@@ -334,7 +334,7 @@ class StepProblem(NamedTuple):
         return found
 
     def changes_overload(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
-        """Return where a motion moves motors to other torque limits than zero acceleration does.
+        """Return for which individuals a motion overloads other motors than zero acceleration does.
 
         `step_solver.free_motion` holds motors at their limits. Its torques are then wrong.
         """
@@ -362,7 +362,7 @@ class StepProblem(NamedTuple):
         return self.force[:0] if pairs is None else pairs.bias_at(qdd)
 
     def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "k *n"]) -> Bool[Array, "*n"]:
-        """Return where touching pairs would end elsewhere with another velocity-product bias."""
+        """Return for which individuals another velocity-product bias would move touching pairs."""
         pairs = self.equations.pairs
         return jnp.zeros(qdd.shape[1:], bool) if pairs is None else pairs.drifts(qdd, bias)
 

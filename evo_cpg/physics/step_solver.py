@@ -131,8 +131,8 @@ def solve_step(
         h: step, s.
         state: state at the start of the step.
         target_rate: target rates of the motors, rad/s.
-        target_angle: target angles of the motors' springs, rad; None for the neutral pose.
-        warmstart: result of the previous step; None for a first step.
+        target_angle: target angles of the motors' springs, rad, or None for the neutral pose.
+        warmstart: result of the previous step, or None for a first step.
     """
     problem = _with_velocity_products(world, h, state, target_rate, target_angle)
     batch = state.q.shape[1:]
@@ -233,7 +233,7 @@ def _solve(
     end = while_each(lambda search: ~search.done, advance, begin)
     cones = [end.visited.cones[0]]
     for k, one in enumerate(end.visited.cones[1:], 1):
-        # The last round replaces rounds that were not needed.
+        # Rounds that an individual did not need repeat the solution of its last round.
         cones.append(where_each(end.last_round_of_first_bias < k, cones[-1], one))
     visited = end.visited._replace(cones=tuple(cones))
     answer = _Answer(end.y, end.cone.radius, end.restitution, end.bias.value)

@@ -8,8 +8,8 @@ is therefore taken where the part first meets the ground.
   obstacle cannot meet before the part has moved that far. Conservative advancement (Mirtich 1996)
   repeats this move until contact, however thin the obstacle is. A plane always separates both, so
   few rounds are enough.
-- The surface of a floor with slopes is sampled along the path of a point. The first interval in
-  which the point gets deeper into the floor is halved.
+- The surface of a floor with slopes is sampled along the path of a point. Bisection then narrows
+  the first interval in which the point gets deeper into the floor.
 
 Parts move at their velocities at the start of the step. Slow parts take no round and stay in place.
 """
@@ -60,11 +60,12 @@ class Moving(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """Shapes of parts that are not rounded boxes.
+    """Whether parts are ellipsoids, and the meshes around these. Other parts are rounded boxes.
 
     Attributes:
         ellipsoids: whether the parts are ellipsoids.
-        corners: corners of meshes around the ellipsoids, along their axes, m; zeros without a mesh.
+        corners: corners of meshes around the ellipsoids, along their axes, m. Ellipsoids without a
+            mesh have zeros. None if there is no mesh.
     """
 
     ellipsoids: bool
@@ -93,7 +94,7 @@ def moved(parts: Moving, time: Float[Array, "p *n"]) -> Moving:
     twice = half * once
 
     def turn(x: Array) -> Array:
-        """Return the change of a vector by the rotation, whose vector products are constants."""
+        """Return the change of a vector by the rotation. Vector products do not depend on time."""
         across = cross(w, x)
         return once[None] * across + twice[None] * cross(w, across)
 

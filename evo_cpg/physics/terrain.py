@@ -55,12 +55,12 @@ class Plane(Part):
 
 
 class Shore(Part):
-    """A level, a slope, and a level: land that runs into water.
+    """Level ground, a slope, and level ground again: land that runs into water.
 
     Attributes:
         axis: axis along which the height changes.
         start: start of the slope on that axis, m.
-        stop: end of the slope on that axis, m; larger than ``start``.
+        stop: end of the slope on that axis, m, larger than ``start``.
         start_height: height of the ground before the slope, m.
         stop_height: height of the ground behind the slope, m.
     """
@@ -181,7 +181,7 @@ Obstacle = Block | Boulder
 def nearest(
     parts: tuple[Part, ...], point: Float[Array, "3 *rest"]
 ) -> tuple[Float[Array, "*rest"], Float[Array, "3 *#rest"]]:
-    """Return the signed distance of points from the nearest part, m, and its normal."""
+    """Return the signed distance of points from the nearest part, m, and that part's normal."""
     gap, normal = parts[0].distance(point)
     for part in parts[1:]:
         other, direction = part.distance(point)

@@ -28,11 +28,11 @@ class World(eqx.Module):
     Attributes:
         tree: the creature.
         gravity: acceleration of gravity along -z, m/s^2.
-        water: the medium; None on dry land.
+        water: the medium, or None on dry land.
         forces: force laws besides weight, buoyancy, joints and contact, in the order of their sum.
-        contact_model: the contact points; None without ground.
+        contact_model: the contact points, or None without ground.
         cells: simple volumes that make up the bodies. Empty without a water surface.
-        pairs: bodies that must not pass through each other; None if none can meet.
+        pairs: bodies that must not pass through each other, or None if none can meet.
     """
 
     tree: Tree
@@ -51,7 +51,7 @@ class World(eqx.Module):
         return f"World(gravity {self.gravity} m/s^2, {water}, {ground})"
 
     def bodies(self, kin: Kinematics, h: float) -> Bodies:
-        """Return the input of force laws.
+        """Return the pose and motion of all bodies, as input of the force laws.
 
         Args:
             kin: kinematics of the bodies.
@@ -60,7 +60,7 @@ class World(eqx.Module):
         return bodies_in(self.tree, self.gravity, self.water, self.cells, h, kin)
 
     def law(self, kind: type[_Law]) -> _Law | None:
-        """Return the first force law of a kind; None if there is none."""
+        """Return the first force law of a kind, or None if there is none."""
         return next((law for law in self.forces if isinstance(law, kind)), None)
 
     @property
@@ -95,7 +95,7 @@ class World(eqx.Module):
 
     @property
     def ground(self) -> Ground | None:
-        """The ground; None without ground."""
+        """The ground, or None without ground."""
         return None if self.contact_model is None else self.contact_model.ground
 
     def with_friction(self, factor: Float[Numbers, " *n"] | Array | float) -> "World":

@@ -7,11 +7,12 @@ Neither changes the forward computation.
 states between segments are kept. Each segment is then recomputed (Griewank's checkpoints in two
 levels).
 
-*Horizon.* A small early change grows with time. In chaotic motion the exact gradient of the end
-says little about any finite step. A *faded* gradient shrinks by a factor in every control step on
-the backward pass. Its part for the root's position does not shrink, because positions only add up.
-On the ground some moments are too chaotic for fading. There a gradient is also cut, in proportion
-to the gradient of the horizontal position.
+*Horizon.* A small early change grows with time. In chaotic motion the exact gradient of the result
+says little about the effect of a finite change. A *faded* gradient is multiplied by a factor below
+1 in every control step on the backward pass. The gradient with respect to the root's position does
+not fade, because a change of place only shifts the motion. On the ground fading is not enough at
+some moments. There the norm of the faded gradients is also limited to a multiple of the norm of the
+horizontal position's gradient.
 """
 
 import dataclasses
@@ -32,23 +33,23 @@ from evo_cpg.physics.state import State
 Carry = TypeVar("Carry")
 Values = TypeVar("Values")
 
-# Fields of the body's state whose gradients fade. Gradients of the nerves fade, too, and over rough
-# ground also the gradient of the height.
+# Fields of the body's state whose gradients fade. Gradients of the controller's state fade, too,
+# and in motion over ground (`Backward.rough`) also the gradient of the height.
 _FADING = "orientation", "velocity", "q", "qd"
-# Largest norm of the gradients of these fields and of the height over rough ground (SI units), as a
-# multiple of the norm of the horizontal position's gradient.
+# Largest norm of the gradients of these fields and of the height (SI units), for motion over
+# ground. The unit is the norm of the horizontal position's gradient.
 _STEEPEST = 10.0
 
 
 class Backward(NamedTuple):
-    """How to differentiate a trial.
+    """Settings for the reverse-mode differentiation of a trial.
 
     Attributes:
         retention: fraction of a gradient that is left one control step further back. None or 1
             leaves the gradient exact.
         copies: number of copies of the trial that `jax.vmap` computes at once in the same memory.
-        rough: True for motion over ground, where gradients may grow a millionfold in 0.1 s. They
-            are cut, and the gradient of the height fades.
+        rough: True for motion over ground, where gradients may grow a millionfold in 0.1 s. Their
+            norm is then limited, and the gradient of the height fades, too.
     """
 
     retention: Float[Array, " *#n"] | float | None = None
@@ -56,10 +57,11 @@ class Backward(NamedTuple):
     rough: bool = False
 
     def scan(self, advance: Callable, carry: Carry, steps: int) -> Carry:
-        """Run `jax.lax.scan` over the numbers of the steps, and return the last carry.
+        """Run `jax.lax.scan` over the step numbers 0, 1, ..., and return the last carry.
 
         Args:
-            advance: one control step, ``(carry, number) -> (carry, result)``. Drops the result.
+            advance: one control step, ``(carry, number) -> (carry, result)``. Its results are
+                dropped.
             carry: initial carry.
             steps: number of steps.
         """
@@ -89,7 +91,8 @@ class Backward(NamedTuple):
 
         Args:
             state: state of the body.
-            nerves: everything else that is carried from step to step.
+            nerves: everything else that is carried from step to step: the controller's state and
+                the warm start of the physics.
         """
         if self.retention is not None:
             kept = jnp.asarray(self.retention, state.q.dtype)
@@ -108,7 +111,7 @@ def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[n
 
 
 def _kept_bytes(step: Callable, carry: Any) -> int:
-    """Return the bytes that a control step keeps for the backward pass, without constants."""
+    """Return the bytes that each control step keeps for the backward pass."""
     pure, shared = jax.closure_convert(lambda carry: step(carry, jnp.zeros((), int))[0], carry)
 
     def leave(carry: Any, *shared: Array) -> list[Array]:
@@ -149,9 +152,9 @@ def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> t
 
 @jax.custom_vjp
 def _cut(state: State) -> State:
-    """Return the state, with gradients with respect to it limited by `_STEEPEST`.
+    """Return the state unchanged, with the norm of its gradient limited by `_STEEPEST`.
 
-    A gradient without a part for the horizontal position is not limited.
+    If the gradient of the horizontal position is zero, there is no limit.
     """
     return state
 

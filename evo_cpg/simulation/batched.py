@@ -1,9 +1,10 @@
-"""Different bodies in one program: simulations of one plan as a batch, like genomes.
+"""Different bodies in one program: a batch of simulations that differ only in numbers.
 
 A number of a simulation (a mass, a size, a drag coefficient) is a constant of the compiled program.
 That makes the program fast. Numbers that differ between simulations become inputs of the program,
-one value for each individual. Numbers that all have in common stay constant, above all zeros of
-matrices. A compiled program serves all other bodies that differ in the same numbers.
+one value for each individual. Numbers that all simulations have in common stay constant, most of
+all the zeros in matrices. A compiled program also serves other bodies that differ in the same
+numbers.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.mixed_array import MixedArray
 from evo_cpg.spatial.numerics import is_number
 
-# Differences of this many units in the last place are rounding.
+# Differences up to this fraction of an array's largest number are rounding errors.
 _ROUNDING = 16 * np.finfo(float).eps
 
 
@@ -26,11 +27,11 @@ class LayoutError(ValueError):
 
 
 class Inputs(NamedTuple):
-    """Numbers of a simulation that are inputs of its program.
+    """Places of the numbers of a simulation that are inputs of its program.
 
     Attributes:
-        places: indices of the leaves that contain such numbers.
-        elements: indices of these numbers in each of the flattened leaves.
+        places: indices of the pytree leaves that contain such numbers.
+        elements: for each of these leaves, flattened, indices of the numbers that are inputs.
     """
 
     places: tuple[int, ...]
@@ -60,7 +61,7 @@ class BatchedSimulation(NamedTuple):
     """Simulations that differ in some numbers, one for each individual.
 
     Attributes:
-        common: a simulation of the same plan, with the numbers that all have in common.
+        common: a simulation of the same plan, for the numbers that all simulations have in common.
         inputs: the numbers that differ.
         values: values of the inputs, leaf by leaf, with the individuals on the last axis.
     """
@@ -93,13 +94,14 @@ def batch(
 
     Args:
         common: a simulation of the same plan.
-        simulations: at least one simulation. All have bodies of one plan in worlds of one kind.
-        like: a batch with a compiled program that should serve these simulations too. They must
-            have its constants, and may differ only in its inputs.
+        simulations: at least one simulation. All simulations have bodies of one plan in worlds of
+            one kind.
+        like: a batch whose compiled program should serve these simulations too. The simulations
+            must have its constants, and may differ only in its inputs.
 
     Raises:
         LayoutError: the simulations differ in more than numbers.
-        ValueError: they differ in other numbers than ``like``, or in none.
+        ValueError: the simulations differ in other numbers than those of ``like``, or in none.
     """
     every = [like.common if like else common, *simulations]
     (first, structure), *others = map(jax.tree.flatten, every)

@@ -1,4 +1,4 @@
-"""One control step: the animal senses, its controller commands, the physics moves it.
+"""One control step: push the animal, sense, command the motors, and move it by physics steps.
 
 The command is held for ``substeps`` physics steps.
 """
@@ -87,8 +87,9 @@ class Effects(NamedTuple):
         forces: forces of motors and ground.
         energy: energy spent by all motors, J.
         airborne: fraction of the step in which no body touches the ground.
-        residual: largest residual of the physics steps, or None if one solve is exact.
-        physics: every physics step, stacked, or None unless an observer needs them.
+        residual: largest residual of the physics steps, or None if the physics solves each step
+            exactly, without iterations.
+        physics: all physics steps of the control step, stacked, or None if no observer needs them.
     """
 
     before: State
@@ -105,7 +106,7 @@ class Effects(NamedTuple):
 def begin_episode(
     simulation: Simulation, genes: Array, keys: Array | None, trial: Array | None
 ) -> tuple[EpisodeConstants, AnimalState]:
-    """Return the constants of the trials, and the animals at their start."""
+    """Return the constants of the trials, and the animals at the start of the trials."""
     ndim, own = genes.ndim - 1, trial is not None
 
     def begin(genes: Array, keys: Array | None, trial: Array | None) -> tuple:
@@ -129,7 +130,7 @@ def initial_animal(
     batch: tuple[int, ...],
     dtype: jnp.dtype,
 ) -> AnimalState:
-    """Return bodies at their start, with controllers at rest."""
+    """Return bodies in their initial pose with noise, and controllers in their initial state."""
     rest = starting_state(simulation.situations, trial, simulation.world.tree, batch, dtype)
     return AnimalState(
         disturb_start(simulation.noise, simulation.world, rest, keys),
@@ -175,7 +176,7 @@ def control_step(
 def push(
     simulation: Simulation, constants: EpisodeConstants, animal: AnimalState, index: Array
 ) -> AnimalState:
-    """Return the animal after the noise of one control step."""
+    """Return the animal after the random push (noise) of one control step."""
     duration = 1.0 / simulation.control_rate
 
     def disturb(state: State, keys: Array | None) -> State:
@@ -289,7 +290,7 @@ def snapshot_of(simulation: Simulation, constants: EpisodeConstants, state: Stat
 
 
 def _light_of(constants: EpisodeConstants, own: Array | None, position: Array) -> Array | None:
-    """Return the place of the light, with axes of individuals."""
+    """Return the place of the light, with the batch axes of ``position``, or None in the dark."""
     place = constants.common_light if own is None else own
     return None if place is None else expand_dims_like(place, position)
 
@@ -305,7 +306,7 @@ def no_forces(simulation: Simulation, state: State) -> Forces:
 
 
 def _add_fraction(forces: Forces, effort: Effort, fraction: float) -> Forces:
-    """Return the mean forces after one more physics step."""
+    """Add the forces of a physics step, times a fraction, to the mean of the control step."""
     of_step = effort.torque, effort.contact_force, effort.pair_force
     return Forces(
         *(
@@ -316,7 +317,7 @@ def _add_fraction(forces: Forces, effort: Effort, fraction: float) -> Forces:
 
 
 def _is_airborne(effort: Effort) -> Float[Array, " *n"]:
-    """Return 1 if nothing touched the ground in a physics step or there is no ground, else 0."""
+    """Return 1 if nothing touches the ground in a physics step or there is no ground, else 0."""
     if effort.contact_frame_force is None:
         return jnp.ones_like(effort.energy)
     return jnp.all(effort.contact_frame_force[2] <= 0, axis=0).astype(effort.energy.dtype)

@@ -12,15 +12,15 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.task import Transition
 
-# Name of the term. The parentheses keep it apart from terms of users' tasks.
+# Name of the term. Its parentheses keep it different from the names of terms in users' tasks.
 DISPLACEMENT = "(displacement of the root)"
 
 
 class RootDisplacement(Measure):
     """Displacement of the root, m.
 
-    If there is a light, this is the decrease of the root's distance to it. Otherwise it is the
-    straight line over the ground from the root's initial place.
+    If there is a light, this is the decrease of the root's distance to the light. Otherwise it is
+    the horizontal distance from the root's initial place to its final place.
     """
 
     lit: bool = eqx.field(static=True)
@@ -51,7 +51,7 @@ def with_displacement(simulation: Simulation) -> Simulation:
 
 
 def _seen_from(snapshot: Snapshot) -> Float[Array, "2 *n"]:
-    """Return the distance from the light and 0, or the place over the ground without a light."""
+    """Return the root's distance from the light and 0, or its x and y if there is no light."""
     place = snapshot.state.position
     if snapshot.light_position is None:
         return place[:2]

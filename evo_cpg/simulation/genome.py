@@ -25,7 +25,7 @@ class Phenotype(NamedTuple):
 
 
 class Genome(NamedTuple):
-    """The genes of all individuals of an experiment.
+    """Layout of the genes of an experiment's individuals.
 
     Attributes:
         controller: controller that the genes belong to.

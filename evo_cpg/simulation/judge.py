@@ -15,8 +15,9 @@ from evo_cpg.simulation.rules import keeps
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task, Transition
 
-# A trial counts as diverged beyond these rates (rad/s) and speeds (m/s). No animal of metre size
-# moves so fast, and the time step no longer resolves such motion.
+# A trial has diverged beyond this angular velocity of a joint or the root (rad/s), or this speed of
+# the root (m/s). No animal of metre size moves so fast, and the time step no longer resolves such
+# motion.
 _WILDEST_RATE = 1e3
 _WILDEST_SPEED = 1e2
 
@@ -86,7 +87,7 @@ def score(task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]) -> 
 
 
 def no_terms(simulation: Simulation, batch: tuple[int, ...] = (1,)) -> dict[str, Array]:
-    """Return the terms of a trial without a step: the task's and the measures of gait."""
+    """Return the terms of a trial with no steps: the task's terms and the measures of gait."""
     return finish_tally(simulation, begin_tally(simulation, batch, jnp.dtype("float32")))
 
 
@@ -108,7 +109,7 @@ def update_tally(
 
 
 def finish_tally(simulation: Simulation, tally: tuple[PyTree, PyTree]) -> dict[str, Array]:
-    """Return the terms by name."""
+    """Return the terms of the task and the measures of gait, by name."""
     own, gait = tally
     trial = Trial(simulation.world, simulation.duration)
     terms = simulation.task.terms(own, simulation.steps)
@@ -116,7 +117,7 @@ def finish_tally(simulation: Simulation, tally: tuple[PyTree, PyTree]) -> dict[s
 
 
 def is_sane(state: State) -> Bool[Array, " *n"]:
-    """Return False where the motion has diverged or is NaN."""
+    """Return False for individuals whose motion has diverged or is NaN."""
     speed = jnp.abs(state.linear_velocity).max(0)
     rate = jnp.abs(state.angular_velocity).max(0)
     if state.qd.shape[0]:

@@ -2,20 +2,20 @@
 
 They are reported with the task's terms, and can be axes of maps of behaviour
 (`evo_cpg.evolution.map_elites`). Each is a class with the same three functions, like a task. The
-table `MEASURES` lists them by name. Distances are straight lines from the initial to the final
-place of the root's centre. Over ground its height does not count.
+table `MEASURES` lists them by name. The distance is the straight line from the initial to the final
+place of the root's centre. If there is ground, only the horizontal distance counts.
 
 | name | meaning | unit |
 |---|---|---|
-| ``speed`` | distance by time | m/s |
-| ``cost_of_transport`` | energy of the motors by weight and distance (Tucker 1975) | - |
-| ``power`` | energy of the motors by time | W |
+| ``speed`` | distance / duration of the trial | m/s |
+| ``cost_of_transport`` | energy of the motors / (weight x distance) (Tucker 1975) | - |
+| ``power`` | energy of the motors / duration | W |
 | ``duty_factor`` | fraction of time on the ground, mean of the limbs that ever touch it | - |
 | ``airborne`` | fraction of time in which nothing touches the ground | - |
-| ``frequency`` | half the sign changes of a joint's rate, by time, mean of all joints | Hz |
+| ``frequency`` | sign changes of a joint's velocity / (2 x duration), mean of all joints | Hz |
 | ``amplitude`` | standard deviation of the joints' angles, mean of all joints | rad |
-| ``turning`` | mean rate of the root about the vertical, to the left | rad/s |
-| ``tilt`` | mean of 1 - cos(angle of the root's up to the vertical) | - |
+| ``turning`` | mean angular velocity of the root about the vertical, to the left | rad/s |
+| ``tilt`` | mean of 1 - cos(angle between the root's z axis and the vertical) | - |
 """
 
 import abc
@@ -29,7 +29,7 @@ from jaxtyping import Array, Float, PyTree
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.task import Transition
 
-# Least distance (m) to divide by, so that an animal that stays in place has a finite cost.
+# Smallest distance (m) to divide by, so that an animal that stays in place has a finite cost.
 _NOWHERE = 1e-6
 
 
@@ -58,7 +58,7 @@ class Measure(eqx.Module):
 
     @abc.abstractmethod
     def finish(self, tally: PyTree, trial: Trial) -> Float[Array, " *n"]:
-        """Return the number."""
+        """Return the measure of the whole trial."""
 
 
 class Displacement(NamedTuple):
@@ -81,7 +81,7 @@ def no_displacement(batch: tuple[int, ...], dtype: jnp.dtype, components: int = 
 
 
 class Speed(Measure):
-    """Distance by time, m/s."""
+    """Distance divided by the duration of the trial, m/s."""
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Displacement:
         """See `Measure.begin`."""
@@ -98,14 +98,14 @@ class Speed(Measure):
 
 
 class Spent(NamedTuple):
-    """Energy so far, J, and displacement."""
+    """Energy of the motors so far, J, and displacement of the root."""
 
     energy: Float[Array, " *n"]
     displacement: Displacement
 
 
 class CostOfTransport(Measure):
-    """Energy of the motors by weight and distance."""
+    """Energy of the motors divided by the animal's weight and by the distance."""
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Spent:
         """See `Measure.begin`."""
@@ -144,10 +144,10 @@ class _Total(Measure):
 
 
 class Power(_Total):
-    """Energy of the motors by time, W."""
+    """Energy of the motors divided by the duration of the trial, W."""
 
     def of_step(self, transition: Transition) -> Float[Array, " *n"]:
-        """Return the energy, J."""
+        """Return the energy of the motors in the step, J."""
         return transition.energy
 
 
@@ -160,7 +160,7 @@ class Airborne(_Total):
 
 
 class Turning(_Total):
-    """Mean rate of the root about the vertical, rad/s."""
+    """Mean angular velocity of the root about the vertical, positive to the left, rad/s."""
 
     def of_step(self, transition: Transition) -> Float[Array, " *n"]:
         """Return the turn to the left, rad."""
@@ -168,7 +168,7 @@ class Turning(_Total):
 
 
 class Tilt(_Total):
-    """Mean of 1 - cos(angle of the root's up to the vertical)."""
+    """Mean of 1 - cos(angle between the root's z axis and the vertical)."""
 
     def of_step(self, transition: Transition) -> Float[Array, " *n"]:
         """Return 1 - cos(angle) at the start of the step, times the length of the step in s."""
@@ -177,14 +177,14 @@ class Tilt(_Total):
 
 
 class Strides(NamedTuple):
-    """Signs of the joints' rates a step ago (0 before the first), and numbers of their changes."""
+    """For each joint axis: last sign of its velocity (0 at first), and number of sign changes."""
 
     sign: Float[Array, "d *n"]
     changes: Float[Array, "d *n"]
 
 
 class Frequency(Measure):
-    """Mean frequency of the joints' oscillation, Hz."""
+    """Mean frequency of the joints' oscillations, from sign changes of their velocities, Hz."""
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Strides:
         """See `Measure.begin`."""
@@ -231,9 +231,9 @@ class Amplitude(Measure):
 
 
 class DutyFactor(Measure):
-    """Fraction of control steps on the ground, mean of all bodies that ever touch it but the root.
+    """Fraction of control steps on the ground, mean of all bodies but the root that ever touch it.
 
-    A step counts as a whole, however short its contact is.
+    A control step with any contact of a body counts as a whole, however short the contact is.
     """
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:
@@ -243,7 +243,7 @@ class DutyFactor(Measure):
     def update(self, tally: Array, transition: Transition) -> Array:
         """See `Measure.update`."""
         force, step = transition.forces.contact_force, transition.before.control_step
-        # A contact force has a part along the normal, so it is not zero in world axes.
+        # Every contact force has a normal component. So the force vector is not zero in any axes.
         touched = (force * force).sum(0) > 0
         owners = transition.before.contact_bodies
         rows = [
@@ -270,7 +270,7 @@ MEASURES: dict[str, type[Measure]] = {
     "turning": Turning,
 }
 
-# Measures that mean nothing in free water.
+# Measures that mean nothing without ground.
 GROUND_MEASURES = ("airborne", "duty_factor")
 
 
@@ -310,7 +310,7 @@ def measures(*names: str) -> Measures:
 
 
 def distance(displacement: Displacement, world: World) -> Float[Array, " *n"]:
-    """Return the length of the displacement, m, without its height over ground."""
+    """Return the length of the displacement, m. If there is ground, z does not count."""
     x, y, z = displacement.end - displacement.start
     level = x * x + y * y
     return jnp.sqrt(level if world.contact_model is not None else level + z * z)

@@ -1,10 +1,10 @@
-"""Noise in a trial: in the initial pose, the pushes, and the friction.
+"""Noise in a trial: changes of the initial pose, pushes on the root, and changes of friction.
 
 Fukui 2003, chapter 4, finds that his simulation is not perfectly repeatable, so chance affects
 selection. Here a trial repeats to the last bit. Noise is added on purpose, from random numbers of
 the trial alone (see `evo_cpg.training.experiment.trial_keys`).
 
-The friction of the ground varies between trials, and not within one.
+The friction of the ground varies between trials. It is constant within a trial.
 
 The push is a random walk added to the root's velocity. Its standard deviation over a time t is
 ``push sqrt(t)``, for any length of a control step.
@@ -35,10 +35,11 @@ class Noise(eqx.Module):
     """Sizes of the noise. A size of 0 costs no time.
 
     Attributes:
-        joint_angle: standard deviation of every initial joint angle, rad. Joint limits are kept.
+        joint_angle: standard deviation of every initial joint angle, rad. Angles are clipped to the
+            joint limits.
         tilt: standard deviation of the root's initial roll and pitch, rad.
-        push: standard deviation of the root's velocity in each direction, m/s per square root of a
-            second.
+        push: standard deviation of the random change of the root's velocity along each axis in one
+            second, m/s per square root of a second.
         friction: largest relative change of the ground's static and dynamic friction in a trial,
             up or down.
     """
@@ -71,7 +72,7 @@ def disturb_start(
         return state
     tree = world.tree
     turn, bend = jnp.split(_normals(keys, _START, 2 + tree.dof_count), [2])
-    # The rotation vector is a rate that is held for one second.
+    # Rotate by the rotation vector: an angular velocity of this size for one second.
     tilt = noise.tilt * jnp.concatenate([turn, jnp.zeros_like(turn[:1])])
     lower, upper = (expand_dims_like(limit, state.q) for limit in (tree.lower, tree.upper))
     state = State(

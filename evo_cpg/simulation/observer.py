@@ -1,4 +1,4 @@
-"""Observers, which determine the results of `evo_cpg.simulation.rollout.rollout`.
+"""Observers. `evo_cpg.simulation.rollout.rollout` returns the result of each.
 
 | observer | in | result | of |
 |---|---|---|---|
@@ -45,7 +45,8 @@ class Observer:
     All methods are pure JAX functions of arrays whose trailing axes are individuals.
 
     Attributes:
-        every_step: True if `of_step` keeps anything. If False, a whole trial is one native program.
+        every_step: True if `of_step` returns anything. If it is False for all observers, a whole
+            trial can be one native program.
         physics: True if `Effects.physics` is needed. Physics steps are then separate programs.
     """
 
@@ -68,7 +69,7 @@ class Observer:
         return ()
 
     def finish(self, simulation: Simulation, tally: PyTree[Array], steps: PyTree[Array]) -> Any:
-        """Return the result, by default the results of `of_step`, stacked along time."""
+        """Return the result. The default is ``steps``, the results of `of_step` stacked in time."""
         del simulation, tally
         return steps
 
@@ -89,6 +90,6 @@ class States(Observer):
         return seen.animal.state
 
     def finish(self, simulation: Simulation, tally: State, steps: State) -> State:
-        """Put the start before the steps."""
+        """Return the states of all steps, after the initial state."""
         del simulation
         return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), tally, steps)

@@ -1,8 +1,9 @@
 """Estimate the number of operations in the native code of a trial, without compiling it.
 
-Every scalar of a trial becomes one operation, and equal limbs are all written out
-(`evo_cpg.fusion`). The number grows with the creature, and the compile time with the number. A loop
-has one round in the code, so the numbers of steps and individuals do not count.
+Every scalar of a control step becomes one operation, and the code of each limb is written out, even
+for equal limbs (`evo_cpg.fusion`). The number of operations grows with the creature, and the
+compile time with that number. The code of a loop contains one round only, so the numbers of steps
+and individuals do not count.
 
 The weights are fitted to the true numbers of the shipped creatures and of random creatures with 2
 to 100 bodies, on land and in water.
@@ -20,7 +21,7 @@ from evo_cpg.physics.step import needs_iteration
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.simulation import Simulation
 
-# Operations per item that `_counts` counts.
+# Operations for each item that `_counts` counts.
 _WEIGHTS = {
     "bodies": {"body": 340.0, "axis": 300.0},
     "limits": {"axis": 340.0, "axis below axis": 30.0},
@@ -64,7 +65,7 @@ class Operations(NamedTuple):
         ground: contact with the floor.
         obstacles: contact with obstacles on the floor.
         pairs: contact between bodies.
-        water: force laws, of water and others.
+        water: all force laws, those of water and any others.
         controller: nervous system.
         noise: noise.
     """
@@ -151,7 +152,7 @@ def _of_meshes(contact_model: ContactModel) -> dict[str, float]:
 
 
 def _of_pairs(tree: Tree, chains: list[set[int]], pairs: Pairs) -> dict[str, float]:
-    """Count the items that are written out for pairs."""
+    """Count the items whose code is written out for each pair of bodies."""
     if pairs.looped:
         return {}
     axes = np.array([_between(tree, chains, *pair) for pair in zip(*pairs.owners, strict=True)])

@@ -23,15 +23,16 @@ class PhysicsSteps(NamedTuple):
         before: state at the start of the step, after any push by noise.
         after: state at the end of the step.
         target_rate: commanded rate of each motor, rad/s.
-        target_angle: commanded neutral angle of the motors' springs, rad.
+        target_angle: commanded angle of the motors' springs, rad, or 0 if the controller commands
+            none.
         torque: torque of the motors, N m.
-        contact_force: force of the ground on every contact point, world axes, N. Empty without
+        contact_force: force of the ground on every contact point, world axes, N. No points without
             ground.
         pair_force: force between touching limbs, N. Empty if no limbs can touch.
         solved_residual: residual of the step's equations (`evo_cpg.physics.equations.Residual`), 0
-            if one solve is exact.
-        coulomb_residual: residual of Coulomb's law (`evo_cpg.physics.equations.Residual`), 0 if
-            one solve is exact.
+            if the physics solves each step exactly, without iterations.
+        coulomb_residual: residual of Coulomb's law (`evo_cpg.physics.equations.Residual`), 0 if the
+            physics solves each step exactly, without iterations.
         light: light seen by each eye in the control step, 0 to 1.
     """
 
@@ -51,7 +52,7 @@ class PhysicsSteps(NamedTuple):
 class EachPhysicsStep(Observer):
     """Keeps every physics step of the first individual of a population.
 
-    The other individuals are simulated too, so that the numbers equal the numbers in training.
+    The other individuals are simulated too, so that the results equal those in training.
     """
 
     every_step = True

@@ -1,4 +1,4 @@
-"""Programs that serve all animals of one plan: worlds that differ only in numbers.
+"""Programs that serve all animals of one plan. Worlds of one plan differ only in numbers.
 
 A trial has its numbers as constants, which makes it fast. Programs that run once per animal, such
 as the search for its initial pose, take the numbers as arguments. They are compiled once per plan.
@@ -16,7 +16,7 @@ from evo_cpg.spatial.numerics import TABLES, is_number
 
 _Program = TypeVar("_Program")
 
-# Largest number of programs of a kind that are kept.
+# Largest number of programs that one `Programs` keeps.
 _MOST = 8
 
 
@@ -62,7 +62,7 @@ class _Made(NamedTuple):
 
 
 class Programs(Generic[_Program]):
-    """Programs of a kind, one for each plan. The most recently used are kept.
+    """Programs of one function, one for each plan and settings. The last used ones are kept.
 
     Args:
         make: function that makes a program from a plan and settings.

@@ -3,9 +3,9 @@
     f(D, E, L) = -a D - b E + c L,    a D_max > c L_max > b E_max            (eqs. 9 and 10)
 
 D is the distance to the light at the end (mean of the last second). E is the energy of the motors.
-L is the light seen by the best eye, averaged over the trial. All three are normalised: D by the
-initial distance, E by a given value or the 95th percentile of the first generation. Eq. 10 then
-reads ``a > c > b``.
+L is the strongest light among all eyes in each step, averaged over the trial. All three are
+normalised: D by the initial distance, E by a given value or the 95th percentile of the first
+generation. Eq. 10 then reads ``a > c > b``.
 """
 
 from collections.abc import Mapping
@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 from evo_cpg.simulation.task import Task, Transition
 from evo_cpg.spatial.numerics import Number, Triple
 
-# Upper limit of the normalised distance, so that one individual that flees cannot dominate
-# averages.
+# Upper limit of the distance relative to the initial distance. So one individual that flees from
+# the light cannot dominate averages.
 _FARTHEST = 1.5
 
 # Scale of the energy: this percentile of the first generation is E_max.
@@ -26,7 +26,7 @@ _ENERGY_PERCENTILE = 95.0
 
 
 class LightTally(NamedTuple):
-    """Sums over the trial so far."""
+    """Initial distance to the light, and sums over the trial so far of the other quantities."""
 
     start_distance: Array
     final_distance: Array

@@ -19,12 +19,12 @@ from evo_cpg.simulation.observer import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.linear import cross, expand_dims_like
 
-# First parts of the names of frames with readings of senses and with the controller's state.
+# Prefixes of the names of recorded arrays with readings of sensors and with the controller's state.
 SENSE, NERVE = "sense.", "nerve."
 
 
 class RecordingError(UserError, ValueError):
-    """Raised for a recording that is incomplete, not finite, or of another creature."""
+    """Raised for a recording that is incomplete, not finite, or shows another creature."""
 
 
 class Recording(NamedTuple):
@@ -39,10 +39,11 @@ class Recording(NamedTuple):
         rotation: rotation of every body, from body to world axes.
         joint_angle: joint angles, rad.
         target_rate: commanded rate of each motor, rad/s.
-        cpg_output: output of each oscillator, or of any other source of the rhythm.
+        cpg_output: output of each oscillator, or `Command.signal` of a controller without
+            oscillators.
         torque: torque of each motor, N m.
-        distance: distance from the root to its goal, m, or over the ground from its start if there
-            is no goal.
+        distance: distance from the root to the light, m. If there is no light, horizontal distance
+            from the root's initial place.
         goal: place of the light in the world, m, or NaN without a light.
         dof_names: name of each degree of freedom, ``body.axis``.
     """
@@ -133,7 +134,7 @@ class Recorder(Observer):
     full: bool = False
 
     def of_step(self, seen: Seen) -> dict[str, Array]:
-        """Return the frames of a control step."""
+        """Return the recorded arrays of a control step, by name."""
         frame = functools.partial(_frame, seen.simulation.world.tree, self.full)
         frames = fuse(frame, seen.effects, batch_ndim=seen.effects.energy.ndim)
         if self.full:
@@ -149,7 +150,7 @@ def as_recording(
     individual: int = 0,
     trial: int = 0,
 ) -> Recording:
-    """Order the bodies as in the creature, and add what a film needs.
+    """Return the recording of one individual, with the bodies in the creature's order.
 
     Args:
         simulation: the trial.
@@ -180,7 +181,7 @@ def as_recording(
 
 
 def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
-    """Return the frames of one control step, without the state of the controller."""
+    """Return the recorded arrays of one control step by name, without the controller's state."""
     kin = kinematics(tree, effects.before)
     com = expand_dims_like(tree.com, kin.origin)
     residual = {} if effects.residual is None else effects.residual._asdict()

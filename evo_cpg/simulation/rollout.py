@@ -1,4 +1,4 @@
-"""A trial: an animal with its controller in a world, and observers that record it.
+"""Run a trial: an animal with its controller in a world, and observers that follow it.
 
 One trial is ``steps`` control steps of ``1 / control_rate`` seconds (2000 steps of 1/60 s in
 Iwadate 2010), each as in `evo_cpg.simulation.control_step`.
@@ -38,13 +38,14 @@ def rollout(
     """Run one trial of every individual.
 
     Args:
-        simulation: the trial, or one trial for each individual. These have one axis, the last of
-            every result.
+        simulation: the trial, or one trial for each individual. In the second case genes, keys and
+            trial have one batch axis, the last, and so has every result.
         genes: one genome per individual, on the trailing axes.
         keys: a raw random key for each trial's noise, or None for no noise.
-        trial: number of the situation in each lane, or None for the first in all lanes.
+        trial: number of the situation of each individual, or None for the first situation.
         observers: one observer, or a tuple or dict of several.
-        backward: settings of differentiation, if needed. Not for observers of every step.
+        backward: settings of reverse-mode differentiation, or None. Do not combine it with
+            observers of every step.
         begin: function that changes the initial state of the trial.
 
     Returns:
@@ -84,7 +85,7 @@ def _run(
     backward: Backward | None,
     begin: Callable[[State], State] | None,
 ) -> Any:
-    """Run one trial. Its control steps are separate programs, or parts of one."""
+    """Run one trial. Each control step is a program, or a part of the program of the trial."""
     physics = any(one.physics for one in jax.tree.leaves(observers))
     constants, animal = begin_episode(simulation, genes, keys, trial)
     if begin is not None:

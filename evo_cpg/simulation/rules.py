@@ -1,7 +1,7 @@
 """Rules that disqualify an animal in the control step in which it breaks them.
 
 Evolution exploits the errors of a simulator. A rule removes such a motion from the search at once.
-Otherwise it would be found only in the champion (`evo-cpg audit`).
+Otherwise only an audit of the champion (`evo-cpg audit`) would find it.
 """
 
 import equinox as eqx
@@ -23,7 +23,7 @@ class Rules(eqx.Module):
     Attributes:
         speed: largest speed of the root, m/s.
         power: largest power of all motors together, mean over a control step, W.
-        penetration: largest depth in the ground, m.
+        penetration: largest depth of a contact point in the ground, m.
         overlap: largest overlap of two bodies, m.
         pairs: pairs of bodies that are checked for overlap, or None if no bodies can touch.
     """
@@ -58,7 +58,7 @@ def keeps(
         valid &= (clearance(world.contact_model, kin) >= -rules.penetration).all(0)
     if rules.overlap is not None and rules.pairs is not None:
         gap = separations(rules.pairs, kin).gap
-        # Pairs without stiffness belong to other bodies of a plan.
+        # Pairs without stiffness cannot touch in this creature, only in others of its plan.
         passes = expand_dims_like(rules.pairs.stiffness, gap) == 0
         valid &= ((gap >= -rules.overlap) | passes).all(0)
     return valid

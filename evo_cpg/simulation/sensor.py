@@ -1,7 +1,7 @@
 """Interface of further sensors, in addition to eyes, pressure sensors and depth gauges.
 
-A kind of sensor is a class. The config names it in ``creature.sensors``, as a built-in kind or as
-``my_module:MySensor``. Its readings go into `Observation.custom`.
+A kind of sensor is a class. The config names the class in ``creature.sensors``, as a built-in kind
+or as ``my_module:MySensor``. Its readings go into `Observation.custom`.
 """
 
 import abc

@@ -16,7 +16,7 @@ from evo_cpg.spatial.linear import dot, expand_dims_like, matvec
 from evo_cpg.spatial.mixed_array import MixedArray
 from evo_cpg.spatial.numerics import Numbers, xp
 
-# Added under the root so that the direction to a light at the sensor's own place has a gradient.
+# Added under square roots, so that a light at the sensor's own place gives a finite gradient.
 _DISTANCE_FLOOR = 1e-12
 
 
@@ -26,13 +26,13 @@ class Sensors(NamedTuple):
     Attributes:
         eye_bodies: index of the body that carries each light sensor.
         eye_positions: ``(3, eyes)`` positions in the body's working frame, m.
-        eye_axes: ``(3, eyes)`` unit vectors.
+        eye_axes: ``(3, eyes)`` unit vectors of the lines of sight, in the body's working frame.
         fields_of_view: ``(eyes,)`` full opening angles, rad.
         pressure_bodies: index of the body behind each pressure sensor.
         depth_bodies: index of the body that carries each depth gauge.
         depth_positions: ``(3, gauges)`` positions in the body's working frame, m.
         depth_scales: ``(gauges,)`` depths at which the reading is 1, m.
-        blind: True if no eye sees any light.
+        blind: True to let every eye read 0.
     """
 
     eye_bodies: tuple[int, ...]
@@ -47,7 +47,7 @@ class Sensors(NamedTuple):
 
 
 def place_sensors(creature: Creature, tree: Tree) -> Sensors:
-    """Find the creature's sensors on its tree."""
+    """Return the bodies and positions of the creature's sensors on its tree."""
     eyes, gauges = creature.light_sensors, creature.depth_sensors
 
     def place(
@@ -76,10 +76,10 @@ def pressure_readings(
 ) -> Float[Array, "s *n"]:
     """Return the pressure readings: 1 where the ground presses harder than the water, else 0.
 
-    The paper (2.1) compares the outer pressure with the water's. Here the ground's pressure is its
-    normal force on the body divided by the body's mean cross-section, ``volume^(2/3)``. The water's
-    pressure is hydrostatic, at the depth of the body's centre. It is 0 on land, and in water
-    without a surface.
+    The paper (section 2.1) compares the outer pressure with the water's. Here the ground's pressure
+    is its normal force on the body divided by the body's mean cross-section, ``volume^(2/3)``. The
+    water's pressure is hydrostatic, at the depth of the body's centre. It is 0 on land, and in
+    water without a surface.
 
     Args:
         sensors: places of the sensors.

@@ -44,32 +44,34 @@ from evo_cpg.spatial.decisions import Undecidable, chosen, searched
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import axis_rotation, integrate_quaternion, quaternion_to_matrix
 
-# Largest number of steps of a descent, and of saddles.
+# Largest number of steps of a descent. Largest number of poses of balance that a search tries. It
+# leaves each pose that is a saddle.
 _STEPS, _SADDLES = 1000, 8
 
-# Largest number of trial step lengths, and of steps of the chord method.
+# Largest number of step lengths tried for one descent step, and of steps of the chord method.
 _HALVINGS, _CHORDS = 60, 100
 
-# Largest number of solves. A new solve is needed if a foot begins or ceases to slide.
+# Largest number of descents to one pose of balance. Another is needed if a foot begins or ceases to
+# slide.
 _ROUNDS = 20
 
-# Largest step of the root over ground and without ground, in radii of gyration. Largest step of
-# angles, rad.
+# Largest displacement of the root in one step, with ground and without ground, in radii of
+# gyration. Largest change of an angle in one step, rad.
 _FARTHEST_ON_GROUND, _FARTHEST, _LARGEST_TURN = 0.1, 10.0, 0.2
 
-# Forces in units of the weight at which the descent ends, and which the solution may leave.
+# Largest force, in units of the weight, at which the descent ends, and in the solution.
 _NEARLY, _EXACT = 1e-6, 1e-9
 
-# Stiffnesses in units of weight over radius of gyration. One below the first counts as zero in a
-# step. A direction with less than minus the second is unstable: for an animal of 1 m it would
-# double in a minute.
+# Stiffnesses in units of weight over radius of gyration. Sizes below the first count as zero. A
+# direction with a stiffness below minus the second is unstable: with an animal of 1 m, a deviation
+# would double in a minute.
 _SOFTEST, _UNSTABLE = 1e-6, 1e-4
 
-# Added stiffness of a step for horizontal place and heading, in units of the largest force. It
-# selects the straight descent among equal ones.
+# Stiffness added in a descent step for horizontal place and heading, in units of the largest force.
+# Among equally good steps it selects the one that keeps place and heading.
 _STAY = 10.0
 
-# Displacement from a saddle, rad.
+# Displacement from a saddle: norm of angles (rad) and lengths (radii of gyration).
 _KICK = 0.02
 
 # Largest tilt of the root, rad. An animal has fallen over at larger tilts.
@@ -81,7 +83,7 @@ class NoRestError(ValueError):
 
 
 class Rest(NamedTuple):
-    """A pose at rest.
+    """A pose in which a creature rests.
 
     Attributes:
         state: the pose, in float64.
@@ -89,7 +91,8 @@ class Rest(NamedTuple):
         stiffness: eigenvalues of the stiffness in units of weight over radius of gyration, the
             smallest first. Angles are scaled by the radius of gyration.
         friction: state of friction in the pose.
-        give: compliance in these units: inverse of the stiffness, 0 in directions without any.
+        give: compliance in these units: inverse of the stiffness, 0 in directions without
+            stiffness.
     """
 
     state: State
@@ -132,26 +135,28 @@ class _Here(NamedTuple):
 
 
 class Settling:
-    """Solver for the rest of one creature in one world. Its programs serve all starts.
+    """Solver for the resting pose of one creature in one world, from any initial pose.
 
     Args:
         world: the creature and its environment.
         h: step of the simulation, s.
 
     Raises:
-        NoRestError: nothing can carry the creature at any start.
+        NoRestError: nothing can carry the creature, whatever its initial pose.
     """
 
     def __init__(self, world: World, h: float):
         _require_support(world)
         tree = world.tree
         self.world, self.h = world, h
-        # Coordinates are scaled to lengths, forces to the creature's weight.
+        # Coordinates y are lengths in radii of gyration, and angles in rad. Forces are in units of
+        # the weight, and moments in units of the weight times the radius of gyration.
         self.free = np.flatnonzero(
             np.concatenate([np.ones(root.ROOT_DOFS, bool), _is_compliant(tree)])
         )
         self.size = radius_of_gyration(tree)
-        # Only springs act without gravity, and they are at rest already.
+        # If there is no gravity, forces keep their unit, N. Only springs act then, and they are at
+        # rest already.
         self.weight = float(tree.mass.sum() * abs(world.gravity)) or 1.0
         self.scale = np.where(self.free < root.LENGTHS, self.size, 1.0)
         self.stay = np.where(np.isin(self.free, root.SYMMETRIES), _STAY, 0.0)
@@ -166,7 +171,7 @@ class Settling:
     def settle(self, situation: Situation) -> "_Settled":
         """Return the pose in which the creature rests.
 
-        Place and heading do not change, unless the creature moves on uneven ground.
+        Place and heading stay as in the situation. On uneven ground they may change.
 
         Args:
             situation: initial pose of the creature.
@@ -189,7 +194,7 @@ class Settling:
             )
 
     def rest(self, start: State) -> Rest:
-        """Return the rest of the creature after a slow release. Call with float64 enabled.
+        """Return the resting pose after a slow release. Call it with float64 enabled.
 
         Args:
             start: the initial pose.
@@ -242,7 +247,7 @@ class Settling:
         return self._go(jnp.asarray(y), state, friction, self._at(y, state, friction).touch)
 
     def _root(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
-        """Search downhill for a pose without forces."""
+        """Search downhill for a pose in which all forces balance."""
         for _ in range(_ROUNDS):
             state, friction = self._polish(*self._descend(state, friction))
             here = self._at(np.zeros(len(self.free)), state, friction)
@@ -259,7 +264,7 @@ class Settling:
             if np.abs(here.force).max() < _NEARLY:
                 return state, friction
             values, modes = np.linalg.eigh(here.stiffness)
-            # Soft directions follow the force, at most by the size of the creature.
+            # Directions with little stiffness follow the force, at most by the radius of gyration.
             largest = np.abs(here.force).max()
             stiff = np.maximum(np.abs(values), largest)
             stay = np.diag(largest * self.stay)
@@ -273,7 +278,10 @@ class Settling:
     def _step_length(
         self, y: np.ndarray, here: _Here, state: State, friction: FrictionState
     ) -> float:
-        """Return the fraction of a step with at most half the initial derivative of the energy."""
+        """Return the fraction of the step y at which the slope of the energy is halved.
+
+        The slope along y is then at most half as steep, in either direction, as at the start.
+        """
         low, high, fraction, steepest = 0.0, 1.0, 1.0, 0.5 * float(here.force @ y)
         for _ in range(_HALVINGS):
             ahead = float(self._at(fraction * y, state, friction).force @ y)
@@ -287,7 +295,7 @@ class Settling:
         return fraction
 
     def _polish(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
-        """Solve for the nearby root to rounding."""
+        """Solve for the nearby pose of balance, up to rounding errors."""
         stiffness = self._at(np.zeros(len(self.free)), state, friction).stiffness
         values, modes = np.linalg.eigh(stiffness)
         values = np.where(values < 0, -1.0, 1.0) * np.maximum(np.abs(values), _SOFTEST)
@@ -396,7 +404,7 @@ def settled(
 
 
 def _is_known(*values: Any) -> bool:
-    """Return True if no number is traced. A step from another rest may end elsewhere.
+    """Return True if no number is traced. Otherwise the search might end in another pose.
 
     Raises:
         Undecidable: a number is traced.
@@ -407,7 +415,7 @@ def _is_known(*values: Any) -> bool:
 
 
 def _is_compliant(tree: Tree) -> np.ndarray:
-    """Return which degrees of freedom have an angle of rest under a load."""
+    """Return which degrees of freedom yield to a load: joints with a spring or without a motor."""
     return (tree.stiffness > 0) | (tree.servo_stiffness > 0) | (tree.servo_gain == 0)
 
 
@@ -436,7 +444,7 @@ def _require_support(world: World) -> None:
 
 
 def _is_alike_everywhere(world: World) -> bool:
-    """Return whether all places and headings are equivalent."""
+    """Return whether all places and headings are equivalent: without ground, or on level ground."""
     return world.ground is None or world.ground.level is not None
 
 
@@ -477,6 +485,6 @@ def _heading(state: State) -> Array:
 
 
 def _tilt(start: State, state: State) -> float:
-    """Return the angle between the initial up direction and its present direction, rad."""
+    """Return the angle between the vertical and the initially vertical axis of the root, rad."""
     before, after = (np.asarray(quaternion_to_matrix(s.orientation)) for s in (start, state))
     return float(np.arccos(np.clip((after @ before.T)[2, 2], -1.0, 1.0)))

@@ -28,7 +28,8 @@ class Simulation(eqx.Module):
         substeps: physics steps per control step.
         steps: control steps in a trial.
         noise: sizes of the noise.
-        situations: initial situation of each trial of an individual, or one for all trials.
+        situations: initial situation (pose and light) of each trial of an individual, or one for
+            all trials.
         engine: engine that computes the trial.
         rules: rules that disqualify an animal, or None for no rules.
         extra_sensors: sensors in the creature's `sensors`, which return `Observation.custom`.
@@ -51,7 +52,7 @@ class Simulation(eqx.Module):
 
     @property
     def genome(self) -> Genome:
-        """Meaning of the genes."""
+        """Layout of the genes."""
         return Genome(self.controller)
 
     @property

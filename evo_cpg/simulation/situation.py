@@ -1,8 +1,8 @@
 """Initial situation of a trial: pose of the animal, and place of the light.
 
-An individual may have several situations, one in each of its trials. The number of the trial
-selects the situation in each lane of the population axis. If all trials have one situation, its
-numbers are constants of the compiled program.
+An individual may have several situations, one in each of its trials. Trials run side by side on the
+batch axes (lanes). The number of a lane's trial selects its situation. If all trials have the same
+situation, its numbers are constants of the compiled program.
 """
 
 from typing import NamedTuple
@@ -53,7 +53,7 @@ def starting_state(
     batch: tuple[int, ...],
     dtype: jnp.dtype,
 ) -> State:
-    """Return the initial pose of each trial, at rest.
+    """Return the initial pose of each trial, with all velocities zero.
 
     Args:
         situations: situations of the trials.
@@ -104,7 +104,7 @@ def starting_pose(
 def light_places(
     lights: tuple[Triple | None, ...], trial: Int[Array, " *n"] | None, dtype: jnp.dtype
 ) -> Float[np.ndarray, "3"] | Float[Array, "3 *#n"] | None:
-    """Return the place of the light in each lane, m. It is a constant if equal in all lanes.
+    """Return the place of the light in each lane of the batch, m, or one place if all are equal.
 
     Args:
         lights: place of the light in each trial. In the dark all are None.

@@ -1,4 +1,4 @@
-"""The whole animal at an instant, for tasks and sensors.
+"""The state of the whole animal at an instant, for tasks and sensors.
 
 Derived quantities are computed on access only, so unused ones cost nothing. Bodies and degrees of
 freedom are in the order of the tree (`Snapshot.body` and `Snapshot.dof` find them by name). Contact
@@ -46,7 +46,7 @@ class Snapshot:
             ``world.gravity`` (m/s^2), ``world.water``, ``world.ground``.
         control_step: length of a control step, s.
         state: pose and velocity of the root, joint angles and rates.
-        light_position: place of the light in this trial, m, or None for a task in the dark.
+        light_position: place of the light in this trial, m, or None for a task without a light.
     """
 
     world: World
@@ -56,7 +56,7 @@ class Snapshot:
 
     @functools.cached_property
     def kinematics(self) -> Kinematics:
-        """Frames and velocities of the bodies at their joints, see `evo_cpg.physics.kinematics`."""
+        """Positions, axes and velocities of the bodies' origins (`evo_cpg.physics.kinematics`)."""
         return kinematics(self.world.tree, self.state)
 
     @property
@@ -66,7 +66,7 @@ class Snapshot:
 
     @functools.cached_property
     def position(self) -> Float[Array, "3 b *n"]:
-        """Centres of mass of the bodies, m."""
+        """Centres of mass of the bodies in the world, m."""
         return self.kinematics.origin + self._lever
 
     @functools.cached_property
@@ -97,7 +97,7 @@ class Snapshot:
 
     @property
     def contact_position(self) -> Float[Array, "3 p *n"]:
-        """Contact points: the nearest point to the ground at each place, m."""
+        """Contact points in the world, m: lowest corners, and lowest points of round shapes."""
         offset, _ = self._lowest
         return take(self.kinematics.origin, self.contact_bodies) + offset
 
@@ -154,7 +154,7 @@ class Snapshot:
         return offset, gap
 
     def _mean(self, of_bodies: Float[Array, "3 b *n"]) -> Float[Array, "3 *n"]:
-        """Return the mean, weighted by mass."""
+        """Return the mean over the bodies, weighted by mass."""
         mass = expand_dims_like(self.world.tree.mass, of_bodies[0])
         return (of_bodies * mass[None]).sum(1) / mass.sum()
 

@@ -2,8 +2,8 @@
 
 A task is structure and settings, like a controller. Every control step updates its ``tally``, any
 pytree of arrays. At the end of the trial the tally becomes named terms, and the terms become one
-fitness, which is maximised. Terms may be compared with scales measured on the first generation,
-such as the most energy that an animal can spend. The scales then stay fixed.
+fitness, which is maximised. Fitness may divide terms by scales that are measured on the first
+generation, such as a large energy. The scales stay fixed in later generations.
 """
 
 import abc
@@ -22,7 +22,7 @@ from evo_cpg.simulation.snapshot import Forces, Snapshot
 class Transition(NamedTuple):
     """One control step for a task: the animal before and after it, and its actions.
 
-    Every number is computed only if a task uses it.
+    The compiled program computes only the numbers that a task uses.
 
     Attributes:
         step: number of the control step, from 0.
@@ -53,7 +53,7 @@ class Task(eqx.Module):
 
     Attributes:
         light: place of the point light, m, for situations without their own, or None for a task
-            in the dark. `Snapshot.light_position` is the place in the trial.
+            without a light. `Snapshot.light_position` is the place in the trial.
         heading: ``forward`` if only displacement along the world's x counts, else ``any``. The
             class decides what its fitness counts. `evo-cpg sensitivity` reads this attribute.
 
@@ -95,7 +95,7 @@ class Task(eqx.Module):
     def scales(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Float[Array, ""]]:
         """Return scales measured on the first generation, all finite. Empty unless overridden.
 
-        Terms of individuals that diverged are NaN.
+        Terms of individuals that diverged are NaN in ``terms``.
         """
         del terms
         return {}
@@ -103,7 +103,7 @@ class Task(eqx.Module):
     def descriptors(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Array]:
         """Return the terms that describe behaviour rather than success, by name.
 
-        They serve searches for variety. There are none unless overridden.
+        They serve as axes of maps of behaviour (MAP-Elites). There are none unless overridden.
         """
         del terms
         return {}
@@ -121,14 +121,15 @@ class Task(eqx.Module):
     def beyond_scales(
         self, terms: Mapping[str, float], scales: Mapping[str, float]
     ) -> dict[str, float]:
-        """Return the excess of terms over their scale, which does not affect the fitness.
+        """Return the excess of terms over their scale. Fitness ignores this excess.
 
         Args:
             terms: terms of one individual.
             scales: result of `scales`.
 
         Returns:
-            Excess relative to the scale, at least 0, for all terms with such a limit.
+            Excess divided by the scale, at least 0, for every term that the fitness limits to its
+            scale.
         """
         del terms, scales
         return {}

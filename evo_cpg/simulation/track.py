@@ -16,7 +16,7 @@ from evo_cpg.spatial.rotation import quaternion_to_matrix
 # about its own axes. All others are joint angles (rad), by the names of their axes.
 POSITION, ATTITUDE = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
-# Changes to the configuration's initial state, by the first part of their names.
+# Kinds of changes to the initial state: the first parts of names such as ``velocity.x``.
 BEGINNINGS = ("velocity", "spin", "angle", "rate")
 
 
@@ -43,7 +43,7 @@ def track(
     columns: Sequence[str],
     beginning: dict[str, Float[Array, ""]] | None = None,
 ) -> Float[Array, "t c"]:
-    """Return columns of a trial at given times.
+    """Return columns of numbers (positions, angles) of a trial at given times.
 
     Positions and joint angles are interpolated by cubics (Hermite) between control steps, so they
     are as exact as the steps themselves. Orientations are interpolated linearly.

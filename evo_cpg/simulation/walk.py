@@ -1,13 +1,15 @@
 """Go far: as in Fukui 2003, or with a posture that makes the animal walk instead of run.
 
-The thesis scores only the distance moved after 20 s (3.4), so its agents run. To get a walk, it
-proposes in 4.3 to score the posture as well, without details. `Distance` scores the distance,
+The thesis scores only the distance moved after 20 s (section 3.4), so its agents run. To get a
+walk, section 4.3 proposes to score the posture as well, without details. `Distance` scores the
+distance,
 
     f = D,
 
 and `Walk` subtracts terms that are typical of running, each from the whole trial:
 
-    f = a D/l - b T - c H/l - d A,    T = mean(1 - cos(angle of the torso's up to the world's)).
+    f = a D/l - b T - c H/l - d A,
+    T = mean(1 - cos(angle between the torso's z axis and the vertical)).
 
 The thesis does not define "distance". Here D is a straight line over ground, without height. It
 leads from the initial place of the torso's centre to its place at the last control step. The torso
@@ -45,9 +47,9 @@ class Gait(NamedTuple):
 
     Attributes:
         displacement: displacement of the torso.
-        tilt: sum of 1 - cos(angle to the vertical).
-        rise: sum of the height above the initial height, m. It is small, so the variance keeps its
-            digits.
+        tilt: sum of 1 - cos(angle between the torso's z axis and the vertical).
+        rise: sum of the torso's height above its initial height, m. This difference is small, so
+            the variance keeps its digits.
         squared_rise: sum of the squared rise, m^2.
         airborne: sum of the airborne fractions of the control steps.
     """
@@ -95,7 +97,7 @@ class Distance(Task):
 
 
 class Walk(Task):
-    """Move a large distance with a level, steady torso and a foot on the ground.
+    """Move a large distance with an upright, steady torso and a foot always on the ground.
 
     Attributes:
         torso_length: l, m.
@@ -130,7 +132,7 @@ class Walk(Task):
         rise = displacement.end[2] - displacement.start[2]
         return Gait(
             displacement,
-            # The torso's up axis has the height 1 - 2 (x^2 + y^2).
+            # The vertical component of the torso's z axis is 1 - 2 (x^2 + y^2).
             tally.tilt + 2.0 * (x * x + y * y),
             tally.rise + rise,
             tally.squared_rise + rise * rise,
@@ -149,7 +151,7 @@ class Walk(Task):
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
-        """Return the displacement less the costs of the posture, in torso lengths."""
+        """Return the weighted displacement minus the costs of tilt, bounce and airborne time."""
         del scales
         return (
             self.distance_weight * _headed(terms, self.heading) / self.torso_length

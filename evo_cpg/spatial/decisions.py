@@ -52,7 +52,7 @@ class StaticDecisions:
 
 
 class _Present(NamedTuple):
-    """Present record of decisions, and earlier decisions to replay."""
+    """State of a context: its record of new decisions, and the decisions that it replays."""
 
     record: StaticDecisions | None = None
     made: Iterator[Any] = iter(())
@@ -90,7 +90,8 @@ def replaying_decisions(
 
     Args:
         decisions: recorded decisions.
-        conditions: list to which the condition of every decision is appended, or None for none.
+        conditions: list to which the condition of every decision is appended, or None to skip the
+            conditions.
     """
     made, searched = iter(decisions.made), iter(decisions.searched)
     with _in_present(_Present(None, made, searched, True, conditions)):
@@ -98,7 +99,7 @@ def replaying_decisions(
 
 
 def chosen(choose: Callable[[], _T], holds: Callable[[_T], Condition] | None = None) -> _T:
-    """Return the choice of a function of known numbers, or its recorded choice.
+    """Return the choice of a function of known numbers, or in a replay its recorded choice.
 
     Args:
         choose: function that returns a pytree.
@@ -115,7 +116,7 @@ def chosen(choose: Callable[[], _T], holds: Callable[[_T], Condition] | None = N
 
 
 def searched(search: Callable[[], _T], holds: Callable[[_T], Condition]) -> _T:
-    """Return the result of a search with known numbers, or its recorded result.
+    """Return the result of a search with known numbers, or in a replay its recorded result.
 
     The result has no derivative by the numbers. The caller adds Newton steps, which have the right
     derivative (implicit function theorem). The steps are zero if the search was exact.
@@ -134,7 +135,9 @@ def searched(search: Callable[[], _T], holds: Callable[[_T], Condition]) -> _T:
 
 
 def _recorded_or_replayed(kind: str, make: Callable[[], _T]) -> _T:
-    """Return the result of a function, or its recorded result. Inner choices are not recorded.
+    """Return the result of a function, or in a replay its recorded result.
+
+    Decisions made inside the function are not recorded.
 
     Args:
         kind: name of the record's list, "made" or "searched".

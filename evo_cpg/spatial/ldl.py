@@ -17,7 +17,7 @@ class Factors(NamedTuple):
     """Factors L and D of matrices.
 
     Attributes:
-        rows: rows of L, from the first, each without its diagonal ``(k, *n)``.
+        rows: rows of L. Row k holds the k elements before the diagonal, ``(k, *n)``.
         inverse_pivots: the diagonal of D^-1, ``(v, *n)``.
     """
 

@@ -22,7 +22,7 @@ inlined = functools.partial(jax.jit, inline=True)
 
 A traced program still holds the function's operations, as if they were written there. So do its
 derivatives. Outside traced programs the function is compiled as one program. Tracing a step of the
-quadruped takes four fifths of the time.
+quadruped takes four fifths of the time without this decorator.
 """
 
 # Powers of two between which products of three numbers stay within float32.
@@ -142,7 +142,7 @@ def skew(v: Float[Array, "3 *#rest"]) -> Float[Array, "3 3 *#rest"]:
 
 
 def toward_one(size: Any) -> Any:
-    """Return a power of two whose square brings positive numbers nearer to 1, mostly 1.
+    """Return powers of two, mostly 1, whose squares bring positive numbers nearer to 1.
 
     After multiplication by the square, a product of three numbers stays within float32. Rounding
     does not change: a product with a power of two is exact.

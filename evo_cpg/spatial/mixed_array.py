@@ -21,7 +21,7 @@ class MixedArray:
         index: index of each element in ``known`` followed by ``traced``.
     """
 
-    # NumPy then leaves arithmetic to the methods below.
+    # With None, NumPy leaves arithmetic with this array to the methods below.
     __array_ufunc__ = None
 
     def __init__(self, known: np.ndarray, places: np.ndarray, traced: jax.Array):

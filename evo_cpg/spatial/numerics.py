@@ -18,15 +18,16 @@ from evo_cpg.spatial.mixed_array import MixedArray
 # A float, or a traced scalar while a model is built from traced numbers.
 Number = Any
 
-# Coordinates.
+# Three coordinates.
 Triple = tuple[Number, Number, Number]
 
-# Names of arrays that are read at computed indices. They have no derivative.
+# Names of model fields with tables, whose elements are read at computed indices. A simulation has
+# no derivative by these elements.
 TABLES = ("heights", "meshes", "triangles")
 
 
 def is_traced(*values: Any) -> bool:
-    """Return whether any number in the values, nested or not, is a JAX array."""
+    """Return whether any number in the values, nested or not, is a JAX array or a mixed array."""
     return any(isinstance(x, (jax.Array, MixedArray)) for x in jax.tree.leaves(values))
 
 

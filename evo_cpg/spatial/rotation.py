@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from evo_cpg.spatial.linear import array_of, expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# Squared angle (rad^2) below which the series of sin(x)/x is used. The next term of the series is
+# Squared half angle (rad^2) below which the series of sin(x)/x is used. The next term is
 # then below float32's resolution, and the gradient at rest is finite.
 _SMALL_ANGLE_SQUARED = 1e-6
 
@@ -70,7 +70,7 @@ def axis_rotation(
     """Return rotations about one common unit axis ``(3,)`` by Rodrigues' formula.
 
     Args:
-        axis: unit vector.
+        axis: unit vector, the same for all angles.
         sine: sine of the angles.
         cosine: cosine of the angles.
     """

@@ -12,7 +12,7 @@ from evo_cpg.installation import command_for
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
-# Cases that simulate an animal, whose rates are drawn.
+# Cases that simulate an animal. Their rates are also drawn as a picture.
 _MOVING = ("swimmer", "salamander-water", "salamander-land", "quadruped")
 
 

@@ -1,7 +1,7 @@
 """Chapter 4 of Fukui 2003: distances of the three walkers, and the loss of lineages.
 
-Under noise, all kept individuals may fall over by chance. A good lineage is then lost, and the best
-distance of the run falls.
+Under noise, all elites of a generation may fall over by chance. A good lineage is then lost, and
+the best distance of the next generations falls.
 
 Choices that the thesis leaves open are varied, one at a time: the strength of the dashpots, the
 time for each posture, the length of the legs, the rule that combines two restitutions, and whether
@@ -25,9 +25,10 @@ from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 
 TORSO = 0.6  # m
-# Bodies of Model 1 after its torso: upper and lower boxes alternate.
+# Indices of the leg boxes among the bodies of Model 1: upper and lower boxes alternate.
 _LEGS = range(1, 9)
-# A generation has fallen if its best distance is this fraction below the highest one before.
+# A generation has fallen if its best distance is more than this fraction below the highest best
+# distance of the run so far.
 COLLAPSE = 0.25
 HELD_ANGLE = 170.0  # degrees, one of the two allowed angles closest to straight down
 
@@ -119,7 +120,7 @@ def models(workshop: Workshop) -> list[Table]:
 
 
 def long(workshop: Workshop) -> list[Table]:
-    """Evaluate Model 1 over 2000 generations, as in Fig. 4-2, with and without noise."""
+    """Compare Model 1 with and without noise over 2000 generations, as in Fig. 4-2."""
     from evo_cpg.view.search_plots import generations_figure
 
     names = {"long": "without noise", "long_noise": "noise, 7 kept"}
@@ -129,7 +130,7 @@ def long(workshop: Workshop) -> list[Table]:
 
 
 def single(workshop: Workshop) -> list[Table]:
-    """Evaluate two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
+    """Show two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
     from evo_cpg.view.search_plots import generations_figure
 
     best, first = _best(workshop, "single"), workshop.experiment("single").seed
@@ -189,7 +190,7 @@ def random(workshop: Workshop) -> list[Table]:
 
 
 def walk(workshop: Workshop) -> list[Table]:
-    """Compare models evolved for distance with models evolved also for posture (section 4.3)."""
+    """Compare champions evolved for distance with champions evolved to walk (section 4.3)."""
     from evo_cpg.view.search_plots import champions_figure
 
     rows, dots = [], {}
@@ -257,7 +258,7 @@ def _ends(workshop: Workshop, name: str) -> list[float]:
 
 
 def _differ(values: Sequence[Sequence[float]]) -> bool:
-    """Return whether any two values differ. The test needs different values."""
+    """Return whether any two values differ, as the Kruskal-Wallis test requires."""
     return len({value for each in values for value in each}) > 1
 
 

@@ -46,7 +46,8 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Size of a run with --quick. Terms of the last second need a trial of at least one second.
+# Number of runs, generations and control steps with --quick. Terms of the last second need a trial
+# of at least one second.
 _QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
 # The population allows five islands of four individuals.
 _QUICK_POPULATION, _QUICK_ELITES = 20, 2
@@ -299,7 +300,7 @@ def _require_same(member: Member) -> None:
 
 
 def _what_evolves(config: ExperimentConfig) -> dict[str, Any]:
-    """Return the settings that affect evolution. The audit has only limits that disqualify."""
+    """Return the settings that affect evolution, with only those audit limits that disqualify."""
     limits = config.audit.limits().of_length(length_of(config.creature.build()))
     rules = {name: float(getattr(limits, name)) for name in config.audit.disqualify}
     return config.model_dump(mode="json", exclude={"audit"}) | {"audit": rules}

@@ -26,8 +26,8 @@ DAMAGED = (
 )
 """Errors that were observed when truncated or overwritten .npz files were read."""
 
-# End of an archive without a comment: mark, disks, entries (here and in all), size and place of
-# the list, length of the comment.
+# Last record of a zip archive without a comment: signature, two disk numbers, number of entries (on
+# this disk and in all), size and offset of the central directory, length of the comment.
 _END = struct.Struct("<4s4H2LH")
 
 

@@ -27,16 +27,18 @@ from evo_cpg.training.experiment import ExperimentParts, judge, situation_number
 
 # Range of step sizes in water, in units of genes. They are drawn evenly on a logarithmic scale.
 _STEP_SIZES = 3e-4, 1e-2
-# Gradients hold over shorter steps on the ground: most of five walkers' champions gained with 1e-4.
+# Factor on step sizes on the ground, where a gradient is valid over a shorter distance. Most
+# champions of five walkers gained fitness with a step size of 1e-4.
 _FINER_ON_GROUND = 0.1
-# Shortest gradient horizon, s, in water and on the ground. Gradients grow a hundredfold in half a
-# second on the ground.
+# Lower bound of the random gradient horizons, s, in water and on the ground. On the ground,
+# gradients grow a hundredfold in half a second.
 _SHORTEST_HORIZON, _SHORTEST_ON_GROUND = 1.0, 0.1
-# Fraction of individuals whose gradients do not decay.
+# Fraction of individuals with an infinite horizon: their gradients do not decay back in time.
 _EXACT = 0.25
 
-# A gradient is cut to this multiple of the mean length of earlier gradients.
+# A longer gradient is scaled down to this multiple of the mean length (norm) of earlier gradients.
 _LONGEST = 10.0
+# Weight of the old value in that moving average.
 _LENGTH_DECAY = 0.9
 
 
@@ -44,7 +46,8 @@ class GradientLengths(NamedTuple):
     """State of `clip_long_gradients`.
 
     Attributes:
-        mean: exponential moving average of the gradients' length, or 0 before the first.
+        mean: exponential moving average of the gradients' norm after the guard, or 0 before the
+            first gradient.
         finite: number of finite gradients.
     """
 
@@ -55,8 +58,9 @@ class GradientLengths(NamedTuple):
 def clip_long_gradients() -> optax.GradientTransformation:
     """Return a guard against exploding gradients, which would dominate Adam's moments.
 
-    A gradient that is not finite counts as zero. A gradient much longer than earlier ones is cut.
-    (`optax.adaptive_grad_clip` compares with the parameters, which carry no information on cliffs.)
+    A gradient that is not finite counts as zero. A gradient much longer than earlier ones is scaled
+    down. (`optax.adaptive_grad_clip` compares a gradient with the parameters. Their size says
+    nothing about cliffs of the fitness.)
     """
 
     def init(params: Any) -> GradientLengths:
@@ -78,7 +82,7 @@ def clip_long_gradients() -> optax.GradientTransformation:
     return optax.GradientTransformation(init, update)
 
 
-# The mean of squares decays faster than usual, because an ascent has few steps.
+# Adam's mean of squares decays faster than usual (b2 = 0.999), because an ascent has few steps.
 _ADAM = optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-12)
 _GUARDED_ADAM = optax.chain(clip_long_gradients(), _ADAM, optax.scale(-1.0))
 
@@ -116,15 +120,15 @@ class GuardedAdam(optimistix.AbstractDescent):
         return _Descended(best, jnp.where(better, f_info.f, state.least), transformed, move)
 
     def step(self, step_size: Array, state: _Descended) -> tuple[Any, optimistix.RESULTS]:
-        """Return the next move: about ``step_size`` if a gradient keeps its sign."""
+        """Return the next move: about ``step_size`` for each gene whose gradient keeps its sign."""
         return jax.tree.map(lambda x: step_size * x, state.move), optimistix.RESULTS.successful
 
 
 class Climber(optimistix.AbstractGradientDescent):
     """Minimiser with a fixed number of Adam steps of a given size, without a convergence test.
 
-    The result is the best point with a gradient. (`optimistix.BestSoFarMinimiser` compares points
-    one step late and would leave out the last.)
+    The result is the best of all points at which value and gradient were computed.
+    (`optimistix.BestSoFarMinimiser` compares points one step late and would leave out the last.)
     """
 
     search: optimistix.LearningRate
@@ -144,7 +148,8 @@ class ClimbSettings(NamedTuple):
 
     Attributes:
         sizes: step sizes, in units of genes.
-        retentions: decay of gradients per step, see `evo_cpg.simulation.backward.Backward`.
+        retentions: fraction of a gradient that is left one control step further back, see
+            `evo_cpg.simulation.backward.Backward`.
     """
 
     sizes: Float[np.ndarray, " n"]
@@ -157,7 +162,9 @@ def draw_settings(
     count: int,
     stretched: float = 1.0,
 ) -> ClimbSettings:
-    """Draw step sizes, and horizons from the shortest to ten times the trial or infinity.
+    """Draw a step size and a gradient horizon for each individual.
+
+    Horizons lie between the shortest horizon and ten times the trial's duration, or are infinite.
 
     Args:
         rng: random generator of all draws.
@@ -174,7 +181,7 @@ def draw_settings(
 
 
 def reach(simulation: Simulation) -> float:
-    """Return the distance over which gradients hold, relative to water."""
+    """Return the factor on step sizes and kicks: 1 in water, `_FINER_ON_GROUND` on the ground."""
     return _FINER_ON_GROUND if _is_rough(simulation) else 1.0
 
 
@@ -189,8 +196,9 @@ class Climbed(NamedTuple):
     """Results of the ascent of individuals.
 
     Attributes:
-        genes: best genes of each individual.
-        fitness: fitness of these genes, or -inf if it was never a number.
+        genes: best genes of each individual, then its shifts of `Free` numbers. Genes are cut to
+            the strategy's bound.
+        fitness: fitness of the best genes before the cut, or -inf if it was never finite.
         finite: number of finite gradients of each individual. Other gradients count as zero.
     """
 
@@ -205,7 +213,8 @@ class Free(NamedTuple):
     Attributes:
         values: initial values of the numbers.
         simulation: function that returns the simulation at other values, which may be traced.
-        rebuild: function that builds the experiment at other values, or None if not allowed.
+        rebuild: function that builds the experiment at other values. It returns None if the values
+            are not allowed.
     """
 
     values: Float[np.ndarray, " k"]
@@ -213,9 +222,10 @@ class Free(NamedTuple):
     rebuild: Callable[[Float[np.ndarray, " k"]], ExperimentParts | None]
 
     def at(self, shifts: Any) -> Any:
-        """Return the shifted values. Small shifts are relative changes.
+        """Return the values after shifts. A small shift is a relative change.
 
-        Positive values stay positive. Others are shifted relative to their size, or to 1 if zero.
+        A positive value is multiplied by ``exp(shift)``, so it stays positive. To a negative value,
+        the shift times its size is added. To zero, the shift is added.
         """
         size = np.where(self.values, np.abs(self.values), 1.0)
         positive = self.values > 0

@@ -83,7 +83,7 @@ class Checkpoint(NamedTuple):
 
     @property
     def champion(self) -> Champion | None:
-        """Best individual of all runs so far, by fewest early ends, then by fitness."""
+        """Best individual of all runs so far: fewest re-evaluations ended early, then fitness."""
         living = [champion for champion in self.champions if champion is not None]
         return max(living, key=lambda one: (-one.ended_early, one.worth), default=None)
 
@@ -147,7 +147,7 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
     """
     if arrays["genes"].ndim != 1 or not arrays["genes"].size:
         raise ValueError("it holds no genome")
-    # Absent from files of versions without several runs or re-evaluations.
+    # Files of versions without several runs or re-evaluations lack these arrays.
     names = "run", "index", "lives", "ended_early"
     run, index, lives, ended_early = (int(arrays.get(name, 0)) for name in names)
     return Champion(
@@ -206,7 +206,7 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     rows = len(columns["generation"]) if columns else 0
     if any(column.shape != (rows,) or not rows for column in columns.values()):
         raise ValueError("the columns of its table of generations are empty or differ in length")
-    # Absent from files of versions without several runs.
+    # Files of versions without several runs lack this array.
     runs = int(arrays.get("runs", 1))
     records, chosen = (
         tuple(_champion_or_none(_below(arrays, _prefix(kind, run))) for run in range(runs))
@@ -233,7 +233,7 @@ def _champion_or_none(arrays: Mapping[str, np.ndarray]) -> Champion | None:
 
 
 def _prefix(kind: str, run: int) -> str:
-    """Return the prefix of a champion's arrays. The first run has no number."""
+    """Return the prefix of a champion's array names, without a number for run 0."""
     return f"{kind}{run or ''}."
 
 

@@ -1,10 +1,10 @@
 """Disk cache of compiled programs, so that an experiment starts quickly the second time.
 
-Every later command that needs an already compiled program loads it: another seed, `resume`,
-`render` or `verify`. JAX keeps XLA's programs under a key of program, options and version. Native
-code is kept next to them (`evo_cpg.fusion.backend.machine`). Machine code for one processor may
-not run on another. A cluster may share the home folder, so each kind of processor has a folder of
-its own.
+Every later command that needs an already compiled program loads it: `train` with another seed,
+`resume`, `render` or `verify`. JAX keeps XLA's programs under a key of program, options and
+version. Native code is kept next to them (`evo_cpg.fusion.backend.machine`). Machine code for one
+processor may not run on another. A cluster may share the home folder, so each kind of processor has
+a folder of its own.
 
 `JAX_COMPILATION_CACHE_DIR` names another folder. `JAX_ENABLE_COMPILATION_CACHE=false` switches
 the cache off.
@@ -57,7 +57,7 @@ def keep_compiled_programs() -> Path | None:
 
 
 def compiled_folder() -> Path | None:
-    """Return the folder for compiled programs, which may be missing. None without a home folder."""
+    """Return the folder for compiled programs, which may not exist yet. None without a home."""
     own = jax.config.values["jax_compilation_cache_dir"]
     if own:
         return Path(own)

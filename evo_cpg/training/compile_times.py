@@ -1,8 +1,9 @@
 """Estimates of compile times, from earlier compile times on this machine.
 
-The times are kept in the folder of the compiled programs. A known animal takes its earlier time
-without LLVM, because its code is kept. Another animal takes the earlier animals' time per operation
-(`evo_cpg.simulation.operations`). There is no estimate before the first measurement.
+The times are kept in the folder of the compiled programs. For an animal that was compiled before,
+the estimate is its earlier time without LLVM, because its native code is kept. For another animal,
+the estimate is its number of operations (`evo_cpg.simulation.operations`) times the measured time
+per operation. There is no estimate before the first measurement.
 """
 
 import contextlib
@@ -32,8 +33,8 @@ class _Times(TypedDict):
     """Measured times.
 
     Attributes:
-        rate: number of operations, and the seconds for them.
-        animals: seconds by digest of the animal.
+        rate: weighted sums over animals of operations, and of the seconds to compile them.
+        animals: seconds without LLVM, by digest of the animal.
     """
 
     rate: Annotated[list[_Number], Field(min_length=2, max_length=2)]

@@ -1,4 +1,4 @@
-"""Cores as devices, and the population in chunks on them.
+"""CPU cores as JAX devices, and the population in chunks on the devices.
 
 Each core becomes a device, the population is sharded over the devices, and XLA keeps to one thread
 per device. These settings are process-wide. So the program (the command line, a benchmark) makes
@@ -7,6 +7,7 @@ them, never the import of the package.
 A device computes a *chunk* of the population at a time, for a whole trial. The chunks of all
 devices are a *block*. The host feeds one block after the other to a program that is compiled for
 one block. So compile time and memory of the physics do not depend on the number of individuals.
+If individuals have several trials, each trial counts as an individual here.
 """
 
 import contextlib
@@ -31,7 +32,7 @@ POPULATION_AXIS = "population"
 
 def available_cores() -> int:
     """Return the number of cores that this process may run on."""
-    # Windows and macOS have no such list, and a sandbox may hide it.
+    # Windows and macOS lack `sched_getaffinity`, and a sandbox may refuse the call.
     with contextlib.suppress(AttributeError, OSError):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -70,7 +71,7 @@ def population_mesh(count: int | None = None) -> Mesh:
 
 
 class Layout(NamedTuple):
-    """Layout of a population over devices and time.
+    """Layout of a population: the devices, and the width of the chunks that they compute in turn.
 
     Attributes:
         mesh: devices that are used.
@@ -82,7 +83,7 @@ class Layout(NamedTuple):
 
     @property
     def block(self) -> int:
-        """Number of individuals that all devices compute at a time."""
+        """Number of individuals that all devices together compute at a time."""
         return self.mesh.size * self.width
 
 
@@ -91,8 +92,8 @@ def layout(count: int, mesh: Mesh) -> Layout:
 
     Args:
         count: number of individuals.
-        mesh: the devices. Devices beyond the number of vectors stay idle, because half a vector
-            takes as long as a full vector.
+        mesh: the devices. Each used device gets at least one vector of `LANES` individuals,
+            because half a vector takes as long as a full vector. The other devices stay idle.
     """
     busy = Mesh(mesh.devices[: -(-count // LANES)], mesh.axis_names)
     return Layout(busy, chunk_width(count, mesh.size))
@@ -101,11 +102,11 @@ def layout(count: int, mesh: Mesh) -> Layout:
 def chunk_width(count: int, devices: int) -> int:
     """Return the number of individuals in a chunk. Chunks are full vectors, equally wide.
 
-    On devices other than CPUs, a chunk is the whole part of a device.
+    On devices other than CPUs, a chunk is the device's whole part of the population.
 
     Args:
         count: number of individuals on all devices.
-        devices: number of devices. Idle devices make no difference.
+        devices: number of devices. Counting idle devices does not change the result.
     """
     vectors = -(-count // (devices * LANES))
     chunks = -(-vectors // machine_constants.WIDEST_CHUNK) if jax.default_backend() == "cpu" else 1
@@ -146,8 +147,8 @@ def run_in_blocks(
     Args:
         program: from `sharded`.
         spread: layout of the population.
-        count: number of individuals. The last individual fills the rest of the last block.
-        pick: function that returns the program's host arguments for numbered individuals.
+        count: number of individuals. Copies of the last individual fill the rest of the last block.
+        pick: function that returns the program's host arguments, given individuals' indices.
 
     Returns:
         Host arrays of all individuals.
@@ -171,5 +172,5 @@ def run_in_blocks(
 
 
 def _spec(rank: int) -> PartitionSpec:
-    """Return the sharding: last axis of arrays over devices, numbers equal on all."""
+    """Return the sharding: arrays are split on the last axis, numbers are copied to all devices."""
     return PartitionSpec(*(None,) * (rank - 1), POPULATION_AXIS) if rank else PartitionSpec()

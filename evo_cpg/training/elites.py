@@ -17,7 +17,7 @@ class GaitMap(NamedTuple):
 
     Attributes:
         axes: axes of the map.
-        fitness: fitness of the elites, with an array axis for each axis. NaN in empty cells.
+        fitness: fitness of the elites, with an array axis for each map axis. NaN in empty cells.
         archive: the elites, with cells along the last axis.
     """
 
@@ -52,7 +52,7 @@ def elite(
     Args:
         experiment: experiment in which the individual evolved.
         checkpoint: checkpoint of the run.
-        cell: a number for each axis, from 0.
+        cell: index of the cell on each axis of the map, from 0.
         run: number of the run.
 
     Raises:

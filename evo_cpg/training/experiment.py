@@ -52,7 +52,7 @@ class Learning(NamedTuple):
 
     Attributes:
         every: number of generations between two ascents.
-        elites: number of elites in each run, the best first.
+        elites: number of elites that climb in each run: the best ones.
         steps: number of moves of each elite.
     """
 
@@ -72,8 +72,8 @@ class ExperimentParts(NamedTuple):
         generations: number of generations.
         seed: seed of all random draws, for the first run.
         runs: number of independent populations.
-        trials: number of trials of every individual, over which the fitness is averaged: one for
-            each situation, or any number of trials of the only situation.
+        trials: number of trials of every individual, over which the fitness is averaged: one in
+            each situation, or any number in the only situation.
         learning: settings of the elites' ascent, or None for evolution alone.
     """
 
@@ -92,12 +92,13 @@ class Generation(NamedTuple):
     """Results of one generation of every run.
 
     Attributes:
-        fitness: mean fitness of every individual over its trials, or -inf if it diverged in any.
+        fitness: mean fitness of every individual over its trials, or -inf if it diverged or broke a
+            rule in any trial.
         terms: task's terms, averaged over the trials.
         alive: False where an individual diverged.
         scales: task's scales.
         best: index of the fittest individual in each run.
-        best_genes: genome of the fittest individual.
+        best_genes: genome of the fittest individual in each run.
         next_genes: population of the next generation, run by run.
         state: strategy's state. The first axis of every array is the run.
         metrics: strategy's metrics, by name.
@@ -218,7 +219,7 @@ def compile_trials(
     Args:
         simulation: simulation of a trial.
         mesh: the devices.
-        width: number of individuals in a chunk, or None to choose it from the population.
+        width: number of trials in a chunk, or None to choose it from the number of all trials.
         inputs: numbers of the simulation in which individuals differ.
 
     Returns:
@@ -243,7 +244,7 @@ def compile_trials(
         trials: int = 1,
         values: tuple[Float[np.ndarray, "_ individuals"], ...] | None = None,
     ) -> Outcome:
-        # The host's values may have another precision.
+        # The host's values may have another precision than the genes.
         own = jax.tree.map(lambda x: x.astype(genes.dtype), values)
 
         def pick(numbers: Int[np.ndarray, " block"]) -> tuple:
@@ -332,11 +333,12 @@ def judge(
         scales: task's scales.
 
     Returns:
-        The mean fitness, -inf for an individual that diverged in any trial, and the mean outcome.
+        The mean fitness and the mean outcome. The fitness is -inf if the individual diverged or
+        broke a rule in any trial.
     """
 
     def mean(values: Shaped[Array, "*n trials"]) -> Float[Array, " *n"]:
-        # The mean of Boolean values is the fraction of trials.
+        # Convert Boolean values to numbers. Their mean is the fraction of trials with True.
         values = values.astype(jnp.result_type(values, float))
         # Add trials in turn. The order in which `mean` adds, and so its rounding, would depend on
         # the number of individuals, and a replay has only one.
@@ -351,7 +353,7 @@ def judge(
 def judge_each(
     task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]
 ) -> Float[Array, "trials *n"]:
-    """Return the fitness in each trial, or -inf if the individual diverged."""
+    """Return the fitness in each trial, or -inf if the individual diverged or broke a rule."""
     return jax.vmap(lambda trial: score(task, trial, scales), in_axes=-1)(outcome)
 
 

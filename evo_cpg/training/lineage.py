@@ -45,7 +45,7 @@ def until(
     """Return the lineage after a number of generations.
 
     Args:
-        lineage: written lineage, perhaps empty or a generation ahead of the checkpoint.
+        lineage: lineage from the run folder, perhaps empty or a generation ahead of the checkpoint.
         champions: champion of every run in the checkpoint.
         generation: number of finished generations.
     """
@@ -83,14 +83,15 @@ def representatives(lineage: Sequence[Champion], count: int) -> list[Champion]:
 
 
 def lineage_arrays(lineage: Sequence[Champion]) -> dict[str, Any]:
-    """Return a lineage of at least one champion as named arrays with a row for each."""
+    """Return a lineage of at least one champion as named arrays, with a row for each champion."""
     arrays: dict[str, Any] = {"genes": np.stack([each.genes for each in lineage])}
     arrays |= {name: np.array([getattr(each, name) for each in lineage]) for name in _OF_ALL}
     for prefix, rows in (
         (TERM_PREFIX, [each.terms for each in lineage]),
         (SCALE_PREFIX, [each.scales for each in lineage]),
     ):
-        # The measures of a configuration may have changed during the run.
+        # Champions of one run may have different terms: the configuration's measures may have
+        # changed.
         names = dict.fromkeys(name for one in rows for name in one)
         arrays |= {
             prefix + name: np.array([one.get(name, math.nan) for one in rows]) for name in names
@@ -152,7 +153,8 @@ def _thinned(own: list[Champion]) -> list[Champion]:
 def _least(found: Sequence[int]) -> int:
     """Return the index of the champion to drop, given the generations of all."""
     marks = landmarks(found[-1])
-    # Each champion lasts until the generation before the next champion's.
+    # Each champion lasts until the generation before the next champion's. The first, the newest and
+    # all that last over a landmark are kept.
     free = [
         i
         for i in range(1, len(found) - 1)

@@ -19,11 +19,11 @@ SILENCE = 18.0
 """Time without any byte after which the other process counts as dead or stopped, s. It is shorter
 than the patience of a team, so that the report names the process."""
 
-# Kind and length of a frame.
+# Header of a frame: its kind, and the length of its content, bytes.
 _HEAD = struct.Struct("<BQ")
 _DATA, _HEARTBEAT, _LOST, _GOODBYE = range(4)
 
-# Number of bytes that are sent at a time. Each piece may take `SILENCE`.
+# Number of bytes that are sent at a time. Sending one such piece may take up to `SILENCE` seconds.
 _PIECE = 1 << 20
 
 
@@ -67,7 +67,7 @@ class Link:
         self._send(_LOST, why.encode())
 
     def leave(self) -> None:
-        """Leave in good order. After this the other process may end."""
+        """Send a goodbye. After this, an end of the other process is not reported as a loss."""
         self._left = True
         self._send(_GOODBYE)
 

@@ -22,7 +22,7 @@ from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.running import Running, Trials
 
 TIMING_COLUMNS = ("seconds", "steps_per_second")
-"""Columns of metrics.csv that differ from run to run."""
+"""Columns of metrics.csv that measure time, so they differ when a run is repeated."""
 
 
 def train(
@@ -53,9 +53,9 @@ def train_together(
 
     Args:
         experiments: experiments with equal simulations and equally many trials of an individual.
-        folders: a run folder for each, created before.
-        on_generation: called after each generation of an experiment, with its number and its new
-            rows of metrics.csv, one for each run.
+        folders: existing run folder of each experiment.
+        on_generation: called after each generation of an experiment, with the experiment's index
+            and its new rows of metrics.csv, one for each run.
         mesh: devices to use, or None for all of this process.
         on_compiled: called once, after the program of the trials has been compiled and run. It can
             start a thread that compiles later programs.
@@ -87,7 +87,7 @@ def train_together(
         spent = time.perf_counter() - start
         parts = _split(outcome, widths, trials)
         for number, part, width in zip(behind, parts, widths, strict=True):
-            # Each experiment's time includes its part of the common trials.
+            # Each experiment's time includes its part of the time for the common trials.
             own_start = time.perf_counter() - spent * width / sum(widths)
             rows = running[number].tell(part, own_start)
             if rows:
@@ -96,7 +96,7 @@ def train_together(
 
 
 def _behind(running: Sequence[Running]) -> list[int]:
-    """Return the unfinished experiments with the fewest generations done.
+    """Return the indices of the unfinished experiments with the fewest generations done.
 
     After a kill some experiments may be one generation ahead of the others.
     """

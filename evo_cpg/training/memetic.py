@@ -14,7 +14,7 @@ from jaxtyping import Float
 from evo_cpg.training.ascent import compile_ascent, draw_settings
 from evo_cpg.training.experiment import ExperimentParts, trial_keys
 
-# Tag that keeps these draws apart from others of the same seed.
+# Tag that keeps the draws of the ascents apart from other draws of the same seed.
 _CLIMB = 3
 
 

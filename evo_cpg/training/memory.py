@@ -1,8 +1,9 @@
 """Memory that a run needs, compared with the machine's memory before the run starts.
 
-Trials run in blocks whose size does not depend on the population. Genomes do: breeding holds
-several copies of them, four for 20,000 to 500,000 individuals. The state of a search is added, such
-as a genome in every cell of a map of behaviour, or a covariance matrix.
+Trials run in blocks, so their memory does not depend on the population. The memory of genomes
+does: breeding holds several copies of all genomes (four for 20,000 to 500,000 individuals). The
+state of a search is added, such as a genome in every cell of a map of behaviour, or a covariance
+matrix.
 """
 
 import contextlib
@@ -16,11 +17,11 @@ from evo_cpg.errors import UserError
 from evo_cpg.system import described_by
 from evo_cpg.training.experiment import ExperimentParts, begin
 
-# Bytes of everything else, and the largest number of copies of genomes and search state, with a
-# margin.
+# Bytes of everything except genomes and search state, and the largest number of copies of genomes
+# and search state. Both have a margin.
 _REST, _COPIES = 2**29, 6
 _GENE = 4  # bytes
-# Size of a search's state, bytes, from which the error mentions it.
+# Smallest size of a search's state, bytes, that the error mentions.
 _MENTIONED = 2**20
 
 _CONTROL_GROUPS = (
@@ -34,7 +35,7 @@ class TooLargeError(UserError):
 
 
 def needed(experiment: ExperimentParts) -> int:
-    """Return an upper bound of the bytes that training needs."""
+    """Return an estimate of the bytes that training needs at most."""
     genes = experiment.simulation.genome.count
     genomes = _GENE * genes * experiment.runs * experiment.strategy.population
     return _REST + _COPIES * (genomes + remembered(experiment))
@@ -50,10 +51,10 @@ def remembered(experiment: ExperimentParts) -> int:
 
 
 def available() -> int | None:
-    """Return the bytes of the machine or its container, or None if unknown."""
+    """Return the memory of the machine or its container, bytes, or None if unknown."""
     found = []
     for file in _CONTROL_GROUPS:
-        # The group may be missing or without a limit.
+        # The control group may be missing, or have no limit.
         with contextlib.suppress(ValueError):
             found.append(int(described_by(Path(file))))
     with contextlib.suppress(AttributeError, OSError, ValueError):

@@ -16,9 +16,9 @@ from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.devices import layout, population_mesh, run_in_blocks, sharded
 from evo_cpg.training.experiment import compile_trials
 
-# An animal that keeps this fraction of its displacement without eyes does not steer by them. One
-# that swims straight ahead keeps 87 % towards a light 30 degrees aside, the default. It keeps less
-# only if the light is farther aside.
+# An animal that keeps at least this fraction of its displacement to the lights when blinded counts
+# as not using its eyes. A blinded animal that swims straight ahead keeps 87 % of it to a light 30
+# degrees aside, the default. It keeps less than this fraction only if the light is farther aside.
 UNSEEING = 0.8
 
 
@@ -29,7 +29,7 @@ class Probe(NamedTuple):
         situations: initial situations, all with a light.
         start_distance: initial distance from the light, m.
         distance: final distance as a fraction of the initial one, or NaN if the animal diverged.
-        light: light seen by the best eye, 0 to 1, mean over the trial. NaN if diverged.
+        light: reading of the eye that sees most, 0 to 1, mean over the trial. NaN if diverged.
         alive: False if the animal diverged.
         paths: positions of the root's centre, m, once per control step.
     """
@@ -42,7 +42,7 @@ class Probe(NamedTuple):
     paths: Float[np.ndarray, "n t 3"]
 
     def reached(self, fraction: float) -> Bool[np.ndarray, " n"]:
-        """Return whether at most this fraction of the distance was left, per situation."""
+        """Return whether at most this fraction of the initial distance was left, by situation."""
         return self.alive & (self.distance <= fraction)
 
     @property
@@ -71,7 +71,7 @@ def probe(
     outcome = compile_trials(simulation, mesh)(alone, None, trial, count)
 
     def follow(genes: Float[Array, "g n"], trial: Int[Array, " n"]) -> Float[Array, "t 3 n"]:
-        # Index 0 is the root, which is the first body.
+        # Record all individuals. In the recorded positions, body 0 is the root.
         recorder = Recorder(len(trial))
         frames = rollout(simulation, genes, None, trial, recorder)
         return frames["position"][:, :, 0]
@@ -105,7 +105,7 @@ def blinded(simulation: Simulation) -> Simulation:
 def around(
     situation: Situation, bearings: Iterable[float], distances: Iterable[float] = ()
 ) -> tuple[Situation, ...]:
-    """Return copies of a situation with the light elsewhere, at an equal elevation.
+    """Return copies of a situation with the light at other bearings, and at the same elevation.
 
     Args:
         situation: situation with a light.

@@ -1,13 +1,13 @@
 """A team of processes that evolve one population together.
 
-Every process holds the whole population and breeds it from one common key, which takes
-milliseconds. The trials are divided. In each generation every process tries some individuals. Then
-all exchange the outcomes as bytes, with a digest of the population. Nothing is summed, so the bits
-do not depend on the number of processes.
+Every process holds the whole population and breeds it with the same random key, which takes
+milliseconds. The trials are divided: in each generation every process runs the trials of some
+individuals. Then every process sends one row of bytes: its outcomes, and a digest of the
+population. Nothing is summed, so the bits do not depend on the number of processes.
 
 The lead, process 0, writes the run folder and sends the others the checkpoint. Every other process
-has a connection to the lead, which passes all rows on. A single process is a team of one, whose
-methods return their arguments.
+has a connection to the lead, which passes all rows on to all. A single process is a team of one,
+whose methods return their arguments.
 
 The package has its own connections for two reasons. `jax.distributed` (JAX 0.10.2) could do the
 exchange, but it ends the other processes from C++ if one is missing, lost or stopped. Then there is
@@ -41,7 +41,7 @@ from evo_cpg.training.roll_call import Place, call_roll
 Tree = TypeVar("Tree")
 
 PATIENCE = 20.0
-"""Time that a process waits for the others beyond twice its own trials, s."""
+"""Time that a process waits for the others, s, in addition to twice the time of its own trials."""
 
 COMPILING = 600.0
 """Least time that a process waits, s, in a generation in which it has compiled. Another process may
@@ -100,11 +100,11 @@ class Team:
         threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
 
     def part(self, count: int, trials: int = 1) -> slice:
-        """Return the individuals that this process tries.
+        """Return the individuals whose trials this process runs.
 
-        Parts differ by at most a vector of trials. Only the last part may have a vector that is not
-        full. If there are fewer vectors than processes, the others try the last individual again,
-        and the result is ignored.
+        Parts consist of full vectors of trials, except the last part. If there are fewer vectors
+        than processes, the other processes run the last individual again, and the result is
+        ignored.
 
         Args:
             count: number of individuals.
@@ -158,14 +158,15 @@ class Team:
         file = io.BytesIO()
         if self.leads:
             np.savez(file, allow_pickle=False, **arrays)
-        # The lead may have to prepare the run first. Heartbeats show whether the lead is alive.
+        # The lead may have to prepare the run first, so wait as long as for a compilation.
+        # Heartbeats show whether the lead is alive.
         self._compiled = True
         lead = self.exchange(file.getvalue(), "the lead's checkpoint")[0]
         with np.load(io.BytesIO(lead)) as sent:
             return dict(sent)
 
     def leave(self) -> None:
-        """Leave the team in good order. After this each process may end."""
+        """Send a goodbye to the others. After this, the end of a process counts as no loss."""
         for link in self._links.values():
             link.leave()
 
@@ -223,7 +224,7 @@ class Team:
     def _require_same(self, digests: list[bytes], generation: int) -> None:
         unlike = difference(digests)
         if unlike:
-            # All processes know the reason, so none may report that it lost another one.
+            # All processes know this reason. So none shall report the end of another one as a loss.
             self.leave()
             self._fail(
                 f"the population of generation {generation} differs between the processes: "
@@ -232,7 +233,7 @@ class Team:
             )
 
     def _lose(self, why: str) -> None:
-        """Report to all why the team cannot continue. Only the first reason counts."""
+        """Report to linked processes why the team cannot continue. Only the first reason counts."""
         if self._lost is not None:
             return
         self._lost = why
@@ -287,11 +288,14 @@ def join(
 
 
 def difference(rows: Sequence[bytes]) -> str:
-    """Name the processes with different rows, the lead's group first. Empty if all are equal."""
+    """Return a text with the groups of processes that have equal rows, or "" if all are equal.
+
+    The group of the lead comes first.
+    """
     groups: dict[bytes, list[int]] = {}
     for index, row in enumerate(rows):
         groups.setdefault(row, []).append(index)
-    # Most of many processes have equal rows, so long lists are cut.
+    # Show at most four groups, and eight processes of each. Most of many processes have equal rows.
     shown = [
         ", ".join(map(str, group[:8])) + (f" and {len(group) - 8} more" if len(group) > 8 else "")
         for group in list(groups.values())[:4]

@@ -71,7 +71,7 @@ class Contest:
 
     @property
     def done(self) -> bool:
-        """Return whether one candidate is left or all left had enough evaluations."""
+        """Return whether one candidate is left, or each of those left had enough evaluations."""
         results = self._evaluations[self._left]
         return not len(results) or bool(
             results[0] and (len(results) == 1 or results[0] >= EVALUATIONS)

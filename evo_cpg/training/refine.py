@@ -120,7 +120,8 @@ def compile_refinement(
         if free is None:
             nothing = np.zeros(0, np.float32)
             return [_Parent(one, nothing) for one in evaluate(found, champion)]
-        # Each has its own world, which takes time to compile: evaluate only the first that builds.
+        # Each individual has its own free numbers, so its experiment must be built and compiled.
+        # Evaluate only the fittest whose experiment can be built.
         for genes, shifts in zip(found[:-count].T, found[-count:].T, strict=True):
             world = free.rebuild(np.asarray(free.at(shifts), float))
             if world is not None:
@@ -146,7 +147,7 @@ def compile_refinement(
             chosen = np.argsort(-climbed.fitness)[: 2 * _PARENTS]
             chosen = chosen[np.isfinite(climbed.fitness[chosen])]
             found = try_out(climbed.genes[:, chosen], champion) if len(chosen) else []
-            # Among equally fit individuals the earlier one stays.
+            # Of equally fit individuals, the earlier one comes first.
             ranked = sorted([*parents, *found], key=lambda one: -one.champion.fitness)
             gain = ranked[0].champion.fitness - parents[0].champion.fitness
             parents = ranked[:_PARENTS]
@@ -163,7 +164,7 @@ def compile_refinement(
 def compile_evaluation(
     experiment: ExperimentParts, mesh: Mesh, devices: int
 ) -> Callable[[Float[np.ndarray, "g n"], Champion], list[Champion]]:
-    """Return a function that evaluates genomes with a champion's place, noise and scales.
+    """Return a function that evaluates genomes in place of a champion: with its noise and scales.
 
     Args:
         experiment: experiment of the genomes.

@@ -22,10 +22,10 @@ from evo_cpg.training.experiment import (
 )
 
 Replayed = tuple[float, dict[str, float], Recording]
-"""Fitness, terms and the motion in one trial."""
+"""Mean fitness and mean terms of all trials, and the motion in one trial."""
 
 Frames = tuple[float, dict[str, float], dict[str, Array]]
-"""Fitness, terms and the arrays of one trial from a `Recorder`."""
+"""Mean fitness and mean terms of all trials, and the arrays of one trial from a `Recorder`."""
 
 
 def replay_champion(
@@ -40,7 +40,7 @@ def replay_champion(
         recorded: number of the trial to record, from 0.
 
     Returns:
-        Fitness, terms and the motion in one trial.
+        Mean fitness and mean terms of all trials, and the motion in one trial.
     """
     return compile_replay(experiment, devices, recorded)(champion)
 
@@ -78,8 +78,8 @@ def compile_frames(
     keys = jax.eval_shape(lambda: champion_keys(experiment, placeholder))
     program = jax.jit(functools.partial(replay, experiment, devices, recorded=recorded, full=full))
     lowered = program.lower(jax.ShapeDtypeStruct((genes,), jnp.float32), keys, numbers)
-    # Compile as in training: a multiplication and an addition may become one operation, with one
-    # rounding.
+    # Compile `judge` too, as in training: compiled code may fuse a multiplication and an addition,
+    # with one rounding instead of two.
     scales = {name: jnp.float32(1.0) for name in placeholder_scales(experiment)}
     assess = jax.jit(functools.partial(judge, simulation.task))
     assessed = assess.lower(lowered.out_info[0], scales).compile()
@@ -129,7 +129,7 @@ def replay(
     replicas = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
 
     def beginning_with(first: int) -> tuple[Array | None, Array | None]:
-        """Return keys and numbers of the trials in all lanes."""
+        """Return keys and numbers of the trials in all lanes. Lane 0 holds the trial ``first``."""
         order = (np.arange(lanes) + first) % trials
         return jax.tree.map(lambda x: x[..., order], (keys, numbers))
 

@@ -22,10 +22,10 @@ _LONGEST_LINE = 1 << 14
 # Time between two attempts to reach the lead, s.
 _PAUSE = 0.2
 
-# Time for a connected process to send its line, s. Others wait meanwhile.
+# Time for a connected process to send its line, s. The lead answers no other process meanwhile.
 _SILENCE = 2.0
 
-# Additional time to wait for the lead's answer, s, as the lead may start later.
+# Additional time to wait for the lead's answer, s, because the lead may have started later.
 _LATER = 30.0
 
 
@@ -195,7 +195,7 @@ def _require_fit(
             )
     if not 0 < index < place.count:
         raise JoinError(
-            f"there is no process {index} among {place.count}, counted from 0. It runs {sender}"
+            f"the number of a process must be from 0 to {place.count - 1}, got {index} {sender}"
         )
     if index in present:
         other = present[index]
@@ -217,7 +217,7 @@ def _send(connection: socket.socket, message: Mapping[str, Any]) -> None:
 
 
 def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
-    """Return the received line, or empty if none arrives in time or the line is not ours.
+    """Return the received object, or an empty one without a line in time, or if it is not ours.
 
     No byte after the line is read, as frames may follow.
     """

@@ -1,6 +1,6 @@
 """Run folder: all files of a run, written so that a kill at any moment is safe.
 
-    config.yaml      the resolved, complete configuration
+    config.yaml      the complete configuration, with all defaults and named files
     meta.json        versions, seed, host, devices, times
     metrics.csv      a row per generation and run
     start.npz        initial genomes, if not random
@@ -18,8 +18,9 @@
     .lock            name of the process that writes here, see `evo_cpg.locks`
 
 Files are written under another name and then moved, which is atomic. Files that belong together
-are first written to a folder of their own. After its renaming, the next process that opens the run
-moves any files left in it. Checkpoints are plain ``.npz`` files, not orbax checkpoints: a dozen
+are first written to a folder of their own. When all are complete, this folder is renamed, and its
+files are moved into the run folder. If a kill interrupts the moves, the next process that opens the
+run moves the remaining files. Checkpoints are plain ``.npz`` files, not orbax checkpoints: a dozen
 arrays are written in 5 ms, and they open in NumPy without JAX.
 """
 
@@ -59,7 +60,8 @@ CANDIDATES_FILE = "candidates.csv"
 """File with the results of the candidates for champion (see `evo_cpg.training.reevaluation`)."""
 
 _KEPT_CHECKPOINTS = 2
-# Folders in which files that belong together are written, and wait to be moved.
+# Folder in which files that belong together are written, and its later name. Under the later name
+# the files are complete and wait to be moved into the run folder.
 _GATHERED, _DECIDED = ".gathered", ".decided"
 _RECORDING_PREFIX = "recording."
 # Keys of meta.json that code relies on, with their types.
@@ -77,12 +79,12 @@ class RunFolder:
 
     Attributes:
         path: path of the folder.
-        config: path of the resolved configuration.
-        metrics: path of the table of generations.
-        champion: path of the best individual.
-        lineage: path of the earlier champions.
-        start: path of the initial genomes.
-        meta: path of versions, host and times.
+        config: path of config.yaml, the complete configuration.
+        metrics: path of metrics.csv, the table of generations.
+        champion: path of champion.npz, the best individual.
+        lineage: path of lineage.npz, the earlier champions.
+        start: path of start.npz, the initial genomes.
+        meta: path of meta.json, with versions, host and times.
     """
 
     def __init__(self, path: Path | str):
@@ -100,7 +102,7 @@ class RunFolder:
 
     @contextlib.contextmanager
     def locked(self, new: bool = False) -> Iterator[None]:
-        """Keep other processes from writing here while the block lasts.
+        """Keep other processes from writing in this folder while the ``with`` block lasts.
 
         Args:
             new: whether the run begins here, so that the folder may be missing.
@@ -124,7 +126,7 @@ class RunFolder:
         """Start a run in a folder that holds none yet.
 
         Args:
-            config_text: the resolved configuration.
+            config_text: the complete configuration, as YAML.
             meta: contents of meta.json.
             start: initial genomes, or None for random ones.
 
@@ -155,7 +157,7 @@ class RunFolder:
         self.start.unlink(missing_ok=True)
         if start is not None:
             write_whole(self.start, lambda file: np.savez(file, genes=start))
-        # Write the config last: a folder with a config can be resumed.
+        # Write the config after the genomes: a folder with a config can be resumed.
         self.reopen(config_text)
         self.update_meta(**meta)
 
@@ -222,13 +224,14 @@ class RunFolder:
         return genes
 
     def read_meta(self) -> dict[str, Any]:
-        """Return the contents of meta.json, or empty if missing or broken."""
+        """Return the contents of meta.json, or an empty dictionary if it is missing or broken."""
         try:
             meta = read_json(self.meta, dict[str, Any])
         except (OSError, ValueError):
             return {}
         sound = all(isinstance(meta[key], kind) for key, kind in _META.items() if key in meta)
-        # A larger number of devices would fill the machine's memory.
+        # A replay has a chunk as wide as in training. A false number of devices could make it fill
+        # the machine's memory.
         return meta if sound and 0 < meta.get("devices", 1) <= _MOST_DEVICES else {}
 
     def update_meta(self, **values: Any) -> None:
@@ -266,13 +269,13 @@ class RunFolder:
             try:
                 return read_checkpoint(read_arrays(path))
             except FileNotFoundError:
-                # The training process deleted it meanwhile.
+                # The training process deleted this checkpoint meanwhile.
                 continue
             except DAMAGED as error:
                 reason = getattr(error, "strerror", None) or error
                 wrong.append(f"{path.name}: {reason}")
         if wrong:
-            # A start at generation 0 would lose generations that may be recoverable.
+            # Do not restart at generation 0: the finished generations may be recoverable.
             raise RunFolderError(
                 f"{self.path / 'checkpoints'}: no checkpoint can be read ({', '.join(wrong)}). "
                 "Make them readable, put copies back, or delete them to restart the run"
@@ -379,7 +382,7 @@ class RunFolder:
             ) from None
 
     def history(self) -> dict[str, np.ndarray]:
-        """Return the columns of metrics.csv.
+        """Return the columns of metrics.csv, from the newest checkpoint.
 
         Raises:
             RunFolderError: no generation is done yet.

@@ -98,7 +98,7 @@ class Running:
             like = jax.eval_shape(lambda: begin(experiment))[1]
             self._state = state_from(checkpoint.state, like)
             if checkpoint.history and team.leads:
-                # A kill may have prevented the writing of the table.
+                # A kill may have prevented the writing of metrics.csv, so write it again.
                 folder.write_metrics(checkpoint.history)
         self.checkpoint = checkpoint
         self._lineage = _lineage_until(folder, checkpoint) if team.leads else []
@@ -135,7 +135,8 @@ class Running:
         index, scales = np.int32(number), _float32(before.scales)
         result = jax.device_get(self._programs.breed(genes, outcome, index, scales, self._state))
         if before.generation >= experiment.generations:
-            # Only the fitness is used: no generation follows.
+            # This was a round that chooses the champion. Only its fitness is used, because no
+            # generation follows.
             self._choose(genes, number, result)
             return []
         done, self._state = before.generation + 1, result.state
@@ -158,7 +159,8 @@ class Running:
             done, population, records, history, scales, state_arrays(self._state)
         )
         if self._team.leads:
-            # Save the lineage first: after a kill in between it is ahead of the checkpoint.
+            # Save the lineage first: after a kill between the two writes it is ahead of the
+            # checkpoint, and `until` drops the newer champions.
             found = [
                 new
                 for new, old in zip(records, before.records, strict=True)
@@ -168,7 +170,8 @@ class Running:
                 self._lineage = extended(self._lineage, found)
                 self._folder.save_lineage(self._lineage)
             if before.chosen and self.checkpoint.champion is not None:
-                # The champion was chosen before the run was extended.
+                # The run was extended after a choice of champions. Replace the chosen champion in
+                # champion.npz by the record.
                 self._folder.save_champion(self.checkpoint.champion)
             self._folder.save(self.checkpoint)
         return rows
@@ -285,7 +288,7 @@ def _candidates(
 def _individual(
     genes: Float[np.ndarray, " g"], result: Generation, generation: int, run: int, index: int
 ) -> Champion:
-    """Return an evaluated individual of a generation."""
+    """Return an evaluated individual of a generation as a `Champion`."""
     fitness = float(result.fitness[run, index])
     terms = {name: float(values[run, index]) for name, values in result.terms.items()}
     scales = {name: float(values[run]) for name, values in result.scales.items()}

@@ -2,9 +2,9 @@
 
 There is one event file for each run, in ``tensorboard/`` of the run folder, or with several runs in
 ``tensorboard/run_0/`` and so on. A resumed run rewrites its file from the checkpoint's table. So no
-generation is missing or duplicated after a kill. Earlier rows keep their distance in time, by the
-column ``seconds``. Records of equal rows have equal lengths, so a TensorBoard that reads the file
-meanwhile is not disturbed.
+generation is missing or duplicated after a kill. The column ``seconds`` gives the distances in time
+between the rewritten events. A rewritten record is as long as before, so a TensorBoard that reads
+the file meanwhile is not disturbed.
 """
 
 import math
@@ -16,7 +16,7 @@ from typing import Any, cast
 from evo_cpg.files import cannot_write
 from evo_cpg.installation import command_for
 
-# Names of the folder and of each file. TensorBoard searches for the first part.
+# Names of the folder and of each file. TensorBoard searches for file names with ``tfevents``.
 FOLDER, _FILE = "tensorboard", "events.out.tfevents.evo-cpg"
 # Columns with the generation and run of a row.
 _PLACE = ("generation", "run")
@@ -29,7 +29,7 @@ class MissingWriterError(Exception):
 
 
 class Scalars:
-    """Event files, extended by rows.
+    """TensorBoard event files of a run folder, to which rows of metrics.csv are added.
 
     Args:
         path: path of the run folder.

@@ -1,7 +1,7 @@
 """Conversion of a strategy's state to named arrays and back.
 
-Files hold NumPy's own number types directly. For other types, such as bfloat16, they hold the bits,
-and for random keys the data. The type is then part of the name, as in ``best.bfloat16``.
+Files hold NumPy's own number types directly. They hold the bits of other types, such as bfloat16,
+and the raw data of random keys. The type is then part of the name, as in ``best.bfloat16``.
 """
 
 from collections.abc import Iterable, Mapping
@@ -29,7 +29,7 @@ def state_arrays(state: PyTree) -> dict[str, np.ndarray]:
 
 
 def state_from(arrays: Mapping[str, np.ndarray], like: PyTree) -> PyTree:
-    """Return the state from `state_arrays`.
+    """Return the state that `state_arrays` converted to arrays.
 
     Args:
         arrays: arrays by name.

@@ -23,7 +23,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import ExperimentParts, champion_keys, judge, situation_numbers
 
-# Seed of the draws of noise.
+# Seed of the fresh draws of noise.
 _SEED = 20
 
 
@@ -47,9 +47,9 @@ class Varied(NamedTuple):
     """Results of an individual, one for each simulation and draw.
 
     Attributes:
-        displacement: mean over its trials, m, or NaN if it diverged.
-        fitness: mean over its trials, or -inf if it diverged.
-        alive: False if it diverged in any trial.
+        displacement: mean displacement over the individual's trials, m, or NaN if it diverged.
+        fitness: mean fitness over the trials, or -inf if it diverged or broke a rule.
+        alive: False if the individual diverged in any trial.
         terms: means of the task's terms and of the measures.
     """
 
@@ -119,7 +119,7 @@ def with_friction(simulation: Simulation, factor: float) -> Simulation:
 
 
 def with_drag(simulation: Simulation, factor: float) -> Simulation:
-    """Return the simulation with both kinds of the water's drag scaled.
+    """Return the simulation with the water's form drag and skin drag scaled.
 
     Raises:
         ValueError: there is no water.
@@ -167,7 +167,7 @@ def _program(sims: Sequence[Simulation], owners: np.ndarray) -> Callable[..., Ou
 
 
 def _keys(experiment: ExperimentParts, champion: Champion, variation: Variation) -> Array | None:
-    """Return raw keys of all trials: the champion's own, or new ones for several draws."""
+    """Return raw random keys of all trials: the champion's own, or others for several draws."""
     if variation.simulations[0].noise.silent:
         return None
     if variation.draws == 1:
@@ -176,5 +176,5 @@ def _keys(experiment: ExperimentParts, champion: Champion, variation: Variation)
     else:
         each = jax.random.split(jax.random.key(_SEED), variation.draws * experiment.trials)
         keys = jax.random.key_data(each).T
-    # Equal keys in all simulations, so that only their numbers differ.
+    # All simulations get equal random keys, so that only the numbers of the simulations differ.
     return jnp.tile(keys, (1, len(variation.simulations)))

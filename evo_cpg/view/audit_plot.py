@@ -1,4 +1,4 @@
-"""Draw an audit: sources and sinks of energy, remaining displacement, and paths from MuJoCo."""
+"""Draw an audit: energy by source, displacement kept in other trials, and paths from MuJoCo."""
 
 from collections.abc import Mapping, Sequence
 
@@ -43,7 +43,7 @@ _OPINIONS = (INK, BLUE, SKY, ORANGE)
 # Sizes in inches: width, height of the upper row, height of a bar, and height around the bars.
 _WIDTH, _UPPER, _BAR, _REST = 10.0, 3.9, 0.3, 1.2
 
-# Number of points with which a trial is drawn.
+# About the largest number of points of a curve over a trial.
 _POINTS = 1000
 
 
@@ -55,19 +55,19 @@ def audit_figure(
     paths: Mapping[str, Float[np.ndarray, "3 t"]],
     title: str,
 ) -> Figure:
-    """Draw an audit.
+    """Draw the energy, the paths and the displacements of an audit.
 
     Args:
         ledger: energy ledger of a trial.
         step: length of the trial's physics steps, s.
-        kept: checks of the fraction of the displacement that the animal keeps.
+        kept: checks of trials under changed conditions, as fractions of the original displacement.
         paths: path of the root by program, m. Empty if MuJoCo was not run.
         title: text above the picture.
     """
     lower = _REST + _BAR * len(kept)
     figure = new_figure(_WIDTH, _UPPER + lower, title)
     places = figure.add_gridspec(2, 2, height_ratios=(_UPPER, lower), width_ratios=(4, 3))
-    # Without MuJoCo there are no paths to compare.
+    # Without MuJoCo there are no paths to compare, and the energy takes the whole row.
     _draw_energy(figure.add_subplot(places[0, 0] if paths else places[0, :]), ledger, step)
     if paths:
         _draw_paths(figure.add_subplot(places[0, 1]), paths)

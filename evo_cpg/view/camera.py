@@ -29,7 +29,8 @@ _FILL = 1.5
 # focus lies further along the path.
 _LEAD, _LEAD_UNLIT = 0.6, 0.4
 # Angles to try between the line of sight and the direction of the goal, best first, on either side.
-# They are small enough to show the goal, but not from right behind.
+# The first ones show the goal, but not from right behind the animal. The last ones keep the eye
+# away from a goal that the animal reaches.
 _BEARINGS = np.radians([32.0, 62.0, 90.0, 130.0, 180.0])
 # The same angle without a goal. The animal crosses the picture to the right, and shows its side and
 # a little of its front.
@@ -87,11 +88,11 @@ def follow(
     lit = bool(np.isfinite(goal).all())
     bearing = course(centre, goal, radius / 10)
     if not lit:
-        # So far ahead that the animal never reaches the goal.
+        # Place a goal so far ahead that the animal never reaches it.
         goal = centre.mean(0) + 1e3 * (radius + np.ptp(centre)) * _direction(bearing, 0.0)
     ahead = goal - centre
     away = np.linalg.norm(ahead, axis=-1, keepdims=True)
-    # A circled animal stays in the middle.
+    # A camera that circles the animal keeps it in the middle.
     reached = 0.0 if isinstance(turn, np.ndarray) else _LEAD if lit else _LEAD_UNLIT
     lead = ahead * (reached * radius / np.maximum(away, 2 * radius))
     focus = smooth(centre + lead, SMOOTHING * rate)
@@ -150,7 +151,7 @@ def hidden(
     """
     every = max(len(points) // _VIEWPOINTS, 1)
     points, eye = points[::every], path.position[::every, None]
-    # A point may itself be within a stone or the ground.
+    # Leave out the start of the line: a point may itself be within a stone or the ground.
     along = np.linspace(0.1, 1.0, _SAMPLES)[:, None, None]
     line = points + along[..., None] * (eye - points)
     free = line[..., 2] - height(line[..., :2]) >= margin * along
@@ -160,7 +161,9 @@ def hidden(
 def course(
     centre: Float[np.ndarray, "frames 3"], goal: Float[np.ndarray, "3"], least: float
 ) -> float:
-    """Return the bearing from the x axis of the goal, or of the animal's final position, rad.
+    """Return the bearing of the goal, or of the final position, from the initial position, rad.
+
+    The bearing is the angle from the x axis, positive to the left.
 
     Args:
         centre: centre of the animal ``(frames, 3)``, m.

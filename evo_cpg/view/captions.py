@@ -7,12 +7,13 @@ import numpy as np
 from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.look import Look
 
-# Pixels of a picture 720 high. In smaller pictures the scale is at least `_SMALLEST`.
+# Margin around the captions in a picture 720 pixels high, pixels, and the least factor by which
+# margin and letters shrink in smaller pictures.
 _MARGIN, _SMALLEST = 34, 0.62
 # Height below which pictures show only title and time, pixels.
 _SMALL = 200
-# Sizes of the title and values, of the note, and of the names of values. Left edges and width of
-# values. Values without room are left out.
+# Sizes of letters in a picture 720 pixels high: of the title and values, of the note, and of the
+# names of values. Left edges and width of values, pixels. Values without room are left out.
 _LARGE, _NOTE, _NAME = 23, 16, 15
 _COLUMNS, _VALUE = (0, 140, 290), 105
 # Smallest fraction of its size to which a title shrinks, and the ending of a cut title.

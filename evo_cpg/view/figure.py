@@ -116,7 +116,7 @@ def draw_runs(
 
     Args:
         axes: axes of the drawing.
-        x: position of each column.
+        x: horizontal positions of the columns of ``runs``.
         runs: one row for each run. Values that are not finite are left out.
         color: colour of the line and the band.
         label: label of the line.

@@ -93,7 +93,7 @@ def _in_order(pool: ProcessPoolExecutor, count: int, ahead: int) -> Iterator[np.
 
 def _prepare(panels: Sequence[Panel], film: Film) -> None:
     """Store the animals and settings of this process."""
-    # The parent process stops this one.
+    # Ignore Ctrl-C, because the parent process stops this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # The CPU is enough for heights of the ground.
     jax.config.update("jax_platforms", "cpu")

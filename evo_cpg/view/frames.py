@@ -107,13 +107,13 @@ class Frames:
 
     @contextlib.contextmanager
     def drawn(self) -> Iterator[Callable[[int], np.ndarray]]:
-        """Build the scenes.
+        """Build the scenes of all animals, and close them at the end of the context.
 
         Yields:
             A function that draws the frame of a given number: ``(height, width, 3)`` bytes, bottom
             row first. The next call may overwrite the result.
         """
-        # The picture is white, and animals fill their parts.
+        # The gaps stay white. The picture of each animal fills its place.
         picture = np.full((self.rendered[1], self.rendered[0], 3), 255, np.uint8)
         with contextlib.ExitStack() as stack:
             shows = [
@@ -129,7 +129,7 @@ class Frames:
                     seen = show(own[min(number, len(own) - 1)])
                     if len(shows) == 1:
                         return seen
-                    # The bottom row comes first.
+                    # The first row of the array is the lowest row of pixels.
                     below = (self._rows - 1 - i // self._columns) * self._pitch[1]
                     left = i % self._columns * self._pitch[0]
                     picture[below : below + len(seen), left : left + seen.shape[1]] = seen

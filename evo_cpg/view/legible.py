@@ -38,7 +38,7 @@ def legible(text: str) -> str:
 
 @contextlib.contextmanager
 def lettering(picture: np.ndarray) -> Iterator[ImageDraw.ImageDraw]:
-    """Write words into a picture.
+    """Open a picture for `write`. The words are in the picture at the end of the context.
 
     Args:
         picture: bytes ``(height, width, 3)``, bottom row first. It is changed in place.

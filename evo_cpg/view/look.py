@@ -28,8 +28,8 @@ class Look:
         fill: colour of the weak light from the viewer's side.
         ambient: fraction of light that comes from everywhere.
         trail: colour of the trail.
-        light: colour of the glowing sphere.
-        halo: colour of the glow around it.
+        light: colour of the glowing sphere at the goal.
+        halo: colour of the glow around that sphere.
         glow: opacity of the glow and of the pool of light on the floor, 0 to 1.
         text: colour of the captions.
         visibility: distance at which the floor has faded to a third.

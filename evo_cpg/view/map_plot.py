@@ -24,10 +24,10 @@ _MOST_PANELS = 25
 
 @framed
 def map_figure(axes: Sequence[Axis], fitness: Float[np.ndarray, "..."], title: str) -> Figure:
-    """Draw a map.
+    """Draw a map of gaits.
 
-    Two axes make a picture, a third a row of pictures. The best cell is shown along further axes,
-    and along a third axis with too many cells.
+    Two axes make a picture, a third several pictures. Further axes, and a third axis with more than
+    25 cells, are not drawn: each place shows the best of all cells along them.
 
     Args:
         axes: axes of the map.

@@ -18,8 +18,8 @@ _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
 _EYE = 0.44
 # Colours of an eye.
 _WHITE, _PUPIL = "#fdfdf8", "#10151c"
-# Brightness of bodies on the left (y > 0), the far side without a light. Distance off the middle at
-# which they begin, relative to the outermost body.
+# Brightness of bodies on the left (y > 0), which the camera sees on the far side if there is no
+# light. Distance off the middle from which bodies count as left, relative to the outermost body.
 _LEFT, _ASIDE = 0.72, 0.1
 
 

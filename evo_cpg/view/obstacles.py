@@ -33,7 +33,7 @@ def obstacle_mesh(
         shade: whether the surface only casts a shadow, which needs fewer facets.
 
     Raises:
-        TypeError: this module does not know the obstacle.
+        TypeError: the obstacle is neither a boulder nor a block.
     """
     edge, around = _SHADE if shade else _SEEN
     if isinstance(obstacle, Boulder):
@@ -59,7 +59,7 @@ def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
         place: x and y ``(..., 2)``, m.
 
     Raises:
-        TypeError: this module does not know the obstacle.
+        TypeError: the obstacle is neither a boulder nor a block.
     """
     if isinstance(obstacle, Boulder):
         offset = place - np.array(obstacle.centre[:2])

@@ -31,10 +31,10 @@ from evo_cpg.view.legible import legible
 _PALE_ORANGE = "#f3cf8a"
 # Recorded time that `joint_signals_figure` shows by default: about five beats of 1 Hz.
 _WINDOW = 5.0
-# Title of a row of joint signals.
+# Style of the title of a row of joint signals.
 _NAME: dict[str, Any] = {"fontsize": 9, "fontweight": "bold", "pad": 2}
 _SNAPSHOTS = 7
-# Smallest number of periods of a rhythm in the window. The spectrum of a drift peaks at 2.
+# Smallest number of periods of a rhythm in the window. The spectrum of a drift peaks at 2 periods.
 _PERIODS = 2.1
 
 

@@ -51,7 +51,7 @@ _DEPTH = "#56B4E9"
 _VIEW = np.array([-0.55, -0.95, -0.62])
 # Fraction of the picture that the animal fills.
 _FILL = 0.72
-# Opacity of the bodies, because joints lie inside.
+# Opacity of the bodies, which lets the joints inside show.
 _OPACITY = 0.72
 # Obstacles nearer than this many lengths of the creature are in the picture.
 _NEAR = 5.5

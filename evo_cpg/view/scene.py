@@ -135,7 +135,7 @@ class Scene(NamedTuple):
 
     @property
     def level(self) -> float | None:
-        """Height of level ground, m, or None for uneven ground, with obstacles, or under water."""
+        """Height of level ground, m. None if it is uneven, has obstacles, or water is on view."""
         level = self.ground.level
         return None if self.surface is not None or level is None else float(level)
 
@@ -216,7 +216,7 @@ def animal_reach(creature: Creature) -> float:
 
 
 def grid_spacing(length: float) -> float:
-    """Return 1, 2 or 5 times a power of ten, about half the length (m)."""
+    """Return the largest 1, 2 or 5 times a power of ten that is at most half a length, m."""
     power = 10.0 ** np.floor(np.log10(length / 2))
     return float(power * max(step for step in (1, 2, 5) if step * power <= length / 2 * 1.001))
 

@@ -19,13 +19,13 @@ _POOL, _POOL_LIFT = 41, 0.02
 _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 # Time in which the trail fades to a third, s, and its thickness in radii of the animal.
 _TRAIL_FADE, _TRAIL = 4.0, 0.0065
-# Distance of the sky behind the focus and height over which it turns blue, in distances of the
-# camera. The floor fades away before the sky begins.
+# Distance of the sky from the camera and height over which it turns blue, in distances between the
+# camera and its focus. The floor fades away before the sky begins.
 _SKY, _SKY_HEIGHT = 18.0, 2.6
 
 
 def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
-    """Draw the goal: a glowing sphere, its halo, its pool on the floor, and the light it sheds.
+    """Draw the goal: a glowing sphere, its halo, and its light on the floor and on the bodies.
 
     Args:
         stage: scene and camera.

@@ -52,7 +52,7 @@ class Spots:
         add_faded(plotter, self._mesh, self._rgba, texture=texture)
 
     def lay(self, middle: np.ndarray, axes: np.ndarray, opacity: np.ndarray | None = None) -> None:
-        """Move the spots.
+        """Lay the spots on the ground at other places.
 
         Args:
             middle: middle of each spot ``(n, 2)``, m.

@@ -42,7 +42,7 @@ _DARK, _BRIGHT = ("#8fe3ff", "#ffb454", "#8fe3a8"), ("#0067a8", "#c2410c", "#2f7
 
 
 class Signals(NamedTuple):
-    """Contents of a strip.
+    """Signals that a strip under a film shows.
 
     Attributes:
         names: names of the joints' axes.
@@ -226,7 +226,7 @@ class Strip:
 
 
 def _shown(signals: Signals, room: float) -> Signals:
-    """Return the joints and the feet that have room.
+    """Return the signals of those joints and feet for which the strip has room.
 
     Args:
         signals: signals of all joints and feet.
@@ -250,5 +250,5 @@ def _shown(signals: Signals, room: float) -> Signals:
 
 
 def _highest(values: Float[np.ndarray, "t d"]) -> float:
-    """Return the bound that hardly any absolute value exceeds."""
+    """Return the bound that 99 % of the absolute values do not exceed, at least 0.001."""
     return max(float(np.quantile(np.abs(values), _TYPICAL)), 1e-3) if values.size else 1.0

@@ -59,7 +59,7 @@ class Stage:
         plotter: plotter of the picture.
         scene: the animal and its world.
         camera: camera in every frame.
-        oversampling: pixels rendered per pixel of the film, a side.
+        oversampling: pixels rendered per pixel of the film, along a side.
     """
 
     plotter: pv.Plotter
@@ -89,7 +89,7 @@ class Stage:
 
     @functools.cached_property
     def ground(self) -> Level | Terrain:
-        """Ground for drawing."""
+        """Ground for drawing: level ground, or a mesh of heights up to the horizon."""
         level = self.scene.level
         return self.scene.terrain(_HORIZON * self.visible) if level is None else Level(level)
 
@@ -116,7 +116,7 @@ class Stage:
         return np.where(np.abs(np.sin(turned / 2)) < 1e-9, 0.0, turned)
 
     def shot(self, number: int) -> Shot:
-        """Return the contents of a frame."""
+        """Return the animal's pose and the camera in a frame."""
         clip, camera = self.scene.clip, self.camera
         return Shot(
             clip.position[number],
@@ -159,7 +159,7 @@ def camera_path(scene: Scene, camera: str, aspect: float) -> CameraPath:
     for elevation in _ELEVATIONS[first < _ELEVATIONS]:
         free = surface is None or (path.position[:, 2] > surface + margin).all()
         if isinstance(turn, np.ndarray):
-            # An orbit stays above the ground all around.
+            # A circling camera must stay above the ground all around.
             free = free and (path.position[:, 2] > top(path.position[:, :2]) + margin).all()
         if free and hidden(path, clip.position, top, margin) <= _HIDDEN:
             break

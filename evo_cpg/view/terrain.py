@@ -131,7 +131,7 @@ def _heights(floor: Part, point: Float[Array, "3 n"]) -> Float[Array, " n"]:
 def _lines(
     low: float, high: float, far: float, step: float, creases: np.ndarray
 ) -> Float[np.ndarray, " n"]:
-    """Return coordinates of grid lines."""
+    """Return the coordinates along one axis of the mesh's grid lines, m."""
     near = np.linspace(low, high, int(np.ceil((high - low) / step)) + 1)
     count = int(np.ceil(np.log1p(far * (_GROWTH - 1) / step) / np.log(_GROWTH)))
     beyond = step * (_GROWTH ** np.arange(1, count + 1) - 1) / (_GROWTH - 1)
@@ -144,7 +144,7 @@ def _lines(
     if len(inside) > 1 and np.diff(inside).min() < 0.7 * step:
         inside = inside[:0]
     elif len(inside) > 2:
-        # Keep a grid's creases only where lines are equally close.
+        # Keep the creases of a relief only where the mesh's lines are about as close as they are.
         inside = inside[room <= 1.5 * np.diff(inside).min()]
     if not len(inside):
         return even

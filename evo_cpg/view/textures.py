@@ -16,7 +16,7 @@ _SPOT_TEXELS = 128
 def floor_texture(
     tints: tuple[str, str], grid: str, checkered: bool, marked: bool = False
 ) -> pv.Texture:
-    """Return ground with soft relief and a grid: a checkered one, or one under a net of light.
+    """Return a texture of ground with a grid, checkered or under a net of light as in water.
 
     Args:
         tints: tints of the ground, from dark to light.

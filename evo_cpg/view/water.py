@@ -72,7 +72,7 @@ def add_waterlines(stage: Stage, surface: float) -> Update:
     rings = Spots(stage.plotter, texture, level, 0.004 * stage.radius, len(half_extents))
 
     def update(shot: Shot) -> None:
-        # Cut ellipsoids with these half axes by the surface.
+        # Each body counts as an ellipsoid with its half extents, which the surface cuts.
         shape = (shot.rotation * half_extents[:, None] ** 2) @ shot.rotation.mT
         off = surface - shot.position[:, 2]
         inside = 1 - off**2 / shape[:, 2, 2]
@@ -116,7 +116,7 @@ def add_tint(stage: Stage, terrain: Terrain, surface: float) -> Update:
 
 
 def add_mirror(stage: Stage, surface: float) -> Update:
-    """Draw the upper sheet at a height (m), a disc below the focus that mirrors the sky."""
+    """Draw the upper sheet at a height (m): a disc that follows the focus and mirrors the sky."""
     sight, look = stage.sight, stage.look
     disc, place, fade = fading_disc(stage.visible, 0.02)
     rgba = np.full((len(place), 4), 255, np.uint8)
@@ -127,7 +127,7 @@ def add_mirror(stage: Stage, surface: float) -> Update:
     actor = add_faded(stage.plotter, disc, rgba, texture=texture)
     pixels = pv.wrap(texture.GetInput())
     haze, zenith = (np.array(pv.Color(c).int_rgb) for c in (look.distance, look.zenith))
-    # Sun that initially stands ahead of the viewer.
+    # Sun for the glints. It stands ahead of the viewer in the first frame.
     _, ahead = level_axes(sight)
     sun = ahead * np.sqrt(1 - _GLINT_HEIGHT**2) + [0.0, 0.0, _GLINT_HEIGHT]
 
@@ -150,7 +150,7 @@ def add_mirror(stage: Stage, surface: float) -> Update:
         pixels.Modified()
         actor.position = (focus[0], focus[1], surface)
         disc.active_texture_coordinates = (place + focus[:2]) / side
-        # Water mirrors more if the view is lower.
+        # Water mirrors more where the view is more slanted.
         away = np.hypot(*(place + focus[:2] - eye[:2]).T)
         slant = (eye[2] - surface) / np.hypot(away, eye[2] - surface)
         more = ((1 - slant) / (1 + sight[2])) ** 4

@@ -19,7 +19,7 @@ def test_a_mutant_applies_and_its_tests_exist(mutant):
 
 def test_a_mutant_of_missing_code_is_refused():
     gone = Mutant("physics/step.py", "right", "wrong", "physics/test_water.py")
-    words = r"physics/step.py has 0 times 'right'. Correct the mutant"
+    words = r"physics/step.py contains 'right' 0 times, not once. Correct the mutant"
     with pytest.raises(ValueError, match=words):
         mutated(gone, "")
 

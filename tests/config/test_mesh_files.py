@@ -183,7 +183,7 @@ def inverted() -> trimesh.Trimesh:
         (holed, "it is open: 4 of 17 edges do not join two faces"),
         (inverted, "it is inside out: its faces look inwards. Flip its normals"),
         (lambda: trimesh.creation.icosphere(4), "it has 5120 triangles. Allowed: at most 2000"),
-        (whisker, "128 of its 128 triangles are lower than 0.01% of its longest side"),
+        (whisker, "128 of its 128 triangles are lower than 0.01% of the mesh's longest side"),
     ],
     ids=["concave", "pieces", "open", "inverted", "huge", "whisker"],
 )

@@ -170,7 +170,7 @@ def test_derivatives_of_a_walker_equal_finite_differences():
         ("world.water.form_darg", "does not exist: did you mean world.water.form_drag"),
         ("form_drag", "does not exist: did you mean world.water.form_drag?"),
         ("creature.bodies.7.shape.size.0", r"bodies.7.*does not exist"),
-        ("creature.bodies.1.shape", "a part of the configuration.*creature.bodies.1.shape.size.0"),
+        ("creature.bodies.1.shape", "a section or a list.*creature.bodies.1.shape.size.0"),
         ("simulation.steps", r"is a whole number \(18\)"),
         ("world.water.law", "is 'normal', not a number"),
         ("simulation.control_rate_hz", "changes more than numbers"),

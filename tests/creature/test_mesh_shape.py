@@ -283,7 +283,8 @@ REFUSED = {
     ),
     "whisker": (
         *of(whisker()),
-        "128 of its 128 triangles are lower than 0.01% of its longest side. Make it thicker",
+        "128 of its 128 triangles are lower than 0.01% of the mesh's longest side. Make the "
+        "mesh thicker",
     ),
     "lines": (TETRAHEDRON, np.array([[0, 1, 1], [2, 2, 3]]), "it has no faces"),
     "dent": (

@@ -215,7 +215,7 @@ REFUSED = {
     "second geom": (model(within='<geom size="0.1"/>'), "body 'limb': it has 2 geoms. Allowed"),
     "actuator forcerange": (
         model(actuator='forcerange="-1 2"'),
-        MOTOR + "its limits -1 and 2 differ. Allowed: equal limits",
+        MOTOR + "its limits -1 and 2 differ in size. Allowed: limits of equal size",
     ),
     "actuator gainprm": (
         model(drive="general", actuator='kv="-" gainprm="2" biastype="affine" biasprm="0 0 -1"'),
@@ -524,7 +524,8 @@ def test_all_refusals_are_listed_with_lines(read, tmp_path):
             "  joint 'h': it has frictionloss. Allowed: no frictionloss (line 7)",
             "  geom 'g': it has margin. Allowed: no margin (line 8)",
             "  geom 'g': it is a cylinder. Allowed: box, sphere, ellipsoid, capsule, mesh (line 8)",
-            "  actuator 'm': its limits -1 and 2 differ. Allowed: equal limits (line 13)",
+            "  actuator 'm': its limits -1 and 2 differ in size. "
+            "Allowed: limits of equal size (line 13)",
         ]
     )
 

@@ -337,7 +337,7 @@ def two(first: str = "", second: str = "") -> str:
         ),
         (
             model(actuators='<velocity name="m" joint="h" kv="1" forcerange="-1 2"/>'),
-            "actuator 'm': its limits -1 and 2 differ. Allowed: equal limits",
+            "actuator 'm': its limits -1 and 2 differ in size. Allowed: limits of equal size",
         ),
         (
             model(actuators=2 * '<velocity joint="h" kv="1"/>'),

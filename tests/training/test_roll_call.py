@@ -106,7 +106,7 @@ def test_a_duplicate_number_is_refused():
 def test_a_number_beyond_the_last_is_refused():
     lead, other = meet((0, 2, COMMON), (2, 2, COMMON), port=free_port())
     assert lead == other
-    assert lead.startswith("there is no process 2 among 2, counted from 0. It runs on host ")
+    assert lead.startswith("the number of a process must be from 0 to 1, got 2 on host ")
 
 
 def test_different_counts_are_refused():

@@ -27,11 +27,12 @@ _CARRIES, _LIGHTER = 5000.0, 1e12
 # Smallest rotation of its own body that a motor must achieve in a trial, degrees.
 _LEAST_TURN = 1.0
 
-# A position may lie outside its body by this fraction of the body's largest half extent. Joints
-# have gaps between bodies, and eyes stand on stalks.
+# Largest distance of a position outside its body, as a fraction of the body's largest half extent.
+# Joints have gaps between bodies, and eyes stand on stalks.
 _OUT = 0.3
 
-# Bodies of a row form a ring if each is turned by this angle relative to its predecessor, degrees.
+# Smallest angle between successive bodies of a row, degrees, for a warning. The row curls up into a
+# ring.
 _CURLS = 45.0
 
 
@@ -92,7 +93,7 @@ def masses(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def joint_limits(case: Case) -> Iterator[LintWarning]:
-    """Warn of limits below three degrees, beyond a full turn, or without the neutral pose."""
+    """Warn of limits below 3.2 degrees, beyond a full turn, or that exclude the neutral pose."""
     for joint in case.joints():
         for lower, upper in joint.given.limits:
             widest = max(abs(lower), abs(upper))
@@ -116,7 +117,7 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def postures(case: Case) -> Iterator[LintWarning]:
-    """Warn of postures that differ by a few degrees. These keys lack ``_deg`` but are degrees."""
+    """Warn of posture angles that may be in radians. These keys lack ``_deg`` but are degrees."""
     # Pyright cannot follow a class that is created at import.
     given: Any = case.config.controller
     if given.type != "postures":

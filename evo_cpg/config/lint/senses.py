@@ -8,7 +8,7 @@ from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.creature.creature import neutral_pose
 
-# Largest tilt of an eye by an animal on the ground, degrees.
+# Largest angle by which an animal on the ground is expected to tilt an eye, degrees.
 _TILT = 45.0
 
 # Smallest useful fraction of the range of a depth gauge.
@@ -90,7 +90,7 @@ def _elevations(case: Case) -> list[float] | None:
 def touch_without_ground(case: Case) -> Iterator[LintWarning]:
     """Warn of pressure sensors, requested by name, if there is no ground to touch."""
     named = case.config.creature.pressure_sensors
-    # The default ``all`` costs nothing.
+    # Do not warn of the default ``all``, because such sensors cost nothing.
     if named == "all" or case.config.world.ground is not None:
         return
     for i in range(len(named)):

@@ -12,7 +12,7 @@ from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfi
 from evo_cpg.creature.creature import lowest_height
 
 # Largest movement by gravity in a physics step, as a fraction of a body's half thickness. At 0.6
-# the body sinks into the ground by 0.05. At 2 a floating body never rests.
+# the body sinks into the ground by 0.05 of that. At 2 a floating body never rests.
 _SINK = 0.5
 
 # Largest size of an obstacle, in lengths of the creature.

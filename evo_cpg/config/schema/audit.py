@@ -13,11 +13,12 @@ RuleName = Literal["speed", "power", "penetration", "overlap"]
 
 
 class _AuditConfig(Section):
-    """Limits for a champion, and two settings. Fractions of a distance are of its own distance.
+    """Limits for a champion, and two settings. A fraction of a distance is of the champion's own.
 
     Attributes:
-        disqualify: limits that disqualify an individual, as if it had diverged.
-        after_training: whether `train` finally replays the champion at half the step.
+        disqualify: names of limits. An individual that exceeds one in training is disqualified, as
+            if it had diverged.
+        after_training: whether `train` finally replays the champion at half the physics step.
     """
 
     disqualify: Annotated[list[RuleName], Field(max_length=4)] = Field(default_factory=list)

@@ -15,7 +15,8 @@ from typing import Literal, NamedTuple
 
 MirrorAxis = Literal["x", "y", "z"]
 
-# Values of ``{side}`` on the positive side of the plane, where limbs are written, and opposite.
+# Values of ``{side}``: for the written limb, on the positive side of the mirror plane, and for its
+# mirror image.
 SIDES: dict[MirrorAxis, tuple[str, str]] = {
     "x": ("front", "hind"),
     "y": ("left", "right"),
@@ -79,7 +80,7 @@ class Copy(NamedTuple):
     """One body of a creature.
 
     Attributes:
-        entry: index of its entry.
+        entry: index of its entry in the creature's ``bodies``.
         name: name without placeholders.
         parent: name of the parent without placeholders, or None for the root.
         marks: values of the placeholders of its entry.

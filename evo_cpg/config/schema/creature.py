@@ -57,7 +57,7 @@ class MaterialConfig(Section):
 
     Attributes:
         density: mass per volume (water: 1000), kg/m^3.
-        restitution: fraction of the speed that remains after an impact.
+        restitution: fraction of the normal speed that remains after an impact.
         static_friction: coefficient of friction at rest.
         dynamic_friction: coefficient of friction while sliding.
     """
@@ -142,8 +142,8 @@ class CreatureConfig(Section):
         pressure_sensors: ``all`` bodies, or a list of names.
         depth_sensors: depth gauges.
         sensors: further sensors, whose ``type`` selects the kind.
-        self_collision: whether its bodies are kept from passing through each other, or exceptions
-            to the rule; if left out, they are kept apart if there is ground.
+        self_collision: ``true`` to keep its bodies from passing through each other, ``false``, or
+            exceptions to the rule; if left out, bodies are kept apart if there is ground.
     """
 
     name: PrintedName

@@ -36,9 +36,9 @@ class IslandsConfig(Section):
 
     Attributes:
         count: number of islands, among which the population is divided equally.
-        every: generations between migrations, in which the best of each island replace the worst
-            of the next.
-        migrants: number of individuals that leave each island.
+        every: generations between migrations, in which copies of the best of each island replace
+            the worst of the next.
+        migrants: number of individuals that each island copies to the next.
     """
 
     count: Annotated[int, Field(ge=2, le=1000)]
@@ -235,7 +235,7 @@ class BitEvolutionConfig(MapSection):
         population: number of individuals.
         elites: number of best individuals that pass on unchanged (children fill the other places).
         best_copies: number of the elite places that hold the best individual.
-        rank_probabilities: probability that a parent has each rank, best first.
+        rank_probabilities: probability of each rank to be chosen as a parent, best first.
         mutation_probability: probability that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes.
         mutation: whether a changed gene is redrawn or flipped.
@@ -320,13 +320,15 @@ class PyribsConfig(MapSection):
         population: number of individuals.
         axes: axes of the map.
         emitters: number of distributions, among which the population is divided equally.
-        es: algorithm that adapts each distribution, by its name in pyribs (``cma_es`` takes memory
-            and time with the square and the cube of the genes: 100 genes, not 3000).
+        es: algorithm that adapts each distribution, by its name in pyribs (memory and time of
+            ``cma_es`` grow with the square and the cube of the number of genes: use it for 100
+            genes, not for 3000).
         sigma: standard deviation of the first sample.
         learning_rate: rate at which the threshold of a cell rises to a new entry's fitness: 0
             never, 1 at once.
-        threshold_min: fitness to exceed to enter an empty cell; if left out, the median of the
-            survivors of the first sample of the distributions.
+        threshold_min: fitness to exceed to enter an empty cell; if left out, the median fitness of
+            the first sample of the distributions (of individuals with finite fitness and
+            descriptors).
         gene_bound: largest magnitude of a gene.
         options: arguments of the constructor of ``es``, such as ``{lr: 0.02}`` of ``openai_es``.
     """

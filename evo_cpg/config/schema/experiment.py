@@ -61,7 +61,11 @@ class ExperimentConfig(Section):
 
     @property
     def trial_count(self) -> int:
-        """Number of trials of every individual: one in each situation without noise."""
+        """Number of trials of every individual.
+
+        It is the number of listed situations. Without a list it is the configured number with
+        noise, and 1 without noise.
+        """
         trials = self.simulation.trials
         if isinstance(trials, list):
             return len(trials)
@@ -75,7 +79,7 @@ class ExperimentConfig(Section):
                 f"{self.seed + self.runs - 1}"
             )
         genome, given = self.controller.genome, self.evolution.type
-        # Other strategies evolve both kinds of genome.
+        # Strategies other than ``real`` and ``bits`` evolve both kinds of genome.
         if genome is not None and given in ("real", "bits") and given != genome:
             raise ValueError(
                 f"a controller of type {self.controller.type!r} has a genome of "

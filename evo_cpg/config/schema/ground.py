@@ -13,7 +13,8 @@ from evo_cpg.physics.contact_model import Combination, Ground
 from evo_cpg.physics.terrain import Axis, Block, Boulder, Obstacle, Part, Plane, Relief, Shore
 from evo_cpg.spatial.numerics import Number, xp
 
-# The run folder's configuration stores all heights, and every step looks them up.
+# Largest number of heights along each axis: the run folder's configuration stores all heights, and
+# every step looks them up.
 MOST_HEIGHTS = 256
 
 Place = tuple[Finite, Finite]
@@ -57,7 +58,7 @@ class PlaneConfig(FloorSection):
 
 
 class ShoreConfig(FloorSection):
-    """A level, a slope, and a level: land that runs into water.
+    """Level ground, a slope, and level ground at another height: land that runs into water.
 
     Attributes:
         type: ``shore``.

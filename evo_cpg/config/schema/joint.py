@@ -13,8 +13,8 @@ from evo_cpg.creature.creature import Actuator, Joint
 from evo_cpg.spatial.numerics import as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
-# Distance of the middle one of three axes from the angle at which the axes lie in one plane.
-# Axes at right angles do so at 90 degrees, where the first and the last axis coincide.
+# Smallest distance of the middle one of three joint angles from the angle at which the axes lie in
+# one plane. Axes at right angles do so at 90 degrees, where the first and the last axis coincide.
 _SINGULARITY_MARGIN_DEG = 5.0
 
 AxisName = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -64,7 +64,8 @@ def _require_regular(directions: np.ndarray, lower: float, upper: float) -> None
         raise ValueError(
             f"axes: the middle one of three must be at least {margin:g} degrees from the others"
         )
-    # The first angle above the lower limit at which they lie in one plane.
+    # First angle of the middle axis, from the margin below its lower limit on, at which the three
+    # axes lie in one plane, degrees.
     plane = np.degrees(np.arctan2(sine, cosine)) + 90.0
     plane += 180.0 * np.ceil((lower - margin - plane) / 180.0 + 1e-9)
     if plane < upper + margin - 1e-6:
@@ -138,7 +139,7 @@ class JointConfig(Section):
         return [_AXES[axis] if isinstance(axis, str) else axis for axis in self.axes]
 
     def turned(self, angle_deg: float) -> "JointConfig":
-        """Return the joint with its limb, turned about the parent's vertical axis."""
+        """Return the joint, turned with its limb about the parent's vertical axis."""
         if not angle_deg:
             return self
         roll, pitch, yaw = self.rotation_deg

@@ -10,7 +10,8 @@ from pydantic_core import PydanticCustomError
 
 _T = TypeVar("_T")
 
-# Larger than any quantity of an animal in SI units. Its powers are still finite.
+# Largest allowed number. It exceeds any quantity of an animal in SI units. Its square and its cube
+# are finite in float32.
 LARGEST = 1e12
 
 Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]

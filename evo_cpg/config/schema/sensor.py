@@ -37,7 +37,7 @@ class LightSensorConfig(Section):
 
 
 class DepthSensorConfig(Section):
-    """A depth gauge, which reads 0 at the water's surface and above, and 1 at depth.
+    """A depth gauge, which reads 0 at the water's surface and above, and 1 at a given depth.
 
     Attributes:
         body: name of the body that carries it (with placeholders, one on each copy).

@@ -35,7 +35,7 @@ class SolidConfig(Section):
         return np.zeros(3)
 
     def mirrored(self, axis: MirrorAxis) -> Self:
-        """Return the mirror image in the frame's plane with this normal (often equal)."""
+        """Return the mirror image in the frame's plane with this normal (often the same shape)."""
         del axis
         return self
 

@@ -95,7 +95,7 @@ class _TaskSection(Section):
 
 
 class ReachLightConfig(_TaskSection):
-    """Iwadate 2010, eqs. 9 and 10, on normalised terms: a > c > b.
+    """Fitness of Iwadate 2010, eqs. 9 and 10, of normalised terms, with weights a > c > b.
 
     Attributes:
         type: ``reach_light``.
@@ -150,7 +150,7 @@ class ReachLightConfig(_TaskSection):
 
 
 class DistanceConfig(_TaskSection):
-    """Fukui 2003: distance moved, in any posture.
+    """Fukui 2003: displacement from start to end, in any posture.
 
     Attributes:
         type: ``distance``.
@@ -167,14 +167,14 @@ class DistanceConfig(_TaskSection):
 
 
 class WalkConfig(_TaskSection):
-    """Distance minus penalties for tilting, bouncing and flight, with weights in torso lengths.
+    """Displacement minus penalties for tilting, bouncing and flight. Lengths are in torso lengths.
 
     Attributes:
         type: ``walk``.
         heading: ``any`` direction, or ``forward``.
-        distance_weight: weight of the distance, in torso lengths.
+        distance_weight: weight of the displacement (in torso lengths).
         tilt_weight: weight of the torso's tilt: 0 upright, 1 on the side, 2 on the back.
-        bounce_weight: weight of the standard deviation of the torso's height, in torso lengths.
+        bounce_weight: weight of the standard deviation of the torso's height (in torso lengths).
         airborne_weight: weight of the fraction of time without ground contact.
     """
 

@@ -24,7 +24,7 @@ class SituationConfig(OpenSection):
     Attributes:
         start: x and y of the root's centre at the start, m.
         start_heading_deg: rotation to the left at the start, degrees.
-        light: keys that differ from the task's light.
+        light: light of the trial; its open keys are those of the task's light.
     """
 
     start: tuple[Finite, Finite] | None = None
@@ -52,7 +52,7 @@ class SimulationConfig(Section):
         steps: number of control steps.
         start: x and y of the root's centre at the start, m.
         start_heading_deg: rotation to the left at the start, degrees.
-        start_clearance: height of the creature above the ground at the start, m.
+        start_clearance: distance of the creature's nearest point from the ground at the start, m.
         start_pose: ``neutral``, or ``settled``: the pose at rest after it is let down.
         trials: trials over which fitness is averaged: their number, which without noise is one,
             or a list of situations.
@@ -86,8 +86,8 @@ class NoiseConfig(Section):
     Attributes:
         joint_angle_deg: standard deviation of every joint angle at the start, degrees.
         tilt_deg: standard deviation of the root's roll and of its pitch at the start, degrees.
-        push: random walk of the root's velocity in each direction, m/s per square root of a
-            second.
+        push: standard deviation of a random walk of the root's velocity in each direction, m/s per
+            square root of a second.
         friction: largest fraction by which the ground's friction of a trial differs from its value.
     """
 

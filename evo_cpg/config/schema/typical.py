@@ -12,8 +12,8 @@ import numpy as np
 # A full turn, degrees. Larger angles were probably converted twice.
 TURN = 360.0
 
-# Common angles are multiples of this, degrees. In radians they are not round, and are usually
-# written with at least two decimals.
+# Common angles are multiples of the first number, degrees. In radians they are usually written with
+# at least two decimals, so their rounding error is less than the second number.
 _COMMON, ROUNDING = 15.0, 0.006
 
 
@@ -47,7 +47,7 @@ class TypicalRange(NamedTuple):
 
 
 class Direction(NamedTuple):
-    """Mark for angles in degrees that are directions."""
+    """Mark of a field that holds directions in degrees. Its check finds values in radians."""
 
     def problem(self, value: float | tuple[float, ...]) -> str | None:
         """Return a description if all angles look like radians, or one exceeds a full turn."""

@@ -41,7 +41,8 @@ class WaterConfig(Section):
         current: velocity of the water, m/s; with a gradient, at the origin.
         current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
         vortices: vortices that are added to the current.
-        law: drag law: ``normal`` splits the drag as above, ``isotropic`` is exactly eq. 8.
+        law: drag law: ``normal`` splits the drag into form and skin drag, ``isotropic`` is exactly
+            eq. 8 of Iwadate 2010.
         sheltered: whether faces that other bodies cover at rest have no drag.
         points: ``quadrature`` distributes the points evenly, ``random`` draws them once, as in the
             paper, from ``points_seed``.

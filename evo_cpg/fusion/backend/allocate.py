@@ -2,12 +2,12 @@
 
 The program processes one *vector* of individuals at a time. Every scalar of the graph becomes
 instructions on registers that hold it for 16 individuals (or 8, 4, 1: the machine's width). The
-code between two ends of loops is one *stretch* without branches. A value that is used in several
-stretches has a *slot* in scratch memory, with a number for each individual of the vector. A value
-that leaves the registers temporarily goes to memory that all vectors share. A value that a loop
-carries has a slot.
+starts and ends of loops cut the code into *stretches* without branches. A value that is used in
+several stretches has a *slot* in the scratch memory of its vector, with a number for each
+individual. So has a value that a loop carries. A value that leaves the registers within a stretch
+goes to memory that all vectors share.
 
-The result is a program of `evo_cpg.fusion.backend.code`, in which all choices are made.
+The result is a program in the types of `evo_cpg.fusion.backend.code`.
 """
 
 import dataclasses
@@ -44,7 +44,7 @@ from evo_cpg.fusion.ir.graph import (
 
 
 def allocate(graph: Graph, variant: Variant) -> Code:
-    """Return the program in which every value has a place.
+    """Return the program in which every value has a place: a register, an LLVM name or memory.
 
     Args:
         graph: a program. An unscheduled program keeps the order of its nodes.
@@ -56,7 +56,7 @@ def allocate(graph: Graph, variant: Variant) -> Code:
 
 
 class _Packed:
-    """Values and tables that the rounds of a packed loop read from memory, and nodes they write."""
+    """Values and tables that a packed loop (see `packing`) reads, and nodes that it writes."""
 
     def __init__(self):
         self.read: dict[Node, None] = {}
@@ -159,7 +159,7 @@ class _Allocator:
         """Continue in a new function, if the current function is long.
 
         LLVM's time and stack grow faster than the length of a function. Values that are used again
-        go through memory. A caller must hold no value by its name alone.
+        go through memory. Names of values from before a cut are not valid after it.
         """
         if self.lines >= machine_constants.LONGEST_FUNCTION:
             self._empty_registers()
@@ -179,7 +179,7 @@ class _Allocator:
     # Registers.
 
     def _empty_registers(self) -> None:
-        """Store all values that are used again in memory."""
+        """Empty all registers. Store in memory the values that are used again."""
         for (node, wide), name in self.registers.empty():
             if wide != node.uniform:
                 self._spill(node, name)
@@ -197,7 +197,7 @@ class _Allocator:
         self._let(self.select.store(node.dtype, node.uniform, FRAME), name, place - FRAME_ORIGIN)
 
     def _expect(self, run: Sequence[Node], result_nodes: list[Node]) -> None:
-        """Begin a run. Call `_used` after each operation and each use of a result."""
+        """Begin a run of operations. Call `_used` after each operation and each use of a result."""
         self.registers.expect(run, result_nodes)
         for node, place in self.spilled.items():
             self.memory.release(self._row_bytes(node), place)
@@ -222,7 +222,7 @@ class _Allocator:
     # Values.
 
     def _ref(self, node: Node, uniform: bool = False) -> str:
-        """Return the name of a value, spread over a vector unless one lane is enough."""
+        """Return the LLVM name of a value: of a scalar if ``uniform``, else of a vector."""
         node = resolve(node)
         if node.value is not None:
             return self.select.literal(node.value, node.dtype, uniform)
@@ -276,7 +276,10 @@ class _Allocator:
             self.packed.written.add(node)
 
     def _copy_inputs(self, nodes: list[Node]) -> None:
-        """Copy rows that loops read close together, so they do not compete for cache and pages."""
+        """Copy rows that loops read to adjacent places.
+
+        Rows far apart compete for cache and pages.
+        """
         runs: list[list[Node]] = []
         for node in sorted(nodes, key=lambda node: node.detail):
             number, row = node.detail
@@ -330,7 +333,7 @@ class _Allocator:
             self._wrote(node)
 
     def _rows(self, node: Node) -> None:
-        """Write a table of computed numbers."""
+        """Write a table of computed numbers to memory."""
         self.tables[node] = self._store_operands(node)
         self._wrote(node)
 
@@ -372,7 +375,7 @@ class _Allocator:
         self._wrote(node)
 
     def _accumulate(self, node: Node) -> None:
-        """Add to a number in memory."""
+        """Add a value to the number at an index of an array in memory."""
         index, value, memory = node.operands
         base = self._address(self.tables[memory])  # pyright: ignore[reportArgumentType]
         steps = self._let(self.select.times(), self._ref(index, True), self._row_bytes(node))
@@ -434,12 +437,13 @@ class _Allocator:
         self.per_vector = before
 
     def _pack(self, node: Node, loop: Loop) -> None:
-        """Allocate a loop with packed individuals. Its functions work on one vector."""
+        """Allocate a loop whose active individuals are packed. Its functions work on one vector."""
         packed = self.packed = _Packed()
         outside, self.items = self.items, []
         self._end(self._let(self.select.mask(), self._active(loop)), "i32")
         test, self.items = self.items, []
-        # A packed individual was tested before its move, so its code begins with a round.
+        # The test has selected the individuals to pack, so the code of packed ones begins with a
+        # round.
         tested = set(packed.written)
         body = self._round(node, loop)
         self.packed, self.items = None, outside

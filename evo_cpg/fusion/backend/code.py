@@ -5,7 +5,7 @@
 | `Template` | the instructions for one operation, with gaps for its operands |
 | `Step` | a template with operands |
 | `Stretch` | code without branches, which becomes a function |
-| `Copy` | rows of an argument that are copied close together |
+| `Copy` | rows of an argument that are copied to adjacent places |
 | `LoopCode` | a loop or a branch over stretches |
 """
 
@@ -26,7 +26,7 @@ class Target(NamedTuple):
         bytes: size of a vector, bytes.
         registers: number of vector registers.
         fma: whether the processor multiplies and adds in one instruction.
-        compresses: whether one instruction compresses the chosen numbers of a vector.
+        compresses: whether one instruction moves chosen numbers of a vector into its first lanes.
         processor: LLVM's name of the processor.
         features: LLVM's list of processor features.
     """
@@ -87,7 +87,7 @@ class Piece(NamedTuple):
 
     Attributes:
         steps: steps in order.
-        buffers: pointers that the piece needs besides scratch memory.
+        buffers: pointers to arguments, results and shared memory that the piece uses.
     """
 
     steps: Sequence[Step]
@@ -112,7 +112,7 @@ class Copy(NamedTuple):
     """Consecutive rows that are copied from an argument to scratch memory.
 
     Attributes:
-        step: step for each row.
+        step: instructions that copy one row.
         rows: number of rows.
         buffer: pointer to the argument.
     """
@@ -143,8 +143,9 @@ class LoopCode:
     Attributes:
         loop: loop of the graph.
         number: unique number for labels.
-        counter: place of the round's number, or None if it is not read.
-        test: code that ends with a stretch whose result is the condition of another round.
+        counter: place of the number of the round in scratch memory, or None if no code reads it.
+        test: code of the loop's test. The result of its last stretch is true if another round
+            follows.
         body: code of a round.
         per_vector: whether the loop is a branch that each vector of a group takes separately.
         packed: slots that the loop reads and slots that it carries, or None if it is not packed.
@@ -187,9 +188,10 @@ class Code:
         items: code in order.
         tables: constants in memory.
         functions: functions that the code calls, by name.
-        size: bytes of scratch memory for a vector.
+        size: bytes of scratch memory of each vector.
         frame: bytes of memory that vectors share.
-        grouped: whether several vectors run together.
+        grouped: whether several vectors run together, as a group
+            (`evo_cpg.fusion.backend.packing`).
     """
 
     arguments: tuple[Buffer, ...]

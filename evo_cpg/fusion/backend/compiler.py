@@ -1,7 +1,8 @@
 """Run LLVM in a separate process, so that a crash of the compiler does not end the run.
 
-The process starts with the first program that is not on disk, and ends with the current process.
-If no process can be started, LLVM runs in the current process, on a thread with a large stack.
+The process starts with the first program whose machine code is not on disk, and ends with the
+current process. If no process can be started, LLVM runs in the current process, on a thread with a
+large stack.
 """
 
 import atexit
@@ -19,12 +20,13 @@ from evo_cpg.fusion.backend import compiler_process
 from evo_cpg.fusion.backend.compiler_process import Request
 from evo_cpg.fusion.unsupported import Unsupported
 
-# After a text longer than this (characters) the process is stopped, because LLVM keeps its memory.
+# The process is stopped after a text longer than this (characters), because LLVM never frees the
+# memory.
 _LARGE_TEXT = 4 * 2**20
 
 
 class CompilerDied(Unsupported):
-    """LLVM ended its process while it compiled a program."""
+    """Raised if the process of LLVM ends, as by a crash, while it compiles a program."""
 
 
 def object_code(request: Request) -> bytes:

@@ -2,7 +2,8 @@
 
 This file imports nothing of the package, so that the process starts in 0.2 s.
 
-A request is one line of JSON and the text. An answer is one line of JSON and the object code.
+A request is one line of JSON and a text of LLVM IR. An answer is one line of JSON and the object
+code.
 
 | line | keys |
 |---|---|
@@ -21,9 +22,10 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
 
-# Stack of the thread that compiles, bytes. LLVM walks through a function recursively. The 250,000
-# lines of a spider in version 1.0.0 needed more than 8 MiB. Functions that are cut need 256 KiB,
-# even for a walker with 41 bodies. Unused stack takes no memory.
+# Stack of the thread that compiles, bytes. LLVM walks through a function recursively. In version
+# 1.0.0 a spider's single function of 250,000 lines needed more than 8 MiB. Since then long
+# functions are cut, and need 256 KiB even for a walker with 41 bodies. Unused stack takes no
+# memory.
 _STACK = 256 * 2**20
 
 
@@ -58,7 +60,8 @@ def _object_code(text: str, *machine_of: Any) -> bytes:
     machine = _machine(*machine_of)
     module = llvm.parse_assembly(text)
     # The order of instructions and the use of registers are fixed (`registers`). A search for a
-    # better order takes longer than the rest of compilation. The option holds for the process.
+    # better order takes longer than the rest of compilation. The option is global, so it is set
+    # back afterwards.
     llvm.set_option("", "-enable-misched=false")
     try:
         return machine.emit_object(module)
@@ -102,7 +105,7 @@ def _on_large_stack(compute: Callable[[], bytes]) -> bytes:
 
 
 def _started(run: Callable[[], None]) -> threading.Thread | None:
-    """Start a thread with a large stack and return None if the system refuses."""
+    """Return a started thread with a large stack, or None if the system refuses it."""
     try:
         before = threading.stack_size(_STACK)
     except (ValueError, RuntimeError):

@@ -23,7 +23,7 @@ layout in a separate process before the first use of native code.
 # Version of the XLA FFI interface.
 _MAJOR, _MINOR = 0, 1
 
-# XLA's numbers of the extension that requests metadata, and of the stage that computes.
+# XLA's number for the extension that requests metadata, and for the stage that computes.
 _METADATA, _EXECUTE = 1, 3
 
 

@@ -37,7 +37,8 @@ class _Printer:
     def __init__(self, code: Code):
         self.code = code
         variant, size = code.variant, code.size
-        # An odd number of lines: equal places of different vectors are in different cache sets.
+        # An odd number of cache lines for each vector. So equal places of different vectors are in
+        # different cache sets.
         line = machine_constants.CACHE_LINE
         stride = (size // line | 1) * line + line
         self.group = VectorGroup(
@@ -58,7 +59,7 @@ class _Printer:
         driver = [
             f"define internal void @program({self.buffers}ptr %scratch, i64 %n) #0 {{",
             "entry:",
-            # The shared memory lies behind the vectors' own memory.
+            # The shared memory begins after the scratch memory of all vectors.
             f"{FRAME} = getelementptr i8, ptr %scratch, i64 {self.own + FRAME_ORIGIN}",
             "br label %vector",
             "vector:",

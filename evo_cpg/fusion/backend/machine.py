@@ -24,7 +24,7 @@ from evo_cpg.fusion.unsupported import Unsupported
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
 
-# Prefixes of features that are switched off if a smaller set is requested.
+# Prefixes of processor features to switch off, by requested instruction set.
 _LARGER = {"avx2": ("avx512",), "sse": ("avx", "fma", "f16c", "xop", "vaes", "vpclmul")}
 
 
@@ -48,13 +48,13 @@ def llvm_version() -> str:
 
 
 def passed_self_test(target: Target, version: str) -> bool:
-    """Return whether code for a machine has passed its self-test with a version of JAX."""
+    """Return whether native code for a machine passed its self-test with a version of JAX."""
     # Unlike `Path.exists`, this does not raise for a folder of another user.
     return _folder is not None and os.path.exists(_folder / _self_test_name(target, version))
 
 
 def remember_self_test(target: Target, version: str) -> None:
-    """Record that code for a machine has passed its self-test with a version of JAX."""
+    """Record that native code for a machine has passed its self-test with this version of JAX."""
     if _folder is not None:
         with contextlib.suppress(OSError):
             (_folder / _self_test_name(target, version)).touch()
@@ -163,7 +163,7 @@ def _read(name: str) -> bytes | None:
         content = (_folder / f"native-{name}").read_bytes()
     except OSError:
         return None
-    # A truncated file counts as missing.
+    # The last 32 bytes are a hash of the code. A truncated file counts as missing.
     code, digest = content[:-32], content[-32:]
     return code if hashlib.sha256(code).digest() == digest else None
 

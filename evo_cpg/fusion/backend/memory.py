@@ -1,7 +1,7 @@
-"""Choose the values that are in memory, and their places in bytes.
+"""Choose the values to keep in memory, and reserve their places.
 
-A *stretch* is the code between two ends of loops. A value that is used in a different stretch is
-stored in memory.
+The starts and ends of loops cut the code into *stretches*. A value that is used in another stretch
+than the one that computes it is stored in memory.
 """
 
 from collections.abc import Iterable
@@ -10,8 +10,10 @@ from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.ir.graph import Block, Graph, Node, resolve
 
 FRAME_ORIGIN = 8192
-"""Offset to which the pointer to shared memory points, bytes. AVX-512 encodes offsets of up to 128
-vectors in one byte."""
+"""Bytes from the start of shared memory to the place that its pointer points to.
+
+AVX-512 encodes offsets of up to 128 vectors (8192 bytes), forwards or backwards, in one byte.
+"""
 
 _IN_MEMORY = {
     "accumulate", "carried", "counter", "result", "constant", "rows", "constants", "list", "loop",
@@ -35,7 +37,7 @@ def live_across(graph: Graph, lists: dict[Node, list[Node]]) -> list[Node]:
             node = resolve(operand)
             if node.op in _IN_MEMORY or (node.op == "input" and node.uniform):
                 continue
-            # Loops read inputs from copies that are close together in memory.
+            # Loops read inputs from copies at adjacent places in memory.
             far = block.depth > 0 if node.op == "input" else stretch[node] != now
             if far:
                 found[node] = None
@@ -86,7 +88,10 @@ class Memory:
         return place
 
     def borrow(self, size: int) -> int:
-        """Return a place in shared memory until its release. A reused place is likely cached."""
+        """Return a place in shared memory for use until its release.
+
+        Reuse a released place first.
+        """
         free = self._free.get(size)
         if free:
             return free.pop()

@@ -44,7 +44,7 @@ class Operation:
         op: name of the operation.
         dtype: type of its result.
         source: type of its first operand.
-        kind: column of the source in tables: 0 float, 1 signed integer, 2 unsigned integer or bool.
+        kind: kind of ``source``, a column of tables: 0 float, 1 signed integer, 2 unsigned or bool.
         t: LLVM's type of the result.
         s: LLVM's type of the first operand.
         constants: values of constant operands, or None for other operands.

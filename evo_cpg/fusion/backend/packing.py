@@ -1,14 +1,15 @@
 """Pack individuals together in loops with a different number of rounds for each individual.
 
-A vector alone would repeat the loop until its last individual is done, and compute all lanes for
-one. So the vectors of a *group* enter such a loop together. Each vector runs separately while
-many of its individuals are active. The remaining active individuals then move, one by one, into the
-lanes of a packed vector in scratch memory. When an individual is done, the next takes its lane. All
-values that the loop reads move to the packed vector, and carried values move back. One instruction
-of AVX-512 compresses the chosen numbers of a vector, so that the first lanes are filled vector by
-vector.
+A single vector would repeat the loop until its last individual is done. All its lanes would then be
+computed for one individual. So the vectors of a *group* enter such a loop together. Each vector
+runs separately while many of its individuals are active. The remaining active individuals then move
+into the lanes of a packed vector in scratch memory. When an individual is done, the next active
+individual takes its lane. All values that the loop reads are copied to the packed vector, and
+carried values are copied back. An instruction of AVX-512 moves chosen numbers of a vector into its
+first lanes. On such a processor the packed vector is first filled with many individuals at a time.
 
-An individual's values do not depend on the lane, so its bits do not depend on its neighbours.
+A result does not depend on the lane that computes it. So the bits of an individual's results do not
+depend on the other individuals.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -16,15 +17,16 @@ from typing import NamedTuple
 
 from evo_cpg.fusion.backend.code import Slot
 
-# A vector runs separately while more than this fraction of it is active. Fitted: quadrupeds and
-# hexapods take at most 1.07 times as long with 1/4 to 1/2.
+# A vector runs separately while more than this fraction of its individuals is active. Fitted:
+# quadrupeds and hexapods take at most 1.07 times as long with fractions from 1/4 to 1/2.
 _BUSY = 3 / 8
 
-# AVX-512's instruction that compresses chosen numbers, the size of the smallest numbers that it
-# handles, and the size of its vector, bytes.
+# AVX-512's instruction that moves chosen numbers of a vector into its first lanes. Bytes of the
+# smallest numbers that it handles, and bytes of its vector.
 _COMPRESS, _NARROWEST, _VECTOR = "llvm.x86.avx512.mask.compress", 4, 64
 
-# Minimum number of slots at equal distances that a loop moves.
+# Minimum number of slots at equal distances that are moved by a loop. Fewer slots are moved by code
+# without a loop.
 _FEWEST_ROUNDS = 16
 
 # IR types by bytes of a number.
@@ -38,7 +40,8 @@ class VectorGroup(NamedTuple):
         vectors: maximum number of vectors.
         width: number of individuals of each vector.
         stride: bytes of scratch memory of each vector. The packed vector's memory comes last.
-        compresses: whether the processor has AVX-512's instruction that compresses numbers.
+        compresses: whether the processor has AVX-512's instruction that moves chosen numbers of a
+            vector into its first lanes.
     """
 
     vectors: int
@@ -212,7 +215,7 @@ lane:
 
 
 def _fill_compressed(name: str, group: VectorGroup) -> str:
-    """Write code that fills the lanes vector by vector. Individuals without a lane are masked."""
+    """Write code that fills the packed lanes from one vector after another, by a mask of lanes."""
     return f"""  br label %row
 row:
   %r = phi i64 [ 0, %fill ], [ %r_next, %row_done ]
@@ -261,7 +264,7 @@ noted:
 
 
 class _Series(NamedTuple):
-    """Consecutive places at equal distances.
+    """Places in memory at equal distances.
 
     Attributes:
         start: first place, bytes.
@@ -303,7 +306,8 @@ def _through(series: list[_Series], lines: Callable[[int, int, str], list[str]])
 
     Args:
         series: places.
-        lines: function from a unique number, bytes of a number, and the place to lines of code.
+        lines: function that returns lines of code, given a unique number, the bytes of a number,
+            and the place.
     """
     written, label = [], "entry"
     for i, (start, size, step, count) in enumerate(series):

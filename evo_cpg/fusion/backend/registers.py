@@ -1,9 +1,9 @@
 """Track which values are in registers, and choose the values to evict.
 
 In code without branches all uses are known. The best value to evict is the one with the furthest
-next use (L. A. Belady, IBM Systems Journal 5(2), 1966). LLVM then has nothing to choose. Its own
-search takes time that grows faster than the code, two thirds of compilation, and finds nothing
-better.
+next use (L. A. Belady, IBM Systems Journal 5(2), 1966). LLVM then has nothing to choose. LLVM's own
+search would take two thirds of the compile time, which grows faster than the code, and finds
+nothing better.
 """
 
 from collections.abc import Iterable, Sequence
@@ -33,7 +33,7 @@ class Registers:
         self._now = 0
 
     def expect(self, nodes: Sequence[Node], result_nodes: Iterable[Node]) -> None:
-        """Begin with empty registers. Call `pass_on` after each node.
+        """Begin a run of operations with empty registers. Call `pass_on` after each node.
 
         Args:
             nodes: nodes that will be computed, in order.
@@ -57,7 +57,7 @@ class Registers:
         return self._names.get((node, wide))
 
     def pass_on(self) -> tuple[list[tuple[Held, str]], list[Node]]:
-        """Continue with the next operation.
+        """Record that the current operation is done, and evict values if registers are full.
 
         Returns:
             A list of values that leave the registers and are used again, with their names, and a

@@ -1,7 +1,7 @@
-"""Select the instructions of each operation, as templates made once for each kind.
+"""Select the instructions of each operation, as templates that all equal operations share.
 
-`evo_cpg.fusion.backend.allocate` decides which values are in registers. So its loads and stores
-are *volatile*: LLVM does not drop or move them, and spends no time on trying.
+`evo_cpg.fusion.backend.allocate` decides which values are in registers. So loads and stores are
+*volatile*: LLVM does not drop or move them, and spends no time on trying.
 """
 
 import functools
@@ -79,7 +79,7 @@ class Selector:
 
     @_made_once(2)
     def element(self, pointer: str, steps: str) -> str:
-        """Return a pointer ``steps`` bytes behind another pointer."""
+        """Return the address ``steps`` bytes after another one."""
         return self._w.let(f"getelementptr i8, ptr {pointer}, i32 {steps}")
 
     @_made_once(2)
@@ -89,25 +89,31 @@ class Selector:
 
     @_made_once(2)
     def add(self, dtype: np.dtype, x: str, y: str) -> str:
-        """Return a sum."""
+        """Return a sum of two vectors."""
         word = "fadd" if dtype.kind == "f" else "add"
         return self._w.let(f"{word} {self._w.type_of(dtype, False)} {x}, {y}")
 
     @_made_once(3)
     def choose(self, dtype: np.dtype, flag: str, yes: str, no: str) -> str:
-        """Return a selection between two values."""
+        """Return ``yes`` in lanes where the flag is true, else ``no``."""
         t, flags = self._w.type_of(dtype, False), self._w.type_of(_BOOL, False)
         return self._w.let(f"select {flags} {flag}, {t} {yes}, {t} {no}")
 
     @_made_once(2)
     def store(self, dtype: np.dtype, uniform: bool, base: str, value: str, place: str) -> None:
-        """Write a value at ``place`` bytes behind ``base``, or at ``place`` if ``base`` is ""."""
+        """Write a value to ``base`` plus ``place`` bytes.
+
+        If ``base`` is "", ``place`` is a pointer.
+        """
         pointer = self._w.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
         self._store(value, dtype, pointer, uniform)
 
     @_made_once(1)
     def load(self, dtype: np.dtype, uniform: bool, base: str, place: str) -> str:
-        """Read a value at ``place`` bytes behind ``base``, or at ``place`` if ``base`` is ""."""
+        """Read a value at ``base`` plus ``place`` bytes.
+
+        If ``base`` is "", ``place`` is a pointer.
+        """
         pointer = self._w.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
         return self._load(dtype, pointer, uniform)
 
@@ -118,7 +124,7 @@ class Selector:
 
     @_made_once(4)
     def copy_row(self, dtype: np.dtype, base: str, row: str, size: str, start: str) -> None:
-        """Copy the row ``%i`` rows behind a row of an argument to scratch memory."""
+        """Copy row ``row + %i`` of an argument to scratch memory, at ``start + %i * size``."""
         w = self._w
         source = w.let(f"add i64 %i, {row}")
         value = self._load(dtype, self._row(base, source, dtype, False), False)
@@ -162,7 +168,7 @@ class Selector:
 
     @_made_once(1)
     def spread(self, dtype: np.dtype, name: str) -> str:
-        """Return a shared value as a vector."""
+        """Return a vector with one value in all lanes."""
         t, scalar = self._w.type_of(dtype, False), TYPES[dtype.char]
         one = self._w.let(f"insertelement {t} poison, {scalar} {name}, i32 0")
         zeros = f"<{self._w.width} x i32> zeroinitializer"

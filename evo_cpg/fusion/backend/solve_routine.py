@@ -8,7 +8,8 @@ all individuals of a vector, such as the coupling of limbs that do not touch.
 def routine(name: str, t: str, row: int, size: int, fma: bool) -> str:
     """Return LLVM IR of a function that solves equations in memory.
 
-    The lower triangle of H is stored row by row. The solution replaces b.
+    The equations are ``H x = b``. The lower triangle of H is stored row by row, and overwritten.
+    The solution replaces b.
 
     Args:
         name: name of the function.

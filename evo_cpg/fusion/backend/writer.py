@@ -10,7 +10,7 @@ import numpy as np
 
 from evo_cpg.fusion.backend.code import Template
 
-# LLVM's types by NumPy's character.
+# LLVM's types by the characters of NumPy's types.
 TYPES = {
     "?": "i1", "b": "i8", "B": "i8", "h": "i16", "H": "i16", "i": "i32", "I": "i32", "l": "i64",
     "L": "i64", "q": "i64", "Q": "i64", "f": "float", "d": "double",

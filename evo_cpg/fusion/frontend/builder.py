@@ -4,8 +4,8 @@ The builder folds constants, applies the rewrite rules (`evo_cpg.fusion.frontend
 returns an equal node if one exists. So a creature's zeros (a centre of mass on the joint, a
 principal axis) cost nothing in the end.
 
-A node is in the innermost block of its operands. So values that do not change in a loop are
-computed before the loop.
+A node belongs to the innermost of the blocks of its operands. So values that do not change in a
+loop are computed before the loop.
 """
 
 import contextlib
@@ -34,7 +34,7 @@ class Sums:
 
 
 class Builder:
-    """Maker of nodes, which returns an existing equal node if there is one.
+    """Maker of nodes. If an equal node exists, the builder returns that node.
 
     Args:
         rules: rewrite rules by operation, tried in order.
@@ -129,7 +129,7 @@ class Builder:
         return self._new("opaque", (node,), node.dtype, block, node.uniform, detail=part)
 
     def inside(self, node: Node, block: Block) -> Node:
-        """Return a node as seen from a block, so that values computed from it are in the block."""
+        """Return a node for the same number. Values computed from the new node are in the block."""
         if node.value is not None:
             return node
         return self._new("inside", (node,), node.dtype, block, node.uniform)
@@ -215,7 +215,7 @@ class Builder:
         return self.rows(table, sums.shape)
 
     def loop(self, start: Sequence[Node], loop: Loop) -> tuple[list[Node], list[Node]]:
-        """Put a loop into the current block.
+        """Add a loop to the current block.
 
         Args:
             start: initial carried values.
@@ -239,7 +239,7 @@ class Builder:
 
     @contextlib.contextmanager
     def within(self, block: Block, active: Node | None = None) -> Iterator[None]:
-        """Make loops in the given block.
+        """Make the loops of a ``with`` statement in the given block.
 
         Args:
             block: a block within the current block.
@@ -357,7 +357,7 @@ def elementwise(make: Callable[..., Node], *arrays: Any) -> np.ndarray:
 
 
 def _comes_later(a: Node, b: Node) -> bool:
-    """Return whether b goes before a: constants go last, other nodes in order of creation."""
+    """Return whether b must go before a: constants go last, other nodes in order of creation."""
     if a.value is not None or b.value is not None:
         return a.value is not None
     return a.number > b.number

@@ -1,8 +1,9 @@
 """Derivatives of fused programs, which are fused programs themselves.
 
-JAX differentiates the program for one individual, in forward or reverse mode. The derivative is
-scalar arithmetic, and is traced and cut like the program itself. A gradient stores only the
-arguments of each program. Its backward pass computes the forward pass again, in registers.
+JAX differentiates the program for one individual, in forward or reverse mode. The derivative is a
+program for one individual too, and is compiled like any other program. For a gradient only the
+arguments of each program are stored. The backward pass computes the program again from them, in
+registers.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -25,7 +26,7 @@ def differentiate(
 ) -> tuple[list[jax.Array], list[Any]]:
     """Return the results of a program and their tangents, symbolic zeros for integer results."""
     if program.loops:
-        # JAX differentiates the loop itself. The parts of the loop are fused.
+        # JAX differentiates the loop as plain JAX. Programs within the loop stay fused.
         changes = [internals.instantiate_zeros(tangent) for tangent in tangents]
         results, changes = jax.jvp(plain(program, batch), list(primals), changes)
         return results, changes
@@ -35,7 +36,7 @@ def differentiate(
     ndim, name = len(batch), f"the derivative of {program.name}"
 
     def one(values: Sequence[jax.Array]) -> tuple:
-        """Return the smooth results as a function of the varied inputs, and these inputs."""
+        """Return the float results as a function of the inputs that vary, and these inputs."""
 
         def run(*some: jax.Array) -> tuple:
             every = list(values)
@@ -99,7 +100,7 @@ def _for_all(
 
     Args:
         values: arrays.
-        numbers: number of the program's argument that each array belongs to.
+        numbers: index of the program's argument that each array belongs to.
         program: program for one individual.
         batch: lengths of the batch axes.
     """

@@ -1,9 +1,9 @@
 """Lower loops and branches of a JAX program to loops of the graph.
 
-Both sides of a short branch are computed and one result is selected, as under `jax.vmap`. A long
-branch is skipped if no individual of a vector takes it.
+Both sides of a short branch are computed and one result is selected, as under `jax.vmap`. A vector
+skips a long branch if none of its individuals takes it.
 
-If a loop carries an array and only adds to it, the array is in memory (`Sums`).
+If a loop carries an array and only adds to its elements, the array stays in memory (`Sums`).
 """
 
 import functools
@@ -74,13 +74,13 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
     )  # fmt: skip
     ends, lists = builder.loop(all_nodes(begin), loop)
     found = dict(zip(others, _like(ends, begin), strict=True))
-    # Sums of a loop around this one are not complete yet.
+    # The sums of a loop around this loop are not complete yet, so they are not read.
     found |= {k: x if x is start[k] else builder.totals(x) for k, x in sums.items()}
     return [*(found[k] for k in range(carry_count)), *_stacks(builder, lists, stacked, length)]
 
 
 def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
-    """Return whether a program only adds to an argument, and returns it as the given result.
+    """Return whether a program only adds to an argument, and returns the sum as the given result.
 
     Args:
         jaxpr: the program.
@@ -158,7 +158,8 @@ def _while(
         (condition,) = trace(builder, params["cond_jaxpr"], [*test_consts, *carried])
         condition = condition.item()
         if builder.active is not None and not condition.uniform:
-            # An inner loop does not wait for individuals that are done in the outer loop.
+            # The inner loop may end although its condition holds for individuals that are done in
+            # the outer loop.
             condition = builder.apply("and", condition, builder.active)
     # The body must not share nodes with the test, which runs before the condition is known.
     again = [elementwise(lambda node: builder.opaque(node, body), x) for x in carried]
@@ -234,7 +235,7 @@ def _branch(
 
 
 def _length(jaxpr: Jaxpr) -> int:
-    """Return the approximate number of scalars that a program computes."""
+    """Return the approximate number of scalars that a program computes, each loop's body once."""
     leaves = (each for each in equations(jaxpr) if not any(programs_in(each)))
     return sum(atom.aval.size for each in leaves for atom in each.outvars)
 

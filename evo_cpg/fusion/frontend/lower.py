@@ -48,9 +48,10 @@ def lower(program: Program, builder: Builder) -> Graph:
 def trace_program(builder: Builder, program: Program, inputs: Sequence[np.ndarray]) -> Arrays:
     """Return the results of a program for one individual, arrays of nodes.
 
-    The results do not depend on the code around the program, not even in the last digit. Its inputs
-    are opaque, and its sums are ordered before other code uses its results. So a control step has
-    the same results alone and as a part of a trial.
+    The results do not depend on the code around the program, not even in the last digit. Nodes
+    outside the program are not simplified together with nodes inside (its inputs are opaque), and
+    its sums are ordered separately. So a control step has the same results alone and as a part of a
+    trial.
 
     Args:
         builder: maker of the nodes.
@@ -208,7 +209,7 @@ _PROGRAMS: dict[str, Callable[[Builder, Any, Arrays], Arrays]] = {
 
 
 def _evaluate(builder: Builder, equation: Any, operands: Arrays) -> Arrays:
-    """Let JAX compute any other primitive on constants."""
+    """Compute any other primitive on constants by JAX while tracing."""
     values = [
         np.array([node.value for node in operand.flat], _type(atom)).reshape(operand.shape)
         for operand, atom in zip(operands, equation.invars, strict=True)
@@ -233,13 +234,13 @@ def _in_float32(name: str, count: int) -> ClosedJaxpr:
 
 
 def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
-    """Write out a function of the C library for float32. Call the library for float64."""
+    """Write out an elementary function for float32. Call the C library for float64."""
     dtype = next((node.dtype for node in operands[0].flat), np.dtype(np.float32))
     if dtype == np.float32 and name in FLOAT32:
         # The functions are written for scalars, but elementwise operations take arrays as well.
         inside = [elementwise(builder.opaque, x) for x in np.broadcast_arrays(*operands)]
         (result,) = trace_closed(builder, _in_float32(name, len(operands)), inside)
-        # Their sums are ordered so that errors cancel.
+        # The sums in these functions are written so that rounding errors cancel. Keep their order.
         part = builder.end_part(all_nodes(operands), result.flat, reorder=False)
         return elementwise(functools.partial(builder.opaque, part=part), result)
     if dtype == np.float64 and name == "logistic":
@@ -314,7 +315,7 @@ def _dot_general(builder: Builder, operands: Arrays, params: dict) -> Arrays:
 
 
 def _scalar_product(builder: Builder, a: np.ndarray, b: np.ndarray) -> Node:
-    """Return a sum of products. Products with equal constant factors, up to the sign, share one.
+    """Return a sum of products. Terms with equal constant factors, up to the sign, share one.
 
     Coordinates of points on a regular grid differ by their signs only. The common terms of their
     rows are then computed once. The order of summation, and so the rounding, differs from the
@@ -332,7 +333,7 @@ def _scalar_product(builder: Builder, a: np.ndarray, b: np.ndarray) -> Node:
             groups.setdefault(factor, []).append((negative, other))
     total = builder.constant(0, a[0].dtype)
     for factor, terms in groups.items():
-        # The first term sets the sign, so that opposite sums are the same node.
+        # The first term sets the sign of the product, so that a - b and b - a are the same node.
         flip = terms[0][0]
         inner = terms[0][1]
         for negative, term in terms[1:]:

@@ -23,7 +23,7 @@ from evo_cpg.fusion import jax_internals as internals
 
 Arrays = Sequence[jax.Array]
 
-# Functions with their own derivative rules, so that their loops need none.
+# Primitives of functions with derivative rules of their own. Loops within them need no derivative.
 _OWN_RULES = {"custom_jvp_call", "custom_vjp_call"}
 _LOOPS = {"scan", "while"}
 
@@ -68,7 +68,7 @@ class Program:
 
     @functools.cached_property
     def primitives(self) -> frozenset[str]:
-        """Names of the primitives with non-literal operands, in it and in programs within it."""
+        """Names of the primitives with non-literal operands, those of inner programs included."""
         names: set[str] = set()
         for equation in equations(self.jaxpr, ()):
             if equation.primitive is fused_p:

@@ -156,7 +156,7 @@ RULES: dict[str, tuple[Rule, ...]] = {
 def saturates(operand: Node, dtype: np.dtype) -> bool:
     """Return whether a constant is outside the range of an integer type.
 
-    The processor then computes the conversion, not NumPy.
+    The conversion of such a constant is left to the processor, because NumPy does not saturate.
     """
     if not _is_float(operand) or dtype.kind not in "iu":
         return False

@@ -1,10 +1,10 @@
 """Solve symmetric positive definite equations: short ones written out, others in a loop.
 
 In written-out code, zero elements cost nothing (`evo_cpg.spatial.ldl`). An animal whose limbs may
-all touch has no zeros. Elimination then takes v^3/6 operations for v unknowns. Beyond some
-thousands, native code calls a function that loops. The function eliminates in the same order. It
-skips elements that are zero for all individuals of a vector, such as the coupling of limbs that do
-not touch.
+all touch has no zeros. Elimination then takes v^3/6 operations for v unknowns. If there are more
+products than `LONGEST_ELIMINATION`, native code calls a function that loops. The function
+eliminates in the same order. It skips elements that are zero for all individuals of a vector, such
+as the coupling of limbs that do not touch.
 """
 
 from collections.abc import Sequence

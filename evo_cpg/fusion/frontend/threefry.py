@@ -1,7 +1,8 @@
 """The random numbers of JAX: threefry-2x32 of Salmon et al. 2011, 20 rounds.
 
 Two words of a key encrypt two words of a counter by additions, rotations and exclusive ors. Every
-four rounds another pair of key words is added. The third key word is the parity of the other two.
+four rounds another pair of key words is added. The third key word is the exclusive or of the other
+two and a constant.
 """
 
 import jax

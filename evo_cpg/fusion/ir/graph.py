@@ -75,19 +75,19 @@ class Node:
 
 
 class Loop(NamedTuple):
-    """A loop over a block, the detail of a node whose operands are the initial carried values.
+    """A loop over a block: ``detail`` of a node whose operands are the initial carried values.
 
     Attributes:
         count: number of rounds, or None for a loop that runs while the condition holds for any
             individual. The other individuals keep their values.
-        test: block of the condition, in which the carried values are known.
+        test: block in which the condition is computed from the carried values.
         body: block that is repeated, within ``test``.
         counter: number of the round, from 0, of a counted loop.
-        carried: placeholders of the values that are carried into a round.
-        following: values that are carried out of a round.
+        carried: placeholders for the carried values at the start of a round.
+        following: the carried values at the end of a round.
         condition: truth value of an uncounted loop, or None for a counted loop.
         index: place of a round's values in the lists of a counted loop.
-        written: values that each round adds to the lists.
+        written: values of each round that the lists store.
         once: whether the loop is a branch: one test, and the body runs once at most.
     """
 
@@ -141,7 +141,7 @@ class Graph:
         loops: loop of each test block and body block.
         parts: programs within the program, until dead code is eliminated. The detail of an
             ``opaque`` node is the number of the part whose result it is, or None for an argument.
-        kept: numbers of the needed carried values of each loop.
+        kept: indices of each loop's carried values that results need.
         runs: runs of each block (empty before scheduling).
     """
 
@@ -176,7 +176,7 @@ class Graph:
 
 
 class Change(NamedTuple):
-    """The replacement of a node. Its type and its block stay.
+    """The replacement of a node. The new node has the type and the block of the old one.
 
     Attributes:
         op: new operation.
@@ -232,18 +232,21 @@ def rewrite(graph: Graph, changes: Mapping[Node, Change]) -> Graph:
 
 
 NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside"}
-"""Operations without code: their values are known, or they are other names of nodes."""
+"""Operations without code of their own: known values, inputs, and other names of nodes."""
 
 
 def resolve(node: Node) -> Node:
-    """Return the node behind ``opaque`` and ``inside`` nodes."""
+    """Return the node that ``opaque`` and ``inside`` nodes are other names of."""
     while node.op in ("opaque", "inside"):
         node = node.operands[0]
     return node
 
 
 def home(node: Node) -> Node:
-    """Return the node whose place in memory holds a value: a carried value for its result."""
+    """Return the node whose place in memory holds a value.
+
+    A loop's result is in its carried value.
+    """
     return node.operands[0].detail.carried[node.detail] if node.op == "result" else node
 
 

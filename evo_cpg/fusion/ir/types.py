@@ -69,7 +69,7 @@ OPERATIONS: dict[str, Operation] = {
     "input": Operation("-> *", tuple),
     "carried": Operation("-> *"),
     "counter": Operation("-> k"),
-    # A number, seen from another part or block.
+    # Other names of a number, for use in another part or block.
     "opaque": Operation("a -> a", int | None),
     "inside": Operation("a -> a"),
     # Tables in memory, and the numbers in them.

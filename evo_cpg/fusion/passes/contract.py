@@ -5,9 +5,9 @@ products ``(a b + c d) + (e f + g h)`` takes two multiplications, two multiply-a
 The chain ``((a b + c d) + e f) + g h`` takes one multiplication and three multiply-adds. Other
 terms of a sum come first: ``((x + a b) + c d)``.
 
-This pass chooses the fused products, never the compiler. So the results are equal for vectors of
-any width. Each part of the program is rewritten independently. So a part has the same results
-alone and within a larger program.
+This pass chooses the products that become multiply-adds. LLVM fuses no others. So the results are
+equal for vectors of any width. Each part of the program is rewritten independently. So a part has
+the same results alone and within a larger program.
 
 | operation | meaning |
 |---|---|
@@ -36,7 +36,7 @@ def contract_multiply_adds(graph: Graph) -> Graph:
         reached.update([node.operands[0] for node in nodes if node.op == "opaque"])
 
     reach(_part(graph, graph.result_nodes))
-    # A part within another one comes before it.
+    # Inner parts come before the parts that contain them.
     for part in reversed(graph.parts):
         if not reached.isdisjoint(part.results):
             contraction = _Contraction(graph, part)
@@ -54,7 +54,7 @@ class _Contraction:
 
     Attributes:
         changes: replacement of each rewritten node.
-        nodes: nodes of the part, with the nodes that each one uses.
+        nodes: nodes of the part, each with its operands.
     """
 
     def __init__(self, graph: Graph, part: Part):
@@ -77,7 +77,7 @@ class _Contraction:
             self._fuse_product(node)
 
     def _chain(self, root: Node) -> None:
-        """Rewrite a sum as a chain with the same number of additions."""
+        """Rewrite nested sums as one chain with the same number of additions and subtractions."""
         sums, terms = [], []
         waiting = [(root, True)]
         while waiting:
@@ -123,7 +123,7 @@ def _goes_with(operand: Node, node: Node) -> bool:
 
 
 def _part(graph: Graph, result_nodes: Iterable[Node]) -> dict[Node, Sequence[Node]]:
-    """Return the result nodes and all nodes they depend on in their part, with uses of each."""
+    """Return result nodes and all nodes they depend on in their part, each with its operands."""
     found: dict[Node, Sequence[Node]] = {}
     entered: set[int] = set()
     waiting = list(result_nodes)

@@ -18,8 +18,9 @@ def schedule(graph: Graph) -> Graph:
 def ordered(run: list[Node]) -> list[Node]:
     """Return the operations of a run in order.
 
-    An operation comes shortly before its first use. Operands go in reverse order of their numbers.
-    A ready operation that is the last user of some value comes at once.
+    An operation comes shortly before its first use. Operands of an operation are computed in
+    reverse order of their numbers. An operation whose operands are all computed comes at once if it
+    is the last user of some value.
     """
     return _Order(run).nodes
 
@@ -72,7 +73,7 @@ class _Order:
             stack.extend(user for user in self._touched(node) if self._frees(user))
 
     def _touched(self, node: Node) -> Iterator[Node]:
-        """Iterate over nodes that may now be ready, or the last user of some value."""
+        """Iterate over nodes that may have become ready, or the last user of some value."""
         yield from self._users[node]
         for operand in self._operands[node]:
             if self._left[operand] == 1:

@@ -76,7 +76,10 @@ def audit(subject: Subject) -> Html:
 
 
 def paper(subject: Subject) -> Html | None:
-    """List differences from the shipped configuration and its paper, or None without them."""
+    """List differences of the run, the shipped configuration and the paper.
+
+    None is returned if no shipped configuration has the run's name.
+    """
     found = subject.differences
     if found is None:
         return None

@@ -11,7 +11,7 @@ from evo_cpg.view.clip import Clip
 
 
 class Difference(NamedTuple):
-    """A value that differs from the shipped configuration, or None for a missing value."""
+    """Value of a key in the shipped configuration and in this run's. A missing value is None."""
 
     key: str
     shipped: Any
@@ -73,7 +73,7 @@ class Subject(NamedTuple):
         differences: differences from the shipped configuration and the paper, or None if no shipped
             configuration has this name.
         program: program that made the page, with its version.
-        made: time at which the page was made.
+        made: date and time at which the page was made, as text.
     """
 
     name: str

@@ -22,11 +22,11 @@ from evo_cpg.view.scene import Panel, Scene, scene_of
 RATE = 30.0
 # Window over which the path of the camera's focus is smoothed, s.
 _CALM = 1.0
-# The mesh of uneven ground ends this many radii from the path.
+# The mesh of uneven ground ends this many radii of the animal from its path.
 _FAR = 14.0
 # Range of a signed number of 16 bits.
 _SHORT = 32767
-# Largest number of corners of a stone.
+# Number of corners to which finer meshes of stones are reduced.
 _FINE = 1500
 _STONE = "#999188"
 # Fields of a look that the viewer uses.
@@ -37,7 +37,7 @@ _LOOK = (
 
 
 class _Arrays:
-    """Arrays by number, each written once."""
+    """Base64 texts of arrays. Equal arrays share a text and its number."""
 
     def __init__(self) -> None:
         self.written: list[str] = []

@@ -13,7 +13,10 @@ _LETTERS = 120
 
 
 def number(value: float | np.floating) -> str:
-    """Return a number with three digits, or a dash for NaN."""
+    """Return a number with three significant digits, or a dash if it is not finite.
+
+    Numbers from a thousand to a million are rounded to whole numbers.
+    """
     if not math.isfinite(value):
         return "\N{EN DASH}"
     words = f"{value:.3g}"
@@ -52,7 +55,10 @@ def cell(value: Any) -> str:
 
 
 def without_folders(word: str) -> str:
-    """Return a path without its folders, because other people may read the page."""
+    """Return a word of a command, with an absolute path or a home path cut to its last name.
+
+    Other people may read the page, and must not see the user's folders.
+    """
     key, mark, value = word.partition("=")
     place = value if mark else word
     if PurePath(place).is_absolute() or place.startswith("~"):
