@@ -118,7 +118,8 @@ def compare(name: str, constant: Constant, work: str, rounds: int) -> list[Found
             call()
             whole = time.perf_counter() - start
             compiling[value] = max(whole - seconds(call), 0.0)
-            # Each call cuts the population into chunks again, so it needs its own value.
+            # Each call divides the population into chunks, whose width depends on the constant. The
+            # constant must therefore have the contender's value during the contender's calls.
             contenders.append(Contender(str(value), 1.0, _with(name, value, call)))
     finally:
         setattr(machine_constants, name, present)

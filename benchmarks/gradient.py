@@ -56,8 +56,8 @@ def _measure(plan: Plan, size: int, seconds: float) -> Row:
         size,
         seconds,
         statistics.median(rates[_GRADIENT]),
-        f", {ready['bodies']} bodies. Median of {plan.repeats} rounds in turn. The forward run "
-        f"compiles in {forward:.0f} s",
+        f", {ready['bodies']} bodies. Median of {plan.repeats} rounds. Each round times the "
+        f"gradient, then the forward run. The forward run compiles in {forward:.0f} s",
         compile_seconds=ready["gradient_seconds"],
         temporary=ready["temporary"],
         memory=ready["peak"],

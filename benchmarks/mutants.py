@@ -144,6 +144,42 @@ MUTANTS = (
         "physics/test_added_mass.py",
     ),
     Mutant(
+        "physics/reactive_thrust.py",
+        "force = 0.5 * carried[None]",
+        "force = carried[None]",
+        "physics/test_reactive_thrust.py",
+    ),
+    Mutant(
+        "physics/reactive_thrust.py",
+        "weights = 0.5 * bodies.h",
+        "weights = bodies.h",
+        "physics/test_reactive_thrust.py",
+    ),
+    Mutant(
+        "physics/sections.py",
+        "chain.lengths[k] / np.sqrt(12)",
+        "chain.lengths[k] / 2",
+        "physics/test_sections.py",
+    ),
+    Mutant(
+        "physics/lift.py",
+        "- broadside(aspect) * sine",
+        "- 0.9 * broadside(aspect) * sine",
+        "physics/test_lift.py",
+    ),
+    Mutant(
+        "physics/lift.py",
+        "own = 2.0 * c",
+        "own = c",
+        "physics/test_lift.py",
+    ),
+    Mutant(
+        "physics/lift.py",
+        "across = other * other * first",
+        "across = one * one * first",
+        "physics/test_lift.py",
+    ),
+    Mutant(
         "physics/buoyancy.py",
         "return fraction, -(lever / reach)[None] * stretched",
         "return fraction, (lever / reach)[None] * stretched",

@@ -66,13 +66,14 @@ def full_lanes(count: int, mesh: Mesh) -> int:
 
 
 def compile_motion(exercise: Exercise, lanes: np.ndarray, mesh: Mesh, finer: int = 1) -> Program:
-    """Compile our population at its exercise: physics alone, without a brain.
+    """Compile the motion of a population by the commands of an exercise: physics without a brain.
 
     The result is the final place ``(3, lanes)`` of every root, m.
 
     Args:
         exercise: exercise of the animals.
-        lanes: differing inputs of individuals (see `Exercise.lanes`). Their type is the motion's.
+        lanes: differing inputs of individuals (see `Exercise.lanes`). The motion is computed in
+            their type (float32 or float64).
         mesh: the devices.
         finer: number of equal parts into which each step is divided, with unchanged commands.
     """

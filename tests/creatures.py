@@ -14,6 +14,7 @@ from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.fluid import Drag, DragLaw, make_patches
+from evo_cpg.physics.reactive_thrust import reactive_water
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import step
 from evo_cpg.physics.water import Current, Gradient, Vortex, Water
@@ -145,6 +146,7 @@ def in_water(
     sheltered: bool = True,
     surface: float | None = None,
     added_mass: bool = False,
+    reactive_thrust: bool = False,
     gradient: Gradient | None = None,
     vortices: tuple[Vortex, ...] = (),
 ) -> World:
@@ -158,8 +160,15 @@ def in_water(
     }
     patches = make_patches(tree, surfaces, surfaces, law, surface is not None)
     forces = (Drag(form_drag, skin_drag, patches, law),)
-    if added_mass:
-        forces += (AddedMass(added_inertia(creature, tree, density)),)
+    moved = (
+        added_inertia(creature, tree, density) if added_mass else np.zeros((6, 6, len(tree.names)))
+    )
+    if reactive_thrust:
+        found = reactive_water(creature, tree, density, moved)
+        assert found is not None
+        forces += (AddedMass(found[0]), found[1])
+    elif added_mass:
+        forces += (AddedMass(moved),)
     return World(
         tree,
         gravity,

@@ -16,6 +16,7 @@ _UNITS = (
     "N m/rad",
     "kg m^2",
     "kg/m^3",
+    "Pa s",
     "m^2/s",
     "degrees",
     "rad/s",

@@ -27,7 +27,7 @@ from evo_cpg.cli.distributed import Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
 from evo_cpg.config.fingerprint import changes, fingerprint
-from evo_cpg.config.load import load_config
+from evo_cpg.config.load import load_run_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
@@ -91,7 +91,7 @@ def resume_run(
                 "The run continues with the changes"
             )
         if generations is not None:
-            config = load_config(folder.config, [f"evolution.generations={generations}"])
+            config = load_run_config(folder.config, [f"evolution.generations={generations}"])
             experiment = experiment._replace(generations=generations)
             opened = Opened(folder, config, experiment)
         require_same(team, fingerprint(config))

@@ -138,9 +138,9 @@ def _plan(folder: "RunFolder") -> tuple[int, bool]:
 
     Both are read each time, because `resume` may change the configuration.
     """
-    from evo_cpg.config.load import load_config
+    from evo_cpg.config.load import load_run_config
 
-    config = load_config(folder.config)
+    config = load_run_config(folder.config)
     return config.evolution.generations, not config.noise.silent
 
 
@@ -236,12 +236,12 @@ class _Pictures:
         """Build the experiment and compile its replay, on one core."""
         from evo_cpg.api.opened import class_folders
         from evo_cpg.cli.building import build
-        from evo_cpg.config.load import load_config
+        from evo_cpg.config.load import load_run_config
         from evo_cpg.training.devices import use_cores
         from evo_cpg.training.replay import compile_replay
 
         use_cores(1)
-        config = load_config(self._folder.config)
+        config = load_run_config(self._folder.config)
         experiment = build(config, self._folder.config, class_folders(self._folder))
         devices = self._folder.read_meta().get("devices", 1)
         return experiment, compile_replay(experiment, devices)

@@ -32,9 +32,12 @@ from evo_cpg.fusion.unsupported import Unsupported
 from evo_cpg.physics.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.contact_model import make_contact_model
-from evo_cpg.physics.fluid import Drag, Patch, make_patches
+from evo_cpg.physics.fluid import Drag, make_patches
 from evo_cpg.physics.force_law import ForceLaw
+from evo_cpg.physics.lift import make_plate_lift
 from evo_cpg.physics.pairs import make_pairs
+from evo_cpg.physics.reactive_thrust import LEAST_BODIES, reactive_water
+from evo_cpg.physics.viscous_drag import ViscousDrag, make_viscous_drag
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
@@ -312,10 +315,12 @@ def _build_world(
 ) -> World:
     water, forces = config.world.water, list[ForceLaw]()
     if water:
-        patches = _surface_points(water, creature, tree, layout)
-        forces.append(Drag(water.form_drag, water.skin_drag, patches, water.law))
-        if water.added_mass:
-            forces.append(AddedMass(added_inertia(creature, tree, water.density)))
+        forces.append(_drag(water, creature, tree, layout))
+        forces += _moved_water(water, creature, tree, layout)
+        if water.lift:
+            # The moment of ideal fluid is that of lift ahead of the centre.
+            plates = make_plate_lift(creature, tree, not water.added_mass, layout)
+            forces += [plates] if plates else []
     for i, given in enumerate(config.world.forces):
         own = _build_part(given, ForceLaw, ("world", "forces", i), creature=creature, tree=tree)
         forces.append(own)
@@ -334,21 +339,59 @@ def _build_world(
     )
 
 
-def _surface_points(
+def _moved_water(
     water: WaterConfig, creature: Creature, tree: Tree, layout: PointLayout
-) -> tuple[Patch, ...]:
+) -> list[ForceLaw]:
+    """Build added mass and reactive thrust. Slender chains have the added mass of their sections.
+
+    Raises:
+        KeyProblem: there is no slender chain.
+    """
+    own = np.zeros((6, 6, tree.body_count))
+    if water.added_mass:
+        own = added_inertia(creature, tree, water.density)
+    if not water.reactive_thrust:
+        return [AddedMass(own)] if water.added_mass else []
+    found = reactive_water(creature, tree, water.density, own, layout == "complete")
+    if found is None:
+        raise KeyProblem(
+            ("world", "water", "reactive_thrust"),
+            f"means nothing: no chain has {LEAST_BODIES} bodies joined end to end",
+        )
+    inertia, law = found
+    return [AddedMass(inertia), law]
+
+
+def _drag(
+    water: WaterConfig, creature: Creature, tree: Tree, layout: PointLayout
+) -> Drag | ViscousDrag:
+    form, skin = _surface_points(water, creature, layout)
+    surfacing = water.surface is not None
+    if water.viscosity is None:
+        patches = make_patches(tree, form, skin, water.law, surfacing, layout)
+        return Drag(water.form_drag, water.skin_drag, patches, water.law)
+    return make_viscous_drag(
+        creature, tree, form, skin, water.viscosity, water.form_drag, surfacing, layout
+    )
+
+
+def _surface_points(
+    water: WaterConfig, creature: Creature, layout: PointLayout
+) -> tuple[dict[str, Surface], dict[str, Surface]]:
+    """Return the points for form drag and for skin friction, by body."""
+
     def by_name(surfaces: tuple[Surface, ...]) -> dict[str, Surface]:
         return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
 
-    surfacing = water.surface is not None
+    def surfaces(resolution: int) -> tuple[Surface, ...]:
+        return outer_surfaces(creature, resolution, water.sheltered, layout, water.shelter)
+
     if water.points == "random":
         rng = np.random.default_rng(water.points_seed)
-        dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered, layout)
+        dense = surfaces(_DENSE_RESOLUTION)
         points = by_name(random_surfaces(dense, water.random_points, rng))
-        return make_patches(tree, points, points, water.law, surfacing, layout)
-    form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered, layout))
-    skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered, layout))
-    return make_patches(tree, form, skin, water.law, surfacing, layout)
+        return points, points
+    return by_name(surfaces(water.form_resolution)), by_name(surfaces(water.skin_resolution))
 
 
 def _build_part(given: Any, kind: type, key: Key, **about: Any) -> Any:

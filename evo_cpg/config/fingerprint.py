@@ -9,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from evo_cpg.config.former import without_former_values
 from evo_cpg.config.own_classes import own_parts
 from evo_cpg.config.schema.experiment import ExperimentConfig
 
@@ -21,7 +22,7 @@ def fingerprint(config: ExperimentConfig) -> dict[str, dict[str, str]]:
         by module.
     """
     parts: dict[str, str] = {}
-    for name, section in config.model_dump(mode="json").items():
+    for name, section in without_former_values(config.model_dump(mode="json")).items():
         inner = section if isinstance(section, dict) else {"": section}
         for key, value in inner.items():
             text = json.dumps(value, sort_keys=True).encode()

@@ -11,6 +11,7 @@ import yaml
 
 from evo_cpg.config.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.config.files import read_small
+from evo_cpg.config.former import with_former_values
 from evo_cpg.config.keys import follow, is_index, value_at
 from evo_cpg.config.lines import located
 from evo_cpg.config.named_files import read_heights, read_mesh
@@ -36,6 +37,22 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
     """
     path = Path(path)
     return complete_config(read_yaml(path), path, overrides)
+
+
+def load_run_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
+    """Read and check the ``config.yaml`` of a run folder, which may be of a former version.
+
+    Keys that the former version lacked get the values that give its results.
+
+    Args:
+        path: YAML file.
+        overrides: as in `load_config`.
+
+    Raises:
+        ConfigError: the configuration is invalid.
+    """
+    path = Path(path)
+    return complete_config(with_former_values(read_yaml(path)), path, overrides)
 
 
 def complete_config(

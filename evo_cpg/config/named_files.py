@@ -111,5 +111,6 @@ def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
     pixels = np.asarray(imread(path))
     full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
     grey = pixels if pixels.ndim == 2 else pixels[..., :3].mean(-1)
-    # Rows run downwards in the image, which is to the right on the ground.
+    # Rows run downwards in the image, which is towards -y on the ground. The second axis of the
+    # heights runs towards +y.
     return lowest + (highest - lowest) / full * grey[::-1].T

@@ -136,7 +136,8 @@ def copy_shipped(name: str, folder: Path) -> Path:
             raise ConfigError(
                 copy,
                 (),
-                f"already exists and is not the file of {name}. Choose another folder",
+                f"already exists and differs from the file of the shipped configuration {name}. "
+                "Choose another folder",
             )
     for part in parts.values():
         make_folder((folder / part).parent)

@@ -28,6 +28,9 @@ from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
 # righting moment of a level capsule about its short axes is 33 % / n^2 = 2 % too large.
 _SLICES = 4
 
+# Largest component of a unit vector along the axis from which vectors across it are made.
+_NEARLY_ALONG = 0.9
+
 # Edge radius of a box in pictures, as a fraction of its smallest half size. Vertices along an
 # eighth of a circle: 6 look round on a body that fills a third of a frame.
 _ROUNDING, _QUARTER = 0.28, 6
@@ -129,6 +132,23 @@ class RoundedBox(NamedTuple):
     radius: Number
 
 
+class Barrel(NamedTuple):
+    """A shape seen as an elliptic cylinder with two ends.
+
+    Attributes:
+        axes: axis of the cylinder and the two half axes of its cross-section, as columns.
+        half_axes: half axes ``(3,)`` of the half-ellipsoids at the ends, m. The first is the length
+            of an end, which is 0 for flat ends.
+        length: length of the cylinder, m.
+        ends: kind of its ends.
+    """
+
+    axes: Numbers
+    half_axes: Numbers
+    length: Number
+    ends: Literal["flat", "ball", "ellipsoid"]
+
+
 class Shape(abc.ABC):
     """A convex rigid shape, centred on its own frame."""
 
@@ -207,6 +227,19 @@ class Shape(abc.ABC):
     @abc.abstractmethod
     def cells(self) -> tuple[Cell, ...]:
         """Return the parts of the volume, which together have its first and second moments."""
+
+    def barrel(self, direction: Numbers) -> Barrel:
+        """Return the shape as a cylinder with ends, along its axis nearest to a direction.
+
+        A shape without round ends, such as a mesh, becomes the box with its extents.
+
+        Args:
+            direction: vector ``(3,)`` in the shape's frame.
+        """
+        half, axes = self.half_extents, _nearest_first(direction)
+        across = half @ axes
+        flat = xp.concatenate([xp.zeros(1), across[1:]])
+        return Barrel(axes, flat, 2 * across[0], "flat")
 
     def floor_parts(self) -> tuple[FloorPart, ...]:
         """Return the parts that may touch the floor.
@@ -357,6 +390,11 @@ class Ellipsoid(Shape):
         )
 
     @override
+    def barrel(self, direction: Numbers) -> Barrel:
+        axes = _nearest_first(direction)
+        return Barrel(axes, self.half_extents @ axes, 0.0, "ellipsoid")
+
+    @override
     def cells(self) -> tuple[Cell, ...]:
         return (Cell("ball", (0.0, 0.0, 0.0), self.radii, self.volume),)
 
@@ -395,6 +433,10 @@ class Sphere(Ellipsoid):
     def radius(self) -> Number:
         """Radius, m."""
         return self.radii[0]
+
+    @override
+    def barrel(self, direction: Numbers) -> Barrel:
+        return Barrel(_frame_along(direction), self.half_extents, 0.0, "ball")
 
     @override
     def floor_parts(self) -> tuple[FloorPart, ...]:
@@ -479,6 +521,11 @@ class Capsule(Shape):
         return _join([side, ends])
 
     @override
+    def barrel(self, direction: Numbers) -> Barrel:
+        del direction
+        return Barrel(np.eye(3), xp.array([self.radius] * 3), self.length, "ball")
+
+    @override
     def cells(self) -> tuple[Cell, ...]:
         """Return a row of discs, and an ellipsoid for each half-spherical end.
 
@@ -522,6 +569,24 @@ class Capsule(Shape):
         directions, signs, faces = _split_sphere()
         points = signs * [self.length / 2, 0, 0] + self.radius * directions
         return Skin(points, directions, faces)
+
+
+def _nearest_first(direction: Numbers) -> np.ndarray:
+    """Return the coordinate axes as columns, beginning with the nearest to a direction."""
+    nearest = chosen(lambda: xp.argmax(xp.abs(direction)))
+    return np.roll(np.eye(3), -nearest, 1)
+
+
+def _frame_along(direction: Numbers) -> Numbers:
+    """Return three orthogonal unit vectors as columns, the first along a direction."""
+    length = xp.linalg.norm(direction)
+    first = xp.where(length > 0, direction, np.eye(3)[0]) / xp.where(length > 0, length, 1.0)
+    helper = chosen(
+        lambda: np.argmin(np.abs(first)), lambda axis: xp.abs(first[axis]) < _NEARLY_ALONG
+    )
+    across = xp.cross(first, np.eye(3)[helper])
+    second = across / xp.linalg.norm(across)
+    return xp.stack([first, second, xp.cross(first, second)], 1)
 
 
 def _ring(resolution: int) -> Numbers:

@@ -306,7 +306,7 @@ def _held(thing: Any, prefix: str = "") -> dict[str, Any]:
         elif not isinstance(value, np.random.Generator | np.dtype | type | str):
             version = getattr(importlib.import_module("ribs"), "__version__", "?")
             raise UnknownPyribsError(
-                f"pyribs {version} stores its state differently from 0.12 ({path} of "
+                f"pyribs {version} stores its state differently from pyribs 0.12 ({path} of "
                 f"{type(thing).__name__} is a {type(value).__name__}). "
                 "Install a known version: `pip install 'ribs~=0.12.0'`"
             )

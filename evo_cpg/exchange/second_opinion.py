@@ -13,7 +13,8 @@ Both programs solve the same equations of motion. They differ in these points:
   yield over 20 ms, and creep. Hard contacts yield within one of our steps. They need much finer
   steps of MuJoCo, because its stiff motors are inaccurate at ours.
 - Buoyancy and force laws (`evo_cpg.physics.force_law`) are ours, applied to MuJoCo's bodies at
-  every MuJoCo step. Added mass is left out: applied forces cannot depend on accelerations.
+  every MuJoCo step. Laws with an inertia, such as added mass, act by a force on MuJoCo's degrees of
+  freedom (`evo_cpg.exchange.carried_inertia`). The impact of water that a body enters is left out.
 - If friction differs from trial to trial, MuJoCo uses the friction of the configuration.
 """
 
@@ -31,11 +32,13 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.analysis.excursions import in_water
 from evo_cpg.control.controller import Command
 from evo_cpg.creature.creature import Creature
+from evo_cpg.exchange.carried_inertia import CarriedInertia, step_with_inertia
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.fusion.engine import using
 from evo_cpg.installation import command_for
+from evo_cpg.physics.force_law import in_body_axes
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.weight import buoyancy_alone
@@ -275,9 +278,14 @@ class _Player:
         """Take some of MuJoCo's steps with a constant command."""
         self.data.ctrl[:] = command
         for _ in range(count):
+            carried = None
             if self._laws is not None:
-                self.data.xfrc_applied[self._bodies] = self._laws(self.state()).T
-            self.mujoco.mj_step(self.model, self.data)
+                applied, carried = self._laws(self.state())
+                self.data.xfrc_applied[self._bodies] = applied.T
+            if carried is None:
+                self.mujoco.mj_step(self.model, self.data)
+            else:
+                step_with_inertia(self.mujoco, self.model, self.data, self._bodies, carried)
 
     def is_held(self) -> bool:
         """Return whether the animal touches something other than itself, or swims.
@@ -320,27 +328,40 @@ def _applied(world: World) -> bool:
     return world.water is not None or bool(world.forces)
 
 
-def _law_forces(world: World, h: float) -> Callable[[State], np.ndarray]:
-    """Return a function for the force (N) and moment (N m) of laws and buoyancy at body centres."""
-    laws = [law for law in world.forces if not law.needs_acceleration]
+def _law_forces(
+    world: World, h: float
+) -> Callable[[State], tuple[np.ndarray, CarriedInertia | None]]:
+    """Return a function for the effect of laws and buoyancy on the bodies.
 
-    def forces(state: State) -> Float[Array, "6 b"]:
+    It returns force (N) and moment (N m) at body centres, without those by the accelerations of
+    degrees of freedom, and the inertia of the laws, or None without such inertia.
+    """
+
+    def forces(state: State) -> tuple[Float[Array, "6 b"], CarriedInertia | None]:
         kin = kinematics(world.tree, state)
         bodies = world.bodies(kin, h)
-        parts = [law.wrench(bodies) for law in laws]
+        parts = [law.wrench(bodies) for law in world.forces]
         if world.water is not None:
             parts.append(buoyancy_alone(bodies))
         wrench = functools.reduce(operator.add, parts, jnp.zeros_like(bodies.velocity))
+        inertias = [x for law in world.forces if (x := law.inertia(bodies)) is not None]
+        carried = None
+        if inertias:
+            inertia = functools.reduce(operator.add, inertias)
+            bias = in_body_axes(kin.rotation, kin.bias_angular, kin.bias_linear)
+            wrench = wrench - matvec(inertia, bias)
+            carried = CarriedInertia(inertia, kin.rotation, kin.origin)
         arm = expand_dims_like(world.tree.com, wrench[3:])
         moment = wrench[:3] - cross(arm, wrench[3:])
-        return jnp.concatenate([matvec(kin.rotation, x) for x in (wrench[3:], moment)])
+        turned = jnp.concatenate([matvec(kin.rotation, x) for x in (wrench[3:], moment)])
+        return turned, carried
 
     with jax.enable_x64(True):
         program = jax.jit(forces)
 
-    def compute(state: State) -> np.ndarray:
+    def compute(state: State) -> tuple[np.ndarray, CarriedInertia | None]:
         with jax.enable_x64(True):
-            return np.asarray(program(state))
+            return jax.device_get(program(state))
 
     return compute
 

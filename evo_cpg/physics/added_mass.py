@@ -47,7 +47,6 @@ class AddedMass(ForceLaw):
     """
 
     of_water: ClassVar[bool] = True
-    needs_acceleration: ClassVar[bool] = True
 
     carried: Float[Numbers, "6 6 b"]
 

@@ -119,9 +119,11 @@ def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6
 
 
 def _turn_easily(tree: Tree) -> Bool[Numbers, " b"]:
-    """Return which bodies rounding of ``v x m v`` turns, by about ``1e-7 v^2 / r^2`` rad/s^2.
+    """Return which bodies are so small that the rounding of ``v x m v`` would turn them.
 
-    Larger bodies keep the rounding of earlier versions.
+    The rounding accelerates a body by about ``1e-7 v^2 / r^2`` rad/s^2. Here r is the smallest
+    radius of gyration. The rounding matters if r is below `_TURNS_EASILY`. Larger bodies are
+    computed as in earlier versions, with the same rounding.
     """
     least = xp.diagonal(central_inertia(tree)).min(1)
     return least < _TURNS_EASILY**2 * tree.mass

@@ -64,7 +64,8 @@ def _best_face(a: RoundedBoxes, b: RoundedBoxes) -> tuple[Array, Array, Array]:
 def _best_edges(a: RoundedBoxes, b: RoundedBoxes, least: Array) -> tuple[Array, Separation]:
     """Return whether a pair of edges is farther apart than ``least``, and the farthest pair.
 
-    The pair is edge i of a and edge j of b, and a_i x b_j is normal to both.
+    The pair is edge i of a and edge j of b, and a_i x b_j is normal to both. If no pair is farther
+    apart than ``least``, the returned pair is meaningless.
     """
     away = b.centre - a.centre
     turn, along = t_matmul(a.axes, b.axes), matvec_t(a.axes, away)

@@ -38,9 +38,20 @@ from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
-from evo_cpg.spatial.decisions import Condition, all_hold, chosen
+from evo_cpg.physics.surface_points import (
+    Places,
+    alike,
+    merge_alike,
+    outer_products,
+    places_of,
+    runs,
+    still_alike,
+    velocity_rows,
+    wet_fraction,
+)
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.mixed_array import MixedArray
-from evo_cpg.spatial.numerics import Number, Numbers, xp
+from evo_cpg.spatial.numerics import Number, xp
 
 # Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 _SPEED_FLOOR = 1e-12
@@ -48,31 +59,7 @@ _SPEED_FLOOR = 1e-12
 # Operations of native code per point of form drag, of skin friction, and of either at a surface.
 _FORM_POINT, _SKIN_POINT, _SURFACE_POINT = 27.0, 36.0, 38.0
 
-# Decimals to which equal numbers are rounded, and tolerance for numbers to stay equal (m, m^2).
-_DECIMALS, _SAME = 9, 1e-9
-
-# Largest component of a normal along the axis from which tangents are made. A normal's least
-# component is at most 0.58.
-_ACROSS = 0.9
-
-# Height over which a level patch gets wet, as a fraction of its size, so that forces do not jump.
-_LEAST_SLOPE = 0.1
-
 DragLaw = Literal["normal", "isotropic"]
-
-
-class Places(NamedTuple):
-    """Places of the points of a patch, for their depth.
-
-    Attributes:
-        points: positions in the body's working frame, m.
-        normals: outward unit normals.
-        extents: half the edge of a square of a point's area, m.
-    """
-
-    points: np.ndarray
-    normals: np.ndarray
-    extents: np.ndarray
 
 
 class Patch(NamedTuple):
@@ -186,7 +173,7 @@ def make_patches(
         for i, name in enumerate(tree.names)
     ]
     groups = (
-        chosen(lambda: _alike(placed), lambda groups: _still_alike(placed, groups))
+        chosen(lambda: alike(placed), lambda groups: still_alike(placed, groups))
         if layout == "merged"
         else [(i,) for i in range(len(placed))]
     )
@@ -219,7 +206,7 @@ def drag(
     pieces = []
     for patch in law.patches:
         evaluate = functools.partial(_patch_drag, law, density, patch)
-        for run in _runs(patch.bodies):
+        for run in runs(patch.bodies):
             part = [x[:, run] for x in (velocity, pose) if x is not None]
             pieces.append((run.start, *evaluate(*part)))
     wet = {body for patch in law.patches for body in patch.bodies}
@@ -265,8 +252,8 @@ def _patch_drag(
         )
         along = speed
     if pose is not None:
-        speed = speed * _wet_fraction(patch.normal_places, pose)
-        along = along * _wet_fraction(patch.tangential_places, pose)
+        speed = speed * wet_fraction(patch.normal_places, pose)
+        along = along * wet_fraction(patch.tangential_places, pose)
     friction = jnp.concatenate([along * first, along * second])
     wrench = -product(patch.normal.T * normal_factor[None], speed * normal)
     wrench = wrench - product(
@@ -277,130 +264,22 @@ def _patch_drag(
     return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *velocity.shape[1:])
 
 
-def _wet_fraction(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[Array, "p kn"]:
-    """Return the fraction under water of the patch around each point, a cubic in its depth.
-
-    Raises:
-        ValueError: if the patches were made for water without a surface.
-    """
-    if places is None:
-        raise ValueError("patches have no depth. Call make_patches(..., surfacing=True)")
-    flat = pose.reshape(4, -1)
-    up, height = flat[:3], flat[3:]
-    points, normals, extents = (jnp.asarray(column, flat.dtype) for column in places)
-    steepness = normals @ up
-    spread = extents[:, None] * jnp.sqrt(1.0 - (1.0 - _LEAST_SLOPE**2) * steepness * steepness)
-    # Points with the same normal and area share the quotient.
-    fraction = jnp.clip(0.5 - (height + points @ up) * (0.5 / spread), 0.0, 1.0)
-    return fraction * fraction * (3.0 - 2.0 * fraction)
-
-
 def _patch(
     bodies: tuple[int, ...], form: Surface, skin: Surface, merge: bool, surfacing: bool
 ) -> Patch:
-    normal, _, _ = _velocity_rows(form)
+    normal, _, _ = velocity_rows(form)
     normal_area = form.areas
     if merge and not surfacing:
-        normal, normal_area = _merge_alike(normal, normal_area)
-    _, first, second = _velocity_rows(skin)
+        normal, normal_area = merge_alike(normal, normal_area)
+    _, first, second = velocity_rows(skin)
     return Patch(
         bodies,
         normal,
         normal_area,
-        _outer_products(normal),
+        outer_products(normal),
         xp.stack([first, second]),
         skin.areas,
-        _outer_products(first) + _outer_products(second),
-        _places(form) if surfacing else None,
-        _places(skin) if surfacing else None,
+        outer_products(first) + outer_products(second),
+        places_of(form) if surfacing else None,
+        places_of(skin) if surfacing else None,
     )
-
-
-def _alike(surfaces: list[tuple[Surface, Surface]]) -> list[tuple[int, ...]]:
-    """Return the bodies grouped by their surfaces."""
-    groups: dict[bytes, list[int]] = {}
-    for i, own in enumerate(surfaces):
-        key = b"|".join(
-            np.round(column, _DECIMALS).tobytes() for surface in own for column in surface
-        )
-        groups.setdefault(key, []).append(i)
-    return [tuple(bodies) for bodies in groups.values()]
-
-
-def _still_alike(
-    surfaces: list[tuple[Surface, Surface]], groups: list[tuple[int, ...]]
-) -> Condition:
-    """Return whether all bodies of each group still have equal surfaces."""
-    return all_hold(
-        (xp.abs(one - same) <= _SAME).all()
-        for first, *others in groups
-        for other in others
-        for own, theirs in zip(surfaces[first], surfaces[other], strict=True)
-        for one, same in zip(own, theirs, strict=True)
-    )
-
-
-def _places(surface: Surface) -> Places:
-    # Points without area have no force, so any extent serves.
-    areas = xp.where(surface.areas > 0, surface.areas, 1.0)
-    return Places(surface.points, surface.normals, xp.sqrt(areas) / 2)
-
-
-def _velocity_rows(surface: Surface) -> list[Numbers]:
-    """Return rows ``(points, 6)`` for the normal and two tangential velocities of a twist."""
-    points, normals, _ = surface
-    helper = np.eye(3)[
-        chosen(lambda: np.abs(normals).argmin(-1), lambda axes: _are_across(normals, axes))
-    ]
-    across = xp.cross(normals, helper)
-    first = across / xp.linalg.norm(across, axis=-1, keepdims=True)
-    second = xp.cross(normals, first)
-    return [
-        xp.concatenate([xp.cross(points, direction), direction], -1)
-        for direction in (normals, first, second)
-    ]
-
-
-def _are_across(normals: Numbers, axes: np.ndarray) -> Condition:
-    """Return whether no axis is nearly along its normal, so that the axes give tangents."""
-    return (xp.abs(normals[np.arange(len(axes)), axes]) < _ACROSS).all()
-
-
-def _merge_alike(rows: Numbers, areas: Numbers) -> tuple[Numbers, Numbers]:
-    """Return one row for all rows that are equal up to their sign, with summed areas."""
-    signs, kept, members = chosen(
-        lambda: _equal_up_to_sign(rows), lambda merged: _may_merge(rows, *merged)
-    )
-    return (rows * signs)[kept], members @ areas
-
-
-def _equal_up_to_sign(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a sign for each row, the first row of each kind, and the members of each kind."""
-    rounded = np.round(rows, _DECIMALS) + 0.0
-    leading = np.take_along_axis(rounded, (rounded != 0).argmax(1)[:, None], 1)
-    signs = np.where(leading < 0, -1.0, 1.0)
-    _, first, inverse = np.unique(
-        rounded * signs + 0.0, axis=0, return_index=True, return_inverse=True
-    )
-    # Keep the order of the points: the order of the rows would change with a body's size.
-    order = np.argsort(first)
-    return signs, first[order], (inverse.ravel() == order[:, None]).astype(float)
-
-
-def _may_merge(
-    rows: Numbers, signs: np.ndarray, kept: np.ndarray, members: np.ndarray
-) -> Condition:
-    """Return whether the merged rows are equal up to their sign."""
-    signed = rows * signs
-    return (xp.abs(signed - signed[kept[members.argmax(0)]]) <= _SAME).all()
-
-
-def _outer_products(rows: Numbers) -> Numbers:
-    """Return the (angular, mixed, linear) blocks of ``w w^T`` of each row, ``(27, points)``."""
-    outer = xp.einsum("pi,pj->ijp", rows, rows)
-    return xp.stack([outer[:3, :3], outer[:3, 3:], outer[3:, 3:]]).reshape(27, -1)
-
-
-def _runs(indices: tuple[int, ...]) -> list[slice]:
-    splits = np.split(np.array(indices), np.flatnonzero(np.diff(indices) != 1) + 1)
-    return [slice(int(run[0]), int(run[-1]) + 1) for run in splits]

@@ -189,7 +189,6 @@ class ForceLaw(eqx.Module):
     Attributes:
         of_water: whether the water exerts the force. Energy budgets then count it as work of the
             water, and the force is zero for a creature that rests in still water.
-        needs_acceleration: whether the wrench depends on the acceleration of the bodies.
 
     Example:
         A spring that pulls a body to the origin of the world::
@@ -206,7 +205,6 @@ class ForceLaw(eqx.Module):
     """
 
     of_water: ClassVar[bool] = False
-    needs_acceleration: ClassVar[bool] = False
 
     @abc.abstractmethod
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:

@@ -38,9 +38,10 @@ from evo_cpg.spatial.linear import (
 )
 from evo_cpg.spatial.numerics import Number
 
-# Gap (m) added in the ranking to each further point on one obstacle, so that a part that lies on
-# two obstacles has points on both. In the ranking of obstacles, it is the weight of the distance
-# from the part's centre to the obstacle.
+# A part keeps its points with the smallest gaps. Each further point on one obstacle counts as this
+# much farther away (m), so that a part that lies on two obstacles has points on both. The same
+# number is a weight in the choice of a part's nearest obstacles. It multiplies the distance from
+# the part's centre to the obstacle, which decides between obstacles that overlap.
 _BEHIND = 1e-3
 
 # Squared length (m^2) added under a root, so that the root has a gradient at zero.

@@ -22,9 +22,10 @@ these members:
 | ``power(change)`` | power of the forces, W |
 | ``newton()`` | linearized torques at zero joint acceleration, and ``h J^T K J`` |
 
-The bias belongs to joint rates between the start and the end of the step. Few pairs store the
-acceleration itself, ``(p, *n)``, m/s^2. Many pairs store the joint accelerations that lead to those
-rates, ``(d, *n)``, rad/s^2.
+``find_pair_contacts`` computes the bias at the joint rates at the start of the step. ``bias_at``
+computes it at the rates after the step, and ``with_bias`` replaces it. Few pairs store the
+acceleration itself, ``(p, *n)``, m/s^2. Many pairs store the joint accelerations that lead from the
+rates at the start to the rates of the bias, ``(d, *n)``, rad/s^2.
 """
 
 from jaxtyping import Array, Float

@@ -32,7 +32,7 @@ def is_traced(*values: Any) -> bool:
 
 
 def _whole(value: Any) -> Any:
-    """Return a mixed array as a JAX array, because jitted JAX functions refuse mixed arrays."""
+    """Return a `MixedArray` as a JAX array, because jitted JAX functions refuse it."""
     return jnp.asarray(value) if isinstance(value, MixedArray) else value
 
 

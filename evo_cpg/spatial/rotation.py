@@ -1,4 +1,6 @@
-"""Rotations: unit quaternions ``(w, x, y, z)`` and rotation matrices, components first.
+"""Rotations: unit quaternions ``(w, x, y, z)`` and rotation matrices.
+
+The components are the first axes of an array. Other axes, such as the individuals, follow.
 
 A rotation matrix ``R`` takes body coordinates to world coordinates, ``x_world = R x_body``.
 """

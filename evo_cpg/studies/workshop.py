@@ -28,7 +28,7 @@ from evo_cpg.api.sweep import Member, evolve
 from evo_cpg.api.training import now
 from evo_cpg.api.version import program_commit
 from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.config.load import dump_config, load_config, load_run_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting
 from evo_cpg.config.shipped import shipped
@@ -292,7 +292,7 @@ def _require_same(member: Member) -> None:
     folder, config = member.folder, dump_config(member.config)
     if not folder.config.is_file() or folder.config.read_text("utf-8") == config:
         return
-    if _what_evolves(load_config(folder.config)) != _what_evolves(member.config):
+    if _what_evolves(load_run_config(folder.config)) != _what_evolves(member.config):
         raise RunFolderError(
             f"{folder.path} was made with another configuration. Choose another --out, or --fresh "
             "to delete and repeat it"

@@ -164,7 +164,10 @@ def compile_refinement(
 def compile_evaluation(
     experiment: ExperimentParts, mesh: Mesh, devices: int
 ) -> Callable[[Float[np.ndarray, "g n"], Champion], list[Champion]]:
-    """Return a function that evaluates genomes in place of a champion: with its noise and scales.
+    """Return a function that evaluates genomes under the noise of a champion.
+
+    The function also uses the champion's normalisation constants (`Champion.scales`), so that a
+    genome's fitness can be compared with the champion's.
 
     Args:
         experiment: experiment of the genomes.
@@ -172,7 +175,8 @@ def compile_evaluation(
         devices: number of devices that shared the population in training.
 
     Returns:
-        A function of genomes and the champion that returns the individuals with finite fitness.
+        A function of genomes and the champion. It returns the evaluated individuals, without those
+        whose fitness is not finite.
     """
     count = experiment.runs * experiment.strategy.population * experiment.trials
     width = chunk_width(count, devices)

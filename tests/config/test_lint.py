@@ -44,6 +44,12 @@ MISTAKES = {
         "world.water.density",
         "If it is in g/cm^3, write 1025",
     ),
+    "viscosity in mPa s": (
+        CONFIG,
+        ["world.water.viscosity=1"],
+        "world.water.viscosity",
+        "If it is in mPa s, write 0.001",
+    ),
     "water like air": (CONFIG, ["world.water.density=80"], "world.water.density", "Water has 1000"),
     "box in mm": (
         CONFIG,
@@ -292,6 +298,12 @@ MISTAKES = {
         ["creature.depth_sensors=[{body: head, full_scale: 1000}]", LEVEL],
         "creature.depth_sensors.0.full_scale",
         "the water is 1 m deep, so this gauge never reads more than 0.001 of full scale",
+    ),
+    "lift of a chain": (
+        CONFIG,
+        ["world.water.viscosity=0.001", "world.water.lift=true"],
+        "world.water.lift",
+        "no body has lift; it needs a body that is thinner than",
     ),
     "water under the ground": (
         SHORE,

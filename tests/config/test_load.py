@@ -16,6 +16,8 @@ from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.physics.added_mass import AddedMass
 from evo_cpg.physics.fluid import Drag
+from evo_cpg.physics.reactive_thrust import ReactiveThrust
+from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.walk import Distance, Walk
 from tiny_run import CONFIG, REPOSITORY
@@ -213,6 +215,7 @@ def test_unknown_key_gets_the_nearest_valid_key(key, value, expected):
         ("world__gravity", False, "False: must be a number"),
         ("world__water__sheltered", 1, "1: must be true or false"),
         ("world__water__law", "newton", "'newton': must be 'normal' or 'isotropic'"),
+        ("world__water__viscosity", 0, "0: must be greater than 0"),
         ("simulation__steps", 0, "0: must be greater than or equal to 1"),
         ("simulation__steps", 10**12, "1000000000000: must be less than or equal"),
         ("simulation__steps", 1.5, "1.5: must be a whole number"),
@@ -552,6 +555,14 @@ def test_invalid_overrides_are_rejected(override, expected):
     assert expected in str(caught.value) and "\n" not in str(caught.value)
 
 
+def test_viscosity_chooses_the_drag_law():
+    water = {"viscosity": 0.002, "form_drag": 0.5}
+    world = build_experiment(check_config(small(world={"water": water}), "x.yaml"), "x.yaml")
+    (law,) = world.simulation.world.forces
+    assert isinstance(law, ViscousDrag)
+    assert (law.viscosity, law.form_drag) == (0.002, 0.5)
+
+
 def test_water_with_a_surface():
     water = {
         "surface": 0.5,
@@ -571,10 +582,31 @@ def test_water_with_a_surface():
     assert everywhere.cells == () and everywhere.law(AddedMass) is None
 
 
+def test_water_with_reactive_thrust_is_built():
+    tail = {"name": "tail{i}", "repeat": 3}
+    data = small(world={"water": {"reactive_thrust": True}})
+    data["creature"]["bodies"][1] |= tail
+    world = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.world
+    assert [type(law) for law in world.forces] == [Drag, AddedMass, ReactiveThrust]
+    assert world.law(ReactiveThrust).bodies[:2] == (0, 3)
+
+
 @pytest.mark.parametrize(
     ("water", "expected"),
     [
+        (
+            {"reactive_thrust": True},
+            "world.water.reactive_thrust: means nothing: no chain has 3 bodies joined end to end",
+        ),
         ({"surfce": 0}, "world.water.surfce: unknown key: did you mean 'surface'?"),
+        (
+            {"viscosity": 0.001, "skin_drag": 0.1},
+            "viscosity determines skin friction; leave out skin_drag (0.1)",
+        ),
+        (
+            {"viscosity": 0.001, "law": "isotropic"},
+            "viscosity has a drag law of its own; leave out law ('isotropic')",
+        ),
         (
             {"current_gradient": [[0.2, 0, 0], [0, 0.1, 0], [0, 0, 0]]},
             "water keeps its volume, so the diagonal must add up to 0",

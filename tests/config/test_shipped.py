@@ -176,7 +176,7 @@ def test_a_copy_replaces_no_file(tmp_path):
     changed = tmp_path / "creatures" / "salamander.yaml"
     changed.write_text("mine")
     with pytest.raises(
-        ConfigError, match=r"salamander\.yaml: already exists and is not the file of"
+        ConfigError, match=r"salamander\.yaml: already exists and differs from the file"
     ):
         copy_shipped("iwadate2010_salamander_land", tmp_path)
     assert changed.read_text() == "mine"

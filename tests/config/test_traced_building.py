@@ -97,6 +97,14 @@ def test_elements_of_a_swimmer():
     check_elements(config, keys)
 
 
+@pytest.mark.usefixtures("x64")
+@pytest.mark.slow
+def test_numbers_of_a_swimmer_with_reactive_thrust():
+    settings = ("world.water.reactive_thrust=true", "simulation.substeps=1")
+    keys = ["world.water.density", "creature.bodies.0.shape.size.0", "creature.bodies.1.joint.at.0"]
+    check_elements(load_config(CONFIG, [*TINY, *settings]), keys)
+
+
 SHAPES = """
 name: shapes
 materials: {wood: {density: 600, static_friction: 0.7}}
@@ -170,7 +178,7 @@ def test_bodies_that_become_different_get_separate_surfaces():
     for body, side in zip(creature["bodies"][1:], (1, -1), strict=True):
         body["name"] = f"ball{side}"
         body["joint"] = body["joint"] | {"at": [0.0, 0.4 * side, 0.0]}
-    config = shapes(water={}).model_dump(mode="json") | {"creature": creature}
+    config = shapes(water={"sheltered": False}).model_dump(mode="json") | {"creature": creature}
     parameters = check_elements(check_config(config, CONFIG), ["creature.bodies.1.shape.radius"])
     assert parameters.building.layout == "separate"
 

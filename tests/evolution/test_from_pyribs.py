@@ -306,7 +306,7 @@ def test_an_unknown_pyribs_is_reported(monkeypatch):
     monkeypatch.setattr(opt, "SeparableCMAEvolutionStrategy", Longer)
     with pytest.raises(
         UnknownPyribsError,
-        match=r"pyribs .* differently from 0\.12 \(past of Longer is a list\)\. .*`pip install",
+        match=r"differently from pyribs 0\.12 \(past of Longer is a list\)\. .*`pip install",
     ):
         made(sigma=0.123)
 

@@ -57,6 +57,18 @@ def test_both_programs_agree_in_water(swimmer):
         np.testing.assert_allclose(other.path, own.path, atol=2e-3)
 
 
+@pytest.mark.slow
+def test_mujocos_animal_carries_water_and_sheds_it():
+    """A chain of five bodies with reactive thrust, in steps of 1/960 s here and 1/2000 s there."""
+    chain = [*PAIR, "creature.bodies.1.repeat=4", "world.water.reactive_thrust=true"]
+    experiment, _, steps = trial(CONFIG, *chain, "simulation.steps=60", "simulation.substeps=16")
+    own = own_opinion(experiment.simulation, steps)
+    other = second_opinion(experiment.simulation, experiment.creature, steps)
+    assert np.abs(own.joint_angle).max() > 0.1 and own.displacement > 5e-3
+    np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=1e-4)
+    np.testing.assert_allclose(other.path, own.path, atol=5e-4)
+
+
 def test_an_animal_in_water_is_not_airborne(swimmer):
     """The fraction is None without ground or with water everywhere."""
     experiment, _, steps = swimmer

@@ -26,6 +26,19 @@ EVERY = sorted(p.stem for p in CONFIGS.glob("*.yaml") if not p.stem.endswith("_r
 # A swimmer with three of its ten bodies. The other configs compile longer.
 # `tests/physics/test_walker_contacts.py` compares one step on the ground.
 SMALL = pytest.param("iwadate2010_swimmer", ("creature.bodies.1.repeat=1",), id="three bodies")
+SHEDDING = (
+    "creature.bodies.0.shape.size.2=0.15",
+    "creature.bodies.1.repeat=2",
+    "world.water.surface=0.02",
+    "world.water.reactive_thrust=true",
+)
+LIFTING = (
+    "creature.bodies.1.repeat=1",
+    "creature.bodies.1.shape.size.1=0.02",
+    "world.water.surface=0.02",
+    "world.water.viscosity=0.001",
+    "world.water.lift=true",
+)
 STEPS, INDIVIDUALS = 3, 2
 
 # Roundings differ by 2e-16 in every operation, and contact multiplies that by thousands. Measured
@@ -54,6 +67,8 @@ def trial(name, overrides, engine):
     ("name", "overrides"),
     [
         SMALL,
+        pytest.param(SMALL.values[0], SHEDDING, id="reactive thrust", marks=pytest.mark.slow),
+        pytest.param(SMALL.values[0], LIFTING, id="lift", marks=pytest.mark.slow),
         *[pytest.param(name, (), id=name, marks=pytest.mark.slow) for name in EVERY],
     ],
 )

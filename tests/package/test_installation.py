@@ -49,7 +49,7 @@ def test_a_clone_stays_editable(installed, tmp_path, monkeypatch):
         *("-m", "pip", "install", "-c", str(folder / "constraints.txt")),
         *("-e", f"{folder}[mujoco]"),
     ]
-    # In the clone, paths are relative to it.
+    # If the working folder is the clone, the command has paths relative to the clone.
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "executable", str(folder / ".venv" / "bin" / "python"))
     assert command_for("jobs") == (

@@ -46,6 +46,11 @@ CASES = {
         ),
     ),
 }
+CASES["viscous swimmer"] = (
+    SWIMMER,
+    (*TINY, "world.water.viscosity=0.001"),
+    (*CASES["swimmer"][2], "world.water.viscosity"),
+)
 # The hopper is the walker's torso with the upper half of one leg: two bodies to compile, not nine.
 CASES["hopper"] = (
     WALKER,
@@ -86,6 +91,7 @@ def genes_of(simulation, dtype):
         ("swimmer", np.float32, 1e-5),
         ("hopper", np.float64, 1e-10),
         pytest.param("walker", np.float64, 1e-10, marks=pytest.mark.slow),
+        pytest.param("viscous swimmer", np.float32, 1e-5, marks=pytest.mark.slow),
         pytest.param("swimmer", np.float64, 1e-10, marks=pytest.mark.slow),
         pytest.param("walker", np.float32, 1e-5, marks=pytest.mark.slow),
     ],

@@ -16,6 +16,8 @@ from tiny_run import CONFIG, PAIR, REPOSITORY
 _ERROR = 0.4
 
 _LAND = (*PAIR, "world.water=null", "world.ground={}")
+_VISCOUS = "world.water.viscosity=0.001"
+_LIFT = ("creature.bodies.1.shape.size.1=0.02", "world.water.lift=true")
 _APART = "creature.self_collision=false"
 
 
@@ -39,7 +41,16 @@ def assert_about(simulation: Simulation) -> None:
     assert estimate_operations(simulation).total == pytest.approx(true, rel=_ERROR)
 
 
-@pytest.mark.parametrize("overrides", [PAIR, _LAND], ids=["in water", "on land"])
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        PAIR,
+        _LAND,
+        pytest.param((*PAIR, _VISCOUS), marks=pytest.mark.slow),
+        pytest.param((*PAIR, _VISCOUS, *_LIFT), marks=pytest.mark.slow),
+    ],
+    ids=["in water", "on land", "in water with a viscosity", "with lift"],
+)
 def test_estimate_is_near_the_true_number(overrides):
     assert_about(simulation_of(*overrides))
 

@@ -10,6 +10,8 @@ from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfig
 from evo_cpg.creature.creature import lowest_height
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.lift import make_plate_lift
 
 # Largest movement by gravity in a physics step, as a fraction of a body's half thickness. At 0.6
 # the body sinks into the ground by 0.05 of that. At 2 a floating body never rests.
@@ -125,6 +127,20 @@ def water_by_default(case: Case) -> Iterator[LintWarning]:
         "water everywhere",
         "left out",
     )
+
+
+@rule
+def lift_of_nothing(case: Case) -> Iterator[LintWarning]:
+    """Warn of lift if no body is a plate."""
+    water = case.config.world.water
+    if water is None or not water.lift:
+        return
+    if make_plate_lift(case.creature, build_tree(case.creature)) is None:
+        yield case.warning(
+            ("world", "water", "lift"),
+            "no body has lift; it needs a body that is thinner than three quarters of its width "
+            "and that is not in a chain of three bodies or more",
+        )
 
 
 @rule

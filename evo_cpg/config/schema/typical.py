@@ -74,6 +74,10 @@ _DENSITIES = {"g/cm^3": 1000.0, "g/m^3": 1e-3}
 SOLID = TypicalRange(20.0, 23_000.0, "kg/m^3", _DENSITIES, "Water has 1000")
 LIQUID = TypicalRange(500.0, 2000.0, "kg/m^3", _DENSITIES, "Water has 1000")
 
+# Water at 20 degrees has 0.001 Pa s, and solutions for worms up to some tenths. The kinematic
+# viscosity in m^2/s is a thousand times smaller.
+VISCOSITY = TypicalRange(1e-4, 0.5, "Pa s", {"mPa s": 1e-3, "m^2/s": 1000.0}, "water has 0.001")
+
 # The strongest gravity of a planet of the sun is 24.8 m/s^2 (Jupiter).
 GRAVITY = TypicalRange(0.0, 30.0, "m/s^2", {"cm/s^2": 0.01}, "Earth has 9.81")
 

@@ -2,12 +2,13 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.ground import GroundConfig
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
-from evo_cpg.config.schema.typical import GRAVITY, LIQUID
+from evo_cpg.config.schema.typical import GRAVITY, LIQUID, VISCOSITY
+from evo_cpg.creature.surface import ShelterRule
 from evo_cpg.physics.fluid import DragLaw
 from evo_cpg.physics.water import Current, Vortex, Water
 
@@ -34,16 +35,24 @@ class WaterConfig(Section):
 
     Attributes:
         density: mass per volume, kg/m^3.
-        form_drag: coefficient C_d for the normal velocity at every surface point.
+        viscosity: dynamic viscosity, Pa s, or ``null`` for drag with constant coefficients. With a
+            viscosity, drag follows the Reynolds number and the shape of the bodies.
+        form_drag: coefficient C_d for the normal velocity at every surface point. With a viscosity
+            it is a factor of the measured coefficients.
         skin_drag: coefficient C_f for the tangential velocity at every surface point.
         surface: height of the water's surface, m, or ``null`` for water everywhere.
         added_mass: whether bodies accelerate the water around them, as in ideal fluid.
+        reactive_thrust: whether slender chains of at least three bodies push off from the water
+            that leaves their tails, as in Lighthill's theory; it includes their added mass.
+        lift: whether thin bodies, such as fins, have lift. Needs ``viscosity``.
         current: velocity of the water, m/s; with a gradient, at the origin.
         current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
         vortices: vortices that are added to the current.
         law: drag law: ``normal`` splits the drag into form and skin drag, ``isotropic`` is exactly
             eq. 8 of Iwadate 2010.
-        sheltered: whether faces that other bodies cover at rest have no drag.
+        sheltered: whether surfaces that other bodies cover at rest have no drag.
+        shelter: rule for what is covered: ``outline`` joins round ends in line, ``facing`` is the
+            rule of version 1.0.
         points: ``quadrature`` distributes the points evenly, ``random`` draws them once, as in the
             paper, from ``points_seed``.
         form_resolution: resolution of points for form drag: its square on each face of a box.
@@ -53,15 +62,19 @@ class WaterConfig(Section):
     """
 
     density: Annotated[Positive, LIQUID] = 1000.0
+    viscosity: Annotated[Positive | None, VISCOSITY] = None
     form_drag: NotNegative = 1.0
     skin_drag: NotNegative = 0.02
     surface: Finite | None = None
     added_mass: bool = False
+    reactive_thrust: bool = False
+    lift: bool = False
     current: Vector = (0.0, 0.0, 0.0)
     current_gradient: tuple[Vector, Vector, Vector] | None = None
     vortices: tuple[VortexConfig, ...] = ()
     law: DragLaw = "normal"
     sheltered: bool = True
+    shelter: ShelterRule = "outline"
     points: Literal["quadrature", "random"] = "quadrature"
     form_resolution: Annotated[int, Field(ge=1, le=32)] = 2
     skin_resolution: Annotated[int, Field(ge=1, le=32)] = 1
@@ -73,6 +86,20 @@ class WaterConfig(Section):
         vortices = (vortex.into(Vortex) for vortex in self.vortices)
         current = Current(self.current, self.current_gradient)
         return Water(self.density, self.surface, (current, *vortices))
+
+    @model_validator(mode="after")
+    def _has_one_drag_law(self) -> "WaterConfig":
+        if self.viscosity is None:
+            if self.lift:
+                raise ValueError("lift completes the drag of water with a viscosity; set viscosity")
+            return self
+        if self.law != "normal":
+            raise ValueError(f"viscosity has a drag law of its own; leave out law ({self.law!r})")
+        if self.skin_drag != type(self).model_fields["skin_drag"].default:
+            raise ValueError(
+                f"viscosity determines skin friction; leave out skin_drag ({self.skin_drag:g})"
+            )
+        return self
 
     @field_validator("current_gradient")
     @classmethod

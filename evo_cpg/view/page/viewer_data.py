@@ -22,7 +22,7 @@ from evo_cpg.view.scene import Panel, Scene, scene_of
 RATE = 30.0
 # Window over which the path of the camera's focus is smoothed, s.
 _CALM = 1.0
-# The mesh of uneven ground ends this many radii of the animal from its path.
+# The mesh of uneven ground ends this many radii of the animal beyond its path and the light.
 _FAR = 14.0
 # Range of a signed number of 16 bits.
 _SHORT = 32767

@@ -1,0 +1,245 @@
+"""Slender chains: bodies joined end to end, such as a trunk with its tail, or a leg.
+
+The laws of water need the outline of a whole chain. Its length sets the flow around each of its
+bodies, and the distance from its nose sets the boundary layer.
+
+Two bodies are linked if the joint lies between them: the direction from one centre to the joint and
+on to the other centre turns by at most 45 degrees, and if neither body is four times as wide as the
+other. A body has at most two links, on opposite sides. Of several candidates it takes those whose
+widths are most alike its own. So a trunk continues in its tail and not in a fin. Equally alike
+candidates on the same side, such as the two lobes of a fluke, are a fork, which ends the chain.
+Every body belongs to exactly one chain, which may have one body only.
+
+The nose is the end that points forward, along +x. In a chain that stands across, such as a leg, it
+is the end nearer to the root.
+"""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
+from evo_cpg.creature.shapes import Shape
+from evo_cpg.spatial.decisions import Condition, all_hold, chosen
+from evo_cpg.spatial.numerics import Number, Numbers, xp
+
+# Cosine of the largest turn at a link, and largest cosine between the two links of a body.
+_STRAIGHT, _OPPOSITE = 0.7, -0.5
+
+# Largest ratio of the widths of linked bodies.
+_SIMILAR = 4.0
+
+# Ratio of the likeness of two candidates above which they count as equally alike.
+_EQUALLY = 0.99
+
+# Least length of a centreline, m. A body without size has no direction.
+_LEAST_LENGTH = 1e-12
+
+# Cosine of the largest angle between a chain and +x at which its front end is the nose.
+_FORWARD = 0.5
+
+
+class SlenderChain(NamedTuple):
+    """Bodies joined end to end, from the nose to the tail.
+
+    Attributes:
+        bodies: indices of the bodies in ``creature.bodies``.
+        front: front end of each body's centreline, in the body's geometric frame, m.
+        rear: rear end of each body's centreline, in the body's geometric frame, m.
+    """
+
+    bodies: tuple[int, ...]
+    front: Float[Numbers, "n 3"]
+    rear: Float[Numbers, "n 3"]
+
+    @property
+    def lengths(self) -> Float[Numbers, " n"]:
+        """Length of each body's centreline, m."""
+        return xp.linalg.norm(self.front - self.rear, axis=-1)
+
+    @property
+    def tangents(self) -> Float[Numbers, "n 3"]:
+        """Unit vector along each body's centreline towards the nose, in the body's frame."""
+        return (self.front - self.rear) / xp.maximum(self.lengths, _LEAST_LENGTH)[:, None]
+
+    @property
+    def length(self) -> Number:
+        """Length of the chain, m."""
+        return self.lengths.sum()
+
+    @property
+    def distances(self) -> Float[Numbers, " n"]:
+        """Distance of each body's front end from the nose along the chain, m."""
+        return xp.cumsum(self.lengths) - self.lengths
+
+
+class _Link(NamedTuple):
+    """Joint between two bodies, by their indices; the first is the parent."""
+
+    parent: int
+    child: int
+
+    def other(self, body: int) -> int:
+        return self.child if body == self.parent else self.parent
+
+
+def slender_chains(creature: Creature) -> tuple[SlenderChain, ...]:
+    """Return the chains of a creature, which contain each body once."""
+    pose = neutral_pose(creature)
+    joints = _joints(creature)
+
+    def choose() -> tuple[tuple[int, ...], ...]:
+        links = _links(creature, pose, joints)
+        return tuple(_noses_first(creature, pose, bodies) for bodies in _paths(creature, links))
+
+    def still(chains: tuple[tuple[int, ...], ...]) -> Condition:
+        made = [_Link(*pair) for bodies in chains for pair in itertools.pairwise(bodies)]
+        turns = [_turn(creature, pose, link) for link in made]
+        return all_hold(turn > _STRAIGHT - 0.2 for turn in turns)
+
+    chains = chosen(choose, still)
+    return tuple(_chain(creature, pose, joints, tuple(bodies)) for bodies in chains)
+
+
+def _joints(creature: Creature) -> list[_Link]:
+    return [
+        _Link(creature.body_index(body.joint.parent), i)
+        for i, body in enumerate(creature.bodies)
+        if body.joint is not None
+    ]
+
+
+def _place(creature: Creature, pose: tuple[Numbers, Numbers], link: _Link) -> Numbers:
+    """Return the position of the joint between two linked bodies in the neutral pose, m."""
+    centres, rotations = pose
+    for body in link:
+        joint = creature.bodies[body].joint
+        if joint is not None and creature.body_index(joint.parent) == link.other(body):
+            return centres[body] + rotations[body] @ xp.array(joint.child_anchor)
+    raise ValueError(f"bodies {link.parent} and {link.child} have no joint")
+
+
+def _unit(vector: Numbers) -> Numbers:
+    return vector / xp.maximum(xp.linalg.norm(vector), 1e-12)
+
+
+def _turn(creature: Creature, pose: tuple[Numbers, Numbers], link: _Link) -> Number:
+    """Return the cosine of the turn between the two halves of the way from centre to centre."""
+    centres, _ = pose
+    place = _place(creature, pose, link)
+    return _unit(place - centres[link.parent]) @ _unit(centres[link.child] - place)
+
+
+def _width(shape: Shape, direction: np.ndarray) -> float:
+    """Return the largest extent of a shape across a unit vector of its frame, m."""
+    half, axes = (np.asarray(x, float) for x in shape.stretch)
+    across = axes - np.outer(direction, direction @ axes)
+    return float(2 * np.max(np.linalg.norm(across, axis=0) * half))
+
+
+def _links(
+    creature: Creature, pose: tuple[np.ndarray, np.ndarray], joints: list[_Link]
+) -> list[_Link]:
+    """Return the joints that continue a chain."""
+    centres, rotations = pose
+    widths = {}
+    for link in joints:
+        place = _place(creature, pose, link)
+        widths[link] = [
+            _width(creature.bodies[body].shape, rotations[body].T @ _unit(place - centres[body]))
+            for body in link
+        ]
+    straight = [
+        link
+        for link, (one, other) in widths.items()
+        if _turn(creature, pose, link) > _STRAIGHT and max(one, other) < _SIMILAR * min(one, other)
+    ]
+
+    kept: list[set[_Link]] = []
+    for body, centre in enumerate(centres):
+        toward = {
+            link: _unit(_place(creature, pose, link) - centre) for link in straight if body in link
+        }
+        alike = {link: min(widths[link]) / max(widths[link]) for link in toward}
+        pairs = list(itertools.combinations(toward, 2))
+        opposite = [pair for pair in pairs if np.dot(*(toward[x] for x in pair)) < _OPPOSITE]
+        forked = {
+            link
+            for pair in pairs
+            if pair not in opposite
+            and min(alike[x] for x in pair) > _EQUALLY * max(alike[x] for x in pair)
+            for link in pair
+        }
+        choices = [*((link,) for link in toward), *opposite]
+        single = [links for links in choices if not forked.intersection(links)]
+        # Squares, so that one like body counts more than two half as wide.
+        best = max(single, key=lambda links: sum(alike[x] ** 2 for x in links), default=())
+        kept.append(set(best))
+    return [link for link in straight if all(link in kept[body] for body in link)]
+
+
+def _paths(creature: Creature, links: list[_Link]) -> list[tuple[int, ...]]:
+    """Return the chains as paths from either end, in the order of their least bodies."""
+    beside: dict[int, list[int]] = {i: [] for i in range(len(creature.bodies))}
+    for link in links:
+        for body in link:
+            beside[body].append(link.other(body))
+    paths, seen = [], set()
+    for start, near in beside.items():
+        if start in seen or len(near) > 1:
+            continue
+        path = [start]
+        while following := [body for body in beside[path[-1]] if body not in path]:
+            path.append(following[0])
+        seen.update(path)
+        paths.append(tuple(path))
+    return sorted(paths, key=min)
+
+
+def _noses_first(
+    creature: Creature, pose: tuple[np.ndarray, np.ndarray], bodies: tuple[int, ...]
+) -> tuple[int, ...]:
+    centres, _ = pose
+    if len(bodies) == 1:
+        return bodies
+    direction = _unit(centres[bodies[0]] - centres[bodies[-1]])
+    if abs(direction[0]) > _FORWARD:
+        return bodies if direction[0] > 0 else bodies[::-1]
+    order = topological_order(creature)
+    first, last = (order.index(bodies[i]) for i in (0, -1))
+    return bodies if first < last else bodies[::-1]
+
+
+def _chain(
+    creature: Creature,
+    pose: tuple[Numbers, Numbers],
+    joints: list[_Link],
+    bodies: tuple[int, ...],
+) -> SlenderChain:
+    centres, rotations = pose
+    shapes = [creature.bodies[body].shape for body in bodies]
+    if len(bodies) == 1:
+        half, axes = shapes[0].stretch
+        front = axes[:, chosen(lambda: int(np.argmax(half)))] * xp.max(half)
+        return SlenderChain(bodies, front[None], -front[None])
+    places = [
+        _place(creature, pose, next(x for x in joints if set(x) == {one, two}))
+        for one, two in itertools.pairwise(bodies)
+    ]
+    front, rear = [], []
+    for k, (body, shape) in enumerate(zip(bodies, shapes, strict=True)):
+        ends = [
+            rotations[body].T @ (places[j] - centres[body]) if 0 <= j < len(places) else None
+            for j in (k - 1, k)
+        ]
+        known = next(end for end in ends if end is not None)
+        # The free end lies on the line from the joint through the centre. A body without size has
+        # no such line.
+        size = xp.linalg.norm(known)
+        outward = xp.where(size > _LEAST_LENGTH, -_unit(known), np.array([1.0, 0.0, 0.0]))
+        free = outward * (outward @ shape.support(outward))
+        front.append(free if ends[0] is None else ends[0])
+        rear.append(free if ends[1] is None else ends[1])
+    return SlenderChain(bodies, xp.stack(front), xp.stack(rear))

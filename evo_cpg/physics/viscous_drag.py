@@ -1,0 +1,440 @@
+"""Drag of water with a viscosity: creeping flow, boundary layer and form drag.
+
+Three terms add up. Each one is small where it does not belong, so there is no switch:
+
+- Creeping flow, ``-mu R V``. R (6x6) is constant: the resistance of the ellipsoid of the whole
+  chain (`evo_cpg.physics.stokes`), divided among its bodies in proportion to their lengths.
+- Boundary layer, ``-1/2 rho c_f s G V``. G (6x6) is the integral of the tangential velocities over
+  the exposed surface. c_f is the local coefficient of a flat plate at ``Re_x = rho s x / mu``:
+  ``0.664 Re_x^-1/2`` (laminar), ``0.0592 Re_x^-1/5`` (turbulent), with a smooth transition at 5e5.
+- Form drag, ``-1/2 rho q k A |v_n| v_n n`` at surface points. The constant k gives the whole chain
+  the drag of its shape (`evo_cpg.physics.form_coefficients`). For round bodies
+  ``q = 1 - 0.3 * 4 y / (1 + y)^2`` with ``y = Re_d / 2500``: the drag of spheres and cylinders is
+  lowest at Re 2500.
+
+The speed s is the root mean square over the body. The rate ``s / x`` is
+``sqrt(sum_i (s_i / x_i)^2)``, s_i being the speed along an axis of the body. Along the centreline,
+x is the distance from the animal's nose, or from its tail if the body moves backwards. Across it, x
+is the path around the body. The distance is that of the mean coefficient over the body, a quarter
+of the length for a single body.
+
+D, the decrease of the force per change of velocity over a step, is half the slope of the force, as
+in `evo_cpg.physics.fluid`: that of q for form drag, and 3/4 of the friction, which grows as
+``s^1.5``. D has the part ``(1 + z) / (2 + z)`` of the creeping flow, z being the largest rate of a
+free body's decay times the step. A free body then decays by ``2 / (2 + 2 z + z^2)`` in a step, of
+second order and stable for any z.
+
+Differs from nature: the drag crisis beyond Re 2e5 is missing, and so is the history of the flow.
+"""
+
+import dataclasses
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.chain_outline import Outline, outline
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.slender import slender_chains
+from evo_cpg.creature.surface import PointLayout
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.force_law import Bodies, ForceLaw, Part, blocks
+from evo_cpg.physics.form_coefficients import form_drag_coefficients, point_coefficients
+from evo_cpg.physics.stokes import ellipsoid_resistance
+from evo_cpg.physics.surface_points import (
+    Places,
+    alike,
+    merge_alike,
+    outer_products,
+    places_of,
+    runs,
+    still_alike,
+    velocity_rows,
+    wet_fraction,
+)
+from evo_cpg.spatial.decisions import chosen
+from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.spatial.numerics import Number, Numbers, xp
+
+# Local friction coefficients 0.664 Re^-1/2 (Blasius) and 0.0592 Re^-1/5 (Prandtl), the Reynolds
+# number of the transition, and the power of its weight.
+_LAMINAR, _TURBULENT, _TRANSITION, _STEEPNESS = 0.664, 0.0592, 5e5, 4
+
+# A single body has one Re_x for its whole length. The transition begins at its rear, where x is
+# larger: this factor fits the mean friction of a plate with a transition at 5e5.
+_ALONE = 1.5
+
+# Re_x below which the boundary layer fades out, because creeping flow has all the friction.
+_CREEPING = 0.05
+
+# Part of the friction in D: half the power of the speed.
+_FRICTION_IN_STEP = 0.75
+
+# Depth of the dip of round bodies' form drag, and its Reynolds number.
+_DIP, _DIP_RE = 0.3, 2500.0
+
+# Floors under the squared speed (m^2/s^2) and the squared rate (1/s^2), for gradients at rest.
+_SPEED_FLOOR, _RATE_FLOOR = 1e-12, 1e-12
+
+# Sharpness above which form drag needs no points at the centre: the faces have all of it.
+_SHARP = 0.99
+
+# Least length, so that a body without size has finite coefficients, m.
+_TINY = 1e-9
+
+# Operations of native code per body, and per point of form drag without and with a surface.
+_BODY, _FORM_POINT, _SURFACE_POINT = 240.0, 27.0, 38.0
+
+
+class Wetted(NamedTuple):
+    """Constants of one body in the water, in its working frame.
+
+    Attributes:
+        normal: rows for the normal velocity of the points, ``(points, 6)``.
+        form: k A of each point, m^2.
+        motion: rows for the velocities of the centre along the outline's axes, and for the angular
+            velocities about them, ``(6, 6)``.
+        speed: weights ``(1, 6)`` of the squares of these velocities in the mean squared speed.
+        rate: weights ``(1, 6)`` of the squares in the squared rate, without the centreline, 1/m^2.
+        friction: G, ``(6, 6)``.
+        creep: R, ``(6, 6)``.
+        decay: largest decay rate of the free body in creeping flow, over the viscosity, m/kg.
+        fade: rate below which the boundary layer fades out, over the kinematic viscosity, 1/m^2.
+        transition: Re_x of the transition to turbulent friction.
+        diameter: thickness of the body, m.
+        dip: depth of the dip of form drag.
+    """
+
+    normal: Float[Numbers, "p 6"]
+    form: Float[Numbers, " p"]
+    motion: Float[Numbers, "6 6"]
+    speed: Float[Numbers, "1 6"]
+    rate: Float[Numbers, "1 6"]
+    friction: Float[Numbers, "6 6"]
+    creep: Float[Numbers, "6 6"]
+    decay: Float[Numbers, " 1"]
+    fade: Float[Numbers, " 1"]
+    transition: Float[Numbers, " 1"]
+    diameter: Float[Numbers, " 1"]
+    dip: Float[Numbers, " 1"]
+
+
+class ViscousPatch(NamedTuple):
+    """Bodies that have the same constants, except for their distance from the nose.
+
+    Attributes:
+        bodies: indices in the tree, in increasing order.
+        wetted: constants of each of the bodies.
+        outer: blocks of the outer products of the rows of form drag, ``(27, points)``.
+        forward: squared inverse distance from the nose, for each body, 1/m^2.
+        backward: squared inverse distance from the tail, for each body, 1/m^2.
+        places: places of the points of form drag, or None for water without a surface.
+    """
+
+    bodies: tuple[int, ...]
+    wetted: Wetted
+    outer: Float[Numbers, "27 p"]
+    forward: Float[Numbers, " k"]
+    backward: Float[Numbers, " k"]
+    places: Places | None
+
+
+class ViscousDrag(ForceLaw):
+    """Creeping flow, boundary layer and form drag.
+
+    Attributes:
+        viscosity: dynamic viscosity mu, Pa s.
+        form_drag: factor of the form coefficients.
+        patches: the bodies.
+        factor: factor of the whole drag.
+    """
+
+    of_water: ClassVar[bool] = True
+
+    viscosity: Number
+    form_drag: Number
+    patches: tuple[ViscousPatch, ...] = ()
+    factor: Number = 1.0
+
+    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
+        """Return the drag wrench on every body (`ForceLaw.wrench`)."""
+        return self.parts(bodies)[0].wrench
+
+    def parts(self, bodies: Bodies) -> tuple[Part]:
+        """Return the drag wrench with the D of the module docstring (`ForceLaw.parts`)."""
+        velocity = bodies.relative
+        inputs = [velocity]
+        if bodies.pose is not None:
+            inputs += [bodies.pose, bodies.under_water[None]]
+        pieces = []
+        for patch in self.patches:
+            for run in runs(patch.bodies):
+                part = [x[:, run] for x in inputs]
+                pieces.append((run.start, *self._patch(bodies, patch, run, *part)))
+        _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
+        derivative = jnp.concatenate(derivatives, 3)
+        return (Part(jnp.concatenate(wrenches, 1), bodies.h * derivative),)
+
+    def averaged(self, start: Bodies, moving: Bodies) -> None:
+        """Return None: D already includes the change over a step (`ForceLaw.averaged`)."""
+        del start, moving
+
+    def scaled(self, factor: float) -> "ViscousDrag":
+        """Return the law with all its forces multiplied by a factor."""
+        return dataclasses.replace(self, factor=self.factor * factor)
+
+    def operations(self) -> float:
+        """Return the operations, fitted as in `evo_cpg.simulation.operations`."""
+        total = 0.0
+        for patch in self.patches:
+            point = _FORM_POINT if patch.places is None else _SURFACE_POINT
+            total += len(patch.bodies) * (_BODY + point * len(patch.wetted.form))
+        return total
+
+    def _patch(
+        self,
+        bodies: Bodies,
+        patch: ViscousPatch,
+        run: slice,
+        velocity: Float[Array, "6 k *n"],
+        pose: Float[Array, "4 k *n"] | None = None,
+        under: Float[Array, "1 k *n"] | None = None,
+    ) -> tuple[Float[Array, "6 k *n"], Float[Array, "3 3 3 k *n"]]:
+        """Return the wrench and D of some bodies of a patch."""
+        assert bodies.water is not None
+        own, density = patch.wetted, bodies.water.density
+        batch = velocity.shape[1:]
+        flat = velocity.reshape(6, -1)
+
+        def product(constant: Numbers, x: Array) -> Array:
+            return jnp.asarray(constant, flat.dtype) @ x
+
+        def each(weights: Numbers) -> Array:
+            part = jnp.asarray(weights, flat.dtype)[patch.bodies.index(run.start) :][: batch[0]]
+            return jnp.broadcast_to(expand_dims_like(part, velocity[0]), batch).reshape(1, -1)
+
+        viscosity = self.viscosity / density
+        moving = product(own.motion, flat)
+        squares = moving * moving
+        along = jnp.where(moving[:1] > 0, each(patch.forward), each(patch.backward))
+        speed = product(own.speed, squares) + _SPEED_FLOOR
+        rate = jnp.sqrt(product(own.rate, squares) + squares[:1] * along + _RATE_FLOOR)
+        friction = (self.factor * density) * _friction(own, speed, rate, viscosity)
+        y = jnp.sqrt(speed) * (own.diameter[0] / (_DIP_RE * viscosity))
+        below = own.dip[0] * y / ((1.0 + y) * (1.0 + y))
+        dip = 1.0 - 4.0 * below
+        # Half the slope of dip * speed^2.
+        in_step = dip - 2.0 * below * (1.0 - y) / (1.0 + y)
+        creep = jnp.full_like(speed, self.factor * self.viscosity)
+
+        normal = product(own.normal, flat)
+        pressure = jnp.abs(normal)
+        if pose is not None and under is not None:
+            pressure = pressure * wet_fraction(patch.places, pose)
+            friction, creep = friction * under.reshape(1, -1), creep * under.reshape(1, -1)
+        form = (0.5 * self.factor * self.form_drag) * density * own.form
+        wrench = dip * -product(own.normal.T * form[None], pressure * normal)
+        wrench = wrench - friction * product(own.friction, flat) - creep * product(own.creep, flat)
+        derivative = in_step * product(patch.outer * form[None], pressure)
+        derivative = derivative + (_FRICTION_IN_STEP * friction) * _blocks(own.friction, flat)
+        z = bodies.h * self.factor * self.viscosity * own.decay[0]
+        derivative = derivative + ((1 + z) / (2 + z) * creep) * _blocks(own.creep, flat)
+        return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *batch)
+
+
+def _blocks(matrix: Numbers, flat: Array) -> Array:
+    return blocks(jnp.asarray(matrix, flat.dtype)).reshape(27, 1)
+
+
+def _friction(own: Wetted, speed: Array, rate: Array, viscosity: Number) -> Array:
+    """Return ``1/2 c_f s`` at a squared speed ``s^2`` and a rate ``s / x``, m/s."""
+    fading = rate / jnp.sqrt(rate + own.fade[0] * viscosity)
+    laminar = (0.5 * _LAMINAR) * jnp.sqrt(viscosity) * fading
+    reynolds = speed / (rate * viscosity)
+    ratio = _TURBULENT / _LAMINAR * jnp.exp(0.3 * jnp.log(reynolds))
+    power = (reynolds / own.transition[0]) ** _STEEPNESS
+    return laminar * (1.0 + power / (1.0 + power) * (ratio - 1.0))
+
+
+def make_viscous_drag(
+    creature: Creature,
+    tree: Tree,
+    form: dict[str, Surface],
+    skin: dict[str, Surface],
+    viscosity: Number,
+    form_drag: Number = 1.0,
+    surfacing: bool = False,
+    layout: PointLayout = "merged",
+) -> ViscousDrag:
+    """Return the law for a creature.
+
+    Args:
+        creature: the creature.
+        tree: its tree.
+        form: exposed points for form drag on each body by name, in the body's geometric frame.
+        skin: exposed points for skin friction.
+        viscosity: dynamic viscosity, Pa s.
+        form_drag: factor of the form coefficients.
+        surfacing: whether the water has a surface.
+        layout: "merged" merges equal bodies and points.
+    """
+    wetted: list[Wetted] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
+    places: list[Places] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
+    runs_along = [xp.zeros(2)] * tree.body_count
+    for chain in slender_chains(creature):
+        shape = outline(creature, chain)
+        names = [creature.bodies[body].name for body in chain.bodies]
+        points = _form_points(shape, [form[name] for name in names])
+        creep = _creep(shape)
+        runs_here = _runs_along(shape)
+        for i, name in enumerate(names):
+            k = tree.names.index(name)
+            surface, coefficients = points[i]
+            placed = surface._replace(points=surface.points + tree.com[None, :, k])
+            places[k] = places_of(placed)
+            area, own = coefficients * surface.areas, skin[name]
+            wetted[k] = _wetted(shape, i, tree.com[:, k], placed, area, own, creep[i], tree.mass[k])
+            runs_along[k] = runs_here[i]
+    keys = [(tuple(own), tuple(place)) for own, place in zip(wetted, places, strict=True)]
+    groups = (
+        chosen(lambda: alike(keys), lambda found: still_alike(keys, found))
+        if layout == "merged"
+        else [(i,) for i in range(len(keys))]
+    )
+    patches = []
+    for bodies in groups:
+        own = wetted[bodies[0]]
+        if layout == "merged" and not surfacing:
+            normal, area = merge_alike(own.normal, own.form)
+            own = own._replace(normal=normal, form=area)
+        forward, backward = xp.stack([runs_along[body] for body in bodies], -1)
+        patches.append(
+            ViscousPatch(
+                bodies,
+                own,
+                outer_products(own.normal),
+                forward,
+                backward,
+                places[bodies[0]] if surfacing else None,
+            )
+        )
+    return ViscousDrag(viscosity, form_drag, tuple(patches))
+
+
+def _form_points(shape: Outline, surfaces: list[Surface]) -> list[tuple[Surface, Numbers]]:
+    """Return the points of form drag of each body of a chain, and their coefficients k.
+
+    The coefficients give the chain the drag of its outline. Where the points of a round body are
+    too few for that, such as at the edge of a thin disc, points at the body's centre add the rest.
+    """
+    normals = [surface.normals @ turn for surface, turn in zip(surfaces, shape.axes, strict=True)]
+    every, areas = xp.concatenate(normals), xp.concatenate([s.areas for s in surfaces])
+    coefficients = form_drag_coefficients(shape.sizes, shape.sharpness)
+    k = point_coefficients(every, areas, coefficients)
+    splits = np.cumsum([len(s.areas) for s in surfaces])[:-1].tolist()
+    own = xp.split(k, splits)
+    if chosen(
+        lambda: bool(shape.sharpness > _SHARP), lambda was: (shape.sharpness > _SHARP) == was
+    ):
+        return list(zip(surfaces, own, strict=True))
+    fronts = xp.stack([0.5 * s.areas @ xp.abs(n) for s, n in zip(surfaces, normals, strict=True)])
+    total = fronts.sum(0)
+    given = (k * areas) @ xp.abs(every) ** 3
+    missing = xp.maximum(coefficients - given / xp.maximum(total, _TINY**2), 0.0)
+    found = []
+    for i, surface in enumerate(surfaces):
+        centre = Surface(np.zeros((3, 3)), shape.axes[i].T, fronts[i])
+        both = (xp.concatenate(columns) for columns in zip(surface, centre, strict=True))
+        found.append((Surface(*both), xp.concatenate([own[i], missing])))
+    return found
+
+
+def _creep(shape: Outline) -> Float[Numbers, "n 6"]:
+    """Return the resistances of each body about and along the axes of the outline, at its centre.
+
+    The ellipsoid has the proportions of the outline and the volume of the bodies. A body gets its
+    part of the force. A part of a straight chain that turns about its own centre has a torque that
+    grows with the cube of its length.
+    """
+    half = shape.sizes / 2
+    scale = (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
+    force, torque = ellipsoid_resistance(xp.maximum(half * scale, _TINY))
+    lengths = _lengths(shape)
+    part = (lengths / xp.maximum(lengths.sum(), _TINY))[:, None]
+    about = xp.concatenate([part * torque[None, :1], part**3 * torque[None, 1:]], 1)
+    return xp.concatenate([about, part * force[None]], 1)
+
+
+def _lengths(shape: Outline) -> Float[Numbers, " n"]:
+    return shape.chain.lengths if len(shape.axes) > 1 else 2 * shape.halves[:, 0]
+
+
+def _path(depth: Number, one: Number, other: Number) -> Number:
+    """Return the length of the way of the water around a body of a depth along the flow, m."""
+    narrow = xp.minimum(one, other)
+    return (depth**4 + narrow**4) ** 0.25
+
+
+def _runs_along(shape: Outline) -> Float[Numbers, "n 2"]:
+    """Return the squared inverse distances of each body from the nose and from the tail, 1/m^2.
+
+    The mean of ``x^-1/2`` over a body from x_0 to x_1 is ``2 / (sqrt(x_0) + sqrt(x_1))``.
+    """
+    lengths = _lengths(shape)
+    ends = xp.cumsum(lengths)
+    total = xp.maximum(ends[-1], _TINY)
+    starts = ends - lengths
+    scale = _path(*shape.sizes) / total
+
+    def inverse(near: Numbers, far: Numbers) -> Numbers:
+        roots = xp.sqrt(xp.maximum(near, 0.0)) + xp.sqrt(xp.maximum(far, _TINY))
+        return 1 / (scale * roots**2 / 4) ** 2
+
+    return xp.stack([inverse(starts, ends), inverse(total - ends, total - starts)], -1)
+
+
+def _wetted(
+    shape: Outline,
+    i: int,
+    com: Float[Numbers, " 3"],
+    placed: Surface,
+    form: Float[Numbers, " p"],
+    skin: Surface,
+    creep: Float[Numbers, " 6"],
+    mass: Number,
+) -> Wetted:
+    """Return the constants of a body of a chain in its working frame."""
+    turn, half = shape.axes[i], xp.maximum(shape.halves[i], _TINY)
+    along = xp.concatenate([xp.cross(com[None], turn.T), turn.T], 1)
+    motion = xp.concatenate([along, xp.concatenate([turn.T, np.zeros((3, 3))], 1)])
+    normal, _, _ = velocity_rows(placed)
+    _, first, second = velocity_rows(skin._replace(points=skin.points + com))
+    friction = (first.T * skin.areas) @ first + (second.T * skin.areas) @ second
+    axes = xp.concatenate([motion[3:], motion[:3]])
+    # The path of the water across the centreline is that around the body. A chain that is shorter
+    # than wide has the path of its length.
+    sizes = xp.array([shape.sizes[0], 2 * half[1], 2 * half[2]])
+    runs = [_path(sizes[j], sizes[j - 1], sizes[j - 2]) / 4 for j in range(3)]
+    inverse = xp.array([1 / run**2 for run in runs])
+    # Mean squares of the positions in a box of the body's sizes.
+    square = xp.square(half)
+    spread = square / 3
+    turning = xp.array([[0.0 if j == k else spread[3 - j - k] for k in range(3)] for j in range(3)])
+    # The inertia of an ellipsoid of these sizes.
+    inertia = xp.concatenate([0.2 * mass * (square.sum() - square), xp.stack([mass] * 3)])
+    return Wetted(
+        normal=normal,
+        form=form,
+        motion=motion,
+        speed=xp.concatenate([np.ones(3), turning.sum(0)])[None],
+        rate=xp.concatenate([inverse * np.array([0.0, 1.0, 1.0]), inverse @ turning])[None],
+        friction=friction,
+        creep=(axes.T * creep) @ axes,
+        decay=xp.array([xp.max(creep / xp.maximum(inertia, _TINY**5))]),
+        fade=xp.array([_CREEPING * xp.sqrt(inverse[1] * inverse[2])]),
+        transition=xp.array([_TRANSITION if len(shape.axes) > 1 else _TRANSITION / _ALONE]),
+        diameter=xp.array([2 * xp.sqrt(half[1] * half[2])]),
+        dip=xp.array([_DIP * (1 - shape.sharpness)]),
+    )

@@ -1,0 +1,71 @@
+"""Run folders of version 1.0 keep its results."""
+
+import shutil
+
+import numpy as np
+import yaml
+
+import evo_cpg as evo
+from evo_cpg.api.opened import open_run
+from evo_cpg.config.fingerprint import changes, fingerprint
+from evo_cpg.config.former import with_former_values, without_former_values
+from evo_cpg.config.load import load_config, load_run_config
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.physics.fluid import Drag
+from evo_cpg.training.run_folder import RunFolder
+
+
+def without_key(path) -> None:
+    """Remove the key that version 1.0 lacked from a configuration."""
+    data = yaml.safe_load(path.read_text())
+    del data["world"]["water"]["shelter"]
+    path.write_text(yaml.safe_dump(data))
+
+
+def shelter_of(config: ExperimentConfig) -> str:
+    assert config.world.water is not None
+    return config.world.water.shelter
+
+
+def test_run_folder_of_1_0_keeps_its_shelter(finished_run, tmp_path):
+    folder = RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
+    assert shelter_of(open_run(folder.path).config) == "outline"
+    without_key(folder.config)
+    assert shelter_of(open_run(folder.path).config) == "facing"
+    assert shelter_of(evo.load(folder.path).config) == "facing"
+    overrides = ["world.water.shelter=outline"]
+    assert shelter_of(load_run_config(folder.config, overrides)) == "outline"
+    assert shelter_of(load_config(folder.config)) == "outline"
+
+
+def test_fingerprint_of_1_0_is_unchanged(finished_run, tmp_path):
+    """A key that means the same as in version 1.0 does not count as a change."""
+    folder = RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
+    without_key(folder.config)
+    former = load_run_config(folder.config)
+    before = fingerprint(former)
+    dumped = former.model_dump(mode="json")
+    del dumped["world"]["water"]["shelter"]
+    assert without_former_values(former.model_dump(mode="json")) == dumped
+    now = fingerprint(load_config(folder.config))
+    assert changes(before, now) == ["world.water"]
+
+
+def test_files_without_water_stay_as_they_are():
+    for data in ({}, {"world": None}, {"world": {"water": None}}, {"world": {"water": 3}}):
+        assert with_former_values(data) == data
+        assert without_former_values(data) == data
+
+
+def test_rules_differ_for_round_bodies_only():
+    """The swimmer is made of boxes, the salamander of ellipsoids and capsules."""
+    for name, same in (("iwadate2010_swimmer", True), ("iwadate2010_salamander_water", False)):
+        areas = []
+        for rule in ("facing", "outline"):
+            loaded = evo.load(name, [f"world.water.shelter={rule}"])
+            law = loaded.parts.simulation.world.forces[0]
+            assert isinstance(law, Drag)
+            areas.append(np.concatenate([patch.normal_area for patch in law.patches]))
+        assert (
+            np.shape(areas[0]) == np.shape(areas[1]) and bool((areas[0] == areas[1]).all())
+        ) is same

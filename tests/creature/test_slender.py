@@ -1,0 +1,116 @@
+"""Slender chains: trunks, tails, fins, legs and forks."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import box_chain
+from evo_cpg.creature.creature import Body, Creature, Joint, Material
+from evo_cpg.creature.shapes import Box, Capsule, Shape
+from evo_cpg.creature.slender import slender_chains
+from evo_cpg.spatial.decisions import recording_decisions, replaying_decisions
+
+FLESH = Material(1000.0)
+
+
+def limb(name: str, shape: Shape, parent: str, at, child_at) -> Body:
+    """A body with a hinge."""
+    return Body(
+        name, shape, FLESH, Joint(parent, at, child_at, ((0.0, 0.0, 1.0),), (-1.0,), (1.0,))
+    )
+
+
+def named(creature: Creature) -> list[list[str]]:
+    """The names of the bodies of each chain."""
+    return [[creature.bodies[i].name for i in chain.bodies] for chain in slender_chains(creature)]
+
+
+TRUNK = Body("trunk", Box((0.4, 0.1, 0.1)), FLESH)
+TAIL = limb("tail", Box((0.3, 0.05, 0.1)), "trunk", (-0.2, 0.0, 0.0), (0.15, 0.0, 0.0))
+END = limb("end", Box((0.2, 0.02, 0.1)), "tail", (-0.15, 0.0, 0.0), (0.1, 0.0, 0.0))
+HEAD = limb("head", Box((0.1, 0.1, 0.1)), "trunk", (0.2, 0.0, 0.0), (-0.05, 0.0, 0.0))
+
+
+def test_a_chain_runs_from_nose_to_tail():
+    (chain,) = slender_chains(box_chain(5, "z", size=(0.2, 0.1, 0.1), gap=0.02))
+    assert chain.bodies == (0, 1, 2, 3, 4)
+    assert float(chain.length) == pytest.approx(5 * 0.2 + 4 * 0.02)
+    np.testing.assert_allclose(chain.distances, [0.0, 0.21, 0.43, 0.65, 0.87])
+    np.testing.assert_allclose(chain.tangents, [[1, 0, 0]] * 5, atol=1e-12)
+    np.testing.assert_allclose(chain.front[0], [0.1, 0, 0])
+    np.testing.assert_allclose(chain.rear[-1], [-0.1, 0, 0], atol=1e-12)
+
+
+def test_the_root_may_be_in_the_middle():
+    creature = Creature("fish", (TRUNK, TAIL, END, HEAD))
+    assert named(creature) == [["head", "trunk", "tail", "end"]]
+
+
+def test_fins_start_their_own_chains():
+    fins = [
+        limb(
+            f"fin{side}", Box((0.1, 0.2, 0.01)), "trunk", (0.1, 0.05 * s, 0.0), (0.0, -0.1 * s, 0.0)
+        )
+        for side, s in (("+", 1), ("-", -1))
+    ]
+    dorsal = limb("dorsal", Box((0.2, 0.01, 0.1)), "trunk", (0.0, 0.0, 0.05), (0.0, 0.0, -0.05))
+    creature = Creature("fish", (TRUNK, *fins, dorsal, TAIL))
+    assert named(creature) == [["trunk", "tail"], ["fin+"], ["fin-"], ["dorsal"]]
+
+
+def test_legs_are_chains_of_their_own():
+    """From the hip down, though a leg stands across."""
+    down = ((0.0, 0.0, -1.0), (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
+    thigh = Joint(
+        "trunk", (0.1, 0.05, 0.0), (0.1, 0.0, 0.0), ((0.0, 1.0, 0.0),), (-1.0,), (1.0,), down
+    )
+    upright = Body("thigh", Capsule(0.02, 0.16), FLESH, thigh)
+    shank = limb("shank", Capsule(0.02, 0.16), "thigh", (-0.1, 0.0, 0.0), (0.1, 0.0, 0.0))
+    creature = Creature("walker", (TRUNK, TAIL, shank, upright))
+    assert named(creature) == [["trunk", "tail"], ["thigh", "shank"]]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_fork_of_equal_bodies_ends_the_chain(order):
+    """Either order of the two lobes gives the same chains."""
+    lobes = [
+        limb(f"lobe{s}", Box((0.2, 0.02, 0.1)), "tail", (-0.15, 0.02 * s, 0.0), (0.1, -0.02 * s, 0))
+        for s in (1, -1)
+    ]
+    chains = named(Creature("fluke", (TRUNK, TAIL, *lobes[::order])))
+    assert sorted(chains) == [["lobe-1"], ["lobe1"], ["trunk", "tail"]]
+
+
+def test_the_wider_body_of_a_fork_continues_the_chain():
+    small = limb("small", Box((0.2, 0.02, 0.05)), "tail", (-0.15, 0.02, 0.0), (0.1, 0.0, 0.0))
+    chains = named(Creature("fish", (TRUNK, TAIL, small, END)))
+    assert sorted(chains) == [["small"], ["trunk", "tail", "end"]]
+
+
+def test_bodies_of_very_different_width_are_not_linked():
+    whisker = limb("whisker", Capsule(0.01, 0.2), "trunk", (0.2, 0.0, 0.0), (-0.11, 0.0, 0.0))
+    assert named(Creature("fish", (TRUNK, TAIL, whisker))) == [["trunk", "tail"], ["whisker"]]
+
+
+def test_a_body_without_size_keeps_its_place():
+    """The last body of a traced chain has no size. It has no length, and finite tangents."""
+
+    def chain(scale):
+        lost = limb(
+            "lost", Capsule(0.05 * scale, 0.1 * scale), "end", (-0.1, 0, 0), (0.1 * scale, 0, 0)
+        )
+        (found,) = slender_chains(Creature("fish", (TRUNK, TAIL, END, lost)))
+        return found
+
+    with recording_decisions() as decisions:
+        assert chain(1.0).bodies == (0, 1, 2, 3)
+
+    def replayed(scale):
+        with replaying_decisions(decisions):
+            found = chain(scale)
+        return found.lengths, found.tangents, found.length
+
+    lengths, tangents, length = jax.jit(replayed)(jnp.array(0.0))
+    np.testing.assert_allclose(lengths, [0.4, 0.3, 0.2, 0.0], atol=1e-7)
+    assert float(length) == pytest.approx(0.9) and np.isfinite(tangents).all()
