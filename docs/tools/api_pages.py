@@ -127,4 +127,5 @@ _WHOLE = {"break_long_words": False, "break_on_hyphens": False}
 def _markdown(text: str) -> str:
     text = inspect.cleandoc(text)
     text = re.sub(r"``(.+?)``", r"`\1`", text, flags=re.S)
-    return text.replace(f"`{PACKAGE}.", "`evo.")
+    # Public names are attributes of `evo`. Modules keep their path.
+    return re.sub(rf"`{PACKAGE}\.(?=[A-Z]|\w+[`(])", "`evo.", text)

@@ -382,13 +382,13 @@ def _rest_words(flow: Flow, rest: Rest, time: float) -> str:
     rate = rest.rates[0].real * flow.second
     decay = f"decays within {-1 / rate:.3g} s" if rate < 0 else "does not grow"
     if rest.firing.all():
-        how = "All neurons fire evenly. Try stronger inhibition (pair_weight)"
+        how = "All neurons fire evenly. Couple the oscillators, or increase pair_weight"
     else:
         how = "Some neurons silence others. Try a smaller pair_weight or a larger b"
     return (
         f"the network comes to rest: after {time / flow.second:.3g} s it is near a stable "
-        f"equilibrium (a perturbation {decay}). {how}. It oscillates if its effective inhibition "
-        "a satisfies 1 + T_r / T_a < a < 1 + b (docs/models/controller.md)"
+        f"equilibrium (a perturbation {decay}). {how}. An isolated oscillator needs a pair_weight "
+        f"between {1 + flow.ratio:.3g} and 1 + b"
     )
 
 

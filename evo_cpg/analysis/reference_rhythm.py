@@ -145,7 +145,8 @@ def reference_rhythm(
             raise ValueError(f"a lag must lie between -180 and 180 degrees, got {lag:g}")
         if len(chain.places) < 2:
             raise UnreachableRhythmError(
-                f"the longest chain through {chain.name} has a single oscillator, so it has no lag"
+                f"the longest chain through {chain.name} has a single oscillator, so it has no "
+                "lag. Set lags between limbs with controller.cpg.couplings or rings"
             )
         found = _with_lag(tree, settings, chain, gain, lag, hold_gain, tonic_input)
     else:

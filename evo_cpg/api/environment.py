@@ -76,7 +76,7 @@ class Environment:
         action_names: degree of freedom that each number of an action moves.
         action_size: count of numbers in an action.
         observation_sizes: names of the observation's parts, in order, with the count of numbers in
-            each part (see `evo_cpg.control.controller.Observation`).
+            each part (see `evo_cpg.Observation`).
         observation_size: count of numbers in an observation.
         episode_length: control steps of a trial.
     """

@@ -241,9 +241,9 @@ class Experiment:
         Args:
             key: seed of the noise in the trials, if there is any: a number or a JAX key.
             horizon: time constant of the decay of gradients, s. The decay helps with chaotic motion
-                (see docs/models/gradients.md). On the ground, gradients are also cut. None gives
-                gradients without decay: exact in water, cut on the ground. `math.inf` gives exact
-                gradients on the ground, too.
+                (see docs/models/gradients.md). None gives gradients without decay. On the ground,
+                gradients are clipped, with or without a decay. Only `math.inf` gives exact
+                gradients there.
             numbers: keys of numbers of the configuration, such as sizes and densities. The function
                 takes their values as its second argument, builds the animal from them, and is
                 differentiable with respect to them. A derivative by a number at a kink raises an

@@ -71,8 +71,8 @@ class Distribution(NamedTuple):
         float | None,
         typer.Option(
             min=0,
-            help="Time to wait for the other processes, s, in addition to twice the time that "
-            "this process takes for its trials (default: 20).",
+            help="Extra time to wait for slower processes, s, added to twice the time of the own "
+            "trials (default: 20).",
         ),
     ] = None
 

@@ -36,5 +36,5 @@ def import_(
     creature, left_out = read_mjcf(model, motor_gain)
     write_text(output, dump_creature(creature))
     if left_out:
-        print(f"left out: {', '.join(left_out)}", file=sys.stderr)
+        print(f"not part of a creature, so not read: {', '.join(left_out)}", file=sys.stderr)
     print(output)

@@ -71,12 +71,14 @@ def show_rhythm(
     rests: dict[str, list[str]] = {}
     failures: dict[str, list[str]] = {}
     cycles: dict[int, LimitCycle] = {}
+    in_a_row = {tuple(sorted(chain.oscillators)) for chain in chains(tree, cpg)}
+    branched = {part for part in parts(network) if len(part) > 2 and part not in in_a_row}
     for part in parts(network):
         first, *others = part
         names = tree.dof_names[first] + (f" + {len(others)}" if others else "")
         try:
             cycle = limit_cycle(network, drive, gains, part)
-            rows.append((names, *_words(cycle)))
+            rows.append((names, *_words(cycle, part in branched)))
             cycles |= dict.fromkeys(part, cycle)
         except NoRhythmError as error:
             rows.append((names, "rest"))
@@ -85,6 +87,12 @@ def show_rhythm(
             rows.append((names, "not found"))
             failures.setdefault(str(error), []).append(names)
     show_table(_COLUMNS, rows, title=f"b = {gains[0]:g}, u = {tonic:g}")
+    for part in parts(network):
+        if part in branched and part[0] in cycles:
+            cycle, first = cycles[part[0]], tree.dof_names[part[0]]
+            behind = {tree.dof_names[i]: cycle.lags((part[0], i))[1] for i in part[1:]}
+            listed = ", ".join(f"{name} {round(lag)}" for name, lag in behind.items())
+            print(f"lag of each oscillator behind {first}, deg: {listed}")
     for i, ring in enumerate(cpg.rings):
         members = ring_members(tree, ring, i)
         if members[0] in cycles:
@@ -100,14 +108,14 @@ def show_rhythm(
         raise SystemExit(ExitCode.FAULT)
 
 
-def _words(cycle: LimitCycle) -> tuple[str, ...]:
-    """Return the cells of a rhythm in the table."""
+def _words(cycle: LimitCycle, branched: bool) -> tuple[str, ...]:
+    """Return the cells of a rhythm in the table. Lags of branched oscillators are below it."""
     # An oscillator has no lag to an oscillator at rest.
     lags = cycle.lag[np.isfinite(cycle.lag)]
     lag = f"{lags.min():.1f} to {lags.max():.1f}" if len(lags) else ""
     return (
         hertz(cycle),
-        lag,
+        "below" if branched else lag,
         f"{cycle.amplitude.min():.2g} to {cycle.amplitude.max():.2g}",
         *stability(cycle, " s"),
     )

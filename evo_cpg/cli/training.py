@@ -263,7 +263,7 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
         fitness += f" in training, mean {champion.expected:.4f} over {champion.lives} new draws"
     print(f"champion of {origin}: {fitness} ({terms})", file=sys.stderr)
     if recorder.seen is not None:
-        _say_first_look(recorder.seen, folder)
+        _say_first_look(recorder.seen, folder, not experiment.simulation.noise.silent)
     print(folder.path)
 
 
@@ -288,12 +288,13 @@ def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
     recorder.finish()
 
 
-def _say_first_look(seen: Check, folder: RunFolder) -> None:
+def _say_first_look(seen: Check, folder: RunFolder, noisy: bool) -> None:
     if seen.passed is None:
         return
     kept = f"at half the physics step it keeps {shown(seen.measured, '%')} of its displacement"
     if not seen.passed:
-        kept = f"warning: {kept} ({seen.detail}). It may exploit the step length or the noise"
+        causes = "the step length or the noise" if noisy else "the step length"
+        kept = f"warning: {kept} ({seen.detail}). It may exploit {causes}"
     print(f"{kept}. For a full test, run `evo-cpg audit {folder.path}`", file=sys.stderr)
 
 

@@ -54,7 +54,8 @@ class Allowed:
             if isinstance(whole, list) and self._fits(place[:-1], [whole]):
                 return f"Write {as_written([whole])}"
         if given is None:
-            return "The key has no value. Leave it out, or give it one"
+            none = ", write [] for none" if self._fits(place, []) else ""
+            return f"The key has no value. Leave it out{none}, or give it one"
         for reading in _readings(given):
             if self._fits(place, reading):
                 return f"Write {as_written(reading)}"

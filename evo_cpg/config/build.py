@@ -430,7 +430,8 @@ def _build_controller(
         )
     except UnfitError as error:
         inner = ("cpg",) if isinstance(error, CouplingError) else ()
-        problem = f"{error}. The controller must name parts of creature {creature.name!r}"
+        hint = f". The controller must name parts of creature {creature.name!r}"
+        problem = f"{error}{hint if error.unknown_name else ''}"
         raise KeyProblem(("controller", *inner, *error.where), problem) from None
     except ValueError as error:
         raise KeyProblem(("controller",), str(error)) from None

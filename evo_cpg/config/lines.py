@@ -36,9 +36,16 @@ def _with_line(source: Path | str, error: KeyProblem, data: Any) -> ConfigError:
         value, known = follow(data, key)
         for own in _places(path, key):
             found = _find(*own)
-            if found is not None and found[1:] == (value, len(key) - known):
+            if found is not None and found[2] == len(key) - known and _is_of(found[1], value):
                 return ConfigError(own[0], key, error.problem, found[0])
     return ConfigError(source, key, error.problem)
+
+
+def _is_of(written: Any, value: Any) -> bool:
+    """Return whether a value is the written one, in which defaults may be added to sections."""
+    if isinstance(written, dict) and isinstance(value, dict):
+        return all(key in value and _is_of(each, value[key]) for key, each in written.items())
+    return bool(written == value)
 
 
 def _places(path: Path, key: Key) -> list[tuple[Path, Key]]:

@@ -14,6 +14,12 @@ _Section = TypeVar("_Section", bound=pydantic.BaseModel)
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 _LENGTH = ("too_short", "too_long")
 
+# Keys of a creature, and the message for a file of a creature in place of a configuration.
+_CREATURE = {"name", "materials", "bodies"}
+_IS_CREATURE = (
+    "describes a creature, and not an experiment. Name this file in a configuration: creature: FILE"
+)
+
 _TRUTHS = "YAML reads yes, no, on, off, true and false as booleans. Put text in quotes"
 
 
@@ -29,6 +35,8 @@ def worded(
         model: model of the whole configuration.
         data: the given configuration.
     """
+    if data.keys() >= _CREATURE and "creature" not in data and "creature" in model.model_fields:
+        return KeyProblem((), _IS_CREATURE)
     problems = sorted(error.errors(), key=lambda p: not (is_of_key(p) or p["type"] in _UNKNOWN_KEY))
     problem = _closest(problems, data)
     key = key_of(problem, data)

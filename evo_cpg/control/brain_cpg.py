@@ -302,7 +302,7 @@ def build_brain_cpg(
     for axis in settings.axes:
         if axis not in kinds:
             problem = f"no joint turns about {axis!r} ({nearest(axis, kinds)})"
-            raise UnfitError(problem, ("axes", axis))
+            raise UnfitError(problem, ("axes", axis), unknown_name=True)
     joints = sorted(set(tree.dof_bodies))
     per_joint = tuple(joints.index(body) for body in tree.dof_bodies)
     per_dof = tuple(range(tree.dof_count))

@@ -47,11 +47,12 @@ class UnfitError(ValueError):
 
     Attributes:
         where: path of the offending value in the settings, such as ``("groups", "legs", 0)``.
+        unknown_name: whether the value names a part that the creature lacks.
     """
 
-    def __init__(self, message: str, where: Sequence[str | int]):
+    def __init__(self, message: str, where: Sequence[str | int], unknown_name: bool = False):
         super().__init__(message)
-        self.where = tuple(where)
+        self.where, self.unknown_name = tuple(where), unknown_name
 
 
 class CouplingError(UnfitError):
@@ -72,10 +73,12 @@ class Coupling:
         target: a degree of freedom, or a pattern. Sources and targets are equal in number and pair
             up in the order of the bodies, or there is one source or one target.
         weight: strength in units of ``pair_weight``. Positive without a lag: the source inhibits
-            the target's other side, and they swing together. Negative without a lag: it inhibits
-            the same side, and they swing against each other.
+            the target's other side, and the target swings the same way. Negative without a lag: it
+            inhibits the same side, and the target swings the opposite way. The target is exactly
+            in step only if both receive equal inhibition. Otherwise it lags or leads.
         lag_deg: lag of the target behind the source, degrees, with coupling in both directions.
-            None couples in one direction only: the source acts on the target.
+            None couples in one direction only: the source acts on the target. Other couplings of
+            the two change the lag.
 
     Raises:
         ValueError: a value is outside its range.
@@ -148,7 +151,7 @@ def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str |
         matches = fnmatch.filter(tree.names, pattern)
         if not matches:
             problem = f"{pattern!r} matches no body ({_near(pattern, tree.names)})"
-            raise UnfitError(problem, (*where, i))
+            raise UnfitError(problem, (*where, i), unknown_name=True)
         found.update(map(tree.names.index, matches))
     return found
 
@@ -167,7 +170,7 @@ def matching_oscillators(tree: Tree, pattern: str, where: Sequence[str | int]) -
     found = [i for i, name in enumerate(tree.dof_names) if fnmatch.fnmatchcase(name, pattern)]
     if not found:
         problem = f"{pattern!r} is no degree of freedom ({_near(pattern, tree.dof_names)})"
-        raise CouplingError(problem, where)
+        raise CouplingError(problem, where, unknown_name=True)
     return found
 
 

@@ -95,13 +95,14 @@ class CpgSettings:
             least 0.
         child_weight: inhibition from a child's oscillator, in units of ``pair_weight``, at least 0.
         cross_weight: mutual inhibition of successive axes of one joint, in units of
-            ``pair_weight``, at least 0. The axes then swing in phase: both angles are positive
-            together.
+            ``pair_weight``, at least 0. The axes then swing nearly in phase: both signals are
+            positive together.
         opposite: bodies, or patterns such as ``front_*``, whose couplings to the parent's
             oscillators change their sign. So front legs step against hind legs.
-        couplings: couplings between chosen oscillators, which replace couplings of the tree.
-        rings: rings of oscillators with a constant lag from one to the next, which replace
-            couplings of the tree.
+        couplings: couplings between chosen oscillators. They replace the tree's couplings between
+            the same oscillators. All other couplings of the tree stay.
+        rings: rings of oscillators with a constant lag from one to the next. They replace the
+            tree's couplings between the oscillators of the ring.
         sensory_feedback: the constant s of eq. 4, equal for every neuron.
         max_tonic_input: u_max, more than 0. Outputs are proportional to it.
         min_adaptation_gain: smallest b, more than 0.

@@ -177,6 +177,7 @@ class Flow:
 
     Attributes:
         second: length of a second in units of the flow.
+        ratio: T_r / T_a.
         scale: largest magnitude of the drive, the unit of states.
         steps_left: number of steps left before `BudgetError`.
     """
@@ -192,6 +193,7 @@ class Flow:
         self.count, self.neurons, self.size = count, 2 * count, 4 * count
         unit = rise + adaptation
         self.second = 1.0 / unit
+        self.ratio = rise / adaptation
         drive = np.asarray(drive, float)
         self.scale = float(np.abs(drive).max()) or 1.0
         self.steps_left = math.inf

@@ -54,7 +54,8 @@ class Task(eqx.Module):
     Attributes:
         light: place of the point light, m, for situations without their own, or None for a task
             without a light. `Snapshot.light_position` is the place in the trial.
-        heading: ``forward`` if only displacement along the world's x counts, else ``any``.
+        heading: ``forward`` if only displacement along the world's x counts, else ``any``. The
+            class decides what its fitness counts. `evo-cpg sensitivity` reads this attribute.
 
     Example:
         A race along x::

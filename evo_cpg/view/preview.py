@@ -209,7 +209,8 @@ def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
         for axis, *_ in body.joint.dofs:
             names = [n for n, unit in zip("xyz", np.eye(3), strict=True) if np.allclose(axis, unit)]
             name = names[0] if names else "other"
-            meaning[f"{name} axis"] = color = _AXES.get(name, _OTHER_AXIS)
+            color = _AXES.get(name, _OTHER_AXIS)
+            meaning[f"{name} axis" if names else "other axis, such as -z"] = color
             # Long enough to stick out of the bodies on either side.
             _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * _thickness(scene), color)
     return dict(sorted(meaning.items()))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
+from evo_cpg.analysis.limit_cycle import limit_cycle
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import uncoupled
 from evo_cpg.control.rest import resting
@@ -21,6 +22,9 @@ def programs(page: str) -> list[str]:
     """Return the Python blocks of a page, with shorter trials and fewer individuals."""
     found = re.findall(r"```python\n(.+?)```", (ROOT / page).read_text(), re.S)
     short = [one.replace('"simulation.steps": 300', '"simulation.steps": 10') for one in found]
+    # The smaller animal is a file of the working folder.
+    name, path = '"iwadate2010_swimmer"', '"configs/iwadate2010_swimmer.yaml"'
+    short = [one.replace(f"load({name}", f"load({path}") for one in short]
     return [re.sub(r"\b(32|64)\b", "8", one) for one in short]
 
 
@@ -124,6 +128,45 @@ def test_the_documented_rower_has_no_resting_oscillator(here, monkeypatch):
     assert uncoupled(controller.network.matrix) == []
     assert resting(controller.network, 1.0, 1.0, 10.0) == []
     assert np.isfinite(evo.train(experiment, "runs/rower").fitness)
+
+
+@pytest.fixture
+def lizard(here):
+    """Return the path of the walker of `docs/walker.md`."""
+    (config,) = configs("docs/walker.md")
+    (here / "lizard.yaml").write_text(config)
+    return "lizard.yaml"
+
+
+def test_the_documented_walker_steps_with_diagonal_legs(lizard):
+    page = (ROOT / "docs/walker.md").read_text()
+    experiment = evo.load(lizard)
+    tree = experiment.parts.simulation.world.tree
+    controller = experiment.parts.simulation.controller
+    assert isinstance(controller, BrainCpg)
+    network, count = controller.network, tree.dof_count
+    assert uncoupled(network.matrix) == []
+    cycle = limit_cycle(network, np.ones((2, count)), np.full(count, 5.5), tuple(range(count)))
+    rows = re.findall(r"\| (fore|hind)leg, (swing|lift) \| (-?\d+) \| (-?\d+) \|", page)
+    assert len(rows) == 4
+    lags = {}
+    for leg, motion, *printed in rows:
+        for side, number in zip(("left", "right"), printed, strict=True):
+            axis = {"swing": "z", "lift": "x"}[motion]
+            own = tree.dof_names.index(f"{side}_{leg}.{axis}")
+            lags[side, leg, motion] = lag = cycle.lags((0, own))[1]
+            assert round(lag) == int(number)
+    for (side, leg, motion), lag in lags.items():
+        other = {"left": "right", "right": "left"}[side], {"fore": "hind", "hind": "fore"}[leg]
+        assert abs(lag - lags[*other, motion]) < 50
+        assert abs(lag - lags[side, leg, "lift"]) < 5
+
+
+@pytest.mark.slow
+def test_the_documented_walker_walks(lizard):
+    trained = evo.train(evo.load(lizard), "runs/lizard")
+    assert trained.terms["forward"] > 0.7
+    assert trained.terms["airborne"] < 0.1 and trained.terms["tilt"] < 0.05
 
 
 def test_a_custom_optimiser_trains(here, monkeypatch):

@@ -48,6 +48,14 @@ def test_the_lags_around_a_ring_are_shown(cli, gain):
     assert f"ring of {names}: {words}" in out
 
 
+def test_lags_of_legs_are_listed_one_by_one(cli):
+    code, out, err = cli("cpg", REPOSITORY / "configs" / "turtle.yaml")
+    assert code == 0, err
+    assert re.search(r"left_flipper\.x \+ 3 +1\.2832 +below ", out)
+    listed = "left_flipper.y 0, right_flipper.x 0, right_flipper.y 0"
+    assert f"lag of each oscillator behind left_flipper.x, deg: {listed}\n" in out
+
+
 @pytest.fixture
 def nothing_kept(monkeypatch):
     """Do not use the compiled programs of the user."""

@@ -30,7 +30,9 @@ def test_an_exported_animal_is_imported_unchanged(cli, tmp_path):
     assert compiled.opt.timestep == pytest.approx(1 / 240)
     code, out, err = cli("import", model, animal)
     assert (code, out) == (0, f"{animal}\n")
-    assert err == "left out: gravity (0, 0, -9.81) m/s^2, geom 'ground'\n"
+    assert err == (
+        "not part of a creature, so not read: gravity (0, 0, -9.81) m/s^2, geom 'ground'\n"
+    )
     config = yaml.safe_load(WALKER.read_text())
     (tmp_path / "again.yaml").write_text(yaml.safe_dump(config | {"creature": "animal.yaml"}))
     found, given = load_config(tmp_path / "again.yaml"), load_config(WALKER)

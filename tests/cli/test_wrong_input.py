@@ -191,7 +191,8 @@ def test_postures_beyond_the_limits_are_rejected(refused):
     walker = REPOSITORY / "configs" / "fukui2003_model1.yaml"
     narrow = "creature.bodies.2.joint.limits_deg=[-75, 60]"
     assert refused("train", walker, narrow, "--out", "run") == (
-        f"{walker}: controller: the postures turn joint front_left_lower.y from -70 to 70 degrees "
+        f"{walker}: line {walker.read_text().splitlines().index('controller:') + 1}: controller: "
+        "the postures turn joint front_left_lower.y from -70 to 70 degrees "
         "(neutral pose: 0), but its limits_deg allow -75 to 60"
     )
 

@@ -222,6 +222,15 @@ MISTAKES = {
         "creature.bodies.1.joint.child_at",
         "outside body 'segment1' itself. The body reaches to 0.1, 0.05, 0.05 m",
     ),
+    "joint of a leg that lies along the body": (
+        CONFIG,
+        [
+            "creature.bodies.1.shape={type: capsule, radius: 0.03, length: 0.1}",
+            "creature.bodies.1.joint.child_at=[0, 0.2, 0]",
+        ],
+        "creature.bodies.1.joint.child_at",
+        "A capsule lies along its own x. To turn a leg sideways, use rotation_deg",
+    ),
     "joint in mm": (
         CONFIG,
         ["creature.bodies.1.joint.at=[-110, 0, 0]"],

@@ -224,7 +224,7 @@ def test_unknown_key_gets_the_nearest_valid_key(key, value, expected):
         ("seed", True, "True: must be a number"),
         ("name", "../elsewhere", "'../elsewhere': must be the name of a folder"),
         ("evolution__mutation_rate", 1.5, "1.5: must be less than or equal to 1"),
-        ("evolution__population", 8, "elites: must be fewer than the population of 8, got 20"),
+        ("evolution__population", 8, "population of 8, but the default is 20"),
         ("controller__rate_gain", float("inf"), "inf: must be a finite number"),
         ("controller__rate_gain", True, "True: must be a number"),
         ("controller__cpg__time_scale", 0, "time_scale must be positive, got 0"),

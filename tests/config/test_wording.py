@@ -87,6 +87,7 @@ def problem(data: dict) -> str:
         ("world.water", "None", "Write null"),
         ("controller.cpg", None, "null: must be a section with the keys constants, "),
         ("controller.cpg", None, "The key has no value. Leave it out, or give it one"),
+        ("controller.cpg.couplings", None, "Leave it out, write [] for none, or give it one"),
         # Text, numbers and booleans.
         ("creature.bodies.1.name", True, f"True: must be text. {TRUTHS}"),
         ("creature.bodies.1.name", 12, "12: must be text. Write '12'"),
@@ -208,6 +209,24 @@ def test_error_in_a_creature_file_names_its_line(tmp_path):
     with pytest.raises(ConfigError) as caught:
         load_config(path)
     assert caught.value.line in (2, line)
+
+
+def test_error_in_a_section_with_defaults_names_its_line(tmp_path):
+    path = tmp_path / "x.yaml"
+    text = CONFIG.read_text().replace("creatures/", f"{CONFIG.parent}/creatures/")
+    section = "    couplings:\n      - {source: segment1.z, target: '*.z'}\n"
+    path.write_text(text.replace("  cpg:\n", f"  cpg:\n{section}"))
+    with pytest.raises(ConfigError) as caught:
+        build_experiment(load_config(path), path)
+    line = line_of(path, "source: segment1.z")
+    words = f"{path}: line {line}: controller.cpg.couplings.0: couples 'segment1.z' to itself"
+    assert str(caught.value) == words
+
+
+def test_file_of_a_creature_is_no_configuration():
+    path = REPOSITORY / "configs" / "creatures" / "hexapod.yaml"
+    with pytest.raises(ConfigError, match="describes a creature, and not an experiment"):
+        load_config(path)
 
 
 def test_error_in_an_override_has_no_line():

@@ -9,7 +9,7 @@ from evo_cpg.config.errors import Key
 from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.typical import ROUNDING, TURN
 from evo_cpg.creature.creature import Body
-from evo_cpg.creature.shapes import Shape
+from evo_cpg.creature.shapes import Capsule, Shape
 from evo_cpg.spatial.numerics import Triple
 
 # Range of the longest edge of a body, from the limb of a small insect to a whale, m.
@@ -241,6 +241,8 @@ def far_places(case: Case) -> Iterator[LintWarning]:
         (x, y, z), gap = body.shape.half_extents, _gap(body.shape, place)
         most = max(x, y, z)
         likely = "Positions count from the body's centre, so half its size reaches its surface"
+        if isinstance(body.shape, Capsule):
+            likely += ". A capsule lies along its own x. To turn a leg sideways, use rotation_deg"
         if gap > 100 * most:
             likely = "Positions are in m. Is this in mm?"
         if gap > _OUT * most:

@@ -211,8 +211,10 @@ class RealEvolutionConfig(MapSection):
     @model_validator(mode="after")
     def _check(self) -> "RealEvolutionConfig":
         if self.elites >= self.population:
+            given = "got" if "elites" in self.model_fields_set else "but the default is"
             raise ValueError(
-                f"elites: must be fewer than the population of {self.population}, got {self.elites}"
+                f"elites: must be fewer than the population of {self.population}, "
+                f"{given} {self.elites}"
             )
         if self.learning and not 1 <= (self.learning.elites or 1) <= self.elites:
             raise ValueError(

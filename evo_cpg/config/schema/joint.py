@@ -84,11 +84,13 @@ class JointConfig(Section):
         parent: name of the parent body.
         at: position of the joint in the parent's frame, m.
         child_at: position of the joint in this body's frame, m.
-        axes: 1 to 3 axes, which turn in this order: x, y, z, -x, -y, -z or a vector.
+        axes: 1 to 3 axes in this body's own frame, which turn in this order: x, y, z, -x, -y, -z
+            or a vector.
         limits_deg: lower and upper limit, for all axes or one pair for each, degrees; the middle
             one of three axes at right angles turns by at most 85.
         rotation_deg: roll, pitch and yaw of this body relative to its parent at rest, degrees,
-            about the parent's x, then y, then z.
+            about the parent's x, then y, then z. ``[0, 40, 90]`` points the x axis of a leg to the
+            left and 40 degrees down.
         stiffness: stiffness of the passive spring, N m/rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.

@@ -98,10 +98,11 @@ def signals(subject: Subject, motion: RecordedMotion) -> Html | None:
         )
     ]
     names, lags = recording.dof_names, numbers.lags
+    # Rows of joints may share their first joints.
+    pairs = dict.fromkeys(pair for row in subject.chains for pair in itertools.pairwise(row))
     rows = [
         [names[i], names[j], number(round(float(lags.lag[i, j]))), number(lags.coherence[i, j])]
-        for row in subject.chains
-        for i, j in itertools.pairwise(row)
+        for i, j in pairs
         if math.isfinite(lags.lag[i, j])
     ]
     if rows:
@@ -109,7 +110,8 @@ def signals(subject: Subject, motion: RecordedMotion) -> Html | None:
             f"Lag of the next joint behind the joint at {numbers.frequency:.3g} Hz, from the "
             "cross-spectrum of their angles (Welch 1967). Both angles are about the direction of "
             "the first axis in their row of joints. Coherence is 1 if the lag is always the same, "
-            "and 0 if it is random."
+            "and 0 if it is random. It has no value (a dash) if the second half of the trial is "
+            "shorter than about six strides."
         )
         made = long_table(["joint", "next", "lag (deg)", "coherence"], rows, numbers=(2, 3))
         parts += [tag("h3", "Phase lags"), made, tag("p", words, class_="note")]
@@ -171,7 +173,10 @@ def _feet_table(numbers: GaitNumbers) -> Html:
         rows[phases.reference][2] += " (reference)"
     words = (
         "Phase: touch-down as a fraction of the stride of the reference body (Hildebrand 1965). "
-        "Regularity: 1 if the phases are always equal, 0 if they are random."
+        "Regularity: 1 if the phases are always equal, 0 if they are random. Both have no value (a "
+        "dash) for a body that does not touch down within the reference's strides in the second "
+        "half of the trial, and for all bodies if none touches down twice. Slip has no value for a "
+        "body without three control steps of contact in a row."
     )
     head = ["body", "duty factor", "phase", "regularity", "slip (m/s)"]
     return join(table(head, rows, numbers=(1, 2, 3, 4)), tag("p", words, class_="note"))
