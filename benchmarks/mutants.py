@@ -91,7 +91,7 @@ MUTANTS = (
     ),
     Mutant(
         "physics/fluid.py",
-        "speed = speed * _wet_fraction(patch.normal_places, pose)",
+        "speed = speed * wet_fraction(patch.normal_places, pose)",
         "speed = speed * 1.0",
         "physics/test_water_surface.py",
     ),

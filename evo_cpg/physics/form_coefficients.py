@@ -11,9 +11,9 @@ flow has
     round:  C = C_plate / (1 + c (l/q)^1.1),
     box:    C = C_plate (1 - 0.27 e (1 - 1 / (1 + (0.55 l/q)^2))),  e = (2 - C_plate) / 0.87.
 
-The constant c gives ``1.25 - 0.77 / (1 + (p/q - 1) / 6)`` at ``l = q``.
+The constant c gives ``1.25 - 0.785 / (1 + (p/q - 1) / 6)`` at ``l = q``.
 
-So a sphere has 0.48, a long cylinder 1.25, a cube 1.06, a long bar 2.0, and a rod along the flow
+So a sphere has 0.46, a long cylinder 1.25, a cube 1.06, a long bar 2.0, and a rod along the flow
 0.83. The values are those of a laminar boundary layer, without friction. `docs/models/fluid.md`
 compares them with measurements.
 """
@@ -24,7 +24,7 @@ from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Coefficients of the formulas above.
 _LONG_PLATE, _PLATE_LOSS, _PLATE_RATIO, _PLATE_POWER = 2.0, 0.87, 26.0, 1.3
-_LONG_CYLINDER, _END_LOSS, _END_RATIO = 1.25, 0.77, 6.0
+_LONG_CYLINDER, _END_LOSS, _END_RATIO = 1.25, 0.785, 6.0
 _ROUND_POWER, _BOX_LOSS, _BOX_DEPTH = 1.1, 0.27, 0.55
 
 # Corrections of the points' coefficients. Boxes need one.

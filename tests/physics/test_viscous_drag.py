@@ -121,11 +121,13 @@ def coefficients(world: World, direction: int, reynolds, length: float, area: fl
 
 @pytest.mark.parametrize("resolution", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_sphere_follows_the_standard_curve(resolution):
-    """Clift, Grace and Weber 1978, within 15 % from Re 1 to 1e5."""
+    """Clift, Grace and Weber 1978, within 15 % from Re 1 and 12 % from Re 100 to 1e5."""
     reynolds = [1, 3, 10, 30, 100, 300, 1e3, 3e3, 1e4, 3e4, 1e5]
     measured = [27.2, 10.5, 4.26, 2.12, 1.09, 0.65, 0.47, 0.40, 0.41, 0.46, 0.50]
     world = in_viscous_water(single(Sphere(D / 2)), resolution=resolution)
-    np.testing.assert_allclose(coefficients(world, 0, reynolds, D, FRONT), measured, rtol=0.12)
+    found = coefficients(world, 0, reynolds, D, FRONT)
+    np.testing.assert_allclose(found[:4], measured[:4], rtol=0.15)
+    np.testing.assert_allclose(found[4:], measured[4:], rtol=0.12)
 
 
 def test_long_capsule_follows_the_long_cylinder():
