@@ -129,6 +129,7 @@ def test_wrong_numbers_are_named(experiment, genomes, numbers):
         fitness(genomes[0], np.array([-1.0]))
 
 
+@pytest.mark.slow
 def test_values_that_change_the_layout_are_refused(experiment, genomes):
     fitness = experiment.fitness_function(numbers=["controller.cpg.time_scale"])
     words = r"another layout at controller\.cpg\.time_scale=0\.1"

@@ -291,6 +291,7 @@ def test_the_horizon_selects_decaying_cut_or_exact_gradients(
     assert backward.retention == (retention and pytest.approx(retention))
 
 
+@pytest.mark.slow
 def test_rewards_of_an_episode_add_up_to_the_fitness(experiment, genomes):
     """The commands of a trial, given as actions, reproduce its fitness, terms and joint angles."""
     environment = experiment.environment()

@@ -79,6 +79,7 @@ def test_a_chains_body_length_is_from_centre_to_centre(chain):
     assert body_length(chain) == pytest.approx(np.linalg.norm(offset - tree.com[:, 0]))
 
 
+@pytest.mark.slow
 def test_an_animal_is_measured_at_every_size(chain):
     """Both parts have a row for every kind of water, and a row for the largest population."""
     animal, plan = Animal("chain", chain, (200, 208), flops=1000), Plan(2, None, 0.01, 2)

@@ -162,6 +162,7 @@ def assert_lost(ends: list[tuple[int, str]], run: Path, words: str) -> None:
         assert err.endswith(advice) and err.count("\n") == 1, err
 
 
+@pytest.mark.slow
 def test_two_processes_equal_one_process(alone, finish, tmp_path):
     train(finish, tmp_path / "run", 2)
     assert_same_run(tmp_path / "run", alone)

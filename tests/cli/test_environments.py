@@ -136,6 +136,7 @@ def test_another_user_without_a_home_trains(stranger, compiled):
 # No permission
 
 
+@pytest.mark.slow
 def test_a_missing_permission_is_one_line(stranger, finished_run):
     with tempfile.TemporaryDirectory() as place:
         # Every user may read the folder.

@@ -26,6 +26,7 @@ def refined(finished_run, cli, tmp_path_factory):
     return RunFolder(folder), err
 
 
+@pytest.mark.slow
 def test_the_champion_is_better_and_verified(refined, finished_run, cli):
     folder, err = refined
     before, after = (RunFolder(path).load_champion()[0] for path in (finished_run, folder.path))

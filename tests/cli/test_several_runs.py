@@ -40,6 +40,7 @@ def test_every_generation_has_a_row_for_each_run(noisy_run):
     assert rows == [("0", "0"), ("0", "1"), ("1", "0"), ("1", "1")]
 
 
+@pytest.mark.slow
 def test_the_best_champion_is_verified_exactly_under_noise(noisy_run, cli):
     code, out, err = cli("verify", noisy_run)
     assert (code, err) == (0, "")

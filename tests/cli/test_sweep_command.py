@@ -138,6 +138,7 @@ def test_under_noise_tables_and_figure_show_expected_fitness(swept, tmp_path, mo
     assert len(drawn) == 3
 
 
+@pytest.mark.slow
 def test_a_continued_sweep_equals_an_uninterrupted_one(tmp_path, monkeypatch):
     """The sweep stops between the checkpoints of two settings, so one setting is ahead."""
     sweep(tmp_path / "whole")

@@ -294,6 +294,7 @@ def test_islands_without_migration_evolve_as_if_alone():
         np.testing.assert_array_equal(together[:, own], alone)
 
 
+@pytest.mark.slow
 def test_parents_come_from_occupied_cells_only():
     """A third of 10,000 cells is filled. Rounded sums of probabilities once drew empty cells."""
     axes = tuple(Axis(axis.name, axis.low, axis.high, 100) for axis in AXES)

@@ -111,6 +111,7 @@ def test_speed_agrees_with_resistive_force_theory():
     assert simulated_speed(2 * H) == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.slow
 def test_shelter_makes_the_chain_swim():
     """The chain is 2.7 times slower without shelter, and the oracle 2.6 times.
 

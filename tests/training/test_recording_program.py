@@ -72,6 +72,7 @@ def test_on_compiled_is_called_once_after_the_first_trials(tmp_path):
     assert told == [0], "nothing is left to do, and nothing was compiled"
 
 
+@pytest.mark.slow
 def test_one_program_replays_any_champion(tmp_path):
     """The program is compiled before there is a champion, and each champion has its own noise."""
     experiment, folder = folder_of(tmp_path / "run", NOISY)

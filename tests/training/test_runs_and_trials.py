@@ -171,6 +171,7 @@ def test_every_champion_replays_as_recorded_with_its_noise(noisy_pair):
     assert replay_champion(NOISY, other, 2)[0] != champion.fitness
 
 
+@pytest.mark.slow
 def test_more_trials_than_a_chunk_holds_replay_exactly():
     """One individual has 40 trials, which two devices share."""
     single = noisy(experiment(20, 1))._replace(trials=40)

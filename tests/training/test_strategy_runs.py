@@ -151,7 +151,7 @@ def test_states_are_named_by_their_paths():
     assert list(state_arrays(state)) == ["1.a"]
 
 
-@pytest.mark.parametrize("name", ["map_elites", "pyribs"])
+@pytest.mark.parametrize("name", ["map_elites", pytest.param("pyribs", marks=pytest.mark.slow)])
 def test_every_elite_of_a_map_replays_as_recorded(name, tmp_path):
     """Fitness and descriptors are equal."""
     several = made(STRATEGIES[name]())
