@@ -356,7 +356,7 @@ def _outline(barrel: Barrel, beside: list[tuple[Number, Number, Number]]) -> Out
     return Outline(barrel, xp.array(covered), xp.array(extension))
 
 
-def _fade(x: Numbers, full: float, none: float) -> Numbers:
+def _fade(x: Number, full: float, none: float) -> Number:
     """Return a smooth step from 1 at one bound to 0 at the other."""
     fraction = xp.clip((x - none) / (full - none), 0.0, 1.0)
     return fraction * fraction * (3.0 - 2.0 * fraction)

@@ -150,7 +150,7 @@ def build_tree(creature: Creature) -> Tree:
     limit_rate = 2 * np.pi * LIMIT_FREQUENCY
     leverage = _effective_inertia(creature, order)
 
-    def each(name: str) -> Float[Numbers, " d"]:
+    def each(name: str) -> Float[Numbers, "d *rest"]:
         return xp.array([getattr(dof, name) for dof in dofs], float)
 
     gain, spring = each("servo_gain"), each("servo_stiffness")

@@ -1,7 +1,7 @@
 """Sections of the shapes of bodies: lengths in m, in the frame of the body."""
 
 from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -16,6 +16,9 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 Size = tuple[Positive, Positive, Positive]
 # Index of a vertex. Larger numbers do not fit into arrays.
 Index = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+_Solid = TypeVar("_Solid", bound="SolidConfig")
 
 
 class SolidConfig(Section):
@@ -34,7 +37,7 @@ class SolidConfig(Section):
         """Centre of mass ``(3,)`` in the body's frame, m, nonzero only for a mesh."""
         return np.zeros(3)
 
-    def mirrored(self, axis: MirrorAxis) -> Self:
+    def mirrored(self: _Solid, axis: MirrorAxis) -> _Solid:
         """Return the mirror image in the frame's plane with this normal (often the same shape)."""
         del axis
         return self
