@@ -220,32 +220,39 @@ def _end_surface(
     counts = np.full(len(places), len(around))
     counts[-1] = 1
     solid = np.repeat(2 * np.pi * weights / counts, counts)
-    roots = xp.sqrt(half_axes)
-    stretched = directions * roots
+    placed, normals, stretch, length = _halfway(directions, half_axes)
+    areas = solid * xp.prod(xp.sqrt(half_axes)) ** 3 * (stretch / length**3)[:, 0]
+    return Surface(placed * half_axes, normals, areas)
+
+
+def _halfway(
+    directions: np.ndarray, half_axes: Numbers
+) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+    """Return points between the directions of points and of normals of an ellipsoid or ellipse.
+
+    Returns:
+        The points over the half axes, the unit normals there, and two columns of lengths for the
+        areas: of the gradients, and of the directions times the square roots of the half axes.
+    """
+    stretched = directions * xp.sqrt(half_axes)
     length = xp.linalg.norm(stretched, axis=-1, keepdims=True)
     placed = stretched / length
     scaled = placed / half_axes
     stretch = xp.linalg.norm(scaled, axis=-1, keepdims=True)
-    areas = solid * xp.prod(roots) ** 3 * (stretch / length**3)[:, 0]
-    return Surface(placed * half_axes, scaled / stretch, areas)
+    return placed, scaled / stretch, stretch, length
 
 
 def _side_surface(
     half_axes: Numbers, rear: Number, front: Number, rings: int, around: np.ndarray
 ) -> Surface:
     """Return points on an elliptic cylinder along x."""
-    roots = xp.sqrt(half_axes)
-    stretched = around * roots
-    length = xp.linalg.norm(stretched, axis=-1, keepdims=True)
-    placed = stretched / length
-    scaled = placed / half_axes
-    stretch = xp.linalg.norm(scaled, axis=-1, keepdims=True)
-    lines = 2 * np.pi / len(around) * xp.prod(roots) ** 3 * (stretch / length**2)[:, 0]
+    placed, normals, stretch, length = _halfway(around, half_axes)
+    lines = 2 * np.pi / len(around) * xp.prod(xp.sqrt(half_axes)) ** 3 * (stretch / length**2)[:, 0]
     nodes, weights = np.polynomial.legendre.leggauss(rings)
     count, extent = len(around), xp.maximum(front - rear, 0.0)
     places = np.repeat(nodes, count)[:, None] * extent / 2 + (front + rear) / 2
     points = xp.concatenate([places, xp.tile(placed * half_axes, (rings, 1))], 1)
-    normals = xp.tile(scaled / stretch, (rings, 1))
+    normals = xp.tile(normals, (rings, 1))
     normals = xp.concatenate([np.zeros((rings * count, 1)), normals], 1)
     return Surface(points, normals, np.repeat(weights / 2, count) * extent * xp.tile(lines, rings))
 

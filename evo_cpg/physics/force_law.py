@@ -275,6 +275,11 @@ class ForceLaw(eqx.Module):
         del first, last
         return self.wrench(middle)
 
+    def scaled(self, factor: float) -> "ForceLaw":
+        """Return the law with its drag multiplied by a factor. By default it has no drag."""
+        del factor
+        return self
+
     def operations(self) -> float:
         """Return the approximate number of native-code operations of the law, or 0 if unknown.
 

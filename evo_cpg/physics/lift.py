@@ -52,6 +52,7 @@ from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
 from evo_cpg.physics.per_body import take
+from evo_cpg.physics.reactive_thrust import LEAST_BODIES
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
 from evo_cpg.spatial.numerics import Number, Numbers, xp
@@ -78,9 +79,6 @@ _AHEAD = 0.25
 
 # Thickness over the smaller other extent up to which a body is a plate, and from which it is not.
 _THIN, _THICK = 0.25, 0.75
-
-# Length from which a slender chain has reactive thrust and no lift, in bodies.
-_CHAIN = 3
 
 # Squared speed (m^2/s^2) added under roots, so that their derivatives exist at rest.
 _SPEED_FLOOR = 1e-12
@@ -252,7 +250,7 @@ def make_plate_lift(
     chained = {
         creature.bodies[body].name
         for chain in slender_chains(creature)
-        if len(chain.bodies) >= _CHAIN
+        if len(chain.bodies) >= LEAST_BODIES
         for body in chain.bodies
     }
     shapes = {body.name: body.shape for body in creature.bodies}

@@ -53,7 +53,8 @@ from evo_cpg.spatial.decisions import Condition, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
-# Least number of bodies of a slender chain. One or two rigid bodies cannot form a wave.
+# Least number of bodies of a chain with reactive thrust, and without lift of plates
+# (`evo_cpg.physics.lift`). One or two rigid bodies cannot form a wave.
 LEAST_BODIES = 3
 
 # Ratio u / |w| at which an edge sheds all water, 79 degrees from the tangent.

@@ -12,11 +12,9 @@ from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.buoyancy import Cells
 from evo_cpg.physics.contact_model import ContactModel, Ground
-from evo_cpg.physics.fluid import Drag
 from evo_cpg.physics.force_law import Bodies, ForceLaw, bodies_in
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.pairs import Pairs
-from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.physics.water import Water
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
@@ -124,8 +122,4 @@ class World(eqx.Module):
         """
         if self.water is None:
             raise ValueError("the world has no water, so drag cannot be scaled")
-        forces = (
-            law.scaled(factor) if isinstance(law, (Drag, ViscousDrag)) else law
-            for law in self.forces
-        )
-        return dataclasses.replace(self, forces=tuple(forces))
+        return dataclasses.replace(self, forces=tuple(law.scaled(factor) for law in self.forces))
