@@ -19,6 +19,7 @@ from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.footfalls import Phases
 from evo_cpg.analysis.phase_lags import PhaseLags, phase_lags
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
+from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.water import Water
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
@@ -188,7 +189,7 @@ def _quantities(
     energy = float(numbers.power.sum() * step)
     # The energy of the last control step moves the animal beyond the last recorded position.
     spent = float(numbers.power[:-1].sum() * step)
-    no_stride = "" if frequency > 0 else _NO_STRIDE
+    no_stride, muscular = "" if frequency > 0 else _NO_STRIDE, tree.muscles is not None
     moving = _if_anywhere(along, step * (len(middle) - 1), length)
     stride_length = stride.stride_length(moving, frequency)
     found = [
@@ -217,7 +218,8 @@ def _quantities(
     found += _of_the_wave(simulation, creature, recording, numbers, middle, no_stride)
     found += [
         Quantity("power", "mean power", energy / duration, "W",
-                 "power of all motors, |torque x rate| summed over the joints"),
+                 "power of all motors, |torque x rate| summed over the joints"
+                 + (", and metabolic power of muscles (Minetti and Alexander 1997)" * muscular)),
         Quantity("peak_power", "peak power", float(numbers.power.max(initial=0.0)), "W",
                  "largest power, as a mean of a control step"),
         Quantity("energy", "energy", energy, "J", "mean power x duration"),
@@ -228,7 +230,23 @@ def _quantities(
         Quantity("peak_torque", "peak torque", float(numbers.peak_torque.max(initial=0.0)), "N m",
                  "largest torque of any motor, as a mean of a control step"),
     ]  # fmt: skip
-    return found
+    return found + (_of_muscles(tree, recording) if muscular else [])
+
+
+def _of_muscles(tree: Tree, recording: Recording) -> list[Quantity]:
+    """Return the mechanical work of the muscles, to the last recorded position."""
+    assert tree.muscles is not None
+    turn = np.diff(np.asarray(recording.joint_angle, float), axis=0)
+    work = (np.asarray(recording.torque, float)[:-1] * turn)[:, np.array(tree.muscles.driven)]
+    return [
+        Quantity("muscle_work", "work of muscles", float(work.sum()), "J",
+                 "torque x change of the joint's angle, summed over the joints with muscles"),
+        Quantity("positive_muscle_work", "positive work of muscles",
+                 float(np.maximum(work, 0.0).sum()), "J",
+                 "the same, of muscles that turn their joints"),
+        Quantity("absolute_muscle_work", "absolute work of muscles", float(np.abs(work).sum()), "J",
+                 "the same, |torque x change of the angle|, as motors are counted"),
+    ]  # fmt: skip
 
 
 def _if_anywhere(speed: float, time: float, length: float) -> float:

@@ -165,6 +165,17 @@ def test_shipped_configs_are_read_back_unchanged(path, tmp_path):
             "creature.bodies.1.joint.actuator.gian: unknown key: did you mean 'gain'?",
         ),
         (
+            "creature__bodies__1__joint__actuator",
+            {"type": "muscle", "area": 1e-4, "arm": 0.01, "fiber_length": 0.05},
+            "creature.bodies.1.joint.actuator.fiber_length: unknown key: did you mean "
+            "'fibre_length'?",
+        ),
+        (
+            "creature__bodies__1__joint__actuator",
+            {"type": "musle"},
+            "creature.bodies.1.joint.actuator.type: 'musle' is not known",
+        ),
+        (
             "creature__materials__flesh__densiti",
             1,
             "creature.materials.flesh.densiti: unknown key: did you mean 'density'?",
