@@ -295,6 +295,7 @@ def test_wrong_options_are_refused(cli, swimmer, tmp_path, arguments, words):
     assert (tmp_path / "there.html").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_numbers_in_json_python_and_terminal_agree(swimmer):
     """A number that does not exist is null and has a reason."""
     written = json.loads((swimmer / "analysis.json").read_text())
