@@ -368,6 +368,7 @@ def _drag(
     form, skin = _surface_points(water, creature, layout)
     surfacing = water.surface is not None
     if water.viscosity is None:
+        assert water.law is not None and water.skin_drag is not None
         patches = make_patches(tree, form, skin, water.law, surfacing, layout)
         return Drag(water.form_drag, water.skin_drag, patches, water.law)
     return make_viscous_drag(

@@ -330,7 +330,8 @@ def _in_line(one: _End, two: _End) -> tuple[Number, Number]:
     weight = _fade(cosine, *_TURN)
     weight = weight * _fade(xp.sqrt(sideways @ sideways + _LEAST**2) / radius, *_OFFSET)
     weight = weight * _fade((apart - one.tip - two.tip) / radius, *_GAP)
-    weight = weight * _fade(-apart / xp.minimum(one.whole, two.whole), *_OVERLAP)
+    shorter = xp.maximum(xp.minimum(one.whole, two.whole), _LEAST)
+    weight = weight * _fade(-apart / shorter, *_OVERLAP)
     for k in (0, 1):
         ratio = one.widths[k] / _width_along(two, one.across[:, k])
         weight = weight * _fade(xp.maximum(ratio, 1 / ratio), *_WIDTHS)

@@ -44,6 +44,9 @@ _NEAR, _NEAR_IN_COMPLETE = 1 / 0.8, 3.0
 # of the other body's least half extent.
 _SUNK = 0.25
 
+# Least size of a point's area, so that bodies without size cover nothing, m.
+_LEAST = 1e-12
+
 # Largest distance (m) of surfaces that two bodies share, and distance (m) outside a shared surface
 # at which no body may be.
 _SAME_SKIN, _OUTWARDS = 1e-9, 1e-6
@@ -288,6 +291,7 @@ def _covered(
             local = (world - centres[j]) @ rotations[j]
             gap = shape.distance(local.reshape(-1, 3)).reshape(local.shape[:-1]).min(0)
             size = _SUNK * xp.minimum(xp.sqrt(areas), xp.min(shape.half_extents))
+            size = xp.maximum(size, _LEAST)
             fraction = xp.clip(-gap / size, 0.0, 1.0)
             found[i][int(j)] = fraction * fraction * (3.0 - 2.0 * fraction)
     return found

@@ -294,6 +294,8 @@ def _plate(shape: Shape) -> tuple[Numbers, Numbers, Number]:
     """Return the frame of a thin body as rows, its lengths (m) and its area (m^2)."""
     half, axes = shape.stretch
     thinnest = xp.where(half <= xp.min(half), 1.0, 0.0)
+    # The first of equal axes.
+    thinnest = thinnest * xp.where(xp.cumsum(thinnest) > 1.0, 0.0, 1.0)
     normal, first = axes @ thinnest, axes @ xp.roll(thinnest, 1)
     second = xp.cross(normal, first)
     lengths = [
