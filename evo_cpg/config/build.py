@@ -37,7 +37,8 @@ from evo_cpg.physics.force_law import ForceLaw
 from evo_cpg.physics.lift import make_plate_lift
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.reactive_thrust import LEAST_BODIES, reactive_water
-from evo_cpg.physics.viscous_drag import ViscousDrag, make_viscous_drag
+from evo_cpg.physics.viscous_bodies import make_viscous_drag
+from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from evo_cpg.creature.creature import Body, Creature, neutral_pose
-from evo_cpg.creature.outline import outline_surface, outlines
+from evo_cpg.creature.outline import outlines
+from evo_cpg.creature.outline_points import outline_surface
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp

@@ -17,7 +17,7 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.lift import make_plate_lift
 from evo_cpg.physics.reactive_thrust import reactive_water
 from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.viscous_drag import make_viscous_drag
+from evo_cpg.physics.viscous_bodies import make_viscous_drag
 from evo_cpg.physics.water import Water
 from evo_cpg.physics.world import World
 

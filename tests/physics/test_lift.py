@@ -22,7 +22,7 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.lift import PlateLift, make_plate_lift
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
-from evo_cpg.physics.viscous_drag import make_viscous_drag
+from evo_cpg.physics.viscous_bodies import make_viscous_drag
 from evo_cpg.physics.water import Current, Water
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.decisions import recording_decisions, replaying_decisions

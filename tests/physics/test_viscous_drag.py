@@ -19,7 +19,8 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.stokes import ellipsoid_resistance
-from evo_cpg.physics.viscous_drag import ViscousDrag, make_viscous_drag
+from evo_cpg.physics.viscous_bodies import make_viscous_drag
+from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.physics.water import Current, Water
 from evo_cpg.physics.world import World
 
