@@ -123,6 +123,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
         still=_jpeg(picture([panel], Film(_STILL))),
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
+        root_index=experiment.creature.root_index,
     )
     audit = _audit(folder, champion)
     subject = Subject(
