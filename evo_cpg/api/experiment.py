@@ -293,8 +293,8 @@ class Experiment:
             trial: number of the trial, from 0, which sets the start and the place of the light.
 
         Raises:
-            ValueError: there is no such trial, no motor has a spring for ``angles``, or no joint has
-                muscles for ``activations``.
+            ValueError: there is no such trial. No motor has a spring for ``angles``, or no joint
+                has muscles for ``activations``.
         """
         if not 0 <= trial < self.trials:
             raise ValueError(f"trial must be from 0 to {self.trials - 1}, got {trial}")
