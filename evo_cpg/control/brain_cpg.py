@@ -212,24 +212,45 @@ class BrainCpg(Controller):
         Raises:
             ValueError: the senses do not fit the brain.
         """
-        outputs = think(self.brain, decoded, self.brain_inputs(state, observation))
-        return self._follow(outputs, state, observation.joint_angle)
+        tonic_input, adaptation_gain = self.descending(decoded, state, observation)
+        state = self.cord(state, tonic_input, adaptation_gain, observation)
+        return state, self.command(state, observation)
 
-    def _follow(
-        self, outputs: Array, state: MatsuokaState, joint_angle: Array
-    ) -> tuple[MatsuokaState, Command]:
-        """Return the next state and the command for the brain's outputs in one control step."""
-        tonic_input, adaptation_gain = self.cpg_inputs(outputs)
-        state = matsuoka.advance(
+    def descending(
+        self, decoded: Weights, state: MatsuokaState, observation: Observation
+    ) -> tuple[Float[Array, "2 d *n"], Float[Array, "d *n"]]:
+        """Return what the brain sends to the spinal cord.
+
+        Returns:
+            Tonic input of each neuron, extensors first, and adaptation gain of each oscillator.
+
+        Raises:
+            ValueError: the senses do not fit the brain.
+        """
+        outputs = think(self.brain, decoded, self.brain_inputs(state, observation))
+        return self.cpg_inputs(outputs)
+
+    def cord(
+        self,
+        state: MatsuokaState,
+        tonic_input: Float[Array, "2 d *n"],
+        adaptation_gain: Float[Array, "d *n"],
+        observation: Observation,
+    ) -> MatsuokaState:
+        """Return the neurons after one control step with constant inputs."""
+        return matsuoka.advance(
             self.network, state, tonic_input, adaptation_gain, self.control_step, self.substeps
         )
+
+    def command(self, state: MatsuokaState, observation: Observation) -> Command:
+        """Return the command of the neurons to the motors."""
         signal = matsuoka.output(state)
         rate = (
             expand_dims_like(self.rate_gain, signal) * signal
-            - expand_dims_like(self.centring, signal) * joint_angle
+            - expand_dims_like(self.centring, signal) * observation.joint_angle
         )
         limit = self.max_rate
-        return state, Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
+        return Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
 
     def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
         """Return the inputs of the brain: Table 2 of Iwadate 2010, every value from -1 to 1.
