@@ -55,11 +55,13 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.control.couplings import (
     Coupling,
     Ring,
-    axis_names,
+    axis_directions,
+    axis_parents,
     explicit_weights,
     matching_bodies,
     start_phases,
 )
+from evo_cpg.control.feedback import FeedbackSettings
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.spatial.decisions import chosen
@@ -107,6 +109,7 @@ class CpgSettings:
         max_tonic_input: u_max, more than 0. Outputs are proportional to it.
         min_adaptation_gain: smallest b, more than 0.
         max_adaptation_gain: largest b.
+        feedback: feedback of the senses into the oscillators, or None for none.
 
     Raises:
         ValueError: a value is outside its range.
@@ -125,6 +128,7 @@ class CpgSettings:
     max_tonic_input: float = 1.0
     min_adaptation_gain: float = 1.0
     max_adaptation_gain: float = 10.0
+    feedback: FeedbackSettings | None = None
 
     def __post_init__(self):
         for name in ("time_scale", "max_tonic_input", "min_adaptation_gain"):
@@ -234,20 +238,13 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[Numbers, "o o"
     Raises:
         ValueError: no body matches ``opposite``, or couplings do not fit the creature.
     """
-    axes = axis_names(tree)
     weights: dict[tuple[int, int], Number] = {(i, i): 1.0 for i in range(tree.dof_count)}
-    direction = chosen(
-        lambda: [-1 if (np.asarray(axis) <= 0).all() else 1 for axis in tree.joint_axes.T]
-    )
+    direction = axis_directions(tree)
     opposite = matching_bodies(tree, settings.opposite, ("cpg", "opposite"))
-    oscillator = {key: i for i, key in enumerate(zip(tree.dof_bodies, axes, strict=True))}
-    for child, (body, axis) in enumerate(zip(tree.dof_bodies, axes, strict=True)):
-        ancestor = tree.parents[body]
-        while ancestor >= 0 and (ancestor, axis) not in oscillator:
-            ancestor = tree.parents[ancestor]
-        if ancestor >= 0:
-            parent = oscillator[ancestor, axis]
-            side = direction[child] * direction[parent] * (-1 if body in opposite else 1)
+    for child, parent in enumerate(axis_parents(tree)):
+        if parent is not None:
+            turned = -1 if tree.dof_bodies[child] in opposite else 1
+            side = direction[child] * direction[parent] * turned
             weights[child, parent] = side * settings.parent_weight
             weights[parent, child] = side * settings.child_weight
     for i, (body, following) in enumerate(itertools.pairwise(tree.dof_bodies)):
