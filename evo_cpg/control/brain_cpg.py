@@ -441,7 +441,7 @@ def max_amplitude(settings: BrainCpgSettings) -> Number:
     # This choice is static: derivatives are taken by the first of the largest ranges.
     steering = every[chosen(lambda: int(np.argmax(every)))]
     limit = 0.0 if cpg.feedback is None else cpg.feedback.limit
-    return cpg.max_tonic_input * (1 + steering + limit) + xp.maximum(cpg.sensory_feedback, 0.0)
+    return cpg.max_tonic_input * (1 + steering + limit) + xp.maximum(cpg.constant_input, 0.0)
 
 
 def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str]:

@@ -13,7 +13,7 @@ Iwadate 2010, eqs. 4-6, for neuron i with the others j acting on it:
 | y_e - y_f | ``output``: extensor minus flexor |
 | u | ``tonic_input`` |
 | b | ``adaptation_gain`` |
-| s | ``sensory_feedback`` |
+| s | ``constant_input`` |
 | a | ``pair_weight`` |
 | T_r, T_a | ``rise_time``, ``adaptation_time`` (s) |
 
@@ -105,7 +105,7 @@ class CpgSettings:
             the same oscillators. All other couplings of the tree stay.
         rings: rings of oscillators with a constant lag from one to the next. They replace the
             tree's couplings between the oscillators of the ring.
-        sensory_feedback: the constant s of eq. 4, equal for every neuron.
+        constant_input: the constant s of eq. 4, equal for every neuron.
         max_tonic_input: u_max, more than 0. Outputs are proportional to it.
         min_adaptation_gain: smallest b, more than 0.
         max_adaptation_gain: largest b.
@@ -124,7 +124,7 @@ class CpgSettings:
     opposite: tuple[str, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     rings: tuple[Ring, ...] = ()
-    sensory_feedback: float = 0.0
+    constant_input: float = 0.0
     max_tonic_input: float = 1.0
     min_adaptation_gain: float = 1.0
     max_adaptation_gain: float = 10.0
@@ -158,7 +158,7 @@ class MatsuokaNetwork(eqx.Module):
         own_weights: these diagonals of B, 0 outside.
         rise_time: T_r, s.
         adaptation_time: T_a, s.
-        sensory_feedback: s.
+        constant_input: s.
         initial_potential: initial potential of each neuron, extensors first.
     """
 
@@ -168,7 +168,7 @@ class MatsuokaNetwork(eqx.Module):
     own_weights: Float[Numbers, "m o"]
     rise_time: Number
     adaptation_time: Number
-    sensory_feedback: Number
+    constant_input: Number
     initial_potential: Float[Numbers, "2 o"]
 
     @property
@@ -271,7 +271,7 @@ def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
         **_connections(matrix),
         rise_time=settings.time_scale * rise_time,
         adaptation_time=settings.time_scale * adaptation_time,
-        sensory_feedback=settings.sensory_feedback,
+        constant_input=settings.constant_input,
         initial_potential=INITIAL_FRACTION * settings.max_tonic_input * sides,
     )
 
@@ -370,7 +370,7 @@ def advance(
         substeps: number of substeps, or None for `MatsuokaNetwork.substeps`.
     """
     count = network.substeps(h) if substeps is None else substeps
-    drive = tonic_input + network.sensory_feedback
+    drive = tonic_input + network.constant_input
 
     def advance(state: MatsuokaState, drive: Array, adaptation_gain: Array) -> MatsuokaState:
         def substep(state: MatsuokaState, _) -> tuple[MatsuokaState, None]:
