@@ -21,6 +21,8 @@ unstable.
 
 All computations are in float64, in units of the network (`Flow`). All tolerances are relative to
 the swing of the orbit, so they hold for every drive and every time scale.
+
+Feedback of the senses (`evo_cpg.control.feedback`) is left out: the orbit is that of the open loop.
 """
 
 from collections.abc import Sequence
@@ -218,7 +220,7 @@ def flow_of(
         adaptation_gain: b of each oscillator of the whole network.
         chosen: indices of the part's oscillators.
     """
-    drive = np.asarray(tonic_input, float)[:, list(chosen)] + float(part.sensory_feedback)
+    drive = np.asarray(tonic_input, float)[:, list(chosen)] + float(part.constant_input)
     return Flow(part, drive, np.asarray(adaptation_gain, float)[list(chosen)])
 
 

@@ -135,13 +135,39 @@ def axis_names(tree: Tree) -> tuple[str, ...]:
     )
 
 
-def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str | int]) -> set[int]:
+def axis_parents(tree: Tree) -> list[int | None]:
+    """Return the oscillator of the same axis on the nearest ancestor that has one, or None."""
+    axes = axis_names(tree)
+    oscillator = {key: i for i, key in enumerate(zip(tree.dof_bodies, axes, strict=True))}
+    found: list[int | None] = []
+    for body, axis in zip(tree.dof_bodies, axes, strict=True):
+        ancestor = tree.parents[body]
+        while ancestor >= 0 and (ancestor, axis) not in oscillator:
+            ancestor = tree.parents[ancestor]
+        found.append(oscillator.get((ancestor, axis)))
+    return found
+
+
+def axis_directions(tree: Tree) -> list[int]:
+    """Return -1 for each degree of freedom whose axis has no positive component, otherwise 1."""
+    return chosen(
+        lambda: [-1 if (np.asarray(axis) <= 0).all() else 1 for axis in tree.joint_axes.T]
+    )
+
+
+def matching_bodies(
+    tree: Tree,
+    patterns: tuple[str, ...],
+    where: Sequence[str | int],
+    unfit: type[UnfitError] = UnfitError,
+) -> set[int]:
     """Return the indices of the bodies that match patterns such as ``*_arm``.
 
     Args:
         tree: the creature.
         patterns: names, in which ``*`` matches anything.
         where: path of the setting, for the message.
+        unfit: kind of the error, which says what the path starts from.
 
     Raises:
         UnfitError: no body matches a pattern.
@@ -151,7 +177,7 @@ def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str |
         matches = fnmatch.filter(tree.names, pattern)
         if not matches:
             problem = f"{pattern!r} matches no body ({_near(pattern, tree.names)})"
-            raise UnfitError(problem, (*where, i), unknown_name=True)
+            raise unfit(problem, (*where, i), unknown_name=True)
         found.update(map(tree.names.index, matches))
     return found
 
