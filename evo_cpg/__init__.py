@@ -11,7 +11,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from evo_cpg.api.analyse import analyse
+    from evo_cpg.api.analyse import analyse, gait_numbers
     from evo_cpg.api.environment import Environment, EnvironmentState
     from evo_cpg.api.experiment import Experiment, Trials
     from evo_cpg.api.load import load
@@ -47,6 +47,7 @@ _HOMES = {
     "Transition": "simulation.task",
     "Trials": "api.experiment",
     "analyse": "api.analyse",
+    "gait_numbers": "api.analyse",
     "load": "api.load",
     "show_progress": "api.progress",
     "train": "api.training",
@@ -63,6 +64,7 @@ __all__ = [  # noqa: RUF022 - in the order of the reference in docs/api.md
     "train",
     "Trained",
     "analyse",
+    "gait_numbers",
     "show_progress",
     "Task",
     "Transition",
