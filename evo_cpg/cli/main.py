@@ -32,6 +32,7 @@ COMMANDS = (
     "analyse",
     "watch",
     "probe",
+    "lab",
     "sensitivity",
     "fit",
     "preview",

@@ -159,9 +159,9 @@ class MatsuokaNetwork(eqx.Module):
     """
 
     offsets: tuple[int, ...] = eqx.field(static=True)
-    weights: Float[Numbers, "k o"]
+    weights: Float[Numbers, "k o *n"]
     own_offsets: tuple[int, ...] = eqx.field(static=True)
-    own_weights: Float[Numbers, "m o"]
+    own_weights: Float[Numbers, "m o *n"]
     rise_time: Number
     adaptation_time: Number
     sensory_feedback: Number

@@ -1,0 +1,195 @@
+"""An animal whose nervous system an experimenter has changed: cuts, silenced senses, fixed drive.
+
+The genes of an individual are the settings of one experiment. So one program computes many
+experiments, as it computes a population. A *preparation* wraps a `BrainCpg`. Each control step
+calls the same three parts, `BrainCpg.descending`, `BrainCpg.cord` and `BrainCpg.command`, with
+other inputs and other couplings:
+
+    u_i = k_i u_i(brain) + v_i,    b_i = k_i b_i(brain) + c_i,    A_ij = m_ij A_ij
+
+k is 0 behind a cut, v and c are the tonic input and the adaptation gain that replace the brain's,
+and m is 0 for couplings across a cut. Without a brain k is 0 everywhere.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.control.matsuoka import MatsuokaNetwork, MatsuokaState, Oscillators
+from evo_cpg.spatial.linear import expand_dims_like
+
+SENSES = ("light", "pressure", "balance", "joints", "depth", "sensors", "feedback")
+"""Senses that can be silenced. ``joints`` is what the brain senses of the joints, and ``feedback``
+is what the spinal cord senses."""
+
+
+class Surgery(NamedTuple):
+    """Changes of one nervous system. The trailing axes are individuals.
+
+    Attributes:
+        kept: k, fraction of the brain's signals that reaches each oscillator.
+        tonic: v, tonic input of each neuron in addition, extensors first.
+        gain: c, adaptation gain of each oscillator in addition.
+        coupled: m, factor of each element of ``MatsuokaNetwork.weights``.
+        own_coupled: m, factor of each element of ``MatsuokaNetwork.own_weights``.
+        heard: factor of each of the `SENSES`.
+    """
+
+    kept: Float[Array, "d *n"]
+    tonic: Float[Array, "2 d *n"]
+    gain: Float[Array, "d *n"]
+    coupled: Float[Array, "k d *n"]
+    own_coupled: Float[Array, "m d *n"]
+    heard: Float[Array, "s *n"]
+
+    def flat(self) -> Float[np.ndarray, " g"]:
+        """Return all numbers of one individual as a vector."""
+        return np.concatenate([np.asarray(part, np.float32).reshape(-1) for part in self])
+
+
+class Preparation(Controller):
+    """A brain and a spinal cord with changes. The genes are the brain's genes, then a `Surgery`.
+
+    Attributes:
+        animal: the nervous system without changes.
+        awake: False if the brain is not computed, and only the `Surgery` drives the cord.
+    """
+
+    animal: BrainCpg
+    awake: bool = eqx.field(static=True)
+
+    @property
+    def gene_count(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Number of genes of the brain, plus the numbers of a `Surgery`."""
+        brain = self.animal.gene_count if self.awake else 0
+        return brain + sum(map(_size, self._shapes))
+
+    @property
+    def rhythm_generator(self) -> Oscillators:
+        """Spinal cord of the animal without changes."""
+        return self.animal.rhythm_generator
+
+    @property
+    def uses_senses(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Return whether a brain or a feedback uses the senses."""
+        return True
+
+    @property
+    def _shapes(self) -> tuple[tuple[int, ...], ...]:
+        network = self.animal.network
+        count = network.oscillator_count
+        diagonals = len(network.offsets), len(network.own_offsets)
+        return (
+            (count,),
+            (2, count),
+            (count,),
+            *((diagonal, count) for diagonal in diagonals),
+            (len(SENSES),),
+        )
+
+    def intact(self) -> Surgery:
+        """Return a surgery that changes nothing, for one individual."""
+        kept, tonic, gain, coupled, own, heard = (np.ones(shape) for shape in self._shapes)
+        return Surgery(kept, 0 * tonic, 0 * gain, coupled, own, heard)
+
+    def random_genes(
+        self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
+    ) -> Float[Array, "g *n"]:
+        """Return intact animals with random brains."""
+        intact = expand_dims_like(self.intact().flat(), jnp.zeros((1, *batch), dtype))
+        intact = jnp.broadcast_to(intact, (len(intact), *batch))
+        brain = [self.animal.random_genes(key, batch, dtype)] if self.awake else []
+        return jnp.concatenate([*brain, intact])
+
+    def initial_state(self, batch: tuple[int, ...], dtype: jnp.dtype | type) -> MatsuokaState:
+        """Return the initial state of the animal without changes."""
+        return self.animal.initial_state(batch, dtype)
+
+    def decode(self, genes: Float[Array, "g *n"]) -> tuple[PyTree[Array], Surgery]:
+        """Return the decoded genes of the brain (None without a brain), and the surgery."""
+        brain, parts, first = None, [], 0
+        if self.awake:
+            first = self.animal.gene_count
+            brain = self.animal.decode(genes[:first])
+        for shape in self._shapes:
+            part = genes[first : first + _size(shape)]
+            parts.append(part.reshape(*shape, *genes.shape[1:]))
+            first += _size(shape)
+        return brain, Surgery(*parts)
+
+    def act(
+        self,
+        decoded: tuple[PyTree[Array], Surgery],
+        state: MatsuokaState,
+        observation: Observation,
+    ) -> tuple[MatsuokaState, Command]:
+        """Run one control step of the changed animal."""
+        brain, surgery = decoded
+        tonic, gain = surgery.tonic, surgery.gain
+        if self.awake:
+            sensed = silenced(observation, surgery.heard)
+            own_tonic, own_gain = self.animal.descending(brain, state, sensed)
+            tonic = tonic + surgery.kept[None] * own_tonic
+            gain = gain + surgery.kept * own_gain
+        felt = surgery.heard[SENSES.index("feedback")]
+        proprioception = observation._replace(
+            joint_angle=felt * observation.joint_angle, joint_rate=felt * observation.joint_rate
+        )
+        state = self._cut(surgery).cord(state, tonic, gain, proprioception)
+        return state, self.animal.command(state, observation)
+
+    def _cut(self, surgery: Surgery) -> BrainCpg:
+        """Return the animal with the couplings of each individual."""
+        network = self.animal.network
+        weights, own = (
+            factor * expand_dims_like(weight, factor)
+            for factor, weight in (
+                (surgery.coupled, network.weights),
+                (surgery.own_coupled, network.own_weights),
+            )
+        )
+        network = dataclasses.replace(network, weights=weights, own_weights=own)
+        return dataclasses.replace(self.animal, network=network)
+
+
+def silenced(observation: Observation, heard: Float[Array, "s *n"]) -> Observation:
+    """Return the observation of a brain with silenced senses, whose readings are 0."""
+    light, pressure, balance, joints, depth, sensors, _ = heard
+    return observation._replace(
+        light=light * observation.light,
+        pressure=pressure * observation.pressure,
+        vertical_cosine=balance * observation.vertical_cosine,
+        vertical_sine=balance * observation.vertical_sine,
+        joint_angle=joints * observation.joint_angle,
+        joint_rate=joints * observation.joint_rate,
+        depth=depth * observation.depth,
+        custom=None if observation.custom is None else sensors * observation.custom,
+    )
+
+
+def couplings_within(
+    network: MatsuokaNetwork, side: Float[np.ndarray, " d"]
+) -> tuple[Float[np.ndarray, "k d"], Float[np.ndarray, "m d"]]:
+    """Return factors of the couplings: 1 within a side, 0 between sides.
+
+    Args:
+        network: the oscillators.
+        side: number of each oscillator's side of the cuts.
+    """
+    places = np.arange(len(side))
+
+    def within(offsets: tuple[int, ...]) -> np.ndarray:
+        others = np.array(offsets, int).reshape(-1, 1) + places
+        return (side[np.clip(others, 0, len(side) - 1)] == side).astype(float)
+
+    return within(network.offsets), within(network.own_offsets)
+
+
+def _size(shape: tuple[int, ...]) -> int:
+    return int(np.prod(shape))
