@@ -19,6 +19,8 @@ from evo_cpg.view.lab_plot import Panel, cell, lab_figure
 
 # Most rows of a table on the terminal, and most panels of a picture.
 _MOST_ROWS, _MOST_PANELS = 60, 6
+# Width of a table, characters.
+_WIDTH = 80
 
 
 def ask_animal(
@@ -99,12 +101,12 @@ def show_answer(name: str, answer: Answer, place: Path) -> None:
         if len({str(each[knob]) for each in answer.settings}) > 1
     ]
     columns = shown_columns(rows)
-    cells = [
-        [*(cell(row[knob]) for knob in varied), *(cell(row[one.key]) for one in columns)]
-        for row in rows[:_MOST_ROWS]
-    ]
     heads = [*varied, *(one.head for one in columns)]
-    show_table(heads, cells, left=0)
+    keys = [*varied, *(one.key for one in columns)]
+    cells = [[cell(row[key]) for key in keys] for row in rows[:_MOST_ROWS]]
+    widths = np.max([[len(text) + 3 for text in line] for line in (heads, *cells)], axis=0)
+    fit = max(int((np.cumsum(widths) <= _WIDTH + 2).sum()), len(varied) + 1)
+    show_table(heads[:fit], [line[:fit] for line in cells], left=0)
     if len(rows) > _MOST_ROWS:
         print(f"and {len(rows) - _MOST_ROWS} more settings in the file")
     table = place / "lab.csv"

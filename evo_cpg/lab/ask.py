@@ -11,8 +11,9 @@ from jaxtyping import Float
 from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity, gait_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.lab.bodies import Bodies, build_bodies
-from evo_cpg.lab.settings import Setting, combinations, require_values
+from evo_cpg.lab.settings import NERVES, Setting, combinations, require_values
 from evo_cpg.lab.surgery import genes_of, prepare
+from evo_cpg.lab.tow import held, straight_drag, tow_numbers
 from evo_cpg.lab.trials import record_all
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.recording import Recording, as_recording
@@ -86,8 +87,12 @@ def ask(
         if seconds is not None:
             steps = max(2, round(seconds * simulation.control_rate))
         controller = prepare(simulation.controller, settings, subject.genes is not None)
+        world = simulation.world
+        if "speed" in values:
+            world = held(world)
         return dataclasses.replace(
             simulation,
+            world=world,
             controller=controller,
             steps=steps,
             noise=Noise(),
@@ -105,6 +110,7 @@ def ask(
     ).astype(np.float32)
     frames = record_all(bodies.simulation, genes)
     numbers, recordings = [], []
+    drags: dict[tuple, float] = {}
     for i in range(len(settings)):
         own = {name: values[..., i : i + 1] for name, values in frames.items()}
         simulation, creature = bodies.of(i), bodies.creatures[i]
@@ -112,5 +118,16 @@ def ask(
         recording = as_recording(simulation, own, names)
         recordings.append(recording)
         finite = np.isfinite(recording.position).all()
-        numbers.append(gait_numbers(simulation, creature, own, recording) if finite else None)
+        if not finite:
+            numbers.append(None)
+            continue
+        found = gait_numbers(simulation, creature, own, recording)
+        if "speed" in values:
+            body = tuple(value for name, value in settings[i].items() if name not in NERVES)
+            if body not in drags:
+                drags[body] = straight_drag(simulation)
+            speed = float(settings[i]["speed"])
+            towed = tow_numbers(simulation, own, found, speed, drags[body])
+            found = found._replace(quantities=(*found.quantities, *towed))
+        numbers.append(found)
     return Answer(settings, numbers, recordings, bodies)

@@ -19,23 +19,45 @@ class Column(NamedTuple):
     label: str
 
 
-COLUMNS = (
+SWIMMING = (
     Column("path_speed", "U m/s", "speed along the path (m/s)"),
     Column("stride_frequency", "f Hz", "frequency (Hz)"),
-    Column("tail_excursion", "A m", "tail, peak to peak (m)"),
     Column("strouhal", "St", "Strouhal number"),
     Column("wave_slip", "U/V", "slip U/V"),
+    Column("cost_of_transport", "CoT", "cost of transport"),
     Column("power", "P W", "mean power of the motors (W)"),
+    Column("tail_excursion", "A m", "tail, peak to peak (m)"),
     Column("travelling_index", "travel", "travelling index"),
     Column("duty_factor", "duty", "duty factor"),
-    Column("cost_of_transport", "CoT", "cost of transport"),
+)
+
+TOWED = (
+    Column("holding_force", "F N", "mean force that holds it, forwards (N)"),
+    Column("straight_drag", "D N", "drag of the straight body (N)"),
+    Column("thrust", "T N", "thrust (N)"),
+    Column("net_power", "P W", "mean net power of the motors (W)"),
+    Column("efficiency", "eta", "efficiency of the thrust"),
+    Column("holding_sway", "side N", "sideways force that holds it, rms (N)"),
+    Column("holding_yaw", "yaw N m", "moment that holds its heading, rms (N m)"),
+    Column("stride_frequency", "f Hz", "frequency (Hz)"),
+)
+
+CORD = (
+    Column("rest_frequency", "f0 Hz", "frequency without bending (Hz)"),
+    Column("frequency", "f Hz", "frequency (Hz)"),
+    Column("ratio", "f/fb", "frequency / bending frequency"),
+    Column("phase", "phase", "phase behind the bending (cycles)"),
+    Column("scatter", "scatter", "scatter of the phase (cycles)"),
+    Column("entrained", "1:1", "entrained 1:1 (1 or 0)"),
 )
 
 
 def shown_columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
-    """Return the measures that exist under at least one setting."""
+    """Return the measures that exist under at least one setting, the most important first."""
+    names = {name for row in rows for name in row}
+    kind = CORD if "entrained" in names else TOWED if "holding_force" in names else SWIMMING
     return [
         column
-        for column in COLUMNS
+        for column in kind
         if any(math.isfinite(row.get(column.key, math.nan)) for row in rows)
     ]

@@ -56,6 +56,9 @@ BODY = {
     "size": Knob("factor of all lengths", 1e-6),
     "viscosity": Knob("factor of the water's viscosity", 1e-12),
     "gravity": Knob("factor of gravity", 0.0),
+    "speed": Knob(
+        "speed at which the animal is towed along its heading with its root held, m/s", _ANY
+    ),
     "current": Knob("velocity of the water along the animal's heading, m/s", _ANY),
     "passive": Knob("bodies whose joints have no motor, as names or patterns"),
     "stiffness": Knob("stiffness of a spring that is added to every joint, N m/rad", 0.0),

@@ -164,4 +164,4 @@ def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations
         servo_derivative(tree, start_torque, h) + stop_derivative
     )
     kin, inertia, bias = equations.kin, equations.inertia, equations.bias
-    return solve(tree, kin, inertia, bias, torque, derivative)
+    return solve(tree, kin, inertia, bias, torque, derivative, world.held)

@@ -26,6 +26,7 @@ from evo_cpg.physics.equations import (
     solve_at_once,
     with_mean_products,
 )
+from evo_cpg.physics.holding import holding_wrench
 from evo_cpg.physics.joint_torque import servo_derivative
 from evo_cpg.physics.state import State, integrate
 from evo_cpg.physics.step_solver import coldstart, solve_step
@@ -45,6 +46,8 @@ class Effort(NamedTuple):
             bodies can touch.
         residual: residual of the step's equations, or None if they are solved exactly.
         warmstart: warm start of the next step, or None if no iteration is needed.
+        holding: moment (N m) and force (N) that hold the root still, in world axes, or None for a
+            free root.
     """
 
     torque: Float[Array, "d *n"]
@@ -54,6 +57,7 @@ class Effort(NamedTuple):
     pair_force: Float[Array, "k *n"] | None = None
     residual: Residual | None = None
     warmstart: Warmstart | None = None
+    holding: Float[Array, "6 *n"] | None = None
 
 
 def step(
@@ -117,7 +121,10 @@ def _step(
         equations.start_torque
         - h * servo_derivative(world.tree, equations.start_torque, h) * found.qdd
     )
-    return _finish(h, state, StepSolution(found.root, found.qdd, motor))
+    new_state, effort = _finish(h, state, StepSolution(found.root, found.qdd, motor))
+    if world.held:
+        effort = effort._replace(holding=holding_wrench(world.tree, *equations[1:4], found))
+    return new_state, effort
 
 
 def _finish(h: float, state: State, solution: StepSolution) -> tuple[State, Effort]:

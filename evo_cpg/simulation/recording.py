@@ -200,6 +200,8 @@ def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
         "energy": effects.energy,
         **{f"{name}_residual": values for name, values in residual.items()},
     }
+    if effects.forces.holding is not None:
+        frame["holding"] = effects.forces.holding
     if full:
         # Joint angles and rates are recorded with the state.
         senses = effects.observation._replace(joint_angle=None, joint_rate=None)._asdict()
