@@ -463,7 +463,7 @@ MUTANTS = (
     ),
     Mutant(
         "control/matsuoka.py",
-        "drive = tonic_input + network.sensory_feedback",
+        "drive = tonic_input + network.constant_input",
         "drive = tonic_input",
         "control/test_matsuoka.py",
     ),

@@ -107,7 +107,7 @@ def problem_of(
         template=template,
         parts=(none, *(added if head_to_tail else added[::-1])),
         head_to_tail=head_to_tail,
-        drive=np.full((2, len(part)), settings.max_tonic_input + settings.sensory_feedback),
+        drive=np.full((2, len(part)), settings.max_tonic_input + settings.constant_input),
         chain=chain.places,
         sides=chain.sides,
         present=present,

@@ -218,7 +218,7 @@ def flow_of(
         adaptation_gain: b of each oscillator of the whole network.
         chosen: indices of the part's oscillators.
     """
-    drive = np.asarray(tonic_input, float)[:, list(chosen)] + float(part.sensory_feedback)
+    drive = np.asarray(tonic_input, float)[:, list(chosen)] + float(part.constant_input)
     return Flow(part, drive, np.asarray(adaptation_gain, float)[list(chosen)])
 
 

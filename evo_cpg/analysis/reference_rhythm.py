@@ -237,7 +237,7 @@ def _flow_at(problem: Problem, x: np.ndarray) -> Flow:
         network, gain = network_at(problem, jnp.asarray(x))
     every = range(network.oscillator_count)
     # `Problem.drive` already includes the sensory feedback.
-    bare = dataclasses.replace(network, sensory_feedback=0.0)
+    bare = dataclasses.replace(network, constant_input=0.0)
     return flow_of(bare, problem.drive, np.asarray(gain), every)
 
 

@@ -81,10 +81,10 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
     gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain
     alone = [i for i in uncoupled(network.matrix) if driven[i]]
     still = [i for i in resting(network, cpg.max_tonic_input, *gains) if driven[i]]
-    drive = cpg.max_tonic_input + cpg.sensory_feedback
+    drive = cpg.max_tonic_input + cpg.constant_input
     least = 1 + network.rise_time / network.adaptation_time
     if drive <= 0:
-        total = "controller.cpg.max_tonic_input + sensory_feedback"
+        total = "controller.cpg.max_tonic_input + constant_input"
         cure = f"{total} is {drive:g} and must be positive"
     else:
         cure = (

@@ -9,6 +9,7 @@ import functools
 import importlib
 import inspect
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any
 
@@ -16,7 +17,7 @@ import typer
 from typer.core import TyperGroup
 
 from evo_cpg.cli import streams
-from evo_cpg.cli.errors import ExitCode, message_for
+from evo_cpg.cli.errors import ExitCode, message_for, warn
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 
 # Names of all commands, in the order of the help text. `import` is a keyword, so its file is
@@ -171,13 +172,27 @@ def _command() -> str:
     return next((word for word in sys.argv[1:] if not word.startswith("-")), "")
 
 
+def _show_warning(
+    shown: Callable[..., None], message: Warning, category: type[Warning], *place: Any
+) -> None:
+    """Print a warning about former keys in one line, and others as before."""
+    from evo_cpg.config.former import FormerKeyWarning
+
+    if issubclass(category, FormerKeyWarning):
+        warn(message)
+    else:
+        shown(message, category, *place)
+
+
 def main() -> None:
     """Run the command line.
 
     For an error of the user or the system, print a short message and exit with code 2.
     """
     try:
-        with interrupts_delivered():
+        with interrupts_delivered(), warnings.catch_warnings():
+            shown = warnings.showwarning
+            warnings.showwarning = functools.partial(_show_warning, shown)
             app()
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None

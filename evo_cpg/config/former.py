@@ -1,6 +1,16 @@
-"""Run folders of former versions, whose complete configurations lack newer keys."""
+"""Keys of former versions: run folders without newer keys, and keys with a new name."""
 
+import warnings
+from collections.abc import Mapping
 from typing import Any
+
+from evo_cpg.config.errors import KeyProblem
+
+# New names of keys, which the former names may replace until version 2.0.
+RENAMED = {"sensory_feedback": "constant_input"}
+
+# Sections of the renamed keys.
+_SECTIONS = {"sensory_feedback": ("controller", "cpg")}
 
 # Keys that version 1.0 lacked, by section, with the values that give its results.
 _SINCE_1_0 = {
@@ -9,14 +19,66 @@ _SINCE_1_0 = {
         "viscosity": None,
         "reactive_thrust": False,
         "lift": False,
-    }
+    },
+    ("controller", "cpg"): {"feedback": None},
 }
+
+
+class FormerKeyWarning(FutureWarning):
+    """Warning about a key with a new name."""
+
+
+def current_name(place: Any, name: str | int) -> str | int:
+    """Return the new name of a key if a mapping or an object has only the new one."""
+    new = RENAMED.get(str(name))
+    if new is None:
+        return name
+    known = place if isinstance(place, Mapping) else getattr(place, "__dict__", ())
+    return new if name not in known and new in known else name
+
+
+def current_key(key: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a key of a configuration under its new name, with a warning if it had another."""
+    *section, name = key
+    if name not in RENAMED or _SECTIONS[name] != tuple(section):
+        return key
+    new = (*section, RENAMED[name])
+    warnings.warn(
+        f"{'.'.join(key)} is now called {'.'.join(new)}. The former name works until version 2.0",
+        FormerKeyWarning,
+        stacklevel=2,
+    )
+    return new
+
+
+def use_current_names(data: dict[str, Any]) -> None:
+    """Replace the former names of keys in a configuration, in place, with a warning.
+
+    Raises:
+        KeyProblem: a key is given under both names.
+    """
+    for former, section in _SECTIONS.items():
+        place: Any = data
+        for name in section:
+            place = place.get(name) if isinstance(place, dict) else None
+        if isinstance(place, dict) and former in place:
+            new = current_key((*section, former))[-1]
+            if new in place:
+                raise KeyProblem((*section, former), f"is given twice, also as {new}")
+            place[new] = place.pop(former)
+
+
+def _with_name(found: dict[str, Any], old: str, new: str) -> dict[str, Any]:
+    """Return a section in which a key, if there is one, has another name."""
+    return {new if key == old else key: value for key, value in found.items()}
 
 
 def with_former_values(data: dict[str, Any]) -> dict[str, Any]:
     """Return the contents of a run's ``config.yaml`` with the keys that version 1.0 lacked."""
     for section, values in _SINCE_1_0.items():
         data = _changed(data, section, lambda found, values=values: values | found)
+    for former, section in _SECTIONS.items():
+        data = _renamed(data, section, former, RENAMED[former])
     return data
 
 
@@ -28,7 +90,13 @@ def without_former_values(data: dict[str, Any]) -> dict[str, Any]:
 
     for section, values in _SINCE_1_0.items():
         data = _changed(data, section, lambda found, values=values: known(found, values))
+    for former, section in _SECTIONS.items():
+        data = _renamed(data, section, RENAMED[former], former)
     return data
+
+
+def _renamed(data: dict[str, Any], section: tuple[str, ...], old: str, new: str) -> dict[str, Any]:
+    return _changed(data, section, lambda found: _with_name(found, old, new))
 
 
 def _changed(data: Any, section: tuple[str, ...], change: Any) -> Any:

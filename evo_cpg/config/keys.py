@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from evo_cpg.config.errors import Key
+from evo_cpg.config.former import current_name
 
 _T = TypeVar("_T")
 
@@ -32,11 +33,12 @@ def value_at(place: Any, key: Key) -> Any:
 
 
 def inside(place: Any, part: str | int) -> Any:
-    """Return the value at one part of a key.
+    """Return the value at one part of a key, which may be a former name.
 
     Raises:
         LookupError: there is no such value.
     """
+    part = current_name(place, part)
     if isinstance(place, BaseModel) or dataclasses.is_dataclass(place):
         return getattr(place, str(part))
     if isinstance(place, Mapping):
@@ -51,6 +53,7 @@ def put(place: Any, key: Key, value: Any) -> Any:
     if not key:
         return value
     name, *rest = key
+    name = current_name(place, name)
     changed = put(inside(place, name), rest, value)
     if isinstance(place, BaseModel):
         return place.model_copy(update={str(name): changed})

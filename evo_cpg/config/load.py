@@ -11,7 +11,7 @@ import yaml
 
 from evo_cpg.config.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.config.files import read_small
-from evo_cpg.config.former import with_former_values
+from evo_cpg.config.former import current_key, use_current_names, with_former_values
 from evo_cpg.config.keys import follow, is_index, value_at
 from evo_cpg.config.lines import located
 from evo_cpg.config.named_files import read_heights, read_mesh
@@ -70,6 +70,7 @@ def complete_config(
     """
     data = copy.deepcopy(data)
     with located(source, data):
+        use_current_names(data)
         _read_files(data, source)
         for key, entry in _mesh_entries(data):
             if isinstance(entry["shape"].get("file"), str):
@@ -77,6 +78,7 @@ def complete_config(
                     beside(source, entry["shape"]["file"])
         for override in overrides:
             _apply(data, override)
+            use_current_names(data)
             # The user wrote the overrides, so the files that they name may be anywhere.
             with trusting():
                 _read_files(data, source)
@@ -253,7 +255,7 @@ def _apply(data: dict[str, Any], override: str) -> None:
         value = parse_yaml(text)
     except yaml.YAMLError as error:
         raise refused(f"{text!r} is not YAML: {syntax_problem(text, error)[1]}") from None
-    *parents, last = key.split(".")
+    *parents, last = current_key(tuple(key.split(".")))
     place, known = follow(data, parents)
     for part in parents[known:]:
         if not isinstance(place, dict) or part in place:

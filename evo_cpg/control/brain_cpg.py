@@ -31,9 +31,10 @@ One `BrainCpg.act` of the default swimmer (27 oscillators, 94 inputs, 100 indivi
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -50,6 +51,7 @@ from evo_cpg.control.brain import (
 )
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.control.couplings import UnfitError, axis_names, matching_bodies
+from evo_cpg.control.feedback import Feedback, Memory, build_feedback, feel, no_memory
 from evo_cpg.control.matsuoka import (
     CpgSettings,
     MatsuokaNetwork,
@@ -135,11 +137,36 @@ class BrainCpgSettings:
             raise ValueError(f"max_rate must be positive, got {self.max_rate}")
 
 
-class BrainCpg(Controller):
-    """Brain and spinal cord of one creature. The state is the state of the spinal cord's neurons.
+class Decoded(NamedTuple):
+    """Genes of the controller.
 
     Attributes:
-        gene_count: number of the brain's weights.
+        brain: weights of the brain.
+        feedback: genes of the feedback, or None if no weight of the feedback evolves.
+    """
+
+    brain: Weights
+    feedback: Float[Array, "g *n"] | None = None
+
+
+class FeelingState(MatsuokaState):
+    """State of a spinal cord with feedback.
+
+    Attributes:
+        memory: former samples of the senses.
+    """
+
+    memory: Memory
+
+
+class BrainCpg(Controller):
+    """Brain and spinal cord of one creature.
+
+    The state is the state of the spinal cord's neurons, and the memory of its senses if there is
+    feedback.
+
+    Attributes:
+        gene_count: number of the brain's weights and of the feedback's weights that evolve.
         brain: network from inputs to outputs. The outputs are tonic inputs, steerings, and
             adaptation gains, each in the order of the axis names, joints or degrees of freedom.
         network: the oscillators, one per degree of freedom.
@@ -158,6 +185,7 @@ class BrainCpg(Controller):
         rate_gain: G g of each degree of freedom, rad/s.
         centring: k_c of each degree of freedom, 1/s.
         control_step: length of a control step, s.
+        feedback: feedback of the senses into the oscillators, or None.
     """
 
     gene_count: int = eqx.field(static=True)
@@ -177,6 +205,7 @@ class BrainCpg(Controller):
     rate_gain: Float[Numbers, " d"]
     centring: Float[Numbers, " d"]
     control_step: float = eqx.field(static=True)
+    feedback: Feedback | None = None
 
     signal_label = "CPG output (no unit)"
 
@@ -194,18 +223,29 @@ class BrainCpg(Controller):
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
     ) -> Float[Array, "g *n"]:
         """Return uniform weights (see `evo_cpg.control.controller.Controller.random_genes`)."""
-        return random_weights(key, self.brain, batch, dtype, self.settings.brain.init_range)
+        init_range = self.settings.brain.init_range
+        if self.feedback is None or not self.feedback.gene_count:
+            return random_weights(key, self.brain, batch, dtype, init_range)
+        shape = (self.gene_count, *batch)
+        return jax.random.uniform(key, shape, dtype, -init_range, init_range)
 
     def initial_state(self, batch: tuple[int, ...], dtype: jnp.dtype | type) -> MatsuokaState:
         """Return neurons at the network's initial potentials, without adaptation."""
-        return matsuoka.initial_state(self.network, batch, dtype)
+        state = matsuoka.initial_state(self.network, batch, dtype)
+        if self.feedback is None:
+            return state
+        memory = no_memory(self.feedback, self.network.oscillator_count, batch, dtype)
+        return FeelingState(state.potential, state.adaptation, memory)
 
-    def decode(self, genes: Float[Array, "g *n"]) -> Weights:
-        """Return the brain's weights."""
-        return decode_weights(self.brain, genes)
+    def decode(self, genes: Float[Array, "g *n"]) -> Decoded:
+        """Return the brain's weights, and the genes of the feedback behind them."""
+        if self.feedback is None or not self.feedback.gene_count:
+            return Decoded(decode_weights(self.brain, genes))
+        brain, feedback = jnp.split(genes, [self.brain.gene_count])
+        return Decoded(decode_weights(self.brain, brain), feedback)
 
     def act(
-        self, decoded: Weights, state: MatsuokaState, observation: Observation
+        self, decoded: Decoded, state: MatsuokaState, observation: Observation
     ) -> tuple[MatsuokaState, Command]:
         """Sense, think, advance the rhythm by one control step, command the motors.
 
@@ -213,11 +253,12 @@ class BrainCpg(Controller):
             ValueError: the senses do not fit the brain.
         """
         tonic_input, adaptation_gain = self.descending(decoded, state, observation)
-        state = self.cord(state, tonic_input, adaptation_gain, observation)
+        inputs = tonic_input, adaptation_gain
+        state = self.cord(state, *inputs, observation, decoded.feedback)
         return state, self.command(state, observation)
 
     def descending(
-        self, decoded: Weights, state: MatsuokaState, observation: Observation
+        self, decoded: Decoded, state: MatsuokaState, observation: Observation
     ) -> tuple[Float[Array, "2 d *n"], Float[Array, "d *n"]]:
         """Return what the brain sends to the spinal cord.
 
@@ -227,7 +268,7 @@ class BrainCpg(Controller):
         Raises:
             ValueError: the senses do not fit the brain.
         """
-        outputs = think(self.brain, decoded, self.brain_inputs(state, observation))
+        outputs = think(self.brain, decoded.brain, self.brain_inputs(state, observation))
         return self.cpg_inputs(outputs)
 
     def cord(
@@ -236,11 +277,26 @@ class BrainCpg(Controller):
         tonic_input: Float[Array, "2 d *n"],
         adaptation_gain: Float[Array, "d *n"],
         observation: Observation,
+        genes: Float[Array, "g *n"] | None = None,
     ) -> MatsuokaState:
-        """Return the neurons after one control step with constant inputs."""
-        return matsuoka.advance(
+        """Return the state of the spinal cord after one control step with constant inputs.
+
+        Args:
+            state: state at the start of the step.
+            tonic_input: tonic input of each neuron, extensors first.
+            adaptation_gain: adaptation gain of each oscillator.
+            observation: senses at the start of the step.
+            genes: genes of the feedback, or None if no weight of the feedback evolves.
+        """
+        feeling = self.feedback is not None and isinstance(state, FeelingState)
+        if feeling:
+            senses = observation.joint_angle, observation.joint_rate
+            felt, memory = feel(self.feedback, genes, state.memory, *senses)
+            tonic_input = tonic_input + felt
+        state = matsuoka.advance(
             self.network, state, tonic_input, adaptation_gain, self.control_step, self.substeps
         )
+        return FeelingState(state.potential, state.adaptation, memory) if feeling else state
 
     def command(self, state: MatsuokaState, observation: Observation) -> Command:
         """Return the command of the neurons to the motors."""
@@ -339,8 +395,11 @@ def build_brain_cpg(
     own = [settings.axes.get(axis, AxisSettings()) for axis in axes]
     brain = build_brain(input_count, output_count, settings.brain)
     network, cpg = build_network(tree, settings.cpg), settings.cpg
+    feedback = None
+    if cpg.feedback is not None:
+        feedback = build_feedback(tree, cpg.feedback, cpg.max_tonic_input, control_step)
     return BrainCpg(
-        gene_count=brain.gene_count,
+        gene_count=brain.gene_count + (feedback.gene_count if feedback else 0),
         brain=brain,
         network=network,
         origin=Origin(settings),
@@ -359,6 +418,7 @@ def build_brain_cpg(
         rate_gain=xp.array([settings.rate_gain * axis.gain for axis in own]),
         centring=xp.array([_or(axis.centring, settings.centring) for axis in own]),
         control_step=control_step,
+        feedback=feedback,
     )
 
 
@@ -368,7 +428,8 @@ def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:
     *_, hidden, outputs = controller.brain.sizes
     genes = np.zeros(controller.gene_count, np.float32)
     # Biases of the last layer. Each follows its weights.
-    genes[-outputs * (hidden + 1) :].reshape(outputs, -1)[:, -1] = _SILENT
+    brain = genes[: controller.brain.gene_count]
+    brain[-outputs * (hidden + 1) :].reshape(outputs, -1)[:, -1] = _SILENT
     return genes
 
 
@@ -379,7 +440,8 @@ def max_amplitude(settings: BrainCpgSettings) -> Number:
     every = [settings.steering_range, *ranges]
     # This choice is static: derivatives are taken by the first of the largest ranges.
     steering = every[chosen(lambda: int(np.argmax(every)))]
-    return cpg.max_tonic_input * (1 + steering) + xp.maximum(cpg.sensory_feedback, 0.0)
+    limit = 0.0 if cpg.feedback is None else cpg.feedback.limit
+    return cpg.max_tonic_input * (1 + steering + limit) + xp.maximum(cpg.constant_input, 0.0)
 
 
 def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str]:

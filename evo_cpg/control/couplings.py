@@ -135,6 +135,26 @@ def axis_names(tree: Tree) -> tuple[str, ...]:
     )
 
 
+def axis_parents(tree: Tree) -> list[int | None]:
+    """Return the oscillator of the same axis on the nearest ancestor that has one, or None."""
+    axes = axis_names(tree)
+    oscillator = {key: i for i, key in enumerate(zip(tree.dof_bodies, axes, strict=True))}
+    found: list[int | None] = []
+    for body, axis in zip(tree.dof_bodies, axes, strict=True):
+        ancestor = tree.parents[body]
+        while ancestor >= 0 and (ancestor, axis) not in oscillator:
+            ancestor = tree.parents[ancestor]
+        found.append(oscillator.get((ancestor, axis)))
+    return found
+
+
+def axis_directions(tree: Tree) -> list[int]:
+    """Return -1 for each degree of freedom whose axis has no positive component, otherwise 1."""
+    return chosen(
+        lambda: [-1 if (np.asarray(axis) <= 0).all() else 1 for axis in tree.joint_axes.T]
+    )
+
+
 def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str | int]) -> set[int]:
     """Return the indices of the bodies that match patterns such as ``*_arm``.
 

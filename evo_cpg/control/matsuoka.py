@@ -13,7 +13,7 @@ Iwadate 2010, eqs. 4-6, for neuron i with the others j acting on it:
 | y_e - y_f | ``output``: extensor minus flexor |
 | u | ``tonic_input`` |
 | b | ``adaptation_gain`` |
-| s | ``sensory_feedback`` |
+| s | ``constant_input`` |
 | a | ``pair_weight`` |
 | T_r, T_a | ``rise_time``, ``adaptation_time`` (s) |
 
@@ -55,11 +55,13 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.control.couplings import (
     Coupling,
     Ring,
-    axis_names,
+    axis_directions,
+    axis_parents,
     explicit_weights,
     matching_bodies,
     start_phases,
 )
+from evo_cpg.control.feedback import FeedbackSettings
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.spatial.decisions import chosen
@@ -103,10 +105,11 @@ class CpgSettings:
             the same oscillators. All other couplings of the tree stay.
         rings: rings of oscillators with a constant lag from one to the next. They replace the
             tree's couplings between the oscillators of the ring.
-        sensory_feedback: the constant s of eq. 4, equal for every neuron.
+        constant_input: the constant s of eq. 4, equal for every neuron.
         max_tonic_input: u_max, more than 0. Outputs are proportional to it.
         min_adaptation_gain: smallest b, more than 0.
         max_adaptation_gain: largest b.
+        feedback: feedback of the senses into the oscillators, or None for none.
 
     Raises:
         ValueError: a value is outside its range.
@@ -121,10 +124,11 @@ class CpgSettings:
     opposite: tuple[str, ...] = ()
     couplings: tuple[Coupling, ...] = ()
     rings: tuple[Ring, ...] = ()
-    sensory_feedback: float = 0.0
+    constant_input: float = 0.0
     max_tonic_input: float = 1.0
     min_adaptation_gain: float = 1.0
     max_adaptation_gain: float = 10.0
+    feedback: FeedbackSettings | None = None
 
     def __post_init__(self):
         for name in ("time_scale", "max_tonic_input", "min_adaptation_gain"):
@@ -154,7 +158,7 @@ class MatsuokaNetwork(eqx.Module):
         own_weights: these diagonals of B, 0 outside.
         rise_time: T_r, s.
         adaptation_time: T_a, s.
-        sensory_feedback: s.
+        constant_input: s.
         initial_potential: initial potential of each neuron, extensors first.
     """
 
@@ -164,7 +168,7 @@ class MatsuokaNetwork(eqx.Module):
     own_weights: Float[Numbers, "m o *n"]
     rise_time: Number
     adaptation_time: Number
-    sensory_feedback: Number
+    constant_input: Number
     initial_potential: Float[Numbers, "2 o"]
 
     @property
@@ -234,20 +238,13 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[Numbers, "o o"
     Raises:
         ValueError: no body matches ``opposite``, or couplings do not fit the creature.
     """
-    axes = axis_names(tree)
     weights: dict[tuple[int, int], Number] = {(i, i): 1.0 for i in range(tree.dof_count)}
-    direction = chosen(
-        lambda: [-1 if (np.asarray(axis) <= 0).all() else 1 for axis in tree.joint_axes.T]
-    )
+    direction = axis_directions(tree)
     opposite = matching_bodies(tree, settings.opposite, ("cpg", "opposite"))
-    oscillator = {key: i for i, key in enumerate(zip(tree.dof_bodies, axes, strict=True))}
-    for child, (body, axis) in enumerate(zip(tree.dof_bodies, axes, strict=True)):
-        ancestor = tree.parents[body]
-        while ancestor >= 0 and (ancestor, axis) not in oscillator:
-            ancestor = tree.parents[ancestor]
-        if ancestor >= 0:
-            parent = oscillator[ancestor, axis]
-            side = direction[child] * direction[parent] * (-1 if body in opposite else 1)
+    for child, parent in enumerate(axis_parents(tree)):
+        if parent is not None:
+            turned = -1 if tree.dof_bodies[child] in opposite else 1
+            side = direction[child] * direction[parent] * turned
             weights[child, parent] = side * settings.parent_weight
             weights[parent, child] = side * settings.child_weight
     for i, (body, following) in enumerate(itertools.pairwise(tree.dof_bodies)):
@@ -274,7 +271,7 @@ def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
         **_connections(matrix),
         rise_time=settings.time_scale * rise_time,
         adaptation_time=settings.time_scale * adaptation_time,
-        sensory_feedback=settings.sensory_feedback,
+        constant_input=settings.constant_input,
         initial_potential=INITIAL_FRACTION * settings.max_tonic_input * sides,
     )
 
@@ -373,7 +370,7 @@ def advance(
         substeps: number of substeps, or None for `MatsuokaNetwork.substeps`.
     """
     count = network.substeps(h) if substeps is None else substeps
-    drive = tonic_input + network.sensory_feedback
+    drive = tonic_input + network.constant_input
 
     def advance(state: MatsuokaState, drive: Array, adaptation_gain: Array) -> MatsuokaState:
         def substep(state: MatsuokaState, _) -> tuple[MatsuokaState, None]:

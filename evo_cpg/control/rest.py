@@ -52,7 +52,7 @@ def resting(
         min_gain: smallest b.
         max_gain: largest b.
     """
-    drive = tonic_input + float(network.sensory_feedback)
+    drive = tonic_input + float(network.constant_input)
     rests = np.ones(network.oscillator_count, bool)
     known: dict[bytes, Bool[np.ndarray, " o"]] = {}
     for chosen in parts(network):

@@ -37,7 +37,7 @@ def simulated(
     """Return the states of the last two and a quarter periods before ``seconds``, and times."""
     count = network.oscillator_count
     other, own = np.maximum(network.matrix, 0.0), np.maximum(-network.matrix, 0.0)
-    drive = np.broadcast_to(drive, (2, count)) + network.sensory_feedback
+    drive = np.broadcast_to(drive, (2, count)) + network.constant_input
     rise, adaptation = network.rise_time, network.adaptation_time
 
     def change(numbers: np.ndarray, _: float) -> np.ndarray:
@@ -64,7 +64,7 @@ def is_what_simulation_shows(
 ) -> str:
     """Compare search and simulation, and return the outcome, ``rhythm`` or ``rest``."""
     unit = network.rise_time + network.adaptation_time
-    size = float(np.max(np.abs(np.asarray(drive) + network.sensory_feedback)))
+    size = float(np.max(np.abs(np.asarray(drive) + network.constant_input)))
     try:
         cycle = found(network, gain, drive)
     except NoRhythmError:
@@ -136,7 +136,7 @@ def test_one_sided_rest_has_its_own_message():
 @pytest.mark.parametrize("feedback", [-1.0, -3.0])
 def test_a_network_without_drive_rests(feedback):
     with pytest.raises(NoRhythmError, match="nothing drives the network, so it comes to rest"):
-        found(chain(pair_weight=2.0, sensory_feedback=feedback), 4.0)
+        found(chain(pair_weight=2.0, constant_input=feedback), 4.0)
 
 
 def test_a_resting_oscillator_has_no_lag():

@@ -1,18 +1,23 @@
 """Run folders of version 1.0 keep its results."""
 
 import shutil
+import warnings
 
 import numpy as np
+import pytest
 import yaml
 
 import evo_cpg as evo
 from evo_cpg.api.opened import open_run
+from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import changes, fingerprint
-from evo_cpg.config.former import with_former_values, without_former_values
+from evo_cpg.config.former import FormerKeyWarning, with_former_values, without_former_values
 from evo_cpg.config.load import load_config, load_run_config
+from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.physics.fluid import Drag
 from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG
 
 
 def without_key(path) -> None:
@@ -47,9 +52,60 @@ def test_fingerprint_of_1_0_is_unchanged(finished_run, tmp_path):
     dumped = former.model_dump(mode="json")
     for key in ("shelter", "viscosity", "reactive_thrust", "lift"):
         del dumped["world"]["water"][key]
+    cpg = dumped["controller"]["cpg"]
+    assert cpg.pop("feedback") is None
+    cpg["sensory_feedback"] = cpg.pop("constant_input")
     assert without_former_values(former.model_dump(mode="json")) == dumped
     now = fingerprint(load_config(folder.config))
     assert changes(before, now) == ["world.water"]
+
+
+def test_former_name_of_a_key_works_with_a_warning(tmp_path):
+    key, new = "controller.cpg.sensory_feedback", "controller.cpg.constant_input"
+    path = tmp_path / "mine.yaml"
+    shutil.copytree(CONFIG.parent / "creatures", tmp_path / "creatures")
+    path.write_text(CONFIG.read_text().replace("constant_input:", "sensory_feedback:"))
+    assert "sensory_feedback: 0.0" in path.read_text()
+    words = f"{key} is now called {new}. The former name works until version 2.0"
+
+    def found(*overrides: str, times: int) -> float:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            config = load_config(path, overrides)
+        assert [str(each.message) for each in caught] == [words] * times
+        return config.controller.cpg.constant_input
+
+    assert found(times=1) == 0.0
+    assert found(f"{new}=0.5", times=1) == 0.5
+    assert found(f"{new}=0.5", f"{key}=0.25", times=2) == 0.25
+    assert found("controller.cpg={sensory_feedback: 0.75}", times=2) == 0.75
+    both = "controller.cpg={sensory_feedback: 1.0, constant_input: 1.0}"
+    with pytest.warns(FormerKeyWarning), pytest.raises(ConfigError, match="given twice, also as"):
+        load_config(CONFIG, [both])
+
+
+def test_numbers_are_found_under_their_former_names():
+    key, config = "controller.cpg.sensory_feedback", load_config(CONFIG)
+    with pytest.warns(FormerKeyWarning):
+        assert number_at(config, key) == 0.0
+    assert with_numbers(config, {key: 0.5}, CONFIG).controller.cpg.constant_input == 0.5
+
+
+def test_run_folder_of_1_0_keeps_its_constant_input(finished_run, tmp_path):
+    """The program wrote the former name, so it does not warn."""
+    folder = RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
+    text = folder.config.read_text()
+    folder.config.write_text(text.replace("constant_input: 0.0", "sensory_feedback: 0.5"))
+    assert load_run_config(folder.config).controller.cpg.constant_input == 0.5
+
+
+@pytest.mark.filterwarnings("default::evo_cpg.config.former.FormerKeyWarning")
+def test_command_warns_of_a_former_key_in_one_line(cli):
+    _, _, err = cli("validate", CONFIG, "controller.cpg.sensory_feedback=0.1")
+    assert err.splitlines()[0] == (
+        "evo-cpg: warning: controller.cpg.sensory_feedback is now called "
+        "controller.cpg.constant_input. The former name works until version 2.0"
+    )
 
 
 def test_files_without_water_stay_as_they_are():

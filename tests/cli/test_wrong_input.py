@@ -487,9 +487,9 @@ def test_uncoupled_and_resting_oscillators_get_a_warning(cli, tmp_path):
 
 
 def test_resting_oscillators_get_a_warning(cli):
-    code, _, err = cli("validate", CONFIG, "controller.cpg.sensory_feedback=-2")
+    code, _, err = cli("validate", CONFIG, "controller.cpg.constant_input=-2")
     assert code == 0
     assert ": at rest under a constant drive: segment1.x, segment1.y, " in err
-    assert "controller.cpg.max_tonic_input + sensory_feedback is -1 and must be positive\n" in err
+    assert "controller.cpg.max_tonic_input + constant_input is -1 and must be positive\n" in err
     code, _, err = cli("validate", CONFIG, "controller.cpg.constants=as_printed")
     assert code == 0 and " is more than 8.71 (constants: as_printed) and " in err

@@ -178,7 +178,7 @@ def test_derivatives_of_a_walker_equal_finite_differences():
         ("world.water.surface", "is None, not a number"),
         ("controller.brain.init_range", "changes nothing in a trial"),
         ("creature.materials.body.static_friction", "changes nothing in a trial"),
-        ("controller.cpg.sensory_feedback", "0 is at a kink of `controller.max_amplitude`"),
+        ("controller.cpg.constant_input", "0 is at a kink of `controller.max_amplitude`"),
     ],
 )
 def test_invalid_parameter_is_rejected_with_its_key(key, words):

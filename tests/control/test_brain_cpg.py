@@ -209,7 +209,7 @@ def test_controller_passes_through_jit_as_an_argument(chain):
 
 def test_largest_amplitude_counts_steering_and_feedback():
     settings = BrainCpgSettings(
-        cpg=CpgSettings(max_tonic_input=2.0, sensory_feedback=0.5), steering_range=0.25
+        cpg=CpgSettings(max_tonic_input=2.0, constant_input=0.5), steering_range=0.25
     )
     assert max_amplitude(settings) == 3.0
 

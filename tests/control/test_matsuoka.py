@@ -371,7 +371,7 @@ def test_one_step_of_a_branching_network_equals_plain_runge_kutta(grow):
             "tail": ("trunk", "z"),
         }
     )
-    settings = CpgSettings(sensory_feedback=0.1, cross_weight=0.5)
+    settings = CpgSettings(constant_input=0.1, cross_weight=0.5)
     network, matrix = build_network(tree, settings), inhibition_matrix(tree, settings)
     count, h = tree.dof_count, 1 / 60
     rng = np.random.default_rng(1)

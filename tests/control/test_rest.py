@@ -38,7 +38,7 @@ def test_all_rest_without_a_positive_drive():
     swinging = chain(3)
     assert resting(swinging, 1.0, *GAINS) == []
     assert resting(swinging, 1e-3, *GAINS) == []
-    assert resting(dataclasses.replace(swinging, sensory_feedback=-1.0), 1.0, *GAINS) == [0, 1, 2]
+    assert resting(dataclasses.replace(swinging, constant_input=-1.0), 1.0, *GAINS) == [0, 1, 2]
 
 
 @pytest.mark.parametrize(
