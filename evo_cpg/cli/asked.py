@@ -118,6 +118,8 @@ def show_answer(name: str, answer: Answer, place: Path) -> None:
     print(table)
     if panels:
         print(save_figure(lab_figure(varied, settings, panels, title), table.with_suffix(".png")))
-    lost = sum(each is None for each in answer.numbers)
+    for note in answer.notes[:_MOST_ROWS]:
+        print(note)
+    lost = sum(not np.isfinite(each.position).all() for each in answer.recordings)
     if lost:
         warn(f"{lost} of {len(rows)} settings diverged. Their rows have no numbers")

@@ -5,10 +5,11 @@ experiments, as it computes a population. A *preparation* wraps a `BrainCpg`. Ea
 calls the same three parts, `BrainCpg.descending`, `BrainCpg.cord` and `BrainCpg.command`, with
 other inputs and other couplings:
 
-    u_i = k_i u_i(brain) + v_i,    b_i = k_i b_i(brain) + c_i,    A_ij = m_ij A_ij
+    u_i = k_i u_i(brain) + v_i,    b_i = k_i b_i(brain) + c_i,    A_ij -> m_ij A_ij
 
 k is 0 behind a cut, v and c are the tonic input and the adaptation gain that replace the brain's,
-and m is 0 for couplings across a cut. Without a brain k is 0 everywhere.
+and m is 0 for couplings across a cut. The same holds for feedback from joints across a cut. Without
+a brain k is 0 everywhere.
 """
 
 import dataclasses
@@ -17,11 +18,12 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int
 
-from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.brain_cpg import BrainCpg, Decoded
 from evo_cpg.control.controller import Command, Controller, Observation
-from evo_cpg.control.matsuoka import MatsuokaNetwork, MatsuokaState, Oscillators
+from evo_cpg.control.feedback import Stretch
+from evo_cpg.control.matsuoka import MatsuokaState, Oscillators
 from evo_cpg.spatial.linear import expand_dims_like
 
 SENSES = ("light", "pressure", "balance", "joints", "depth", "sensors", "feedback")
@@ -38,6 +40,7 @@ class Surgery(NamedTuple):
         gain: c, adaptation gain of each oscillator in addition.
         coupled: m, factor of each element of ``MatsuokaNetwork.weights``.
         own_coupled: m, factor of each element of ``MatsuokaNetwork.own_weights``.
+        felt: m, factor of each element of the ``rows`` of all senses of stretch.
         heard: factor of each of the `SENSES`.
     """
 
@@ -46,6 +49,7 @@ class Surgery(NamedTuple):
     gain: Float[Array, "d *n"]
     coupled: Float[Array, "k d *n"]
     own_coupled: Float[Array, "m d *n"]
+    felt: Float[Array, "f d *n"]
     heard: Float[Array, "s *n"]
 
     def flat(self) -> Float[np.ndarray, " g"]:
@@ -54,21 +58,23 @@ class Surgery(NamedTuple):
 
 
 class Preparation(Controller):
-    """A brain and a spinal cord with changes. The genes are the brain's genes, then a `Surgery`.
+    """A brain and a spinal cord with changes. The genes are the animal's, then a `Surgery`.
 
     Attributes:
         animal: the nervous system without changes.
-        awake: False if the brain is not computed, and only the `Surgery` drives the cord.
+        trained: whether the genes of the animal come first.
+        awake: whether the brain drives the cord. If not, only the `Surgery` does.
     """
 
     animal: BrainCpg
+    trained: bool = eqx.field(static=True)
     awake: bool = eqx.field(static=True)
 
     @property
     def gene_count(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Number of genes of the brain, plus the numbers of a `Surgery`."""
-        brain = self.animal.gene_count if self.awake else 0
-        return brain + sum(map(_size, self._shapes))
+        """Number of genes of the animal, plus the numbers of a `Surgery`."""
+        animal = self.animal.gene_count if self.trained else 0
+        return animal + sum(map(_size, self._shapes))
 
     @property
     def rhythm_generator(self) -> Oscillators:
@@ -90,13 +96,18 @@ class Preparation(Controller):
             (2, count),
             (count,),
             *((diagonal, count) for diagonal in diagonals),
+            (sum(len(each.offsets) for each in self._stretch), count),
             (len(SENSES),),
         )
 
+    @property
+    def _stretch(self) -> tuple[Stretch, ...]:
+        return self.animal.feedback.stretch if self.animal.feedback else ()
+
     def intact(self) -> Surgery:
         """Return a surgery that changes nothing, for one individual."""
-        kept, tonic, gain, coupled, own, heard = (np.ones(shape) for shape in self._shapes)
-        return Surgery(kept, 0 * tonic, 0 * gain, coupled, own, heard)
+        kept, tonic, gain, *factors = (np.ones(shape) for shape in self._shapes)
+        return Surgery(kept, 0 * tonic, 0 * gain, *factors)
 
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
@@ -104,49 +115,51 @@ class Preparation(Controller):
         """Return intact animals with random brains."""
         intact = expand_dims_like(self.intact().flat(), jnp.zeros((1, *batch), dtype))
         intact = jnp.broadcast_to(intact, (len(intact), *batch))
-        brain = [self.animal.random_genes(key, batch, dtype)] if self.awake else []
-        return jnp.concatenate([*brain, intact])
+        animal = [self.animal.random_genes(key, batch, dtype)] if self.trained else []
+        return jnp.concatenate([*animal, intact])
 
     def initial_state(self, batch: tuple[int, ...], dtype: jnp.dtype | type) -> MatsuokaState:
         """Return the initial state of the animal without changes."""
         return self.animal.initial_state(batch, dtype)
 
-    def decode(self, genes: Float[Array, "g *n"]) -> tuple[PyTree[Array], Surgery]:
-        """Return the decoded genes of the brain (None without a brain), and the surgery."""
-        brain, parts, first = None, [], 0
-        if self.awake:
+    def decode(self, genes: Float[Array, "g *n"]) -> tuple[Decoded | None, Surgery]:
+        """Return the decoded genes of the animal (None without genes), and the surgery."""
+        animal, parts, first = None, [], 0
+        if self.trained:
             first = self.animal.gene_count
-            brain = self.animal.decode(genes[:first])
+            animal = self.animal.decode(genes[:first])
         for shape in self._shapes:
             part = genes[first : first + _size(shape)]
             parts.append(part.reshape(*shape, *genes.shape[1:]))
             first += _size(shape)
-        return brain, Surgery(*parts)
+        return animal, Surgery(*parts)
 
     def act(
         self,
-        decoded: tuple[PyTree[Array], Surgery],
+        decoded: tuple[Decoded | None, Surgery],
         state: MatsuokaState,
         observation: Observation,
     ) -> tuple[MatsuokaState, Command]:
         """Run one control step of the changed animal."""
-        brain, surgery = decoded
+        animal, surgery = decoded
         tonic, gain = surgery.tonic, surgery.gain
         if self.awake:
+            assert animal is not None
             sensed = silenced(observation, surgery.heard)
-            own_tonic, own_gain = self.animal.descending(brain, state, sensed)
+            own_tonic, own_gain = self.animal.descending(animal, state, sensed)
             tonic = tonic + surgery.kept[None] * own_tonic
             gain = gain + surgery.kept * own_gain
-        felt = surgery.heard[SENSES.index("feedback")]
+        heard = surgery.heard[SENSES.index("feedback")]
         proprioception = observation._replace(
-            joint_angle=felt * observation.joint_angle, joint_rate=felt * observation.joint_rate
+            joint_angle=heard * observation.joint_angle, joint_rate=heard * observation.joint_rate
         )
-        state = self._cut(surgery).cord(state, tonic, gain, proprioception)
+        genes = animal.feedback if animal is not None else None
+        state = self._cut(surgery).cord(state, tonic, gain, proprioception, genes)
         return state, self.animal.command(state, observation)
 
     def _cut(self, surgery: Surgery) -> BrainCpg:
-        """Return the animal with the couplings of each individual."""
-        network = self.animal.network
+        """Return the animal with the couplings and the feedback of each individual."""
+        network, feedback = self.animal.network, self.animal.feedback
         weights, own = (
             factor * expand_dims_like(weight, factor)
             for factor, weight in (
@@ -155,7 +168,30 @@ class Preparation(Controller):
             )
         )
         network = dataclasses.replace(network, weights=weights, own_weights=own)
-        return dataclasses.replace(self.animal, network=network)
+        if feedback is not None:
+            stretch, first = [], 0
+            for sense in feedback.stretch:
+                felt = surgery.felt[first : first + len(sense.offsets)]
+                rows = felt * expand_dims_like(sense.rows, felt)
+                stretch.append(dataclasses.replace(sense, rows=rows))
+                first += len(sense.offsets)
+            feedback = dataclasses.replace(feedback, stretch=tuple(stretch))
+        return dataclasses.replace(self.animal, network=network, feedback=feedback)
+
+    def within(self, surgery: Surgery, side: Int[np.ndarray, " d"]) -> Surgery:
+        """Return the surgery without couplings and feedback between the sides of a cut.
+
+        Args:
+            surgery: surgery of one individual.
+            side: number of each oscillator's side.
+        """
+        network = self.animal.network
+        senses = [factors_within(sense.offsets, side) for sense in self._stretch]
+        return surgery._replace(
+            coupled=factors_within(network.offsets, side),
+            own_coupled=factors_within(network.own_offsets, side),
+            felt=np.concatenate([surgery.felt[:0], *senses]),
+        )
 
 
 def silenced(observation: Observation, heard: Float[Array, "s *n"]) -> Observation:
@@ -173,22 +209,17 @@ def silenced(observation: Observation, heard: Float[Array, "s *n"]) -> Observati
     )
 
 
-def couplings_within(
-    network: MatsuokaNetwork, side: Float[np.ndarray, " d"]
-) -> tuple[Float[np.ndarray, "k d"], Float[np.ndarray, "m d"]]:
-    """Return factors of the couplings: 1 within a side, 0 between sides.
+def factors_within(
+    offsets: tuple[int, ...], side: Int[np.ndarray, " d"]
+) -> Float[np.ndarray, "k d"]:
+    """Return factors of a matrix by its diagonals: 1 within a side, 0 between sides.
 
     Args:
-        network: the oscillators.
-        side: number of each oscillator's side of the cuts.
+        offsets: offsets of the diagonals.
+        side: number of each oscillator's side.
     """
-    places = np.arange(len(side))
-
-    def within(offsets: tuple[int, ...]) -> np.ndarray:
-        others = np.array(offsets, int).reshape(-1, 1) + places
-        return (side[np.clip(others, 0, len(side) - 1)] == side).astype(float)
-
-    return within(network.offsets), within(network.own_offsets)
+    others = np.array(offsets, int).reshape(-1, 1) + np.arange(len(side))
+    return (side[np.clip(others, 0, len(side) - 1)] == side).astype(float)
 
 
 def _size(shape: tuple[int, ...]) -> int:

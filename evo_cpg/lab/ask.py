@@ -8,11 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity, gait_numbers
+from evo_cpg.analysis.gait_numbers import gait_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.lab.bodies import Bodies, build_bodies
-from evo_cpg.lab.settings import NERVES, Setting, combinations, require_values
-from evo_cpg.lab.surgery import genes_of, prepare
+from evo_cpg.control.matsuoka import parts
+from evo_cpg.control.preparation import Preparation
+from evo_cpg.lab.bodies import Bodies, build_bodies, joints_of
+from evo_cpg.lab.entrain import bend, entrained_range, locking, rest_frequency, steps_of
+from evo_cpg.lab.settings import CORD, NERVES, LabError, Setting, combinations, require_values
+from evo_cpg.lab.surgery import genes_of, prepare, sides_of
 from evo_cpg.lab.tow import held, straight_drag, tow_numbers
 from evo_cpg.lab.trials import record_all
 from evo_cpg.simulation.noise import Noise
@@ -37,31 +40,27 @@ class Subject(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """The motion of an animal under each setting.
+    """An answer: a row of measures for each setting.
 
     Attributes:
         settings: the settings.
-        numbers: numbers that describe the motion under each setting, None if it diverged.
-        recordings: motion under each setting.
-        bodies: the animal of each setting.
+        rows: values of the knobs and all measures of each setting, by name. Measures that do not
+            exist are NaN.
+        recordings: motion under each setting. Empty for an isolated cord.
+        notes: results that belong to several settings, one sentence each.
     """
 
     settings: list[Setting]
-    numbers: list[GaitNumbers | None]
-    recordings: list[Recording]
-    bodies: Bodies
+    rows: list[dict[str, Any]]
+    recordings: tuple[Recording, ...] = ()
+    notes: tuple[str, ...] = ()
 
-    @property
-    def rows(self) -> list[dict[str, Any]]:
-        """Values of the knobs and all numbers of each setting, by name."""
-        names: dict[str, Quantity] = {}
-        for each in self.numbers:
-            for one in each.quantities if each else ():
-                names.setdefault(one.key, one)
-        return [
-            dict(setting) | {name: each.value(name) if each else np.nan for name in names}
-            for setting, each in zip(self.settings, self.numbers, strict=True)
-        ]
+    def __repr__(self) -> str:
+        return f"Answer({len(self.rows)} settings, {len(self.rows[0])} columns)"
+
+
+# Default values of the knobs of an isolated cord: amplitude, degrees, and f_b/f_0.
+_DEGREES, _RATIOS = 10.0, tuple(np.linspace(0.5, 1.5, 21).tolist())
 
 
 def ask(
@@ -80,54 +79,126 @@ def ask(
         ConfigError: a number of the configuration is wrong.
     """
     require_values(values)
+    if "bend" in values:
+        return _ask_cord(subject, {"ratio": _RATIOS, **values})
+    if set(values) & set(CORD):
+        raise LabError(f"{', '.join(sorted(set(values) & set(CORD)))}: needs bend=BODY")
+    return _ask_animal(subject, values, seconds)
+
+
+def _ask_animal(
+    subject: Subject, values: Mapping[str, Sequence[Any]], seconds: float | None
+) -> Answer:
     settings = combinations(values)
+    bodies = _prepared(subject, settings, seconds, "speed" in values)
+    frames = record_all(bodies.simulation, _genes(subject, bodies, settings))
+    rows, recordings = [], []
+    drags: dict[tuple, float] = {}
+    for i, setting in enumerate(settings):
+        own = {name: values[..., i : i + 1] for name, values in frames.items()}
+        simulation, creature = bodies.of(i), bodies.creatures[i]
+        recording = as_recording(simulation, own, [body.name for body in creature.bodies])
+        recordings.append(recording)
+        if not np.isfinite(recording.position).all():
+            rows.append(dict(setting))
+            continue
+        found = gait_numbers(simulation, creature, own, recording)
+        quantities = list(found.quantities)
+        if "speed" in setting:
+            body = tuple(value for name, value in setting.items() if name not in NERVES)
+            if body not in drags:
+                drags[body] = straight_drag(simulation)
+            quantities += tow_numbers(simulation, own, found, setting["speed"], drags[body])
+        rows.append(dict(setting) | {one.key: one.value for one in quantities})
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    rows = [{name: row.get(name, np.nan) for name in names} for row in rows]
+    return Answer(settings, rows, tuple(recordings))
+
+
+def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
+    """Bend an isolated spinal cord (`evo_cpg.lab.entrain`)."""
+    settings = combinations({name: each for name, each in values.items() if name != "ratio"})
+    bodies = _prepared(subject, settings, None, False)
+    controller, tree = bodies.common.controller, bodies.common.world.tree
+    if not isinstance(controller, Preparation):
+        raise LabError(f"bend: needs the controller brain_cpg, not {type(controller).__name__}")
+    if controller.awake:
+        raise LabError("bend: an isolated cord has no brain. Give the drive, such as u=0.5 b=5")
+    h, genes = controller.animal.control_step, _genes(subject, bodies, settings)
+    bent, among = [], []
+    for setting in settings:
+        moved = np.isin(tree.dof_bodies, list(joints_of(tree, "bend", setting["bend"])))
+        bent.append(moved * np.deg2rad(setting.get("degrees", _DEGREES)))
+        first = int(np.flatnonzero(moved)[0])
+        sides = sides_of(tree, setting)
+        together = next(part for part in parts(controller.animal.network) if first in part)
+        among.append([first, *(i for i in together if i != first and sides[i] == sides[first])])
+    bent = np.stack(bent, axis=-1)
+    # Straight cords have the frequency f_0 that the ratios refer to.
+    straight = bend(controller, genes, 0 * bent, np.ones(len(settings)), round(_STRAIGHT / h))
+    rest = [rest_frequency(straight[:, own[0], i], h) for i, own in enumerate(among)]
+    if not np.isfinite(rest).all():
+        lost = settings[int(np.flatnonzero(~np.isfinite(rest))[0])]
+        raise LabError(f"bend: the straight cord has no rhythm at {_worded(lost)}")
+    ratios = list(values["ratio"])
+    columns = [(i, ratio) for i in range(len(settings)) for ratio in ratios]
+    which = [i for i, _ in columns]
+    frequency = np.array([ratio * rest[i] for i, ratio in columns])
+    steps = steps_of(frequency, h)
+    outputs = bend(controller, genes[:, which], bent[:, which], frequency, steps)
+    rows, notes = [], []
+    for number, (i, ratio) in enumerate(columns):
+        found = locking(outputs[:, among[i], number], frequency[number], h)
+        row = {**settings[i], "ratio": ratio, "rest_frequency": rest[i]}
+        row |= {"bending_frequency": frequency[number], **found._asdict()}
+        rows.append(row | {"entrained": int(found.entrained)})
+    for i, setting in enumerate(settings):
+        own = rows[i * len(ratios) : (i + 1) * len(ratios)]
+        found = entrained_range(ratios, [row["entrained"] == 1 for row in own])
+        span = "at no frequency near f_0"
+        if found:
+            span = f"from {found[0]:.3g} to {found[1]:.3g} of f_0 = {rest[i]:.3g} Hz"
+        notes.append(f"{_worded(setting)}: entrained 1:1 {span}")
+    asked = [{name: row[name] for name in values} for row in rows]
+    return Answer(asked, rows, (), tuple(notes))
+
+
+# Duration of the trial of a straight cord, s.
+_STRAIGHT = 16.0
+
+
+def _prepared(
+    subject: Subject, settings: list[Setting], seconds: float | None, is_towed: bool
+) -> Bodies:
+    """Return the animals of all settings, without noise, in their first situation."""
 
     def prepared(simulation: Simulation) -> Simulation:
         steps = simulation.steps
         if seconds is not None:
             steps = max(2, round(seconds * simulation.control_rate))
         controller = prepare(simulation.controller, settings, subject.genes is not None)
-        world = simulation.world
-        if "speed" in values:
-            world = held(world)
         return dataclasses.replace(
             simulation,
-            world=world,
+            world=held(simulation.world) if is_towed else simulation.world,
             controller=controller,
             steps=steps,
             noise=Noise(),
             situations=simulation.situations[:1],
         )
 
-    bodies = build_bodies(subject.config, subject.source, settings, subject.folders, prepared)
-    common = bodies.common
-    genes = np.stack(
-        [
-            genes_of(common.controller, common.world.tree, setting, subject.genes)
-            for setting in settings
-        ],
-        axis=-1,
-    ).astype(np.float32)
-    frames = record_all(bodies.simulation, genes)
-    numbers, recordings = [], []
-    drags: dict[tuple, float] = {}
-    for i in range(len(settings)):
-        own = {name: values[..., i : i + 1] for name, values in frames.items()}
-        simulation, creature = bodies.of(i), bodies.creatures[i]
-        names = [body.name for body in creature.bodies]
-        recording = as_recording(simulation, own, names)
-        recordings.append(recording)
-        finite = np.isfinite(recording.position).all()
-        if not finite:
-            numbers.append(None)
-            continue
-        found = gait_numbers(simulation, creature, own, recording)
-        if "speed" in values:
-            body = tuple(value for name, value in settings[i].items() if name not in NERVES)
-            if body not in drags:
-                drags[body] = straight_drag(simulation)
-            speed = float(settings[i]["speed"])
-            towed = tow_numbers(simulation, own, found, speed, drags[body])
-            found = found._replace(quantities=(*found.quantities, *towed))
-        numbers.append(found)
-    return Answer(settings, numbers, recordings, bodies)
+    return build_bodies(subject.config, subject.source, settings, subject.folders, prepared)
+
+
+def _genes(
+    subject: Subject, bodies: Bodies, settings: Sequence[Setting]
+) -> Float[np.ndarray, "g n"]:
+    """Return the genes of all settings."""
+    controller, tree = bodies.common.controller, bodies.common.world.tree
+    genes = [genes_of(controller, tree, setting, subject.genes) for setting in settings]
+    return np.stack(genes, axis=-1).astype(np.float32)
+
+
+def _worded(setting: Setting) -> str:
+    return ", ".join(
+        f"{k}={v:.3g}" if isinstance(v, float) else f"{k}={v}" for k, v in setting.items()
+    )

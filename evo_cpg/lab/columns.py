@@ -45,7 +45,7 @@ TOWED = (
 CORD = (
     Column("rest_frequency", "f0 Hz", "frequency without bending (Hz)"),
     Column("frequency", "f Hz", "frequency (Hz)"),
-    Column("ratio", "f/fb", "frequency / bending frequency"),
+    Column("followed", "f/fb", "frequency of the cord / frequency of the bending"),
     Column("phase", "phase", "phase behind the bending (cycles)"),
     Column("scatter", "scatter", "scatter of the phase (cycles)"),
     Column("entrained", "1:1", "entrained 1:1 (1 or 0)"),

@@ -49,6 +49,7 @@ OPEN_LOOP = {
 NERVES = OPEN_LOOP | {
     "cut": Knob("body in front of whose joint the spinal cord is cut"),
     "behind": Knob("tonic input behind the cut, as a fraction of the largest", 0.0, 1.0),
+    "feedback": Knob("factor of what the spinal cord senses", 0.0),
     "silence": Knob(f"silenced sense: {', '.join(SENSES)} or all"),
 }
 
@@ -64,7 +65,14 @@ BODY = {
     "stiffness": Knob("stiffness of a spring that is added to every joint, N m/rad", 0.0),
 }
 
-KNOBS = NERVES | BODY
+# Knobs of an isolated cord that a motor bends.
+CORD = {
+    "bend": Knob("bodies whose joints a motor bends, as names or patterns"),
+    "degrees": Knob("amplitude of the bending, degrees", 0.0, 180.0),
+    "ratio": Knob("frequency of the bending, as a multiple of the cord's own", 1e-3),
+}
+
+KNOBS = NERVES | BODY | CORD
 
 
 def combinations(values: Mapping[str, Sequence[Any]], most: int = 10_000) -> list[Setting]:
@@ -94,6 +102,8 @@ def require_values(values: Mapping[str, Sequence[Any]]) -> None:
         knob = KNOBS.get(name)
         if knob is None:
             if "." in name:
+                for value in each:
+                    _require(name, Knob("number of the configuration", _ANY), value)
                 continue
             raise LabError(
                 f"{name!r} is no knob: {nearest(name, list(KNOBS))}. A key of the configuration "

@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.controller import Controller
-from evo_cpg.control.preparation import SENSES, Preparation, Surgery, couplings_within
+from evo_cpg.control.preparation import SENSES, Preparation, Surgery
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
 from evo_cpg.lab.bodies import joints_of
@@ -34,7 +34,10 @@ def prepare(controller: Controller, settings: list[Setting], brain: bool) -> Con
                 f"{needs}: needs the controller brain_cpg, not {type(controller).__name__}"
             )
         return controller
-    return Preparation(controller, awake=brain and not names & set(OPEN_LOOP))
+    feedback = controller.feedback
+    if feedback is not None and feedback.gene_count and not brain:
+        raise LabError("weights of the feedback evolve. Ask a run folder, or set the weights")
+    return Preparation(controller, brain, brain and not names & set(OPEN_LOOP))
 
 
 def genes_of(
@@ -49,7 +52,7 @@ def genes_of(
         assert brain is not None
         return brain
     own = surgery_of(controller, tree, setting).flat()
-    return np.concatenate([brain, own]) if controller.awake and brain is not None else own
+    return own if brain is None else np.concatenate([brain, own])
 
 
 def surgery_of(controller: Preparation, tree: Tree, setting: Setting) -> Surgery:
@@ -66,10 +69,11 @@ def surgery_of(controller: Preparation, tree: Tree, setting: Setting) -> Surgery
         surgery = surgery._replace(
             kept=0 * surgery.kept, tonic=surgery.tonic + tonic, gain=surgery.gain + b
         )
-    cut = setting.get("cut", NOTHING)
-    if cut != NOTHING:
-        surgery = _transected(controller, tree, surgery, setting, cut, b)
-    return surgery._replace(heard=_heard(setting.get("silence", NOTHING)))
+    if setting.get("cut", NOTHING) != NOTHING:
+        surgery = _transected(controller, tree, surgery, setting, b)
+    heard = _heard(setting.get("silence", NOTHING))
+    heard[SENSES.index("feedback")] *= setting.get("feedback", 1.0)
+    return surgery._replace(heard=heard)
 
 
 def _tonic(animal: BrainCpg, u: float, turn: float) -> Float[np.ndarray, "2 1"]:
@@ -78,25 +82,30 @@ def _tonic(animal: BrainCpg, u: float, turn: float) -> Float[np.ndarray, "2 1"]:
 
 
 def _transected(
-    controller: Preparation, tree: Tree, surgery: Surgery, setting: Setting, cut: str, b: float
+    controller: Preparation, tree: Tree, surgery: Surgery, setting: Setting, b: float
 ) -> Surgery:
     """Return the surgery with the cord cut in front of the joints of some bodies."""
-    side = np.zeros(tree.body_count, int)
-    for number, body in enumerate(sorted(joints_of(tree, "cut", cut)), 1):
-        for other in _carried(tree, body):
-            side[other] = number
-    sides = side[np.array(tree.dof_bodies)]
+    sides = sides_of(tree, setting)
     behind = sides > 0
-    network = controller.animal.network
-    coupled, own_coupled = couplings_within(network, sides)
     tonic = _tonic(controller.animal, setting.get("behind", 0.0), 0.0)
-    return surgery._replace(
+    return controller.within(surgery, sides)._replace(
         kept=np.where(behind, 0.0, surgery.kept),
         tonic=np.where(behind, tonic, surgery.tonic),
         gain=np.where(behind, b, surgery.gain),
-        coupled=coupled,
-        own_coupled=own_coupled,
     )
+
+
+def sides_of(tree: Tree, setting: Setting) -> Int[np.ndarray, " d"]:
+    """Return the number of each oscillator's side of the cuts, 0 for the side of the root.
+
+    Raises:
+        LabError: no body with a joint has the name of a cut.
+    """
+    side, cut = np.zeros(tree.body_count, int), setting.get("cut", NOTHING)
+    cuts = [] if cut == NOTHING else sorted(joints_of(tree, "cut", cut))
+    for number, body in enumerate(cuts, 1):
+        side[_carried(tree, body)] = number
+    return side[np.array(tree.dof_bodies)]
 
 
 def _carried(tree: Tree, body: int) -> list[int]:

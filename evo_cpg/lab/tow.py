@@ -26,7 +26,6 @@ from evo_cpg.physics.world import World
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import starting_state
 
-
 # Smallest power of an animal that works, as a fraction of the power that moves its straight body.
 _IDLE = 1e-3
 
