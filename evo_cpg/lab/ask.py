@@ -14,7 +14,16 @@ from evo_cpg.control.matsuoka import parts
 from evo_cpg.control.preparation import Preparation
 from evo_cpg.lab.bodies import Bodies, build_bodies, joints_of
 from evo_cpg.lab.entrain import bend, entrained_range, locking, rest_frequency, steps_of
-from evo_cpg.lab.settings import CORD, NERVES, LabError, Setting, combinations, require_values
+from evo_cpg.lab.flume import flume_notes, ground_speed
+from evo_cpg.lab.settings import (
+    CORD,
+    NERVES,
+    LabError,
+    Setting,
+    combinations,
+    require_values,
+    worded,
+)
 from evo_cpg.lab.surgery import genes_of, prepare, sides_of
 from evo_cpg.lab.tow import held, straight_drag, tow_numbers
 from evo_cpg.lab.trials import record_all
@@ -109,10 +118,11 @@ def _ask_animal(
             if body not in drags:
                 drags[body] = straight_drag(simulation)
             quantities += tow_numbers(simulation, own, found, setting["speed"], drags[body])
+        quantities.append(ground_speed(simulation, recording, found))
         rows.append(dict(setting) | {one.key: one.value for one in quantities})
     names = list(dict.fromkeys(name for row in rows for name in row))
     rows = [{name: row.get(name, np.nan) for name in names} for row in rows]
-    return Answer(settings, rows, tuple(recordings))
+    return Answer(settings, rows, tuple(recordings), flume_notes(settings, rows))
 
 
 def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
@@ -139,7 +149,7 @@ def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
     rest = [rest_frequency(straight[:, own[0], i], h) for i, own in enumerate(among)]
     if not np.isfinite(rest).all():
         lost = settings[int(np.flatnonzero(~np.isfinite(rest))[0])]
-        raise LabError(f"bend: the straight cord has no rhythm at {_worded(lost)}")
+        raise LabError(f"bend: the straight cord has no rhythm at {worded(lost)}")
     ratios = list(values["ratio"])
     columns = [(i, ratio) for i in range(len(settings)) for ratio in ratios]
     which = [i for i, _ in columns]
@@ -158,7 +168,7 @@ def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
         span = "at no frequency near f_0"
         if found:
             span = f"from {found[0]:.3g} to {found[1]:.3g} of f_0 = {rest[i]:.3g} Hz"
-        notes.append(f"{_worded(setting)}: entrained 1:1 {span}")
+        notes.append(f"{worded(setting)}: entrained 1:1 {span}")
     asked = [{name: row[name] for name in values} for row in rows]
     return Answer(asked, rows, (), tuple(notes))
 
@@ -196,9 +206,3 @@ def _genes(
     controller, tree = bodies.common.controller, bodies.common.world.tree
     genes = [genes_of(controller, tree, setting, subject.genes) for setting in settings]
     return np.stack(genes, axis=-1).astype(np.float32)
-
-
-def _worded(setting: Setting) -> str:
-    return ", ".join(
-        f"{k}={v:.3g}" if isinstance(v, float) else f"{k}={v}" for k, v in setting.items()
-    )

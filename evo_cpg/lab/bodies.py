@@ -122,7 +122,7 @@ def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> Exper
     if "gravity" in setting:
         numbers["world.gravity"] = config.world.gravity * setting["gravity"]
     # A body that is towed in still water feels what a held body feels in a current.
-    current = setting.get("current", 0.0) - setting.get("speed", 0.0)
+    current = -setting.get("current", 0.0) - setting.get("speed", 0.0)
     if current:
         if water is None:
             raise LabError("current, speed: there is no water")

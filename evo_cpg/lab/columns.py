@@ -31,6 +31,8 @@ SWIMMING = (
     Column("duty_factor", "duty", "duty factor"),
 )
 
+FLUME = (Column("ground_speed", "ground m/s", "speed over ground (m/s)"), *SWIMMING)
+
 TOWED = (
     Column("holding_force", "F N", "mean force that holds it, forwards (N)"),
     Column("straight_drag", "D N", "drag of the straight body (N)"),
@@ -55,7 +57,8 @@ CORD = (
 def shown_columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
     """Return the measures that exist under at least one setting, the most important first."""
     names = {name for row in rows for name in row}
-    kind = CORD if "entrained" in names else TOWED if "holding_force" in names else SWIMMING
+    kinds = {"entrained": CORD, "holding_force": TOWED, "current": FLUME}
+    kind = next((kind for name, kind in kinds.items() if name in names), SWIMMING)
     return [
         column
         for column in kind

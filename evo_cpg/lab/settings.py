@@ -60,7 +60,7 @@ BODY = {
     "speed": Knob(
         "speed at which the animal is towed along its heading with its root held, m/s", _ANY
     ),
-    "current": Knob("velocity of the water along the animal's heading, m/s", _ANY),
+    "current": Knob("speed of the water against the animal's initial heading, m/s", _ANY),
     "passive": Knob("bodies whose joints have no motor, as names or patterns"),
     "stiffness": Knob("stiffness of a spring that is added to every joint, N m/rad", 0.0),
 }
@@ -126,3 +126,12 @@ def _require(name: str, knob: Knob, value: Any) -> None:
         if knob.most == float("inf"):
             allowed = f"at least {knob.least:g}"
         raise LabError(f"{name}={value:g}: {knob.meaning}. Allowed: {allowed}")
+
+
+def worded(setting: Setting) -> str:
+    """Return a setting in words, such as ``u=0.5, cut=tail1``."""
+    words = (
+        f"{name}={value:.3g}" if isinstance(value, float) else f"{name}={value}"
+        for name, value in setting.items()
+    )
+    return ", ".join(words)

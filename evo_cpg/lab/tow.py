@@ -62,7 +62,7 @@ def tow_numbers(
         drag: D, drag of the straight body, N.
     """
     last = whole_cycles(len(frames["energy"]) - 1, numbers)
-    ahead, aside = _directions(simulation)
+    ahead, aside = directions(simulation)
     holding = frames["holding"][:-1][last, :, 0]
     force, side, yaw = holding[:, 3:] @ ahead, holding[:, 3:] @ aside, holding[:, 2]
     rate = frames["joint_rate"][..., 0]
@@ -107,10 +107,10 @@ def straight_drag(simulation: Simulation) -> float:
     for law in world.forces:
         own = np.asarray(law.wrench(bodies))[3:]
         force += np.einsum("ijb,jb->i", np.asarray(bodies.kin.rotation), own)
-    return float(-force @ _directions(simulation)[0])
+    return float(-force @ directions(simulation)[0])
 
 
-def _directions(simulation: Simulation) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+def directions(simulation: Simulation) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Return the unit vectors along the heading and to its left."""
     heading = simulation.situations[0].start_heading
     cosine, sine = math.cos(heading), math.sin(heading)
