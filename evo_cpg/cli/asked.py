@@ -43,8 +43,7 @@ def ask_animal(
     count = int(np.prod([len(each) for each in values.values()]))
     with working(f"compiling, and simulating {count} setting{'s' if count > 1 else ''}"):
         answer = ask(subject, values, seconds)
-    default = animal if animal.is_dir() else named("lab") / subject.config.name
-    place = make_folder(out or default)
+    place = make_folder(out or named("lab") / subject.config.name)
     show_answer(subject.config.name, answer, place)
 
 

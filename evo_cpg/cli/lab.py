@@ -38,7 +38,7 @@ def lab(
     number: Number = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder for the files (default: RUN, or lab/NAME)."),
+        typer.Option("--out", "-o", help="Folder for the files (default: lab/NAME)."),
     ] = None,
 ) -> None:
     """Ask an animal a question without evolution."""

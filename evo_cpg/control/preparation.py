@@ -24,7 +24,7 @@ from evo_cpg.control.brain_cpg import BrainCpg, Decoded
 from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.control.feedback import Stretch
 from evo_cpg.control.matsuoka import MatsuokaState, Oscillators
-from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.spatial.linear import expand_dims_like, of_each
 
 SENSES = ("light", "pressure", "balance", "joints", "depth", "sensors", "feedback")
 """Senses that can be silenced. ``joints`` is what the brain senses of the joints, and ``feedback``
@@ -151,7 +151,8 @@ class Preparation(Controller):
             gain = gain + surgery.kept * own_gain
         heard = surgery.heard[SENSES.index("feedback")]
         proprioception = observation._replace(
-            joint_angle=heard * observation.joint_angle, joint_rate=heard * observation.joint_rate
+            joint_angle=_heard(heard, observation.joint_angle),
+            joint_rate=_heard(heard, observation.joint_rate),
         )
         genes = animal.feedback if animal is not None else None
         state = self._cut(surgery).cord(state, tonic, gain, proprioception, genes)
@@ -198,14 +199,14 @@ def silenced(observation: Observation, heard: Float[Array, "s *n"]) -> Observati
     """Return the observation of a brain with silenced senses, whose readings are 0."""
     light, pressure, balance, joints, depth, sensors, _ = heard
     return observation._replace(
-        light=light * observation.light,
-        pressure=pressure * observation.pressure,
-        vertical_cosine=balance * observation.vertical_cosine,
-        vertical_sine=balance * observation.vertical_sine,
-        joint_angle=joints * observation.joint_angle,
-        joint_rate=joints * observation.joint_rate,
-        depth=depth * observation.depth,
-        custom=None if observation.custom is None else sensors * observation.custom,
+        light=_heard(light, observation.light),
+        pressure=_heard(pressure, observation.pressure),
+        vertical_cosine=_heard(balance, observation.vertical_cosine),
+        vertical_sine=_heard(balance, observation.vertical_sine),
+        joint_angle=_heard(joints, observation.joint_angle),
+        joint_rate=_heard(joints, observation.joint_rate),
+        depth=_heard(depth, observation.depth),
+        custom=None if observation.custom is None else _heard(sensors, observation.custom),
     )
 
 
@@ -220,6 +221,10 @@ def factors_within(
     """
     others = np.array(offsets, int).reshape(-1, 1) + np.arange(len(side))
     return (side[np.clip(others, 0, len(side) - 1)] == side).astype(float)
+
+
+def _heard(factor: Float[Array, "*n"], readings: Float[Array, "s *n"]) -> Float[Array, "s *n"]:
+    return of_each(factor, readings) * readings
 
 
 def _size(shape: tuple[int, ...]) -> int:

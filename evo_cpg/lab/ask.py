@@ -57,12 +57,14 @@ class Answer(NamedTuple):
             exist are NaN.
         recordings: motion under each setting. Empty for an isolated cord.
         notes: results that belong to several settings, one sentence each.
+        simulations: trial of each setting. Empty for an isolated cord.
     """
 
     settings: list[Setting]
     rows: list[dict[str, Any]]
     recordings: tuple[Recording, ...] = ()
     notes: tuple[str, ...] = ()
+    simulations: tuple[Simulation, ...] = ()
 
     def __repr__(self) -> str:
         return f"Answer({len(self.rows)} settings, {len(self.rows[0])} columns)"
@@ -101,11 +103,12 @@ def _ask_animal(
     settings = combinations(values)
     bodies = _prepared(subject, settings, seconds, "speed" in values)
     frames = record_all(bodies.simulation, _genes(subject, bodies, settings))
+    simulations = tuple(bodies.of(i) for i in range(len(settings)))
     rows, recordings = [], []
     drags: dict[tuple, float] = {}
     for i, setting in enumerate(settings):
         own = {name: values[..., i : i + 1] for name, values in frames.items()}
-        simulation, creature = bodies.of(i), bodies.creatures[i]
+        simulation, creature = simulations[i], bodies.creatures[i]
         recording = as_recording(simulation, own, [body.name for body in creature.bodies])
         recordings.append(recording)
         if not np.isfinite(recording.position).all():
@@ -122,7 +125,7 @@ def _ask_animal(
         rows.append(dict(setting) | {one.key: one.value for one in quantities})
     names = list(dict.fromkeys(name for row in rows for name in row))
     rows = [{name: row.get(name, np.nan) for name in names} for row in rows]
-    return Answer(settings, rows, tuple(recordings), flume_notes(settings, rows))
+    return Answer(settings, rows, tuple(recordings), flume_notes(settings, rows), simulations)
 
 
 def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
