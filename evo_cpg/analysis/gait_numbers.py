@@ -17,7 +17,10 @@ from evo_cpg.analysis import footfalls, stride
 from evo_cpg.analysis.body_wave import BodyWave, body_wave
 from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.footfalls import Phases
+from evo_cpg.analysis.midline import sway
+from evo_cpg.analysis.midline_points import midline_chain, midline_points
 from evo_cpg.analysis.phase_lags import PhaseLags, phase_lags
+from evo_cpg.analysis.swimming import strouhal_number
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
 from evo_cpg.physics.water import Water
 from evo_cpg.simulation.recording import Recording
@@ -289,8 +292,12 @@ def _of_the_wave(
                  "0 for a standing wave, 1 for whole travelling waves (Feeny 2008)", stands),
     ]  # fmt: skip
     if simulation.world.water is not None:
-        point = _tail_tip(simulation, creature, recording, numbers.chain)[numbers.first :]
-        swing = stride.excursion(point, middle, numbers.step, numbers.frequency)
+        midline = midline_chain(creature)
+        swaying = None
+        if midline is not None:
+            point = midline_points(midline, recording)[numbers.first :]
+            swaying = sway(point, numbers.step, numbers.frequency)
+        swing = math.nan if swaying is None else float(swaying.cycles.peak_to_peak[-1])
         swum = middle - _drift(simulation.world.water, middle, numbers.step)
         through = stride.path_speed(swum, numbers.step, numbers.frequency)
         moving = _if_anywhere(through, numbers.step * (len(swum) - 1), float(length_of(creature)))
@@ -304,7 +311,7 @@ def _of_the_wave(
             Quantity("tail_excursion", "excursion of the tail", swing, "m",
                      "displacement of its tip from side to side in a stride", no_stride),
             Quantity("strouhal", "Strouhal number",
-                     stride.strouhal_number(numbers.frequency, swing, moving), "",
+                     strouhal_number(numbers.frequency, swing, moving), "",
                      "stride frequency x excursion of the tail / path speed through the water "
                      "(Triantafyllou et al. 1993)", dry or no_stride or _STAYS),
         ]  # fmt: skip
@@ -415,20 +422,3 @@ def _in_water(
     shapes = [creature.bodies[place].shape for place in places]
     deepest = [[u @ shape.support(-u) for u, shape in zip(row, shapes, strict=True)] for row in up]
     return bool((centre + np.array(deepest) < level).mean() >= 0.5)
-
-
-def _tail_tip(
-    simulation: Simulation, creature: Creature, recording: Recording, chain: tuple[int, ...]
-) -> Float[np.ndarray, "t 3"]:
-    """Return the end of the chain's last body, opposite its joint, m."""
-    tree = simulation.world.tree
-    place = creature.body_index(tree.names[tree.dof_bodies[chain[-1]]])
-    joint = creature.bodies[place].joint
-    assert joint is not None
-    away = -np.array(joint.child_anchor, float)
-    far = float(np.linalg.norm(away))
-    if far > 0:
-        away /= far
-        far = float(away @ np.asarray(creature.bodies[place].shape.support(away), float))
-    end = far * away
-    return recording.position[:, place] + recording.rotation[:, place] @ end

@@ -5,8 +5,6 @@
 | stride frequency | strides per second | Moe-Nilssen and Helbostad 2004 (autocorrelation) |
 | path speed | speed along the path, smoothed over a stride | |
 | stride length | path speed / stride frequency | Alexander 2003 |
-| excursion | displacement across the path, in a stride | Triantafyllou et al. 1993 |
-| Strouhal number | frequency x excursion / speed | Triantafyllou et al. 1993 |
 | cost of transport | energy / (weight x distance) | Tucker 1975 |
 """
 
@@ -15,6 +13,8 @@ import math
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
+
+from evo_cpg.analysis.cycles import finer, moving_mean
 
 # Autocorrelation below which a motion does not repeat. White noise of 600 samples reaches 0.2.
 _ALIKE = 0.3
@@ -25,8 +25,6 @@ _AS_HIGH = 0.9
 _SAME = 1.2
 # Lags of the autocorrelation per sample. Peaks of fast strides lie between samples.
 _BETWEEN = 8
-# Least number of samples in a stride, after interpolation.
-_FINE = 32
 # Least number of strides in a record.
 _STRIDES = 2.0
 # Largest distance (m) that counts as 0. `evo_cpg.simulation.measures` has the same value.
@@ -84,8 +82,8 @@ def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) ->
         step: time between samples, s.
         frequency: stride frequency, Hz, or NaN for the straight line from start to end.
     """
-    path, step = _finer(path, step, frequency)
-    smooth = _over_strides(path, step, frequency)
+    path, step = finer(path, step, frequency)
+    smooth = moving_mean(path, step, frequency)
     if len(smooth) < 2:
         return math.nan
     return float(np.linalg.norm(np.diff(smooth, axis=0), axis=-1).sum() / (step * len(smooth[1:])))
@@ -99,55 +97,6 @@ def stride_length(speed: float, frequency: float) -> float:
         frequency: stride frequency, Hz, or NaN without a stride.
     """
     return speed / frequency if frequency > 0 else math.nan
-
-
-def excursion(
-    point: Float[np.ndarray, "t 3"], path: Float[np.ndarray, "t 3"], step: float, frequency: float
-) -> float:
-    """Return the displacement of a point from side to side across the path in a stride, m.
-
-    The swing is the point's path less its mean over a stride. Its component across the animal's
-    direction of motion counts, along the axis of largest swing. The result is the median of the
-    peak-to-peak ranges of all whole strides.
-
-    Args:
-        point: path of the point, such as the tip of the tail, m.
-        path: path of the animal's middle, m.
-        step: time between samples, s.
-        frequency: stride frequency, Hz.
-
-    Returns:
-        Excursion, m, or NaN without a stride.
-    """
-    if not frequency > 0:
-        return math.nan
-    path, _ = _finer(path, step, frequency)
-    point, step = _finer(point, step, frequency)
-    width = _samples(step, frequency)
-    smooth = _over_strides(point, step, frequency)
-    if len(smooth) < width:
-        return math.nan
-    first = (len(point) - len(smooth)) // 2
-    swing = point[first : first + len(smooth)] - smooth
-    course = np.gradient(_over_strides(path, step, frequency), axis=0)[: len(smooth)]
-    length = np.linalg.norm(course, axis=-1, keepdims=True)
-    ahead = course / np.where(length > 0, length, 1.0)
-    across = swing - (swing * ahead).sum(-1, keepdims=True) * ahead
-    direction = np.linalg.svd(across, full_matrices=False)[2][0]
-    side = across @ direction
-    strides = side[: len(side) // width * width].reshape(-1, width)
-    return float(np.median(np.ptp(strides, axis=1)))
-
-
-def strouhal_number(frequency: float, amplitude: float, speed: float) -> float:
-    """Return St = f A / U, no unit (Triantafyllou, Triantafyllou and Grosenbaugh 1993).
-
-    Args:
-        frequency: f, frequency of the tail's beat, Hz.
-        amplitude: A, excursion of the tip from side to side, m.
-        speed: U, m/s. The result is NaN for 0.
-    """
-    return frequency * amplitude / speed if speed > 0 else math.nan
 
 
 def cost_of_transport(energy: float, mass: float, gravity: float, distance: float) -> float:
@@ -176,37 +125,3 @@ def _autocorrelation(level: Float[np.ndarray, "t j"], most: int) -> Float[np.nda
     before, after = power[count - lags], power[count] - power[lags]
     scale = np.sqrt(before * after)
     return product / np.where(scale > 0, scale, 1.0)
-
-
-def _samples(step: float, frequency: float) -> int:
-    """Return the number of samples in a stride."""
-    return max(1, round(1.0 / (frequency * step)))
-
-
-def _finer(
-    path: Float[np.ndarray, "t 3"], step: float, frequency: float
-) -> tuple[Float[np.ndarray, "n 3"], float]:
-    """Interpolate a path to a whole number of samples in a stride, at least `_FINE`.
-
-    Returns:
-        Path by a cubic spline, and time between its samples, s. A path without a whole stride stays
-        unchanged.
-    """
-    width = 1.0 / (frequency * step) if frequency > 0 else math.nan
-    if not width < len(path):
-        return path, step
-    own = width / max(_FINE, round(width))
-    # The margin keeps the last sample in spite of rounding.
-    places = np.arange(0, len(path) - 1 + 1e-9, own)
-    return CubicSpline(np.arange(len(path)), path)(places), own * step
-
-
-def _over_strides(
-    path: Float[np.ndarray, "t 3"], step: float, frequency: float
-) -> Float[np.ndarray, "n 3"]:
-    """Return moving means over a stride, or a straight line without strides."""
-    width = _samples(step, frequency) if frequency > 0 else len(path)
-    if width >= len(path):
-        return np.linspace(path[0], path[-1], len(path))
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(path - path[0], axis=0)])
-    return path[0] + (total[width:] - total[:-width]) / width

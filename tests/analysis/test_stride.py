@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from evo_cpg.analysis import stride
+from evo_cpg.analysis.midline import sway
+from evo_cpg.analysis.swimming import strouhal_number
 
 STEP = 1 / 60
 TIME = np.arange(1200) * STEP
@@ -27,7 +29,7 @@ def test_a_joint_at_twice_the_frequency_does_not_count():
 
 @pytest.mark.parametrize("frequency", [5.3, 8.0, 9.5, 11.0, 17.3, 20.0])
 @pytest.mark.parametrize("noise", [0.0, 0.3])
-def test_fast_beats_have_accurate_frequency_and_excursion(frequency, noise):
+def test_fast_beats_have_accurate_frequency_and_speed(frequency, noise):
     """Errors are at most 1 %. A beat has only a few samples, which may all miss its extremes."""
     beat = 2 * np.pi * frequency * TIME
     signals = np.sin(beat[:, None] - np.arange(6))
@@ -37,7 +39,9 @@ def test_fast_beats_have_accurate_frequency_and_excursion(frequency, noise):
         return
     path = np.stack([TIME, 0 * TIME, 0 * TIME], -1)
     tip = path + np.stack([0 * TIME, 0.1 * np.sin(beat), 0 * TIME], -1)
-    assert stride.excursion(tip, path, STEP, frequency) == pytest.approx(0.2, rel=0.01)
+    nose = path + np.array([1.0, 0.0, 0.0])
+    found = sway(np.stack([nose, tip], 1), STEP, frequency)
+    assert found.cycles.peak_to_peak[1] == pytest.approx(0.2, rel=0.01)
     assert stride.path_speed(tip, STEP, frequency) == pytest.approx(1.0, rel=1e-3)
 
 
@@ -73,27 +77,27 @@ def test_path_speed_leaves_out_the_sway():
 
 @pytest.mark.parametrize("course", [0.0, 1.1])
 @pytest.mark.parametrize("upright", [False, True], ids=["sideways", "up and down"])
-def test_the_excursion_of_a_tail_and_its_strouhal_number(course, upright):
+def test_the_sway_of_a_tail_and_its_strouhal_number(course, upright):
     """The tail swings by 0.07 m to each side, while the animal moves at 0.5 m/s."""
     along = np.array([math.cos(course), math.sin(course), 0.0])
     across = np.array([0.0, 0.0, 1.0]) if upright else np.cross([0.0, 0.0, 1.0], along)
     beat = 2 * np.pi * 1.5 * TIME
     path = 0.5 * TIME[:, None] * along
-    # The swing along the path does not count.
+    # The swing along the body does not count.
     tip = path - along + 0.07 * np.sin(beat)[:, None] * across
     tip = tip + 0.2 * np.cos(2 * beat)[:, None] * along
-    found = stride.excursion(tip, path, STEP, 1.5)
+    found = float(sway(np.stack([path, tip], 1), STEP, 1.5).cycles.peak_to_peak[1])
     assert found == pytest.approx(0.14, rel=0.01)
     speed = stride.path_speed(path, STEP, 1.5)
-    assert stride.strouhal_number(1.5, found, speed) == pytest.approx(0.42, rel=0.02)
+    assert strouhal_number(1.5, found, speed) == pytest.approx(0.42, rel=0.02)
 
 
 def test_a_standing_animal_has_no_gait_numbers():
-    still = np.zeros((600, 3))
-    assert stride.excursion(still, still, STEP, 1.0) == 0.0
-    assert math.isnan(stride.excursion(still, still, STEP, math.nan))
-    assert math.isnan(stride.excursion(still, still, STEP, 0.01))
-    assert math.isnan(stride.strouhal_number(1.0, 0.1, 0.0))
+    still = np.zeros((600, 2, 3))
+    assert sway(still, STEP, 1.0).cycles.peak_to_peak[1] == 0.0
+    assert sway(still, STEP, math.nan) is None
+    assert sway(still, STEP, 0.01) is None
+    assert math.isnan(strouhal_number(1.0, 0.1, 0.0))
     assert math.isnan(stride.stride_length(0.3, math.nan))
     assert math.isnan(stride.cost_of_transport(5.0, 2.0, 9.81, 0.0))
     assert math.isnan(stride.cost_of_transport(5.0, 2.0, 0.0, 1.0))

@@ -1,0 +1,48 @@
+"""Cost of transport that animals of a mass have, to stand beside a simulated one.
+
+Animals' figures are metabolic: the chemical energy of the whole animal. Mechanical work costs four
+to five times as much, because muscles have an efficiency of 0.2 to 0.25.
+
+| motion | formula | unit | source |
+|---|---|---|---|
+| running at speed v | 10.7 M^-0.316 + 6.03 M^-0.303 / v | J/(kg m) | Taylor et al. 1982 |
+| running, least | 10.7 M^-0.316 | J/(kg m) | Taylor et al. 1982 |
+| swimming, fish | 1.1 M^-0.38 with M in grams | J/(N m) | secondary source |
+| swimming, salmon | 2.15 M^-0.25 | J/(kg m) | secondary source |
+
+M is in kg, except where the table says grams. The exponents of running are from secondary sources,
+too. Divided by the standard gravity, J/(kg m) becomes the cost of transport without a unit.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+# A number, or an array of numbers.
+Values = float | Float[np.ndarray, " *n"]
+
+# Standard gravity, m/s^2. Animals' costs are per weight on the earth.
+_GRAVITY = 9.80665
+
+
+def running_cost(mass: Values, speed: Values | None = None) -> Values:
+    """Return a running animal's metabolic cost of transport, no unit.
+
+    Args:
+        mass: mass, kg.
+        speed: speed, m/s, or None for the least cost, which a fast animal approaches.
+    """
+    per_metre = 10.7 * np.power(mass, -0.316)
+    if speed is not None:
+        per_metre = per_metre + 6.03 * np.power(mass, -0.303) / np.asarray(speed)
+    return per_metre / _GRAVITY
+
+
+def swimming_cost(mass: Values) -> tuple[Values, Values]:
+    """Return the metabolic cost of transport of fish, no unit: by two formulas, the lower first.
+
+    Args:
+        mass: mass, kg.
+    """
+    fish = 1.1 * np.power(np.multiply(1000.0, mass), -0.38)
+    salmon = 2.15 * np.power(mass, -0.25) / _GRAVITY
+    return np.minimum(fish, salmon), np.maximum(fish, salmon)

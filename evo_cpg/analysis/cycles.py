@@ -1,0 +1,96 @@
+"""Whole cycles of a periodic motion, in uniform samples.
+
+A Fourier component, a peak-to-peak range or a mean is exact only over whole cycles. So signals are
+interpolated by a cubic spline to a whole number of samples in a cycle.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.interpolate import CubicSpline
+
+# Least number of samples in a cycle, after interpolation.
+_FINE = 32
+
+
+class Cycles(NamedTuple):
+    """Samples of whole cycles.
+
+    Attributes:
+        values: samples, from the last whole cycles of the record.
+        step: time between samples, s.
+        width: number of samples in a cycle.
+    """
+
+    values: Float[np.ndarray, "t *n"]
+    step: float
+    width: int
+
+    @property
+    def component(self) -> Complex[np.ndarray, " *n"]:
+        """Complex amplitude at the frequency of the cycles, for the factor exp(+i w t)."""
+        turn = np.exp(-2j * np.pi * np.arange(len(self.values)) / self.width)
+        return 2.0 * np.tensordot(turn, self.values, 1) / len(self.values)
+
+    @property
+    def peak_to_peak(self) -> Float[np.ndarray, " *n"]:
+        """Median over the cycles of the peak-to-peak ranges."""
+        apart = self.values.reshape(-1, self.width, *self.values.shape[1:])
+        return np.median(np.ptp(apart, axis=1), axis=0)
+
+
+def finer(
+    values: Float[np.ndarray, "t *n"], step: float, frequency: float
+) -> tuple[Float[np.ndarray, "m *n"], float]:
+    """Interpolate signals to a whole number of samples in a cycle, at least `_FINE`.
+
+    Args:
+        values: signals of any unit.
+        step: time between samples, s.
+        frequency: frequency of the cycles, Hz, or NaN without cycles.
+
+    Returns:
+        Signals by a cubic spline, and time between samples, s. Signals shorter than a cycle stay
+        unchanged.
+    """
+    width = 1.0 / (frequency * step) if frequency > 0 else np.nan
+    if not width < len(values):
+        return values, step
+    own = width / max(_FINE, round(width))
+    # The margin keeps the last sample in spite of rounding.
+    places = np.arange(0, len(values) - 1 + 1e-9, own)
+    return CubicSpline(np.arange(len(values)), values)(places), own * step
+
+
+def samples(step: float, frequency: float) -> int:
+    """Return the number of samples in a cycle."""
+    return max(1, round(1.0 / (frequency * step)))
+
+
+def whole_cycles(values: Float[np.ndarray, "t *n"], step: float, frequency: float) -> Cycles | None:
+    """Return the last whole cycles of signals, or None if there is none.
+
+    Args:
+        values: signals of any unit.
+        step: time between samples, s.
+        frequency: frequency of the cycles, Hz.
+    """
+    if not frequency > 0 or len(values) < 2:
+        return None
+    values, step = finer(values, step, frequency)
+    width = samples(step, frequency)
+    count = len(values) // width * width
+    return Cycles(values[len(values) - count :], step, width) if count else None
+
+
+def moving_mean(
+    values: Float[np.ndarray, "t *n"], step: float, frequency: float
+) -> Float[np.ndarray, "m *n"]:
+    """Return means over a cycle, or a straight line from start to end without cycles."""
+    width = samples(step, frequency) if frequency > 0 else len(values)
+    if width >= len(values):
+        return np.linspace(values[0], values[-1], len(values))
+    total = np.cumsum(values - values[0], axis=0)
+    total = np.concatenate([np.zeros_like(total[:1]), total])
+    return values[0] + (total[width:] - total[:-width]) / width

@@ -1,0 +1,224 @@
+"""Swimming numbers of motions with known answers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from evo_cpg.analysis.body_wave import body_wave, travelling_index
+from evo_cpg.analysis.midline import bending_lag, envelope, sway
+from evo_cpg.analysis.swimming import (
+    froude_efficiency,
+    reynolds_number,
+    slip,
+    strouhal_number,
+    swimming,
+    swimming_number,
+)
+
+STEP = 1 / 60
+TIME = STEP * np.arange(600)
+PLACE = np.linspace(0.0, 1.0, 101)
+
+
+def moved(lateral, speed=0.5, course=0.0):
+    """Return a midline along -x that sways by ``lateral`` (t, p), and moves ahead at an angle."""
+    along = -np.broadcast_to(PLACE[: lateral.shape[1]], lateral.shape)
+    points = np.stack([along + speed * TIME[:, None], lateral, 0 * lateral], -1)
+    turn = np.array(
+        [
+            [math.cos(course), -math.sin(course), 0],
+            [math.sin(course), math.cos(course), 0],
+            [0, 0, 1],
+        ]
+    )
+    return points @ turn.T
+
+
+def wave(frequency=1.0, waves=1.0, growth=0.0, size=0.05, back=0.0, place=PLACE):
+    """Return size exp(growth (x - 1)) sin(k x - w t), plus a reflection."""
+    k, w = 2 * np.pi * waves, 2 * np.pi * frequency
+    phase = k * place - w * TIME[:, None]
+    other = k * place + w * TIME[:, None]
+    return size * np.exp(growth * (place - 1)) * (np.sin(phase) + back * np.sin(other))
+
+
+def test_strouhal_number_takes_the_peak_to_peak_amplitude():
+    """2 Hz, 0.05 m to each side, 0.5 m/s: 2 f a / U = 0.4."""
+    found = swimming(moved(wave(2.0)), STEP, 2.0)
+    assert found.tail_amplitude == pytest.approx(0.1, rel=1e-3)
+    assert found.speed == pytest.approx(0.5, rel=1e-6)
+    assert found.strouhal == pytest.approx(0.4, rel=1e-3)
+    assert strouhal_number(2.0, 0.1, 0.5) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("waves", [0.6, 1.0, 1.7, -1.2])
+def test_wave_speed_is_w_over_k(waves):
+    found = swimming(moved(wave(1.3, waves)), STEP, 1.3)
+    assert found.wave_speed == pytest.approx(1.3 / waves, rel=1e-3)
+    assert found.wave_count == pytest.approx(waves, rel=1e-3)
+
+
+def test_slip_of_a_swimmer():
+    """U 0.3 m/s and V 0.5 m/s: 0.6."""
+    found = swimming(moved(wave(1.0, 2.0), speed=0.3), STEP, 1.0)
+    assert found.slip == pytest.approx(0.6, rel=1e-3)
+    assert slip(0.3, -0.5) == pytest.approx(0.6)
+    assert math.isnan(slip(0.3, math.nan))
+
+
+def test_a_standing_wave_has_no_speed():
+    standing = wave(1.0, 1.0, back=1.0)
+    found = swimming(moved(standing), STEP, 1.0)
+    assert found.travelling == pytest.approx(0.0, abs=1e-6)
+    assert np.isnan([found.wave_speed, found.wave_count, found.slip]).all()
+    assert found.strouhal > 0
+
+
+@pytest.mark.parametrize("back", [0.0, 0.25, 0.5, 1.0])
+def test_travelling_index_of_a_reflected_wave(back):
+    """(1 - b) / (1 + b) on two wave lengths, without the last point, which repeats the first."""
+    signals = wave(1.0, 2.0, back=back)[:, :-1]
+    expected = (1 - back) / (1 + back)
+    assert travelling_index(signals, STEP, 1.0) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("waves", [0.4, 0.75, 1.3])
+def test_travelling_index_of_a_part_of_a_wave(waves):
+    """sqrt((1 - s) / (1 + s)) with s = |sin kL / kL|. 0.75 waves have 0.81."""
+    middles = (np.arange(200) + 0.5) / 200
+    found = travelling_index(wave(1.0, waves, place=middles), STEP, 1.0)
+    s = abs(math.sin(2 * math.pi * waves) / (2 * math.pi * waves))
+    assert found == pytest.approx(math.sqrt((1 - s) / (1 + s)), rel=1e-4)
+    if waves == 0.75:
+        assert found == pytest.approx(0.81, abs=0.005)
+
+
+def test_growing_wave_has_index_0_73_and_lag_of_a_tenth():
+    """Growth exp(3.4 x / L) and wave length 0.6 L, as in eels."""
+    found = swimming(moved(wave(1.0, 1 / 0.6, growth=3.4)), STEP, 1.0)
+    assert found.travelling == pytest.approx(0.73, abs=0.005)
+    assert found.lag == pytest.approx(0.1, abs=0.001)
+
+
+@pytest.mark.parametrize("growth", [0.0, 1.0, 3.4, -2.0])
+def test_lag_of_displacement_on_bending(growth):
+    """Bending leads by atan(a / k) / pi at every point."""
+    swaying = sway(moved(wave(1.0, 1.5, growth)), STEP, 1.0)
+    found = bending_lag(swaying)
+    expected = math.atan(growth / (2 * np.pi * 1.5)) / math.pi
+    np.testing.assert_allclose(found.each[1:-1], expected, atol=1e-4)
+    assert found.mean == pytest.approx(expected, abs=1e-4)
+
+
+def test_lag_converges_with_the_square_of_the_distance():
+    errors = []
+    for count in (15, 29):
+        place = np.linspace(0, 1, count)
+        lateral = wave(1.0, 1 / 0.6, growth=3.4, place=place)
+        points = np.stack([np.broadcast_to(-place, lateral.shape), lateral, 0 * lateral], -1)
+        found = bending_lag(sway(points, STEP, 1.0))
+        errors.append(abs(found.mean - math.atan(3.4 * 0.6 / (2 * np.pi)) / math.pi))
+    assert errors[0] < 0.005
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
+def test_envelope_is_a_quadratic():
+    """The amplitude 0.02 - 0.05 s + 0.11 s^2 of a body of 1 m is found again."""
+    amplitude = 0.02 - 0.05 * PLACE + 0.11 * PLACE**2
+    lateral = amplitude * np.sin(2 * np.pi * (1.2 * PLACE - 1.0 * TIME[:, None]))
+    found = envelope(sway(moved(lateral), STEP, 1.0), PLACE, 1.0)
+    np.testing.assert_allclose(found.amplitude, amplitude, rtol=2e-3)
+    np.testing.assert_allclose(found.quadratic, [0.02, -0.05, 0.11], atol=3e-4)
+    assert found.fitted > 0.9999
+
+
+def test_swimming_number_over_reynolds_number():
+    """Both have the amplitude from side to side, so Sw / Re = 2 pi St."""
+    assert swimming_number(2.0, 0.1, 0.5, 1e-6) == pytest.approx(2 * math.pi * 1e5)
+    assert reynolds_number(0.5, 0.5, 1e-6) == pytest.approx(2.5e5)
+    found = swimming(moved(wave(2.0)), STEP, 2.0, viscosity=1e-6)
+    ratio = found.swimming_number / found.reynolds
+    assert ratio == pytest.approx(2 * math.pi * found.strouhal)
+    assert np.isnan(swimming(moved(wave(2.0)), STEP, 2.0).reynolds)
+
+
+@pytest.mark.parametrize("ratio", [0.3, 0.5, 0.9])
+def test_froude_efficiency_of_elongated_body_theory(ratio):
+    """Mean thrust and power of Lighthill 1960 with zero slope of the tail give (1 + U/V) / 2.
+
+    The envelope is level at the tail, so h = sin(w t - k x) with the mean rates below.
+    """
+    speed, wave_speed, mass = ratio * 2.0, 2.0, 3.0
+    beat = 2 * np.pi * np.arange(64) / 64
+    rate = 0.4 * np.cos(beat)
+    slope = -rate / wave_speed
+    thrust = mass / 2 * np.mean(rate**2 - speed**2 * slope**2)
+    power = mass * speed * np.mean(rate * (rate + speed * slope))
+    assert froude_efficiency(thrust, speed, power) == pytest.approx((1 + ratio) / 2)
+    assert math.isnan(froude_efficiency(thrust, speed, 0.0))
+
+
+@pytest.mark.parametrize("course", [0.7, 2.5])
+def test_numbers_do_not_depend_on_the_course(course):
+    one = swimming(moved(wave(1.0, 1.3, 2.0)), STEP, 1.0)
+    two = swimming(moved(wave(1.0, 1.3, 2.0), course=course), STEP, 1.0)
+    for name, value in one._asdict().items():
+        np.testing.assert_allclose(getattr(two, name), value, rtol=1e-6, atol=1e-9, err_msg=name)
+
+
+def test_a_turn_of_the_animal_does_not_count():
+    """The animal swims in a circle of 5 m at 0.5 m/s."""
+    body = moved(wave(1.0, 1.3, 2.0), speed=0.0)
+    angle = 0.1 * TIME
+    cos, sin = np.cos(angle), np.sin(angle)
+    turn = np.array([[cos, -sin, 0 * cos], [sin, cos, 0 * cos], [0 * cos, 0 * cos, 1 + 0 * cos]])
+    points = np.einsum("ijt,tpj->tpi", turn, body + np.array([0.0, 5.0, 0.0]))
+    found = swimming(points, STEP, 1.0, speed=0.5)
+    straight = swimming(moved(wave(1.0, 1.3, 2.0)), STEP, 1.0)
+    assert found.tail_amplitude == pytest.approx(straight.tail_amplitude, rel=0.01)
+    assert found.wave_speed == pytest.approx(straight.wave_speed, rel=0.01)
+
+
+def test_many_settings_at_once():
+    """Trailing axes are settings, and each has its own frequency and viscosity."""
+    frequencies = np.array([[1.0, 1.5], [2.0, 3.0]])
+    points = np.stack(
+        [np.stack([moved(wave(f, 1.2)[:, ::5])[:, :21] for f in row], -1) for row in frequencies],
+        -1,
+    ).swapaxes(-1, -2)
+    points[:, :, 0] = -PLACE[::5][None, :, None, None] + 0.5 * TIME[:, None, None, None]
+    found = swimming(points, STEP, frequencies, viscosity=1e-6, length=1.0)
+    assert found.strouhal.shape == (2, 2)
+    assert found.amplitude.shape == (21, 2, 2)
+    np.testing.assert_allclose(found.strouhal, frequencies * 0.1 / 0.5, rtol=5e-3)
+    np.testing.assert_allclose(found.wave_speed, frequencies / 1.2, rtol=5e-3)
+
+
+def test_frequency_and_length_are_measured():
+    """The midline is longer than its projection by less than 2 %."""
+    found = swimming(moved(wave(1.3, 1.0)), STEP)
+    assert found.frequency == pytest.approx(1.3, rel=0.01)
+    assert found.strouhal == pytest.approx(1.3 * 0.1 / 0.5, rel=0.01)
+
+
+@pytest.mark.parametrize("frequency", [math.nan, 0.1, 0.15])
+def test_less_than_two_cycles_have_no_numbers(frequency):
+    found = swimming(moved(wave(1.0)), STEP, frequency)
+    assert np.isnan([found.strouhal, found.wave_speed, found.travelling, found.lag]).all()
+
+
+def test_a_stiff_body_has_no_wave_and_no_lag():
+    found = swimming(moved(0 * wave(1.0)), STEP, 1.0)
+    assert found.tail_amplitude == pytest.approx(0.0, abs=1e-12)
+    assert np.isnan([found.wave_speed, found.travelling, found.lag]).all()
+    signals = np.zeros((600, 5))
+    assert math.isnan(body_wave(signals, np.arange(5.0), 5.0, STEP, 1.0).count)
+
+
+def test_a_still_place_does_not_hide_the_wave():
+    """The nose is at rest."""
+    lateral = PLACE * wave(1.0, 1.2)
+    found = body_wave(lateral, PLACE, 1.0, STEP, 1.0)
+    assert found.count == pytest.approx(1.2, rel=0.01)
+    assert math.isnan(found.phase[0]) and np.isfinite(found.phase[1:]).all()
