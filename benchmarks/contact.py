@@ -26,6 +26,7 @@ from rich.progress import track
 from benchmarks.animals import ANIMALS
 from benchmarks.exercise import Exercise
 from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import separations
 from evo_cpg.physics.state import State, resting_state
@@ -80,7 +81,9 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
 
     def advance(carry: tuple, index: Array) -> tuple[tuple, tuple]:
         state, warmstart = carry
-        new, effort = step(world, state, *_both(exercise.command(commands, index), h), warmstart)
+        new, effort = step(
+            world, state, MotorCommand(*exercise.command(commands, index)), h, warmstart
+        )
         kin = kinematics(world.tree, new)
         assert effort.contact_frame_force is not None and effort.residual is not None
         touches = (effort.contact_frame_force[2] > 0).any(0)
@@ -112,12 +115,6 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
 def _twice(count: int) -> Callable[[Array], Array]:
     """Return a function that appends an array's first individuals to themselves."""
     return lambda x: jnp.concatenate([x[..., :count], x[..., :count]], -1)
-
-
-def _both(command: tuple[Array, Array | None], h: float) -> tuple[Array, float, Array | None]:
-    """Return the arguments of `step` after the state: target rates, step, and target angles."""
-    rate, angle = command
-    return rate, h, angle
 
 
 def _disturbed(state: State, count: int, rng: np.random.Generator) -> State:

@@ -16,6 +16,7 @@ from rich.console import Console
 
 from evo_cpg.cli.champions import open_champion
 from evo_cpg.control.postures import PostureController
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import separations
 from evo_cpg.physics.state import resting_state
@@ -60,7 +61,7 @@ def walk(simulation: Simulation, genes: Float[np.ndarray, " g"]) -> Limbs:
 
     def advance(carry: tuple, number: jax.Array) -> tuple[tuple, tuple]:
         state, warmstart = carry
-        state, effort = step(world, state, none, h, postures[number], warmstart)
+        state, effort = step(world, state, MotorCommand(none, postures[number]), h, warmstart)
         assert effort.pair_force is not None
         gap = separations(pairs, kinematics(world.tree, state)).gap.min()
         return (state, effort.warmstart), (gap, (effort.pair_force > 0).any())

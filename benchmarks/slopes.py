@@ -23,6 +23,7 @@ from benchmarks.plan import experiment_of
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.contact_model import ContactModel
 from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import first_warmstart, step
@@ -84,7 +85,7 @@ def stander(world: World, h: float) -> Callable[[float], Standing]:
             state, warmstart = carry
             fraction = jnp.minimum((index + 1) * h / LOADING, 1.0)
             loaded = dataclasses.replace(slope, gravity=world.gravity * fraction)
-            state, effort = step(loaded, state, still, h, still, warmstart)
+            state, effort = step(loaded, state, MotorCommand(still, still), h, warmstart)
             assert effort.contact_frame_force is not None
             return (state, effort.warmstart), (
                 state.position[:, 0],

@@ -4,6 +4,8 @@ import hashlib
 import json
 from pathlib import Path
 
+import numpy as np
+
 from evo_cpg.cli.errors import warn
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -78,6 +80,8 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
     # Warn only of oscillators that drive a joint.
     driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
     driven = driven & (rate_gain != 0)
+    if tree.muscles is not None:
+        driven = driven | np.array(tree.muscles.driven)
     gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain
     alone = [i for i in uncoupled(network.matrix) if driven[i]]
     still = [i for i in resting(network, cpg.max_tonic_input, *gains) if driven[i]]

@@ -75,9 +75,9 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
                 return "must return a pair of the next state and a Command"
             given = found[1]._asdict().items()
             return _is_like("the next state", animal.nerves)(found[0]) or _first(
-                _is_array(dofs, f"its {name}")(value)
+                _is_array((2, *dofs) if name == "activation" else dofs, f"its {name}")(value)
                 for name, value in given
-                if value is not None or name != "target_angle"
+                if value is not None or name not in ("target_angle", "activation")
             )
 
         nerves = constants.phenotype.controller, animal.nerves

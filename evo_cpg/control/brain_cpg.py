@@ -6,10 +6,12 @@ output sigma of the brain, between 0 and 1:
 
     u = u_max sigma,    b = b_min + (b_max - b_min) sigma,    d = d_max (2 sigma - 1),
     u_e = u (1 + d),    u_f = u (1 - d),
-    target = G g (y_e - y_f) - k_c q,    within plus and minus max_rate.
+    target = G g (y_e - y_f) - k_c q,    within plus and minus max_rate,
+    ML = min(1, y_e / u_max),    MR = min(1, y_f / u_max).
 
-u_e and u_f are the tonic inputs of the extensor and flexor neuron. The paper describes the last
-line only as "angular-velocity control".
+u_e and u_f are the tonic inputs of the extensor and flexor neuron. The target rate drives motors.
+The paper describes it only as "angular-velocity control". The activations ML and MR drive muscles
+(`evo_cpg.physics.muscle`), which ignore the target rate.
 
 | symbol | name |
 |---|---|
@@ -108,9 +110,9 @@ class BrainCpgSettings:
             group have separate axes, named ``group/axis``. Axes of all other bodies have the plain
             name.
         steering_range: largest relative difference between extensor and flexor drive, 0 to 1.
-        rate_gain: G, joint rate per unit of output, rad/s.
+        rate_gain: G, joint rate per unit of output, rad/s. Muscles ignore it.
         centring: k_c, rate at which a joint returns to its neutral angle, 1/s, at least 0. The
-            value 0 is the paper's angular-velocity control.
+            value 0 is the paper's angular-velocity control. Muscles ignore it.
         max_rate: largest commanded rate of a motor, rad/s, more than 0.
         axes: special settings of named axes, such as ``x`` or ``limbs/y``.
         joint_rates: True to give the joint rates to the brain. The paper's text lists them as
@@ -182,9 +184,10 @@ class BrainCpg(Controller):
             It is also the index of its steering.
         gain_source: index of each oscillator's adaptation gain among the gains that the brain sets.
         steering_range: d_max of each degree of freedom.
-        rate_gain: G g of each degree of freedom, rad/s.
-        centring: k_c of each degree of freedom, 1/s.
+        rate_gain: G g of each degree of freedom, rad/s, 0 for muscles.
+        centring: k_c of each degree of freedom, 1/s, 0 for muscles.
         control_step: length of a control step, s.
+        muscles: True if the creature has muscles.
         feedback: feedback of the senses into the oscillators, or None.
     """
 
@@ -205,6 +208,7 @@ class BrainCpg(Controller):
     rate_gain: Float[Numbers, " d"]
     centring: Float[Numbers, " d"]
     control_step: float = eqx.field(static=True)
+    muscles: bool = eqx.field(static=True)
     feedback: Feedback | None = None
 
     signal_label = "CPG output (no unit)"
@@ -299,14 +303,25 @@ class BrainCpg(Controller):
         return FeelingState(state.potential, state.adaptation, memory) if feeling else state
 
     def command(self, state: MatsuokaState, observation: Observation) -> Command:
-        """Return the command of the neurons to the motors."""
+        """Return the command of the neurons to motors and muscles.
+
+        A muscle is activated by its own neuron, ``min(1, y / u_max)``. The extensor's muscle pulls
+        to positive angles.
+
+        Args:
+            state: state of the neurons after the control step.
+            observation: senses at the start of the control step.
+        """
         signal = matsuoka.output(state)
         rate = (
             expand_dims_like(self.rate_gain, signal) * signal
             - expand_dims_like(self.centring, signal) * observation.joint_angle
         )
-        limit = self.max_rate
-        return Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
+        limit, activation = self.max_rate, None
+        if self.muscles:
+            output = jnp.maximum(state.potential, 0.0)
+            activation = jnp.minimum(output * (1.0 / self.max_tonic_input), 1.0)
+        return Command(jnp.clip(rate, -limit, limit), signal, activation=activation)
 
     def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
         """Return the inputs of the brain: Table 2 of Iwadate 2010, every value from -1 to 1.
@@ -398,6 +413,7 @@ def build_brain_cpg(
     feedback = None
     if cpg.feedback is not None:
         feedback = build_feedback(tree, cpg.feedback, cpg.max_tonic_input, control_step)
+    muscular = tree.muscles.driven if tree.muscles else (False,) * tree.dof_count
     return BrainCpg(
         gene_count=brain.gene_count + (feedback.gene_count if feedback else 0),
         brain=brain,
@@ -415,10 +431,18 @@ def build_brain_cpg(
         steering_range=xp.array(
             [_or(axis.steering_range, settings.steering_range) for axis in own]
         ),
-        rate_gain=xp.array([settings.rate_gain * axis.gain for axis in own]),
-        centring=xp.array([_or(axis.centring, settings.centring) for axis in own]),
+        rate_gain=xp.array(
+            [0.0 if m else settings.rate_gain * x.gain for x, m in zip(own, muscular, strict=True)]
+        ),
+        centring=xp.array(
+            [
+                0.0 if m else _or(x.centring, settings.centring)
+                for x, m in zip(own, muscular, strict=True)
+            ]
+        ),
         control_step=control_step,
         feedback=feedback,
+        muscles=tree.muscles is not None,
     )
 
 

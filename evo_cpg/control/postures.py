@@ -183,11 +183,18 @@ def build_posture_controller(
         control_step: time between two calls of `PostureController.act`, s.
 
     Raises:
-        ValueError: the creature has no joint, or a motor would pull its joint beyond a limit. The
-            period is shorter than a control step, which would skip postures, or too long to count.
+        ValueError: the creature has no joint, or has muscles. A motor would pull its joint beyond a
+            limit. The period is shorter than a control step, which would skip postures, or too long
+            to count.
     """
     if not tree.dof_count:
         raise ValueError("the controller needs a creature with at least one joint")
+    if tree.muscles is not None:
+        driven = tree.dof_names[tree.muscles.driven.index(True)]
+        raise ValueError(
+            "postures command angles of motors, but muscles take activations: joint "
+            f"{driven} has muscles. Give its actuator a gain and a stiffness, or choose brain_cpg"
+        )
     chosen(lambda: _check_limits(tree, settings), lambda _: ~_beyond(tree, settings)[0].any())
     ratio = settings.period / control_step
     if not chosen(lambda: 1 - TOLERANCE <= ratio <= LONGEST_PERIOD):

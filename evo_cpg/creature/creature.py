@@ -63,6 +63,73 @@ class Actuator:
     stiffness: Number = 0.0
 
 
+@dataclasses.dataclass(frozen=True)
+class Muscle:
+    """Two antagonistic muscles about each axis of a joint, after Ekeberg 1993 and Hill 1938.
+
+    `evo_cpg.physics.muscle` has the equations. Strength is area times stress times arm. The bend
+    sets the stiffness in proportion to the strength, so equal numbers fit animals of any size.
+
+    Attributes:
+        area: cross-section of the muscle on each side, m^2.
+        arm: lever arm of the muscles about the axis, m.
+        fibre_length: length of the fibres at the neutral angle, their optimal length, m.
+        stress: specific tension, isometric force per cross-section, Pa.
+        bend: angle that one fully active side holds without load, without Hill's law, rad.
+        tone: gamma, stiffness of relaxed muscles over the stiffness that one active side adds.
+        damping_time: delta over the stiffness with one side fully active, s.
+        max_speed: largest speed of shortening, fibre lengths per second.
+        curvature: k of Hill's curve of force over speed.
+        hill: False for forces that do not depend on length and speed, as in Ekeberg 1993.
+    """
+
+    area: Number
+    arm: Number
+    fibre_length: Number
+    stress: Number = 2e5
+    bend: Number = np.pi / 4
+    tone: Number = 1.0
+    damping_time: Number = 0.02
+    max_speed: Number = 5.0
+    curvature: Number = 0.25
+    hill: bool = True
+
+    @property
+    def strength(self) -> Number:
+        """Torque of one fully active muscle, alpha, N m."""
+        return self.area * self.stress * self.arm
+
+    @property
+    def stiffening(self) -> Number:
+        """Stiffness that one fully active muscle adds, beta, N m/rad."""
+        return self.strength / (self.bend * (1.0 + self.tone))
+
+    @property
+    def rest_stiffness(self) -> Number:
+        """Stiffness of relaxed muscles, beta gamma, N m/rad."""
+        return self.stiffening * self.tone
+
+    @property
+    def damping(self) -> Number:
+        """Damping, delta, N m s/rad."""
+        return self.damping_time * self.strength / self.bend
+
+    @property
+    def strain(self) -> Number:
+        """Change of the fibres' length per angle, 1/rad."""
+        return self.arm / self.fibre_length
+
+    @property
+    def slowness(self) -> Number:
+        """Speed of shortening over the largest speed, per joint rate, s/rad."""
+        return self.strain / self.max_speed
+
+    @property
+    def power(self) -> Number:
+        """Isometric force times largest speed, W."""
+        return self.area * self.stress * self.max_speed * self.fibre_length
+
+
 class DegreeOfFreedom(NamedTuple):
     """One degree of freedom of a joint: a rotation about an axis through the joint's position.
 
@@ -75,7 +142,8 @@ class DegreeOfFreedom(NamedTuple):
         armature: rotor inertia, kg m^2.
         servo_gain: torque of the motor per rate error, N m s/rad, 0 without a motor.
         servo_stiffness: torque of the motor per angle error, N m/rad, 0 without a motor.
-        torque_limit: largest torque of the motor, N m, 0 without a motor.
+        torque_limit: largest torque of the motor, N m, 0 without a motor, infinity for muscles.
+        muscle: muscles about the axis, or None.
     """
 
     axis: Triple
@@ -87,6 +155,7 @@ class DegreeOfFreedom(NamedTuple):
     servo_gain: Number
     servo_stiffness: Number
     torque_limit: Number
+    muscle: Muscle | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +176,7 @@ class Joint:
         stiffness: stiffness of the passive spring towards the neutral pose, N m/rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia of each axis, kg m^2.
-        actuator: motor on each axis, or None for a passive joint.
+        actuator: motor or muscles on each axis, or None for a passive joint.
     """
 
     parent: str
@@ -124,14 +193,19 @@ class Joint:
     stiffness: Number = 0.0
     damping: Number = 0.0
     armature: Number = 0.0
-    actuator: Actuator | None = None
+    actuator: Actuator | Muscle | None = None
 
     @property
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
         """Degrees of freedom, in the order in which they turn."""
         motor = self.actuator
-        driven = (motor.gain, motor.stiffness, motor.torque_limit) if motor else (0.0, 0.0, 0.0)
-        same = self.stiffness, self.damping, self.armature, *driven
+        muscle = motor if isinstance(motor, Muscle) else None
+        driven: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+        if muscle is not None:
+            driven = 0.0, 0.0, float("inf")
+        elif isinstance(motor, Actuator):
+            driven = motor.gain, motor.stiffness, motor.torque_limit
+        same = (self.stiffness, self.damping, self.armature, *driven, muscle)
         limits = zip(self.axes, self.lower, self.upper, strict=True)
         return tuple(DegreeOfFreedom(axis, low, high, *same) for axis, low, high in limits)
 

@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
+from evo_cpg.creature.muscles import Muscles, muscles_of
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 
@@ -74,6 +75,7 @@ class Tree(eqx.Module):
         servo_gain: torque of the motors per rate error, N m s/rad, 0 for a passive axis.
         servo_stiffness: stiffness of the motors' springs, N m/rad.
         torque_limit: largest torque of the motors, N m.
+        muscles: muscles about the axes, or None if there are none.
         limit_stiffness: stiffness of the soft limits, N m/rad.
         limit_damping: damping of the soft limits, N m s/rad.
     """
@@ -98,6 +100,7 @@ class Tree(eqx.Module):
     servo_gain: Float[Numbers, " d"]
     servo_stiffness: Float[Numbers, " d"]
     torque_limit: Float[Numbers, " d"]
+    muscles: Muscles | None
     limit_stiffness: Float[Numbers, " d"]
     limit_damping: Float[Numbers, " d"]
 
@@ -154,6 +157,9 @@ def build_tree(creature: Creature) -> Tree:
         return xp.array([getattr(dof, name) for dof in dofs], float)
 
     gain, spring = each("servo_gain"), each("servo_stiffness")
+    muscles = muscles_of([dof.muscle for dof in dofs])
+    # A limit balances a muscle like a motor of that torque at 1 rad/s.
+    push = gain + spring if muscles is None else gain + spring + muscles.strength
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
@@ -178,7 +184,8 @@ def build_tree(creature: Creature) -> Tree:
         servo_gain=gain,
         servo_stiffness=spring,
         torque_limit=each("torque_limit"),
-        limit_stiffness=leverage * limit_rate**2 + (gain + spring) * limit_rate,
+        muscles=muscles,
+        limit_stiffness=leverage * limit_rate**2 + push * limit_rate,
         limit_damping=2 * LIMIT_DAMPING_RATIO * leverage * limit_rate,
     )
 

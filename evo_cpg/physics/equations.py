@@ -9,10 +9,11 @@ from evo_cpg.physics.articulated import Accelerations, solve
 from evo_cpg.physics.body_equations import bias_of_mean, body_equations
 from evo_cpg.physics.contact import Contacts, find_contacts
 from evo_cpg.physics.joint_torque import (
+    MotorCommand,
+    MotorTorque,
     expected_limit_torque,
+    motor_torque,
     passive_torque,
-    servo_derivative,
-    servo_torque,
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics, motion_of_bodies
 from evo_cpg.physics.pair_contacts import PairContacts, find_pair_contacts
@@ -29,7 +30,7 @@ class Equations(NamedTuple):
         state: state at the start of the step.
         kin, inertia, bias, passive, derivative: arguments of `solve`, without motors, joint limits
             and ground.
-        start_torque: motor torques at the present rates, N m.
+        motor: torques that motors and muscles command.
         contacts: contacts with the ground, or None without ground.
         pairs: contacts between bodies of the creature, or None if no bodies can touch each other.
     """
@@ -40,7 +41,7 @@ class Equations(NamedTuple):
     bias: Wrench
     passive: Array
     derivative: Array
-    start_torque: Array
+    motor: MotorTorque
     contacts: Contacts | None
     pairs: PairContacts | None
 
@@ -105,9 +106,7 @@ class StepSolution(NamedTuple):
     warmstart: Warmstart | None = None
 
 
-def prepare(
-    world: World, h: float, state: State, target_rate: Array, target_angle: Array | None
-) -> Equations:
+def prepare(world: World, h: float, state: State, command: MotorCommand) -> Equations:
     """Return the equations of motion of a step."""
     tree = world.tree
     with jax.named_scope("kinematics"):
@@ -116,14 +115,14 @@ def prepare(
         inertia, bias = body_equations(world, kin, h)
         passive, derivative = passive_torque(tree, state, h)
         derivative = derivative + expand_dims_like(tree.armature, derivative)
-        start_torque = servo_torque(tree, state, target_rate, target_angle, h)
+        motor = motor_torque(tree, state, command, h)
         contacts = (
             None if world.contact_model is None else find_contacts(world.contact_model, kin, h)
         )
         pairs = (
             None if world.pairs is None else find_pair_contacts(tree, world.pairs, kin, state.qd, h)
         )
-    return Equations(state, kin, inertia, bias, passive, derivative, start_torque, contacts, pairs)
+    return Equations(state, kin, inertia, bias, passive, derivative, motor, contacts, pairs)
 
 
 def with_mean_products(
@@ -157,11 +156,9 @@ def with_mean_products(
 
 def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations:
     """Return the motion of a step without contact and motor limits, which needs no search."""
-    tree, start_torque = world.tree, equations.start_torque
+    tree, motor = world.tree, equations.motor
     stop, stop_derivative = expected_limit_torque(tree, equations.state, h)
-    torque = equations.passive + start_torque + stop
-    derivative = equations.derivative + h * (
-        servo_derivative(tree, start_torque, h) + stop_derivative
-    )
+    torque = equations.passive + motor.start + stop
+    derivative = equations.derivative + h * (motor.derivative(tree, h) + stop_derivative)
     kin, inertia, bias = equations.kin, equations.inertia, equations.bias
     return solve(tree, kin, inertia, bias, torque, derivative, world.held)

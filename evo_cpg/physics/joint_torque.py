@@ -13,15 +13,60 @@ Each law gives its torque at the present rates and its derivative. The implicit 
   at the *end* of the step. A limit on the torque before the step makes the motor chatter and exceed
   its limit threefold. If k_m = 0, the motor is a velocity servo (Iwadate 2010:
   "angular-velocity control"). If rate* = 0, the motor is a dashpot (Fukui 2003, 2.6).
+- Muscles: `evo_cpg.physics.muscle`, without a limit.
 """
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.muscle import pull_of
 from evo_cpg.physics.state import State
 from evo_cpg.spatial.linear import expand_dims_like
+
+
+class MotorCommand(NamedTuple):
+    """Command to the motors and muscles, constant over a step.
+
+    Attributes:
+        target_rate: reference rates of the motors, rad/s.
+        target_angle: reference angles of the motors' springs, rad, or None for the neutral pose.
+        activation: activation of the muscles, 0 to 1: of those that pull to positive angles, then
+            of the others. None relaxes them all.
+    """
+
+    target_rate: Float[Array, "d *n"]
+    target_angle: Float[Array, "d *n"] | None = None
+    activation: Float[Array, "2 d *n"] | None = None
+
+
+class MotorTorque(NamedTuple):
+    """Commanded torque of motors and muscles in a step, without limit.
+
+    Attributes:
+        start: torque at the present rates, N m.
+        of_muscles: decrease of the muscles' torque per final rate, N m s/rad, or None without
+            muscles.
+    """
+
+    start: Float[Array, "d *n"]
+    of_muscles: Float[Array, "d *n"] | None = None
+
+    def derivative(self, tree: Tree, h: float) -> Float[Array, "d *n"]:
+        """Return the torque decrease per final rate (N m s/rad), always positive.
+
+        A servo's decrease is ``g + h k_m``.
+        """
+        servo = expand_dims_like(tree.servo_gain + h * tree.servo_stiffness, self.start)
+        every = servo if self.of_muscles is None else servo + self.of_muscles
+        return jnp.maximum(every, jnp.finfo(self.start.dtype).tiny)
+
+    def at(self, tree: Tree, qdd: Float[Array, "d *n"], h: float) -> Float[Array, "d *n"]:
+        """Return the torque at the end of a step of h (s) with joint accelerations qdd, N m."""
+        return self.start - h * self.derivative(tree, h) * qdd
 
 
 def passive_torque(
@@ -75,35 +120,26 @@ def expected_limit_torque(
     return torque, jnp.where(beyond, damping + h * stiffness, 0.0)
 
 
-def servo_torque(
-    tree: Tree,
-    state: State,
-    target_rate: Float[Array, "d *n"],
-    target_angle: Float[Array, "d *n"] | None,
-    h: float,
-) -> Float[Array, "d *n"]:
-    """Return the commanded motor torque (N m) at the present rates, without limit.
+def motor_torque(tree: Tree, state: State, command: MotorCommand, h: float) -> MotorTorque:
+    """Return the commanded torque of motors and muscles.
 
     Args:
         tree: the creature.
         state: joint angles and rates of the creature.
-        target_rate: reference rates, rad/s.
-        target_angle: reference angles, rad, or None for the neutral pose.
+        command: command to motors and muscles.
         h: step, s.
     """
     rates = state.qd
-    torque = expand_dims_like(tree.servo_gain, rates) * (target_rate - rates)
-    if not has_springs(tree):
-        return torque
-    ahead = state.q + h * rates
-    error = -ahead if target_angle is None else target_angle - ahead
-    return torque + expand_dims_like(tree.servo_stiffness, rates) * error
-
-
-def servo_derivative(tree: Tree, like: Array, h: float) -> Float[Array, "d *n"]:
-    """Return the torque decrease per final rate, ``g + h k_m`` (N m s/rad), always positive."""
-    derivative = expand_dims_like(tree.servo_gain + h * tree.servo_stiffness, like)
-    return jnp.maximum(derivative, jnp.finfo(like.dtype).tiny)
+    torque = expand_dims_like(tree.servo_gain, rates) * (command.target_rate - rates)
+    if has_springs(tree):
+        ahead = state.q + h * rates
+        angle = command.target_angle
+        error = -ahead if angle is None else angle - ahead
+        torque = torque + expand_dims_like(tree.servo_stiffness, rates) * error
+    if tree.muscles is None:
+        return MotorTorque(torque)
+    pull = pull_of(tree.muscles, command.activation, state.q, rates)
+    return MotorTorque(torque + pull.torque(state.q, rates, h), pull.derivative(h))
 
 
 def has_springs(tree: Tree) -> bool:

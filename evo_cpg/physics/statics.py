@@ -9,7 +9,8 @@ the joint angles (rad). Virtual work gives the generalised forces
 F and M are the sums of forces and of moments about the root's centre. M_outward is the sum of
 moments on all bodies beyond a joint. The forces are weight, buoyancy, the ground, and all force
 laws except the water's. Springs, soft limits and motors exert the torques. The motors hold their
-joints at the neutral angle. Q vanishes at an equilibrium, and -dQ/dx is its stiffness.
+joints at the neutral angle. Muscles are relaxed. Q vanishes at an equilibrium, and -dQ/dx is its
+stiffness.
 
 The ground has the stiffness of a resting contact in a step of the simulation
 (`resting_stiffness`). The simulation therefore finds no motion in an equilibrium found here.
@@ -32,7 +33,13 @@ from evo_cpg.physics import joints
 from evo_cpg.physics.contact import resting_stiffness
 from evo_cpg.physics.contact_model import ContactModel
 from evo_cpg.physics.contact_points import contact_points
-from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, passive_torque, servo_torque
+from evo_cpg.physics.joint_torque import (
+    MotorCommand,
+    clamp_torque,
+    limit_torque,
+    motor_torque,
+    passive_torque,
+)
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.spatial_algebra import Wrench
@@ -170,7 +177,7 @@ def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
     """Return the torque of springs, soft limits and motors that hold the neutral angle, N m."""
     zero = jnp.zeros_like(q)
     state = resting_state(tree, (), q.dtype, angles=q)
-    motor = clamp_torque(tree, servo_torque(tree, state, zero, None, 0.0))
+    motor = clamp_torque(tree, motor_torque(tree, state, MotorCommand(zero), 0.0).start)
     return passive_torque(tree, state, 0.0)[0] + limit_torque(tree, q, zero, 0.0)[0] + motor
 
 

@@ -27,18 +27,21 @@ from evo_cpg.physics.equations import (
     with_mean_products,
 )
 from evo_cpg.physics.holding import holding_wrench
-from evo_cpg.physics.joint_torque import servo_derivative
+from evo_cpg.physics.joint_torque import MotorCommand
+from evo_cpg.physics.muscle import metabolic_power
 from evo_cpg.physics.state import State, integrate
 from evo_cpg.physics.step_solver import coldstart, solve_step
 from evo_cpg.physics.world import World
+from evo_cpg.spatial.linear import expand_dims_like
 
 
 class Effort(NamedTuple):
     """Motor and contact forces of one step.
 
     Attributes:
-        torque: torque of the motor on each axis at the end of the step, N m.
-        energy: energy of all motors, the sum of |torque x rate| over the step, J.
+        torque: torque of the motor or the muscles on each axis at the end of the step, N m.
+        energy: energy of all motors, the sum of |torque x rate| over the step, and metabolic energy
+            of all muscles (`evo_cpg.physics.muscle.metabolic_power`), J.
         contact_frame_force: force of the ground on every contact point, in its contact frame (two
             tangents, then the normal), N, or None without ground.
         contact_force: force of the ground on every contact point, in world axes, N.
@@ -63,9 +66,8 @@ class Effort(NamedTuple):
 def step(
     world: World,
     state: State,
-    target_rate: Float[Array, "d *n"],
+    command: MotorCommand | Float[Array, "d *n"],
     h: float,
-    target_angle: Float[Array, "d *n"] | None = None,
     warmstart: Warmstart | None = None,
     friction_scale: Float[Array, " *n"] | None = None,
 ) -> tuple[State, Effort]:
@@ -74,15 +76,17 @@ def step(
     Args:
         world: the creature and its environment.
         state: state at the start of the step.
-        target_rate: target rates of the motors, constant over the step, rad/s.
+        command: command to motors and muscles, constant over the step, or only the target rates of
+            the motors, rad/s.
         h: step, s.
-        target_angle: target angles of the motors' springs, rad, or None for the neutral pose.
         warmstart: result of the previous step, which saves iterations, or None for a first step.
             The solution changes only within the solver's tolerance.
         friction_scale: factor of the world's static and dynamic friction, or None for 1.
     """
     run = functools.partial(_step, world, h)
-    given = state, target_rate, target_angle, warmstart, friction_scale
+    if not isinstance(command, MotorCommand):
+        command = MotorCommand(command)
+    given = state, command, warmstart, friction_scale
     return fuse(run, *given, batch_ndim=state.q.ndim - 1)
 
 
@@ -101,37 +105,41 @@ def _step(
     world: World,
     h: float,
     state: State,
-    target_rate: Array,
-    target_angle: Array | None,
+    command: MotorCommand,
     warmstart: Warmstart | None,
     friction_scale: Array | None,
 ) -> tuple[State, Effort]:
     if friction_scale is not None:
         world = world.with_friction(friction_scale)
     if needs_iteration(world):
-        found = solve_step(world, h, state, target_rate, target_angle, warmstart)
-        return _finish(h, state, found)
-    equations = prepare(world, h, state, target_rate, target_angle)
+        found = solve_step(world, h, state, command, warmstart)
+        return _finish(world.tree, h, state, command, found)
+    equations = prepare(world, h, state, command)
     with jax.named_scope("solve"):
         first = solve_at_once(world, h, equations)
         equations = with_mean_products(world, h, equations, *first)
         # Both solves have the same matrix, only their forces differ.
         found = solve_at_once(world, h, equations)
-    motor = (
-        equations.start_torque
-        - h * servo_derivative(world.tree, equations.start_torque, h) * found.qdd
-    )
-    new_state, effort = _finish(h, state, StepSolution(found.root, found.qdd, motor))
+    motor = equations.motor.at(world.tree, found.qdd, h)
+    solution = StepSolution(found.root, found.qdd, motor)
+    new_state, effort = _finish(world.tree, h, state, command, solution)
     if world.held:
         effort = effort._replace(holding=holding_wrench(world.tree, *equations[1:4], found))
     return new_state, effort
 
 
-def _finish(h: float, state: State, solution: StepSolution) -> tuple[State, Effort]:
+def _finish(
+    tree: Tree, h: float, state: State, command: MotorCommand, solution: StepSolution
+) -> tuple[State, Effort]:
     """Return the state after the step, and the forces."""
     with jax.named_scope("integrate"):
         new_state = integrate(state, solution.root, solution.qdd, h)
-    energy = h * jnp.abs(solution.torque * 0.5 * (state.qd + new_state.qd)).sum(0)
+    power = jnp.abs(solution.torque * 0.5 * (state.qd + new_state.qd))
+    if tree.muscles is not None:
+        driven = expand_dims_like(np.array(tree.muscles.driven), power).astype(bool)
+        rate = 0.5 * (state.qd + new_state.qd)
+        power = jnp.where(driven, metabolic_power(tree.muscles, command.activation, rate), power)
+    energy = h * power.sum(0)
     forces = (None, None) if solution.contact is None else solution.contact
     return new_state, Effort(
         solution.torque, energy, *forces, solution.pairs, solution.residual, solution.warmstart

@@ -10,7 +10,7 @@ derivatives of the potentials are the laws at the end of the step:
 
 - normal contact forces, forces between bodies and joint limits: one-sided springs,
 - friction: Huber's function, which sticks up to the radius of the friction cone and then slides,
-- motors: the servo's torque up to the torque limit.
+- motors: the servo's torque up to the torque limit. Muscles have no limit.
 
 The problem has generalized coordinates (`evo_cpg.physics.generalized`), because there are few. The
 points have the Jacobian J and the velocities ``v = v_0 + h J y``. Laws linearized as
@@ -45,7 +45,7 @@ from evo_cpg.physics.contact import (
 )
 from evo_cpg.physics.equations import Equations
 from evo_cpg.physics.generalized import body_accelerations, generalized_force, mass_matrix
-from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, overloaded, servo_derivative
+from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, overloaded
 from evo_cpg.physics.pair_contacts import PairForces
 from evo_cpg.physics.root import (
     joint_part,
@@ -162,11 +162,11 @@ class StepProblem(NamedTuple):
             velocity: velocities of the contact points, m/s, or None without ground.
         """
         tree, equations = self.world.tree, self.equations
-        state, start_torque = equations.state, equations.start_torque
+        state, motor = equations.state, equations.motor
         commanded = self.commanded_torque(qdd)
         over = overloaded(tree, commanded)
-        torque = jnp.where(over, clamp_torque(tree, commanded), start_torque)
-        derivative = jnp.where(over, 0.0, servo_derivative(tree, start_torque, self.h))
+        torque = jnp.where(over, clamp_torque(tree, commanded), motor.start)
+        derivative = jnp.where(over, 0.0, motor.derivative(tree, self.h))
         change = self.h * qdd
         stop, stop_derivative = limit_torque(tree, state.q, state.qd + change, self.h)
         torque, derivative = torque + stop + stop_derivative * change, derivative + stop_derivative
@@ -338,7 +338,7 @@ class StepProblem(NamedTuple):
 
         `step_solver.free_motion` holds motors at their limits. Its torques are then wrong.
         """
-        tree, without = self.world.tree, self.equations.start_torque
+        tree, without = self.world.tree, self.equations.motor.start
         commanded = self.commanded_torque(joint_part(y))
         given = clamp_torque(tree, commanded)
         stays = jnp.where(overloaded(tree, without), clamp_torque(tree, without), commanded)
@@ -346,9 +346,8 @@ class StepProblem(NamedTuple):
         return (jnp.abs(given - stays) > least).any(0)
 
     def commanded_torque(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-        """Return the torques that the servos command at the end of the step, N m."""
-        start_torque = self.equations.start_torque
-        return start_torque - self.h * servo_derivative(self.world.tree, start_torque, self.h) * qdd
+        """Return the torques that motors and muscles command at the end of the step, N m."""
+        return self.equations.motor.at(self.world.tree, qdd, self.h)
 
     @property
     def pair_bias(self) -> Float[Array, "k *n"]:

@@ -45,7 +45,7 @@ from evo_cpg.physics.equations import (
     prepare,
     with_mean_products,
 )
-from evo_cpg.physics.joint_torque import clamp_torque
+from evo_cpg.physics.joint_torque import MotorCommand, clamp_torque
 from evo_cpg.physics.newton import damped_step, full_step, tolerances
 from evo_cpg.physics.outer_updates import Cone, PairBias, reduced
 from evo_cpg.physics.root import joint_part, root_part
@@ -118,8 +118,7 @@ def solve_step(
     world: World,
     h: float,
     state: State,
-    target_rate: Float[Array, "d *n"],
-    target_angle: Float[Array, "d *n"] | None,
+    command: MotorCommand,
     warmstart: Warmstart | None = None,
 ) -> StepSolution:
     """Solve a step with contact or motors that have a largest torque.
@@ -130,11 +129,10 @@ def solve_step(
         world: the creature and its environment.
         h: step, s.
         state: state at the start of the step.
-        target_rate: target rates of the motors, rad/s.
-        target_angle: target angles of the motors' springs, rad, or None for the neutral pose.
+        command: command to motors and muscles.
         warmstart: result of the previous step, or None for a first step.
     """
-    problem = _with_velocity_products(world, h, state, target_rate, target_angle)
+    problem = _with_velocity_products(world, h, state, command)
     batch = state.q.shape[1:]
     if warmstart is None:
         warmstart = coldstart(world, batch, state.q.dtype)
@@ -176,15 +174,14 @@ def _with_velocity_products(
     world: World,
     h: float,
     state: State,
-    target_rate: Float[Array, "d *n"],
-    target_angle: Float[Array, "d *n"] | None,
+    command: MotorCommand,
 ) -> StepProblem:
     """Return the problem of a step.
 
     Its velocity products are means over the start and the end of the free motion. Individuals whose
     free motion is wrong (`free_motion`) keep the initial velocity products.
     """
-    equations = prepare(world, h, state, target_rate, target_angle)
+    equations = prepare(world, h, state, command)
     problem = StepProblem.of(world, h, equations)
     free = free_motion(problem)
     later = with_mean_products(world, h, equations, root_part(free), joint_part(free))

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.equations import Residual, Warmstart
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, first_warmstart, step
@@ -238,11 +239,11 @@ def move(
     """Take the physics steps of a control step (see `control_step`)."""
     world, h, state = simulation.world, simulation.step_length, animal.state
     batch = state.position.shape[1:]
+    motors = MotorCommand(command.target_rate, command.target_angle, command.activation)
 
     def advance(carry, _):
         before, warmstart, energy, airborne, forces, ground_force, residual = carry
-        commanded = command.target_rate, h, command.target_angle
-        state, effort = step(world, before, *commanded, warmstart, constants.friction_scale)
+        state, effort = step(world, before, motors, h, warmstart, constants.friction_scale)
         if effort.contact_frame_force is not None:
             ground_force = effort.contact_frame_force
         airborne = airborne + _is_airborne(effort) / simulation.substeps

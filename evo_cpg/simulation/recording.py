@@ -202,6 +202,8 @@ def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
     }
     if effects.forces.holding is not None:
         frame["holding"] = effects.forces.holding
+    if effects.command.activation is not None:
+        frame["activation"] = effects.command.activation
     if full:
         # Joint angles and rates are recorded with the state.
         senses = effects.observation._replace(joint_angle=None, joint_rate=None)._asdict()

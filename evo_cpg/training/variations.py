@@ -142,12 +142,16 @@ def shaken(simulation: Simulation, angle: float) -> Simulation:
 
 
 def limp(simulation: Simulation) -> Simulation:
-    """Return the simulation with motors that exert no torque."""
-    tree = simulation.world.tree
+    """Return the simulation with motors that exert no torque, and relaxed muscles."""
+    tree, muscles = simulation.world.tree, simulation.world.tree.muscles
+    if muscles is not None:
+        none = np.zeros_like(muscles.strength)
+        muscles = dataclasses.replace(muscles, strength=none, stiffening=none)
     weak = dataclasses.replace(
         tree,
         servo_gain=np.zeros_like(tree.servo_gain),
         servo_stiffness=np.zeros_like(tree.servo_stiffness),
+        muscles=muscles,
     )
     return eqx.tree_at(lambda s: s.world.tree, simulation, weak)
 

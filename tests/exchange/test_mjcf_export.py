@@ -19,7 +19,7 @@ from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.contact_model import Ground
-from evo_cpg.physics.joint_torque import clamp_torque, passive_torque, servo_torque
+from evo_cpg.physics.joint_torque import MotorCommand, clamp_torque, motor_torque, passive_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
 from evo_cpg.spatial.linear import expand_dims_like
@@ -81,7 +81,7 @@ def test_accelerations_equal_mujocos(compiled, number, kind):
         kin = kinematics(tree, state)
         inertia, bias = body_equations(world, kin, 0.0)
         passive, derivative = passive_torque(tree, state, 0.0)
-        motor = clamp_torque(tree, servo_torque(tree, state, rate, angle, 0.0))
+        motor = clamp_torque(tree, motor_torque(tree, state, MotorCommand(rate, angle), 0.0).start)
         rotor = derivative + expand_dims_like(tree.armature, tau)
         found = solve(tree, kin, inertia, bias, tau + passive + motor, rotor)
         return jnp.concatenate(found), motor

@@ -17,6 +17,7 @@ from evo_cpg.creature.shapes import Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.fluid import Drag
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
@@ -126,7 +127,7 @@ def test_gradients_of_rolling_balls_equal_central_differences():
 
         def advance(state, _):
             still = jnp.zeros_like(state.q)
-            state, effort = step(world, state, still, 1 / 240, still + angle)
+            state, effort = step(world, state, MotorCommand(still, still + angle), 1 / 240)
             return state, effort.contact_frame_force[2].max()
 
         state, support = jax.lax.scan(advance, state, length=40)
@@ -158,7 +159,7 @@ def test_a_gradient_through_contact_equals_central_differences():
 
     def walk(angles):
         def advance(state, _):
-            state, effort = step(world, state, jnp.zeros_like(angles), h, angles)
+            state, effort = step(world, state, MotorCommand(jnp.zeros_like(angles), angles), h)
             return state, effort.contact_frame_force[2].max()
 
         state, support = jax.lax.scan(advance, start, length=60)
@@ -196,7 +197,7 @@ def test_median_gradients_of_walkers_equal_central_differences(seconds, differen
     def walk(postures):
         def advance(state, number):
             still = jnp.zeros_like(state.q)
-            state, _ = step(world, state, still, h, postures[number])
+            state, _ = step(world, state, MotorCommand(still, postures[number]), h)
             return state, None
 
         state, _ = jax.lax.scan(jax.checkpoint(advance), start, held)

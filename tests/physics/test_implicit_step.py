@@ -31,6 +31,7 @@ from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.equations import prepare, solve_at_once
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import make_pairs, separations
 from evo_cpg.physics.state import State, resting_state
@@ -97,7 +98,7 @@ def at_later_velocities(world: World, states: State, target, angle=None):
 
     @quick_jit
     def first(states, target):
-        equations = prepare(world, H, states, target, angle)
+        equations = prepare(world, H, states, MotorCommand(target, angle))
         if needs_iteration(world):
             problem = StepProblem.of(world, H, equations)
             y = free_motion(problem)
@@ -200,7 +201,7 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
     states = random_state(tree, rng, (STATES,))
     target = rng.normal(scale=3.0, size=(tree.dof_count, STATES))
     angle = rng.normal(scale=0.5, size=(tree.dof_count, STATES))
-    new, effort = quick_jit(lambda s, t, a: step(world, s, t, H, a))(
+    new, effort = quick_jit(lambda s, t, a: step(world, s, MotorCommand(t, a), H))(
         states, jnp.asarray(target), jnp.asarray(angle)
     )
 

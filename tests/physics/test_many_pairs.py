@@ -201,7 +201,7 @@ def test_long_snakes_have_the_motion_of_float64(count):
             def run(state, rates=rates, dtype=dtype):
                 def advance(carry, _):
                     state, warm = carry
-                    state, effort = step(world, state, rates, 1 / 120, None, warm)
+                    state, effort = step(world, state, rates, 1 / 120, warm)
                     return (state, effort.warmstart), effort.residual.solved
 
                 begin = state, first_warmstart(world, (8,), dtype)

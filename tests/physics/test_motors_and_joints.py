@@ -13,6 +13,7 @@ from evo_cpg.analysis.energy import mechanical_energy
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import LIMIT_FREQUENCY, build_tree
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
@@ -246,7 +247,7 @@ def test_a_neutral_dashpot_equals_a_passive_spring_and_damper(x64):
         state = dataclasses.replace(state, q=jnp.array([-0.4]))
 
         def advance(s, _):
-            s, _ = step(world, s, jnp.zeros(1), H, target)
+            s, _ = step(world, s, MotorCommand(jnp.zeros(1), target), H)
             return s, s.q[0]
 
         return np.asarray(quick_jit(lambda s: jax.lax.scan(advance, s, None, 200)[1])(state))
@@ -268,7 +269,7 @@ def test_an_overloaded_dashpot_applies_its_limit(x64):
     state = resting_state(world.tree, dtype=jnp.float64)
 
     def advance(s, _):
-        s, effort = step(world, s, jnp.zeros(1), H, jnp.array([2.0]))
+        s, effort = step(world, s, MotorCommand(jnp.zeros(1), jnp.array([2.0])), H)
         return s, (s.qd[0], effort.torque[0])
 
     rate, torque = quick_jit(lambda s: jax.lax.scan(advance, s, None, count)[1])(state)
@@ -301,7 +302,7 @@ def test_a_limited_motor_adds_only_its_work(limit, x64):
     @quick_jit
     def run(state):
         def advance(s, k):
-            new, effort = step(world, s, jnp.zeros_like(s.q), h, angles[k // hold])
+            new, effort = step(world, s, MotorCommand(jnp.zeros_like(s.q), angles[k // hold]), h)
             work = h * (effort.torque * 0.5 * (s.qd + new.qd)).sum(0)
             return new, (mechanical_energy(Snapshot(world, h, new)), work, jnp.abs(new.qd).max(0))
 

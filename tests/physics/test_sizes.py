@@ -46,7 +46,7 @@ def moved(world, steps, h, height=0.0, velocity=None, qd=None, engine="native"):
 
     def advance(carry, _):
         state, warmstart = carry
-        state, effort = step(world, state, jnp.zeros_like(state.q), h, None, warmstart)
+        state, effort = step(world, state, jnp.zeros_like(state.q), h, warmstart)
         return (state, effort.warmstart), state
 
     @quick_jit

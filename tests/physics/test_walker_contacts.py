@@ -18,6 +18,7 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, integrate, resting_state
 from evo_cpg.physics.step import Effort, step
@@ -113,7 +114,7 @@ def walk():
 
                 def move(s, _):
                     angle = command.target_angle * stands
-                    s, effort = step(world, s, command.target_rate, H, angle)
+                    s, effort = step(world, s, MotorCommand(command.target_rate, angle), H)
                     return s, (s, effort)
 
                 state, record = jax.lax.scan(move, state, None, simulation.substeps)
@@ -337,7 +338,7 @@ def touching():
         still = jnp.zeros(world.tree.dof_count)
 
         def alone(state):
-            found = solve_step(world, H, state, still, None)
+            found = solve_step(world, H, state, MotorCommand(still))
             return integrate(state, found.root, found.qdd, H)
 
         yield world, state, jax.vmap(alone, -1, -1)

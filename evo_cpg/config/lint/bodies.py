@@ -7,8 +7,9 @@ import numpy as np
 
 from evo_cpg.config.errors import Key
 from evo_cpg.config.lint.rule import Case, LintWarning, rule
+from evo_cpg.config.schema.joint import MuscleConfig
 from evo_cpg.config.schema.typical import ROUNDING, TURN
-from evo_cpg.creature.creature import Body
+from evo_cpg.creature.creature import Body, Muscle
 from evo_cpg.creature.shapes import Capsule, Shape
 from evo_cpg.spatial.numerics import Triple
 
@@ -157,7 +158,8 @@ def no_rate(case: Case) -> Iterator[LintWarning]:
     """Warn of a `rate_gain` of 0, with which the controller moves no joint."""
     # Pyright cannot follow a class that is created at import.
     given: Any = case.config.controller
-    if given.type == "brain_cpg" and given.rate_gain == 0:
+    muscles = any(isinstance(joint.given.actuator, MuscleConfig) for joint in case.joints())
+    if given.type == "brain_cpg" and given.rate_gain == 0 and not muscles:
         yield case.warning(
             ("controller", "rate_gain"),
             "the rhythm sets a rate of 0 for every joint, so the animal stays in its neutral pose. "
@@ -175,12 +177,14 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
         motor, body = joint.given.actuator, joint.body
         if motor is None:
             continue
-        limit = np.inf if motor.torque_limit is None else motor.torque_limit
+        built = motor.build()
+        muscles = isinstance(built, Muscle)
+        limit = built.strength if muscles else built.torque_limit
         # Inertia of a rod that turns about its end. Other bodies and water only increase it.
         mass = float(body.mass)
         inertia = mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
         turn = float(np.rad2deg(limit / inertia * time**2 / 2))
-        found.append((turn, (*joint.key, "actuator", "torque_limit")))
+        found.append((turn, (*joint.key, "actuator", "area" if muscles else "torque_limit")))
     if not found or max(found)[0] >= _LEAST_TURN:
         return
     turn, key = max(found)

@@ -3,13 +3,14 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, Tag, model_validator
 
+from evo_cpg.config.schema.choice import by_type
 from evo_cpg.config.schema.copies import MirrorAxis
 from evo_cpg.config.schema.frames import moved, opposed, reflected, unit
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
 from evo_cpg.config.schema.typical import Direction
-from evo_cpg.creature.creature import Actuator, Joint
+from evo_cpg.creature.creature import Actuator, Joint, Muscle
 from evo_cpg.spatial.numerics import as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
@@ -33,14 +34,63 @@ class ActuatorConfig(Section):
     """A motor on each axis.
 
     Attributes:
+        type: servo.
         gain: torque per velocity error, N m s/rad.
         torque_limit: largest torque, N m, unlimited if left out.
         stiffness: torque per angle error, N m/rad; 0 for a pure velocity servo.
     """
 
+    # Run folders of version 1.0 have no such key.
+    type: Literal["servo"] = Field("servo", exclude=True)
     gain: Positive
     torque_limit: Positive | None = None
     stiffness: NotNegative = 0.0
+
+    def build(self) -> Actuator:
+        """Build the motor."""
+        limit = float("inf") if self.torque_limit is None else self.torque_limit
+        return Actuator(self.gain, limit, self.stiffness)
+
+
+class MuscleConfig(Section):
+    """Two antagonistic muscles about each axis, after Ekeberg and Hill.
+
+    Attributes:
+        type: muscle.
+        area: cross-section of the muscle on each side, m^2.
+        arm: lever arm of the muscles about the axis, m.
+        fibre_length: length of the fibres at the neutral angle, m.
+        stress: specific tension, Pa; 140e3 to 300e3 in fish, frogs and salamanders.
+        bend_deg: angle that one fully active side holds without load and without Hill's law,
+            degrees. It sets the stiffness.
+        tone: stiffness of relaxed muscles over the stiffness that one active side adds.
+        damping_time: damping over stiffness with one side fully active, s.
+        max_speed: largest speed of shortening, fibre lengths per second.
+        curvature: k of Hill's curve of force over speed; 0.15 to 0.35 in animals.
+        hill: whether force depends on length and speed; false for Ekeberg's muscles.
+    """
+
+    type: Literal["muscle"]
+    area: Positive
+    arm: Positive
+    fibre_length: Positive
+    stress: Positive = 200e3
+    bend_deg: Positive = 45.0
+    tone: Positive = 1.0
+    damping_time: NotNegative = 0.02
+    max_speed: Positive = 5.0
+    curvature: Positive = 0.25
+    hill: bool = True
+
+    def build(self) -> Muscle:
+        """Build the muscles."""
+        return self.into(Muscle, bend=xp.deg2rad(self.bend_deg))
+
+
+_MotorConfig = Annotated[
+    Annotated[ActuatorConfig, Tag("servo")] | Annotated[MuscleConfig, Tag("muscle")],
+    by_type("servo"),
+]
 
 
 def _require_regular(directions: np.ndarray, lower: float, upper: float) -> None:
@@ -94,7 +144,7 @@ class JointConfig(Section):
         stiffness: stiffness of the passive spring, N m/rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
-        actuator: motors, without which the joint is passive.
+        actuator: motors or muscles, without which the joint is passive.
     """
 
     parent: str
@@ -106,7 +156,7 @@ class JointConfig(Section):
     stiffness: NotNegative = 0.0
     damping: NotNegative = 0.0
     armature: NotNegative = 0.0
-    actuator: ActuatorConfig | None = None
+    actuator: _MotorConfig | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "JointConfig":
@@ -171,7 +221,6 @@ class JointConfig(Section):
         """
         rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
         limits = xp.deg2rad(xp.array(self.limits))
-        actuator = self.actuator
         return Joint(
             parent=parent,
             parent_anchor=moved(self.at, parent_centre),
@@ -183,10 +232,5 @@ class JointConfig(Section):
             stiffness=self.stiffness,
             damping=self.damping,
             armature=self.armature,
-            actuator=actuator
-            and Actuator(
-                actuator.gain,
-                float("inf") if actuator.torque_limit is None else actuator.torque_limit,
-                actuator.stiffness,
-            ),
+            actuator=self.actuator and self.actuator.build(),
         )
