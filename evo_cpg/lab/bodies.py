@@ -21,17 +21,21 @@ from evo_cpg.lab.settings import NOTHING, LabError, Setting
 from evo_cpg.simulation.batched import BatchedSimulation
 from evo_cpg.simulation.simulation import Simulation
 
-# Powers of the size with which numbers of a creature grow. Torques per angle, per rate and per
-# acceleration grow with the moment of inertia of a body of the same density. So a motor follows its
-# command equally well in all sizes.
-_LENGTH, _INERTIA = 1, 5
+# Powers of the size with which numbers of a creature grow. Torques of motors and springs grow with
+# the moment of inertia of a body of the same density. So a motor follows its command equally well
+# in all sizes. Muscles keep their stress, so their torque grows with the third power.
+_LENGTH, _AREA, _INERTIA = 1, 2, 5
 _POWERS = {
     "shape": _LENGTH,
     "at": _LENGTH,
     "child_at": _LENGTH,
     "position": _LENGTH,
     "full_scale": _LENGTH,
-    "actuator": _INERTIA,
+    "fibre_length": _LENGTH,
+    "arm": _LENGTH,
+    "area": _AREA,
+    "gain": _INERTIA,
+    "torque_limit": _INERTIA,
     "stiffness": _INERTIA,
     "damping": _INERTIA,
     "armature": _INERTIA,
@@ -158,6 +162,11 @@ def with_joints(simulation: Simulation, setting: Setting) -> Simulation:
         tree = dataclasses.replace(
             tree, servo_gain=tree.servo_gain * moved, servo_stiffness=tree.servo_stiffness * moved
         )
+        muscles = tree.muscles
+        if muscles is not None:
+            strength, stiffening = muscles.strength * moved, muscles.stiffening * moved
+            muscles = dataclasses.replace(muscles, strength=strength, stiffening=stiffening)
+            tree = dataclasses.replace(tree, muscles=muscles)
     added = setting.get("stiffness", 0.0)
     tree = dataclasses.replace(tree, stiffness=tree.stiffness + float(added))
     return dataclasses.replace(simulation, world=dataclasses.replace(world, tree=tree))

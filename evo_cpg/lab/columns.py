@@ -24,6 +24,7 @@ SWIMMING = (
     Column("stride_frequency", "f Hz", "frequency (Hz)"),
     Column("strouhal", "St", "Strouhal number"),
     Column("wave_slip", "U/V", "slip U/V"),
+    Column("froude_efficiency", "eta", "Froude efficiency"),
     Column("cost_of_transport", "CoT", "cost of transport"),
     Column("power", "P W", "mean power of the motors (W)"),
     Column("tail_excursion", "A m", "tail, peak to peak (m)"),
