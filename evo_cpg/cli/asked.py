@@ -104,7 +104,7 @@ def show_answer(name: str, answer: Answer, place: Path) -> None:
     keys = [*varied, *(one.key for one in columns)]
     cells = [[cell(row[key]) for key in keys] for row in rows[:_MOST_ROWS]]
     widths = np.max([[len(text) + 3 for text in line] for line in (heads, *cells)], axis=0)
-    fit = max(int((np.cumsum(widths) <= _WIDTH + 2).sum()), len(varied) + 1)
+    fit = max(int((np.cumsum(widths) <= _WIDTH + 1).sum()), len(varied) + 1)
     show_table(heads[:fit], [line[:fit] for line in cells], left=0)
     if len(rows) > _MOST_ROWS:
         print(f"and {len(rows) - _MOST_ROWS} more settings in the file")

@@ -35,6 +35,7 @@ def test_lab_prints_a_table_and_its_files(animal, cli, tmp_path):
     assert 0.01 < ink(tmp_path / "lab.png") < 0.5
 
 
+@pytest.mark.slow
 def test_champion_of_a_run_keeps_its_brain(finished_run, cli, tmp_path):
     code, out, err = cli("lab", finished_run, "silence=none,light", "--out", tmp_path)
     assert code == 0, err

@@ -1,5 +1,8 @@
 """Questions to a small swimmer, each against a closed form or a conservation law."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from swimmer import FORWARDS, subject
@@ -120,3 +123,11 @@ def test_wrong_question_has_one_clear_line(ribbon, knobs, message):
 def test_wrong_key_of_the_configuration_is_named(ribbon):
     with pytest.raises(ConfigError, match=r"world.water.densty: does not exist"):
         ask(ribbon, {"world.water.densty": [1.0]})
+
+
+@pytest.mark.slow
+def test_program_of_the_page_runs(capsys):
+    page = (Path(__file__).parents[2] / "docs" / "lab.md").read_text()
+    (program,) = re.findall(r"```python\n(.+?)```", page, re.S)
+    exec(compile(program, "documented", "exec"), {})
+    assert len(capsys.readouterr().out.splitlines()) == 2
