@@ -1,4 +1,4 @@
-"""Cost of transport that animals of a mass have, to stand beside a simulated one.
+"""Cost of transport of animals of a mass, and Reynolds number of swimmers, as scaling laws.
 
 Animals' figures are metabolic: the chemical energy of the whole animal. Mechanical work costs four
 to five times as much, because muscles have an efficiency of 0.2 to 0.25.
@@ -9,6 +9,9 @@ to five times as much, because muscles have an efficiency of 0.2 to 0.25.
 | running, least | 10.7 M^-0.316 | J/(kg m) | Taylor et al. 1982 |
 | swimming, fish | 1.1 M^-0.38 with M in grams | J/(N m) | secondary source |
 | swimming, salmon | 2.15 M^-0.25 | J/(kg m) | secondary source |
+
+| swimmers, laminar | Re = 0.03 Sw^1.31 | | Gazzola et al. 2014, secondary source |
+| swimmers, turbulent | Re = 0.4 Sw^1.02 | | Gazzola et al. 2014, secondary source |
 
 M is in kg, except where the table says grams. The exponents of running are from secondary sources,
 too. Divided by the standard gravity, J/(kg m) becomes the cost of transport without a unit.
@@ -46,3 +49,15 @@ def swimming_cost(mass: Values) -> tuple[Values, Values]:
     fish = 1.1 * np.power(np.multiply(1000.0, mass), -0.38)
     salmon = 2.15 * np.power(mass, -0.25) / _GRAVITY
     return np.minimum(fish, salmon), np.maximum(fish, salmon)
+
+
+def reynolds_of_swimmers(swimming_number: Values) -> Values:
+    """Return the Reynolds number of swimmers from larvae to whales with a swimming number.
+
+    It is the smaller of the two laws. They meet near Sw = 7500 and Re = 3600.
+
+    Args:
+        swimming_number: Sw = w A L / nu, with A from side to side (`swimming.swimming_number`).
+    """
+    laminar = 0.03 * np.power(swimming_number, 1.31)
+    return np.minimum(laminar, 0.4 * np.power(swimming_number, 1.02))

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.analysis.body_wave import BodyWave, body_wave
 from evo_cpg.analysis.cycles import Cycles, finer, moving_mean, whole_cycles
 
 # Relative amplitude of a point below which its bending has no phase.
@@ -66,6 +67,60 @@ class BendingLag(NamedTuple):
 
     each: Float[np.ndarray, " p"]
     mean: float
+
+
+class MidlineMotion(NamedTuple):
+    """Sway of a midline, with the numbers that need nothing else.
+
+    Attributes:
+        sway: sway of the points.
+        distance: mean distance of each point from the head along the body, m.
+        length: length of the body, m.
+        wave: wave of the sway along the forward axis.
+        envelope: amplitude along the body.
+        lag: lag of the sway on the bending.
+    """
+
+    sway: Sway
+    distance: Float[np.ndarray, " p"]
+    length: float
+    wave: BodyWave
+    envelope: Envelope
+    lag: BendingLag
+
+    @property
+    def tail_amplitude(self) -> float:
+        """Sway of the last point from side to side, m."""
+        return float(self.sway.cycles.peak_to_peak[-1])
+
+
+def midline_motion(
+    points: Float[np.ndarray, "t p 3"], step: float, frequency: float, length: float | None = None
+) -> MidlineMotion | None:
+    """Return the motion of a midline, or None with less than two cycles.
+
+    Args:
+        points: paths of three or more points on the midline, from the head's tip to the tail's, m.
+        step: time between samples, s.
+        frequency: frequency of the cycles, Hz.
+        length: body length, m, or None for the mean length of the midline.
+    """
+    found = sway(points, step, frequency)
+    if found is None:
+        return None
+    segments = np.linalg.norm(np.diff(points, axis=1), axis=-1).mean(0)
+    distance = np.concatenate([[0.0], np.cumsum(segments)])
+    length = float(distance[-1]) if length is None else length
+    cycles, place = found
+    wave = body_wave(cycles.values, place, float(place[-1]), cycles.step, frequency)
+    return MidlineMotion(
+        sway=found,
+        distance=distance,
+        length=length,
+        wave=wave,
+        envelope=envelope(found, distance, length),
+        lag=bending_lag(found),
+    )
 
 
 def sway(points: Float[np.ndarray, "t p 3"], step: float, frequency: float) -> Sway | None:

@@ -27,6 +27,8 @@ _SAME = 1.2
 _BETWEEN = 8
 # Least number of strides in a record.
 _STRIDES = 2.0
+# Length of the path, in body lengths, below which an animal counts as standing.
+STANDING_FRACTION = 0.01
 # Largest distance (m) that counts as 0. `evo_cpg.simulation.measures` has the same value.
 _NOWHERE = 1e-6
 
@@ -87,6 +89,17 @@ def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) ->
     if len(smooth) < 2:
         return math.nan
     return float(np.linalg.norm(np.diff(smooth, axis=0), axis=-1).sum() / (step * len(smooth[1:])))
+
+
+def if_anywhere(speed: float, time: float, length: float) -> float:
+    """Return a speed (m/s), or NaN if the path is shorter than 1 % of the body.
+
+    Args:
+        speed: speed along the path, m/s.
+        time: duration of the path, s.
+        length: body length, m.
+    """
+    return speed if speed * time >= STANDING_FRACTION * length else math.nan
 
 
 def stride_length(speed: float, frequency: float) -> float:

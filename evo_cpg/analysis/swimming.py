@@ -24,8 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis import stride
-from evo_cpg.analysis.body_wave import body_wave
-from evo_cpg.analysis.midline import bending_lag, envelope, sway
+from evo_cpg.analysis.midline import midline_motion
 
 # A number, or an array of numbers.
 Values = float | Float[np.ndarray, " *n"]
@@ -184,28 +183,24 @@ def _alone(
     viscosity: float | None,
 ) -> Swimming:
     """Return the numbers of one swimmer, as scalars and arrays of points."""
-    segments = np.diff(points, axis=1)
-    lengths = np.linalg.norm(segments, axis=-1).mean(0)
-    distance = np.concatenate([[0.0], np.cumsum(lengths)])
-    length = float(distance[-1]) if length is None else length
     if frequency is None:
+        segments = np.diff(points, axis=1)
         turns = np.cross(segments[:, :-1], segments[:, 1:]).reshape(len(points), -1)
         frequency = stride.stride_frequency(turns, step)
     if speed is None:
         speed = stride.path_speed(points.mean(1), step, frequency)
-    nan, nothing = np.nan, np.full(len(distance), np.nan)
-    swaying = sway(points, step, frequency)
+    nan, nothing = np.nan, np.full(points.shape[1], np.nan)
+    motion = midline_motion(points, step, frequency, length)
     amplitude, lags, quadratic = nothing, nothing, np.full(3, nan)
     tail = wave_speed = wave_count = travelling = lag = nan
-    if swaying is not None:
-        cycles, place = swaying
-        tail = float(cycles.peak_to_peak[-1])
-        wave = body_wave(cycles.values, place, float(place[-1]), cycles.step, frequency)
-        wave_speed, wave_count, travelling = wave.speed, wave.count, wave.travelling
-        lags, lag = bending_lag(swaying)
-        along = envelope(swaying, distance, length)
-        amplitude, quadratic = along.amplitude, along.quadratic
+    if motion is not None:
+        tail, length = motion.tail_amplitude, motion.length
+        wave_speed, wave_count = motion.wave.speed, motion.wave.count
+        travelling = motion.wave.travelling
+        lags, lag = motion.lag
+        amplitude, quadratic = motion.envelope.amplitude, motion.envelope.quadratic
     nu = nan if viscosity is None else viscosity
+    length = nan if length is None else length
     return Swimming(
         frequency=np.asarray(frequency),
         speed=np.asarray(speed),

@@ -1,12 +1,14 @@
 """Page of a run, as `evo-cpg analyse` makes it: the champion in 3D and its gait in numbers."""
 
 import io
+import json
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from evo_cpg.analysis.chains import joint_rows
+from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.api.opened import OpenedChampion, open_run
 from evo_cpg.api.paper_differences import paper_differences
 from evo_cpg.api.progress import working
@@ -15,6 +17,7 @@ from evo_cpg.api.version import version
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.trust import trusting
 from evo_cpg.files import read_json, write_text
+from evo_cpg.simulation.recording import Recording
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.devices import use_cores
@@ -37,7 +40,8 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         trust: whether to trust the configuration, see `load`.
 
     Returns:
-        The page in the run folder, ``analysis.html``. An earlier page is replaced. If
+        The page in the run folder, ``analysis.html``. Its numbers are beside it in
+        ``analysis.json``. Earlier files are replaced. If
         ``config.yaml`` has changed since the champion evolved, the page and a warning report
         the change.
 
@@ -53,15 +57,89 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         use_cores(None)
         with working(f"building {folder.path}"):
             opened = open_run(run).load_champion()
-        trials = opened.experiment.trials
-        if not 0 <= trial < trials:
-            raise ValueError(f"trial must be 0 to {trials - 1}, got {trial}")
+        _require_trial(opened, trial)
 
         def warn(words: str) -> None:
             warnings.warn(words, stacklevel=4)
 
         with working(f"making the page of {folder.path}"):
-            return write_page(opened, trial, warn=warn)
+            return write_page(opened, trial, warn=warn).page
+
+
+class Measured(NamedTuple):
+    """Recorded trial of a champion, and the numbers of its motion.
+
+    Attributes:
+        recording: motion in the trial.
+        numbers: numbers of the motion.
+    """
+
+    recording: Recording
+    numbers: GaitNumbers
+
+
+def gait_numbers(run: Path | str, trial: int = 0, trust: bool = False) -> GaitNumbers:
+    """Return the numbers of a champion's motion, as in the page of `analyse`.
+
+    Args:
+        run: a run folder.
+        trial: number of the champion's trial, from 0.
+        trust: whether to trust the configuration, see `load`.
+
+    Returns:
+        The numbers. ``value("strouhal")`` returns one of them, NaN if it does not exist.
+        ``quantities`` has their names, units, definitions and the ranges of animals.
+
+    Raises:
+        ConfigError: the configuration of the run is wrong.
+        RunFolderError: there is no run, the run has no champion, or the champion's number of genes
+            does not fit its ``config.yaml``.
+        ValueError: there is no such trial.
+    """
+    with trusting(trust):
+        use_cores(None)
+        with working(f"measuring {run}"):
+            opened = open_run(run).load_champion()
+            _require_trial(opened, trial)
+            opened.require_configured()
+            return measure(opened, trial).numbers
+
+
+def measure(opened: OpenedChampion, trial: int) -> Measured:
+    """Replay a champion's trial and return its motion with the numbers.
+
+    Args:
+        opened: the run and the champion.
+        trial: number of the champion's trial, from 0.
+    """
+    from evo_cpg.analysis import gait_numbers as measuring
+
+    experiment = opened.experiment
+    # Velocities are needed for the power into the water only.
+    full = experiment.simulation.world.water is not None
+    ((_, frames, recording),) = opened.replay([opened.champion], trial, full)
+    numbers = measuring.gait_numbers(experiment.simulation, experiment.creature, frames, recording)
+    return Measured(recording, numbers)
+
+
+def _require_trial(opened: OpenedChampion, trial: int) -> None:
+    trials = opened.experiment.trials
+    if not 0 <= trial < trials:
+        raise ValueError(f"trial must be 0 to {trials - 1}, got {trial}")
+
+
+class Written(NamedTuple):
+    """Files of a page.
+
+    Attributes:
+        page: path of the HTML file.
+        numbers: path of the JSON file with the numbers.
+        measured: the numbers.
+    """
+
+    page: Path
+    numbers: Path
+    measured: GaitNumbers
 
 
 def write_page(
@@ -71,8 +149,8 @@ def write_page(
     output: Path | None = None,
     doing: Callable[[str], object] = lambda what: None,
     warn: Callable[[str], object] = lambda words: None,
-) -> Path:
-    """Write the page of a champion and return its path.
+) -> Written:
+    """Write the page of a champion and the JSON file of its numbers.
 
     Args:
         opened: the run and the champion.
@@ -92,13 +170,33 @@ def write_page(
     which = "" if number is None else f"_run{number}"
     name = f"analysis{which}{f'_trial{trial}' if trial else ''}.html"
     path = output or opened.folder.path / name
-    write_text(path, page(opened, trial, doing))
-    return path
+    measured = measure(opened, trial)
+    write_text(path, page(opened, trial, measured, doing))
+    beside = numbers_path(path)
+    champion = opened.champion
+    about = {"run": champion.run, "generation": champion.generation, "trial": trial, "made": now()}
+    contents = about | measured.numbers.as_dict()
+    write_text(beside, json.dumps(contents, indent=2, allow_nan=False) + "\n")
+    return Written(path, beside, measured.numbers)
 
 
-def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> str:
-    """Return the HTML text of a champion's page."""
-    from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
+def numbers_path(page: Path) -> Path:
+    """Return the path of the JSON file with the numbers of a page."""
+    return page.with_suffix(".json")
+
+
+def page(
+    opened: OpenedChampion, trial: int, measured: Measured, doing: Callable[[str], object]
+) -> str:
+    """Return the HTML text of a champion's page.
+
+    Args:
+        opened: the run and the champion.
+        trial: number of the champion's trial, from 0.
+        measured: its recorded trial.
+        doing: called with the name of each step.
+    """
+    from evo_cpg.analysis.gait_numbers import chain_places
     from evo_cpg.view.clip import sample
     from evo_cpg.view.film import picture
     from evo_cpg.view.frames import Film
@@ -110,9 +208,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
     folder, config, champion = opened.folder, opened.config, opened.champion
     experiment, meta = opened.experiment, folder.read_meta()
     simulation = experiment.simulation
-    ((_, frames, recording),) = opened.replay([champion], trial)
-    doing("measuring the gait")
-    numbers = gait_numbers(simulation, experiment.creature, frames, recording)
+    recording, numbers = measured
     doing("drawing")
     panel = panel_of(experiment, recording, experiment.name)
     motion = RecordedMotion(

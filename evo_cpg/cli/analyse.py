@@ -21,14 +21,20 @@ def analyse(
     trial: Trial = 0,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a page about a run: champion in 3D, gait, charts."""
-    from evo_cpg.api.analyse import write_page
+    """Write a page about a run, and print its numbers beside those of animals."""
+    from evo_cpg.api.analyse import numbers_path, write_page
     from evo_cpg.api.display import working
     from evo_cpg.cli.champions import open_champion
+    from evo_cpg.cli.measured_gait import show_numbers
     from evo_cpg.view.output import output_path
 
     if output is not None:
-        require_free(output_path(output, (".html", ".htm")), overwrite)
+        output = output_path(output, (".html", ".htm"))
+        for path in (output, numbers_path(output)):
+            require_free(path, overwrite)
     opened = open_champion(run, Which(number, trial))
     with working("replaying the champion") as work:
-        print(write_page(opened, trial, number, output, work.doing, warn))
+        written = write_page(opened, trial, number, output, work.doing, warn)
+    print(written.page)
+    print(written.numbers)
+    show_numbers(written.measured.quantities)

@@ -13,7 +13,8 @@ from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.analysis import footfalls
 from evo_cpg.analysis.body_wave import BodyWave
-from evo_cpg.analysis.gait_numbers import Feet
+from evo_cpg.analysis.feet import Feet
+from evo_cpg.analysis.midline import MidlineMotion
 from evo_cpg.view.figure import (
     BLUE,
     INK,
@@ -29,6 +30,8 @@ from evo_cpg.view.figure import (
 from evo_cpg.view.page.html import Html, tag
 
 _WIDTH = 8.0
+# Number of midlines that are drawn in a stride.
+_MIDLINES = 12
 _TIMED = ("data_left", "data_right", "data_start", "data_stop")
 
 
@@ -139,6 +142,32 @@ def lag_figure(wave: BodyWave, place: Float[np.ndarray, " j"]) -> Figure:
     right.set_ylabel("amplitude (deg)")
     for axes in (left, right):
         axes.set_xlabel("position along the body (m)")
+    return figure
+
+
+@framed
+def midline_figure(motion: MidlineMotion) -> Figure:
+    """Draw midlines in the body's frame, the amplitude envelope, and the lag on bending.
+
+    Args:
+        motion: sway of the midline.
+    """
+    figure = new_figure(_WIDTH, 2.7)
+    lines, middle, right = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
+    cycles, place = motion.sway
+    instants = np.linspace(0, cycles.width, _MIDLINES, endpoint=False).round().astype(int)
+    shades = matplotlib.colormaps["Blues"](np.linspace(0.3, 1.0, _MIDLINES))
+    for instant, shade in zip(instants, shades, strict=True):
+        lines.plot(place, cycles.values[instant - cycles.width], color=shade, lw=1.2)
+    lines.set(xlabel="distance behind the nose (m)", ylabel="sway (m)")
+    along = motion.envelope
+    fine = np.linspace(0.0, 1.0, 50)
+    middle.plot(along.place, along.amplitude, "o", color=ORANGE, ms=4)
+    middle.plot(fine, np.polyval(along.quadratic[::-1], fine), color=INK, lw=1.2)
+    middle.set(xlabel="place on the body (lengths)", ylabel="amplitude (lengths)", ylim=(0, None))
+    right.plot(along.place, motion.lag.each, "o-", color=BLUE, lw=1.2, ms=4)
+    right.axhline(0.0, color=INK, lw=0.6)
+    right.set(xlabel="place on the body (lengths)", ylabel="lag on bending (cycles)")
     return figure
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from evo_cpg.analysis.gait_numbers import Quantity
+from evo_cpg.analysis.quantity import Quantity
 
 # Letters of the longest text in a cell.
 _LETTERS = 120

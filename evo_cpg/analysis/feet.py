@@ -1,0 +1,150 @@
+"""Contacts of a recorded animal with the ground, by body and by limb."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from evo_cpg.analysis import footfalls
+from evo_cpg.analysis.footfalls import Phases
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.limbs import Limb, limbs
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.simulation.simulation import Simulation
+
+
+class Feet(NamedTuple):
+    """Bodies that touch the ground, except the root.
+
+    Attributes:
+        names: names of the bodies that ever touch, in the order of the creature.
+        touched: whether each body touches in each control step.
+        steady: ``touched`` without chatter.
+        duty_factor: duty factor of each body.
+        phases: phases of the touch-downs in the second half of the trial.
+        slip: speed of each body over the ground in contact, m/s. NaN without three control steps of
+            contact in a row.
+        airborne: fraction of the control steps in which nothing touches, the root included.
+    """
+
+    names: tuple[str, ...]
+    touched: Bool[np.ndarray, "t f"]
+    steady: Bool[np.ndarray, "t f"]
+    duty_factor: Float[np.ndarray, " f"]
+    phases: Phases
+    slip: Float[np.ndarray, " f"]
+    airborne: float
+
+
+class LimbContacts(NamedTuple):
+    """Contacts of limbs, each with all its bodies. A limb is not a tail (`creature.limbs`).
+
+    Attributes:
+        limbs: limbs that ever touch the ground, from front to back.
+        touched: whether each limb touches in each control step.
+        steady: ``touched`` without chatter.
+        duty_factor: duty factor of each limb.
+        slip: mean speed over the ground of the limbs in contact, m/s, weighted by time. NaN if none
+            stays in contact for three control steps.
+    """
+
+    limbs: tuple[Limb, ...]
+    touched: Bool[np.ndarray, "t l"]
+    steady: Bool[np.ndarray, "t l"]
+    duty_factor: Float[np.ndarray, " l"]
+    slip: float
+
+
+def contacts(
+    simulation: Simulation,
+    creature: Creature,
+    frames: Mapping[str, Array | np.ndarray],
+    recording: Recording,
+    first: int,
+    frequency: float,
+) -> Feet | None:
+    """Return the contacts of a recorded animal, or None without ground.
+
+    Args:
+        simulation: the trial.
+        creature: the animal.
+        frames: frames of one individual, see `evo_cpg.simulation.rollout.record`.
+        recording: recording of the same trial, in the order of the creature.
+        first: first sample of the part in which strides are measured.
+        frequency: stride frequency, Hz, or NaN.
+    """
+    contact_model, tree = simulation.world.contact_model, simulation.world.tree
+    if contact_model is None:
+        return None
+    step = 1.0 / simulation.control_rate
+    force = np.asarray(frames["contact_force"])[..., 0]
+    owners = np.array(contact_model.bodies, int)
+    names = [body.name for body in creature.bodies]
+    bodies = sorted({int(i) for i in owners if i > 0}, key=lambda i: names.index(tree.names[i]))
+    touched = (
+        footfalls.touching(force, owners, bodies) if bodies else np.zeros((len(force), 0), bool)
+    )
+    ever = np.flatnonzero(touched.any(0))
+    bodies, touched = [bodies[i] for i in ever], touched[:, ever]
+    places = [names.index(tree.names[body]) for body in bodies]
+    rotation = np.asarray(recording.rotation, float)[:, places]
+    lowest = np.zeros((*touched.shape, 3))
+    for k, place in enumerate(places):
+        shape = creature.bodies[place].shape
+        # Compute the lowest point only in contact: support takes one direction at a time.
+        for t in np.flatnonzero(touched[:, k]):
+            lowest[t, k] = shape.support(-rotation[t, k, 2])
+    steady = footfalls.settled(touched, step, footfalls.chatter(frequency))
+    position = np.asarray(recording.position, float)[:, places]
+    return Feet(
+        names=tuple(tree.names[body] for body in bodies),
+        touched=touched,
+        steady=steady,
+        duty_factor=footfalls.duty_factors(touched),
+        phases=footfalls.phases(steady[first:], step),
+        slip=footfalls.slip_speeds(position, rotation, lowest, touched, step),
+        airborne=footfalls.airborne_fraction((force != 0).any(1)),
+    )
+
+
+def limb_contacts(
+    creature: Creature, feet: Feet, step: float, frequency: float
+) -> LimbContacts | None:
+    """Return the contacts of the limbs, or None if no limb ever touches the ground.
+
+    Args:
+        creature: the animal.
+        feet: contacts of its bodies.
+        step: time between samples, s.
+        frequency: stride frequency, Hz, or NaN.
+    """
+    found, columns, own = [], [], []
+    for limb in limbs(creature):
+        names = [creature.bodies[i].name for i in limb.bodies]
+        rows = [k for k, name in enumerate(feet.names) if name in names]
+        if rows:
+            found.append(limb)
+            own += rows
+            columns.append(feet.touched[:, rows].any(1))
+    if not found:
+        return None
+    touched = np.stack(columns, -1)
+    return LimbContacts(
+        limbs=tuple(found),
+        touched=touched,
+        steady=footfalls.settled(touched, step, footfalls.chatter(frequency)),
+        duty_factor=footfalls.duty_factors(touched),
+        slip=mean_slip(feet.slip[own], feet.duty_factor[own]),
+    )
+
+
+def mean_slip(slip: Float[np.ndarray, " f"], weight: Float[np.ndarray, " f"]) -> float:
+    """Return the mean slip, m/s, of the feet that have one, or NaN if none has.
+
+    Args:
+        slip: slip of each foot, m/s, or NaN.
+        weight: time on the ground of each foot.
+    """
+    stays = np.isfinite(slip)
+    return float(np.average(slip[stays], weights=weight[stays])) if stays.any() else np.nan
