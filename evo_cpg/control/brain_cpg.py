@@ -40,8 +40,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
-from evo_cpg.control import matsuoka
+from evo_cpg.control import matsuoka, phase
 from evo_cpg.control.brain import (
     Brain,
     BrainSettings,
@@ -53,7 +54,7 @@ from evo_cpg.control.brain import (
 )
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.control.couplings import UnfitError, axis_names, matching_bodies
-from evo_cpg.control.feedback import Feedback, Memory, build_feedback, feel, no_memory
+from evo_cpg.control.feedback import Feedback, Memory, build_feedback, feel, first_memory
 from evo_cpg.control.matsuoka import (
     CpgSettings,
     MatsuokaNetwork,
@@ -219,6 +220,11 @@ class BrainCpg(Controller):
         return self.origin.settings
 
     @property
+    @override
+    def uses_load(self) -> bool:
+        return self.feedback is not None and self.feedback.uses_load
+
+    @property
     def rhythm_generator(self) -> Oscillators:
         """Spinal cord of the controller."""
         return Oscillators(self.settings.cpg, self.network, self.rate_gain)
@@ -238,7 +244,7 @@ class BrainCpg(Controller):
         state = matsuoka.initial_state(self.network, batch, dtype)
         if self.feedback is None:
             return state
-        memory = no_memory(self.feedback, self.network.oscillator_count, batch, dtype)
+        memory = first_memory(self.feedback, self.network.oscillator_count, batch, dtype)
         return FeelingState(state.potential, state.adaptation, memory)
 
     def decode(self, genes: Float[Array, "g *n"]) -> Decoded:
@@ -292,15 +298,26 @@ class BrainCpg(Controller):
             observation: senses at the start of the step.
             genes: genes of the feedback, or None if no weight of the feedback evolves.
         """
-        feeling = self.feedback is not None and isinstance(state, FeelingState)
-        if feeling:
-            senses = observation.joint_angle, observation.joint_rate
-            felt, memory = feel(self.feedback, genes, state.memory, *senses)
-            tonic_input = tonic_input + felt
-        state = matsuoka.advance(
-            self.network, state, tonic_input, adaptation_gain, self.control_step, self.substeps
-        )
-        return FeelingState(state.potential, state.adaptation, memory) if feeling else state
+        if self.feedback is None:
+            return self._advance(state, tonic_input, adaptation_gain)
+        assert isinstance(state, FeelingState)
+        senses = observation.joint_angle, observation.joint_rate, observation.load
+        felt, memory = feel(self.feedback, genes, state.memory, *senses)
+        neurons: MatsuokaState = state
+        for acts, angle in felt.resets:
+            neurons = phase.with_phase(self.network, neurons, adaptation_gain, angle, acts)
+        rate = None
+        if felt.strength is not None:
+            rate = phase.clock_rate(self.network, neurons, adaptation_gain, felt.strength)
+        neurons = self._advance(neurons, tonic_input + felt.input, adaptation_gain, rate)
+        return FeelingState(neurons.potential, neurons.adaptation, memory)
+
+    def _advance(
+        self, state: MatsuokaState, tonic_input: Array, gain: Array, rate: Array | None = None
+    ) -> MatsuokaState:
+        state = MatsuokaState(state.potential, state.adaptation)
+        steps = self.control_step, self.substeps
+        return matsuoka.advance(self.network, state, tonic_input, gain, *steps, rate)
 
     def command(self, state: MatsuokaState, observation: Observation) -> Command:
         """Return the command of the neurons to motors and muscles.

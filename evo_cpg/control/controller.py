@@ -27,6 +27,8 @@ class Observation(NamedTuple):
         depth: depth of each gauge below the water's surface, as a fraction of its full scale,
             clipped to 0 and 1.
         custom: readings of the creature's `sensors`, concatenated. None if there are none.
+        load: vertical force of the ground on each body in the last control step, as a fraction of
+            the animal's weight. None if the controller does not use it.
     """
 
     light: Float[Array, "l *n"]
@@ -37,6 +39,7 @@ class Observation(NamedTuple):
     joint_rate: Float[Array, "d *n"]
     depth: Float[Array, "z *n"]
     custom: Float[Array, "c *n"] | None = None
+    load: Float[Array, "b *n"] | None = None
 
 
 class Command(NamedTuple):
@@ -128,6 +131,11 @@ class Controller(eqx.Module):
     @property
     def binary(self) -> bool:
         """Return whether genes are bits, 0 or 1 (False unless overridden)."""
+        return False
+
+    @property
+    def uses_load(self) -> bool:
+        """Return whether the controller needs `Observation.load` (False unless overridden)."""
         return False
 
     @property

@@ -155,13 +155,19 @@ def axis_directions(tree: Tree) -> list[int]:
     )
 
 
-def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str | int]) -> set[int]:
+def matching_bodies(
+    tree: Tree,
+    patterns: tuple[str, ...],
+    where: Sequence[str | int],
+    unfit: type[UnfitError] = UnfitError,
+) -> set[int]:
     """Return the indices of the bodies that match patterns such as ``*_arm``.
 
     Args:
         tree: the creature.
         patterns: names, in which ``*`` matches anything.
         where: path of the setting, for the message.
+        unfit: kind of the error, which says what the path starts from.
 
     Raises:
         UnfitError: no body matches a pattern.
@@ -171,7 +177,7 @@ def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str |
         matches = fnmatch.filter(tree.names, pattern)
         if not matches:
             problem = f"{pattern!r} matches no body ({_near(pattern, tree.names)})"
-            raise UnfitError(problem, (*where, i), unknown_name=True)
+            raise unfit(problem, (*where, i), unknown_name=True)
         found.update(map(tree.names.index, matches))
     return found
 

@@ -19,7 +19,12 @@ from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, first_warmstart, step
 from evo_cpg.simulation.genome import Phenotype
 from evo_cpg.simulation.noise import disturb_motion, disturb_start, friction_scale_of
-from evo_cpg.simulation.sensors import depth_readings, light_readings, pressure_readings
+from evo_cpg.simulation.sensors import (
+    body_loads,
+    depth_readings,
+    light_readings,
+    pressure_readings,
+)
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import light_places, starting_state
 from evo_cpg.simulation.snapshot import Forces, Snapshot
@@ -34,7 +39,8 @@ class AnimalState(NamedTuple):
         state: state of the body.
         nerves: state of the controller.
         pressure: latest readings of the pressure sensors.
-        forces: forces of the last control step, or None if no sensor reads them.
+        forces: forces of the last control step, or None if neither a sensor nor the controller
+            reads them.
         warmstart: warm start of the physics, or None if a step needs none.
     """
 
@@ -137,7 +143,7 @@ def initial_animal(
         disturb_start(simulation.noise, simulation.world, rest, keys),
         simulation.controller.initial_state(batch, dtype),
         jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
-        no_forces(simulation, rest) if simulation.extra_sensors else None,
+        no_forces(simulation, rest) if _keeps_forces(simulation) else None,
         first_warmstart(simulation.world, batch, dtype),
     )
 
@@ -212,7 +218,16 @@ def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalSta
     if simulation.extra_sensors:
         names = ", ".join(f"{type(one).__name__}.sense" for one in simulation.extra_sensors)
         custom = fuse(read, state, animal.forces, constants.light, batch_ndim=ndim, name=names)
-    return Observation(strength, animal.pressure, cosine, sine, state.q, state.qd, depth, custom)
+    load = None
+    if simulation.controller.uses_load:
+        load = fuse(
+            lambda force: body_loads(world, force),
+            animal.forces.contact_force,
+            batch_ndim=ndim,
+            name="sensors",
+        )
+    seen = strength, animal.pressure, cosine, sine, state.q, state.qd, depth, custom, load
+    return Observation(*seen)
 
 
 def act(
@@ -294,6 +309,11 @@ def _light_of(constants: EpisodeConstants, own: Array | None, position: Array) -
     """Return the place of the light, with the batch axes of ``position``, or None in the dark."""
     place = constants.common_light if own is None else own
     return None if place is None else expand_dims_like(place, position)
+
+
+def _keeps_forces(simulation: Simulation) -> bool:
+    """Return whether a sense needs the forces of the last control step."""
+    return bool(simulation.extra_sensors) or simulation.controller.uses_load
 
 
 def no_forces(simulation: Simulation, state: State) -> Forces:

@@ -101,6 +101,28 @@ def pressure_readings(
     return (normal > pressing).astype(normal.dtype)
 
 
+def body_loads(world: World, force: Float[Array, "3 p *n"]) -> Float[Array, "b *n"]:
+    """Return the upward force of the ground on each body, as a fraction of the animal's weight.
+
+    Loads are 0 without ground or without gravity. They are not negative.
+
+    Args:
+        world: the animal and its environment.
+        force: force of the ground on every contact point, world axes, N.
+    """
+    count, none = len(world.tree.names), jnp.zeros_like(force[0, :0].sum(0))
+    if world.contact_model is None:
+        return jnp.stack([none] * count)
+    owners = np.array(world.contact_model.bodies)
+    upward = [np.flatnonzero(owners == body) for body in range(count)]
+    weight = jnp.asarray(world.tree.mass, force.dtype).sum() * world.gravity
+    of_bodies = [take(force[2], own, 0).sum(0) if len(own) else none for own in upward]
+    heavy = weight > 0
+    return jnp.where(heavy, jnp.maximum(jnp.stack(of_bodies), 0.0), 0.0) / jnp.where(
+        heavy, weight, 1.0
+    )
+
+
 def depth_readings(sensors: Sensors, world: World, kin: Kinematics) -> Float[Array, "k *n"]:
     """Return the depth readings: 0 at the surface and above, 1 from full scale down.
 

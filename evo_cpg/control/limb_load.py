@@ -1,0 +1,283 @@
+"""Load of the limbs, felt by their oscillators.
+
+The load n of a limb is the vertical force of the ground on all its bodies, in units of the animal's
+weight. It acts in three ways:
+
+1. It excites the extensors of the limb, and inhibits its flexors:
+
+       s_e = -s_f = w n_own(t - D) + v sum_others n(t - D).                                (1)
+
+   A negative weight excites the flexors. The extensor pulls the joint to positive angles.
+2. *Tegotae*: it slows the clock of the limb's oscillators in one part of the cycle, and hurries it
+   in the other part (`evo_cpg.control.phase`, eqs. 3 and 4).
+3. *Touch-down* sets the phase of the limb's oscillators.
+
+| symbol | name |
+|---|---|
+| w, v | ``weight``, ``neighbour_weight`` |
+| D | ``delay`` (s) |
+| s | ``gain`` of `TegotaeFeedback` |
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from evo_cpg.control.afferent import (
+    Delay,
+    Gain,
+    MakeGain,
+    Weight,
+    check_delay,
+    check_weights,
+    make_delay,
+)
+from evo_cpg.control.couplings import CouplingError, matching_bodies, matching_oscillators
+from evo_cpg.creature.tree import Tree
+from evo_cpg.spatial.numerics import Number, xp
+
+
+@dataclasses.dataclass(frozen=True)
+class LoadFeedback:
+    """Load of limbs, which enters the oscillators of these limbs.
+
+    Attributes:
+        limbs: bodies, or patterns such as ``*_thigh``. Each one is the first body of a limb. All
+            bodies behind it belong to the limb.
+        joints: degrees of freedom of the limbs whose oscillators receive the load. They are names
+            or patterns such as ``*.y``.
+        weight: input per load of the own limb, in units of ``max_tonic_input``. A positive weight
+            excites the extensor and inhibits the flexor. The load is 1 if the limb carries the
+            whole animal. Two numbers are the range of a weight that evolves.
+        neighbour_weight: the same for the sum of the loads of the other limbs in the list.
+        delay: time from the ground to the neuron, s, 0 to 1.
+
+    Raises:
+        ValueError: a value is outside its range.
+    """
+
+    limbs: tuple[str, ...]
+    joints: tuple[str, ...] = ("*",)
+    weight: Weight = 0.0
+    neighbour_weight: Weight = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self):
+        check_weights(self, "weight", "neighbour_weight")
+        check_delay(self.delay)
+
+
+@dataclasses.dataclass(frozen=True)
+class TegotaeFeedback:
+    """Load that keeps the oscillators of a limb in their stance.
+
+    Attributes:
+        limbs: first bodies of the limbs, as in `LoadFeedback`.
+        joints: degrees of freedom of the limbs whose clocks the load changes. Their extensors
+            swing the limb.
+        gain: s = sigma m g / omega of phi' = omega - sigma N cos(phi), without a unit. At 1 the
+            clock stops in the middle of the load's effect if the limb carries the whole animal.
+            Two numbers are the range of a gain that evolves.
+
+    Raises:
+        ValueError: a value is outside its range.
+    """
+
+    limbs: tuple[str, ...]
+    joints: tuple[str, ...] = ("*",)
+    gain: Weight = 1.0
+
+    def __post_init__(self):
+        check_weights(self, "gain")
+
+
+@dataclasses.dataclass(frozen=True)
+class TouchDown:
+    """Phase that the oscillators of a limb get when it touches the ground.
+
+    Attributes:
+        limbs: first bodies of the limbs, as in `LoadFeedback`.
+        joints: degrees of freedom of the limbs whose oscillators get the phase.
+        phase_deg: phase to set, degrees. The extensor is active from 0 to 180, and the flexor from
+            180 to 360.
+        threshold: load above which a limb touches the ground, in units of the animal's weight, more
+            than 0. Touch-down needs two control steps below it first.
+
+    Raises:
+        ValueError: a value is outside its range.
+    """
+
+    limbs: tuple[str, ...]
+    joints: tuple[str, ...] = ("*",)
+    phase_deg: float = 180.0
+    threshold: float = 0.02
+
+    def __post_init__(self):
+        if not self.threshold > 0:
+            raise ValueError(f"threshold must be positive, got {self.threshold}")
+
+
+class Limbs(eqx.Module):
+    """Limbs of a creature, and the oscillators that feel them.
+
+    Attributes:
+        bodies: bodies of each limb.
+        limb: limb whose load each oscillator feels, or the number of limbs for none.
+    """
+
+    bodies: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    limb: tuple[int, ...] = eqx.field(static=True)
+
+    def loads(self, load: Float[Array, "b *n"]) -> Float[Array, "l *n"]:
+        """Return the load of each limb from the load of each body."""
+        return jnp.stack([load[np.array(own)].sum(0) for own in self.bodies])
+
+    def of_oscillators(self, values: Float[Array, "l *n"]) -> Float[Array, "o *n"]:
+        """Return the value of each oscillator's limb, 0 for oscillators without a limb."""
+        padded = jnp.concatenate([values, jnp.zeros_like(values[:1])])
+        return padded[np.array(self.limb)]
+
+
+class Load(eqx.Module):
+    """One `LoadFeedback` on a creature's tree.
+
+    Attributes:
+        limbs: the limbs.
+        weight: w.
+        neighbour_weight: v.
+        delay: D.
+    """
+
+    limbs: Limbs
+    weight: Gain
+    neighbour_weight: Gain
+    delay: Delay
+
+    def now(
+        self, genes: Float[Array, "g *n"] | None, load: Float[Array, "b *n"]
+    ) -> Float[Array, "o *n"]:
+        """Return s_e of eq. 1 before the delay, in units of u_max.
+
+        Args:
+            genes: genes of the feedback, or None if no weight evolves.
+            load: load of each body.
+        """
+        own = self.limbs.loads(load)
+        others = own.sum(0) - own
+        weight, neighbour_weight = self.weight.value(genes), self.neighbour_weight.value(genes)
+        return self.limbs.of_oscillators(weight * own + neighbour_weight * others)
+
+
+class Tegotae(eqx.Module):
+    """One `TegotaeFeedback` on a creature's tree.
+
+    Attributes:
+        limbs: the limbs.
+        gain: s.
+    """
+
+    limbs: Limbs
+    gain: Gain
+
+    def strength(
+        self, genes: Float[Array, "g *n"] | None, load: Float[Array, "b *n"]
+    ) -> Float[Array, "o *n"]:
+        """Return s n of each oscillator (see `evo_cpg.control.phase.clock_rate`)."""
+        return self.limbs.of_oscillators(self.gain.value(genes) * self.limbs.loads(load))
+
+
+class Reset(eqx.Module):
+    """One `TouchDown` on a creature's tree.
+
+    Attributes:
+        limbs: the limbs.
+        phase: phase to set, rad.
+        threshold: load above which a limb touches the ground.
+    """
+
+    limbs: Limbs
+    phase: Number
+    threshold: Number
+
+    def at(
+        self, load: Float[Array, "b *n"], touching: Float[Array, "2 l *n"]
+    ) -> tuple[Bool[Array, "o *n"], Float[Array, "2 l *n"]]:
+        """Return the oscillators to reset, and the next memory.
+
+        Args:
+            load: load of each body.
+            touching: 1 for each limb that touched the ground in the last two control steps.
+        """
+        now = (self.limbs.loads(load) > self.threshold).astype(load.dtype)
+        begins = now * (1 - touching[0]) * (1 - touching[1])
+        return self.limbs.of_oscillators(begins) > 0, jnp.stack([now, touching[0]])
+
+
+def build_load(
+    tree: Tree, settings: LoadFeedback, number: int, gain: MakeGain, control_step: float
+) -> Load:
+    """Build one sense of load for a creature's tree.
+
+    Args:
+        tree: the creature.
+        settings: settings.
+        number: index of the settings in their list, for messages.
+        gain: builds the gain of a weight.
+        control_step: time between two samples, s.
+
+    Raises:
+        CouplingError: limbs or joints do not fit the creature.
+    """
+    limbs = find_limbs(tree, settings.limbs, settings.joints, ("feedback", "load", number))
+    gains = gain(settings.weight), gain(settings.neighbour_weight)
+    return Load(limbs, *gains, make_delay(settings.delay, control_step))
+
+
+def build_tegotae(tree: Tree, settings: TegotaeFeedback, number: int, gain: MakeGain) -> Tegotae:
+    """Build one Tegotae feedback for a creature's tree (see `build_load`)."""
+    place = ("feedback", "tegotae", number)
+    return Tegotae(find_limbs(tree, settings.limbs, settings.joints, place), gain(settings.gain))
+
+
+def build_reset(tree: Tree, settings: TouchDown, number: int) -> Reset:
+    """Build one phase reset for a creature's tree (see `build_load`)."""
+    limbs = find_limbs(tree, settings.limbs, settings.joints, ("feedback", "touch_down", number))
+    return Reset(limbs, xp.deg2rad(settings.phase_deg), settings.threshold)
+
+
+def find_limbs(
+    tree: Tree, limbs: tuple[str, ...], joints: tuple[str, ...], where: tuple[str | int, ...]
+) -> Limbs:
+    """Return limbs by the patterns of their first bodies, in the order of bodies.
+
+    Raises:
+        CouplingError: a pattern matches nothing, a limb is part of another limb or has none of the
+            joints.
+    """
+    first = sorted(matching_bodies(tree, limbs, (*where, "limbs"), CouplingError))
+    if not first:
+        raise CouplingError("names no limb", (*where, "limbs"))
+    among = {
+        oscillator
+        for i, pattern in enumerate(joints)
+        for oscillator in matching_oscillators(tree, pattern, (*where, "joints", i))
+    }
+    owner: list[int] = []
+    for body, parent in enumerate(tree.parents):
+        above = owner[parent] if parent >= 0 else len(first)
+        if body in first and above < len(first):
+            names = f"{tree.names[body]!r} is part of the limb {tree.names[first[above]]!r}"
+            raise CouplingError(names, (*where, "limbs"))
+        owner.append(first.index(body) if body in first else above)
+    limb = [owner[body] if i in among else len(first) for i, body in enumerate(tree.dof_bodies)]
+    for i, body in enumerate(first):
+        if i not in limb:
+            problem = f"matches no joint of the limb {tree.names[body]!r}"
+            raise CouplingError(problem, (*where, "joints"))
+    bodies = tuple(
+        tuple(body for body, own in enumerate(owner) if own == i) for i in range(len(first))
+    )
+    return Limbs(bodies, tuple(limb))
