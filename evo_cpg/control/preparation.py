@@ -22,8 +22,8 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.control.brain_cpg import BrainCpg, Decoded
 from evo_cpg.control.controller import Command, Controller, Observation
-from evo_cpg.control.feedback import Stretch
 from evo_cpg.control.matsuoka import MatsuokaState, Oscillators
+from evo_cpg.control.stretch import Stretch
 from evo_cpg.spatial.linear import expand_dims_like, of_each
 
 SENSES = ("light", "pressure", "balance", "joints", "depth", "sensors", "feedback")
@@ -80,6 +80,11 @@ class Preparation(Controller):
     def rhythm_generator(self) -> Oscillators:
         """Spinal cord of the animal without changes."""
         return self.animal.rhythm_generator
+
+    @property
+    def uses_load(self) -> bool:
+        """Return whether the spinal cord feels the load of limbs."""
+        return self.animal.uses_load
 
     @property
     def uses_senses(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -150,9 +155,11 @@ class Preparation(Controller):
             tonic = tonic + surgery.kept[None] * own_tonic
             gain = gain + surgery.kept * own_gain
         heard = surgery.heard[SENSES.index("feedback")]
+        load = observation.load
         proprioception = observation._replace(
             joint_angle=_heard(heard, observation.joint_angle),
             joint_rate=_heard(heard, observation.joint_rate),
+            load=None if load is None else _heard(heard, load),
         )
         genes = animal.feedback if animal is not None else None
         state = self._cut(surgery).cord(state, tonic, gain, proprioception, genes)

@@ -148,7 +148,9 @@ def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
         among.append([first, *(i for i in together if i != first and sides[i] == sides[first])])
     bent = np.stack(bent, axis=-1)
     # Straight cords have the frequency f_0 that the ratios refer to.
-    straight = bend(controller, genes, 0 * bent, np.ones(len(settings)), round(_STRAIGHT / h))
+    straight = bend(
+        controller, genes, 0 * bent, np.ones(len(settings)), round(_STRAIGHT / h), tree.body_count
+    )
     rest = [rest_frequency(straight[:, own[0], i], h) for i, own in enumerate(among)]
     if not np.isfinite(rest).all():
         lost = settings[int(np.flatnonzero(~np.isfinite(rest))[0])]
@@ -158,7 +160,7 @@ def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
     which = [i for i, _ in columns]
     frequency = np.array([ratio * rest[i] for i, ratio in columns])
     steps = steps_of(frequency, h)
-    outputs = bend(controller, genes[:, which], bent[:, which], frequency, steps)
+    outputs = bend(controller, genes[:, which], bent[:, which], frequency, steps, tree.body_count)
     rows, notes = [], []
     for number, (i, ratio) in enumerate(columns):
         found = locking(outputs[:, among[i], number], frequency[number], h)

@@ -60,6 +60,7 @@ def bend(
     bent: Float[np.ndarray, "d n"],
     frequency: Float[np.ndarray, " n"],
     steps: int,
+    body_count: int,
 ) -> Float[np.ndarray, "t d n"]:
     """Return the outputs of the oscillators of bent cords, one sample for each control step.
 
@@ -69,6 +70,7 @@ def bend(
         bent: amplitude of each joint, rad.
         frequency: frequency of the bending, Hz.
         steps: number of control steps.
+        body_count: number of bodies of the animal, which carry no load here.
     """
     h = controller.animal.control_step
     rest = round(_REST / h)
@@ -86,7 +88,8 @@ def bend(
 
             def step(decoded: Any, state: Any, angle: Array, rate: Array) -> Any:
                 none = angle[:0]
-                observation = Observation(none, none, none, none, angle, rate, none)
+                load = jnp.zeros((body_count, *angle.shape[1:]), angle.dtype)
+                observation = Observation(none, none, none, none, angle, rate, none, load=load)
                 return controller.act(decoded, state, observation)[0]
 
             state = fuse(step, decoded, state, angle, rate, batch_ndim=1, name="a bent cord")
