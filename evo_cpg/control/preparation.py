@@ -87,11 +87,6 @@ class Preparation(Controller):
         return self.animal.uses_load
 
     @property
-    def uses_senses(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Return whether a brain or a feedback uses the senses."""
-        return True
-
-    @property
     def _shapes(self) -> tuple[tuple[int, ...], ...]:
         network = self.animal.network
         count = network.oscillator_count
