@@ -57,7 +57,7 @@ BODY = {
     "size": Knob("factor of all lengths", 1e-6),
     "viscosity": Knob("factor of the water's viscosity", 1e-12),
     "gravity": Knob("factor of gravity", 0.0),
-    "speed": Knob(
+    "tow": Knob(
         "speed at which the animal is towed along its heading with its root held, m/s", _ANY
     ),
     "current": Knob("speed of the water against the animal's initial heading, m/s", _ANY),
