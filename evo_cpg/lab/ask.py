@@ -174,7 +174,7 @@ def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
         if found:
             span = f"from {found[0]:.3g} to {found[1]:.3g} of f_0 = {rest[i]:.3g} Hz"
         notes.append(f"{worded(setting)}: entrained 1:1 {span}")
-    asked = [{name: row[name] for name in values} for row in rows]
+    asked: list[Setting] = [{name: row[name] for name in values} for row in rows]
     return Answer(asked, rows, (), tuple(notes))
 
 
