@@ -53,7 +53,7 @@ class GaitNumbers(NamedTuple):
         wave: wave of bending along the chain, or None without a chain or below an amplitude of one
             degree.
         midline: sway of the midline in the body's frame, or None without a wave of bending, without
-            a midline of three bodies, or with less than two strides.
+            a midline of three bodies, with less than two strides, or if the body is coiled.
         feet: contacts with the ground, or None without ground.
         power: absolute power of all motors in each control step, W.
         peak_torque: largest absolute torque of each motor, N m.
@@ -123,7 +123,7 @@ def gait_numbers(
     frequency = stride.stride_frequency(angle, step)
     power = np.asarray(frames["energy"], float)[:, 0] / step
     tree = simulation.world.tree
-    rows = joint_rows(simulation)
+    rows = joint_rows(simulation.world.tree)
     signs = axis_signs(tree, rows)
     angle *= signs
     chain = _chain(rows, recording)

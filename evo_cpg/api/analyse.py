@@ -219,6 +219,7 @@ def page(
         still=_jpeg(picture([panel], Film(_STILL))),
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
+        root_index=experiment.creature.root_index,
     )
     audit = _audit(folder, champion)
     subject = Subject(
@@ -232,7 +233,7 @@ def page(
         run=champion.run if experiment.runs > 1 else None,
         trial=trial if experiment.trials > 1 else None,
         seed=config.seed + champion.run,
-        chains=joint_rows(simulation),
+        chains=joint_rows(simulation.world.tree),
         signal=simulation.controller.signal_label,
         config=folder.config.read_text(encoding="utf-8"),
         meta=meta,

@@ -10,8 +10,8 @@ from evo_cpg.control.controller import Controller
 from evo_cpg.control.preparation import SENSES, Preparation, Surgery
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
-from evo_cpg.lab.bodies import joints_of
-from evo_cpg.lab.settings import NERVES, NOTHING, OPEN_LOOP, LabError, Setting
+from evo_cpg.laboratory.bodies import joints_of
+from evo_cpg.laboratory.settings import NERVES, NOTHING, OPEN_LOOP, LabError, Setting
 
 
 def prepare(controller: Controller, settings: list[Setting], brain: bool) -> Controller:
