@@ -81,7 +81,8 @@ def ask(
 
     Args:
         subject: the animal.
-        values: values of each knob (`evo_cpg.laboratory.settings.KNOBS`) or key of the configuration.
+        values: values of each knob (`evo_cpg.laboratory.settings.KNOBS`), or of each key of the
+            configuration.
         seconds: duration of a trial, s, or None for the duration in the configuration. The second
             half is measured.
 
