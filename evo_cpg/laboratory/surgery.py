@@ -38,7 +38,7 @@ def prepare(controller: Controller, settings: list[Setting], brain: bool) -> Con
     if feedback is not None and feedback.gene_count and not brain:
         raise LabError("weights of the feedback evolve. Ask a run folder, or set the weights")
     awake = brain and not names & set(OPEN_LOOP)
-    return Preparation(animal=controller, trained=brain, awake=awake)
+    return Preparation(animal=controller, trained=brain, awake=awake)  # pyright: ignore[reportCallIssue]
 
 
 def genes_of(
