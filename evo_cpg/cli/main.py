@@ -33,6 +33,7 @@ COMMANDS = (
     "analyse",
     "watch",
     "probe",
+    "lab",
     "sensitivity",
     "fit",
     "preview",

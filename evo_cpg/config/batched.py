@@ -6,7 +6,7 @@ one by one (`build_batch`). NumPy also builds the bodies that do not fit the pla
 
 import dataclasses
 import itertools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -132,6 +132,40 @@ def _build(
         with_numbers(config, dict(zip(numbers, row, strict=True)), source)
         for row in zip(*columns, strict=True)
     ]
+    return _combine(config, configs, source, ", ".join(numbers), like, task)
+
+
+def batch_of_configs(
+    config: ExperimentConfig,
+    configs: Sequence[ExperimentConfig],
+    source: Path | str,
+    edit: Callable[[Simulation, int], Simulation],
+) -> BatchedSimulation:
+    """Build simulations from configurations that differ in numbers only, and change each.
+
+    Args:
+        config: configuration whose numbers the simulations have in common.
+        configs: configurations of the individuals.
+        source: file of the configuration.
+        edit: function that returns a changed simulation, given the number of its individual, from
+            -1 for the common part.
+
+    Raises:
+        ConfigError: the simulations differ in more than numbers, or in nothing.
+    """
+    return _combine(config, configs, source, "the settings", edit=edit)[0]
+
+
+def _combine(
+    config: ExperimentConfig,
+    configs: Sequence[ExperimentConfig],
+    source: Path | str,
+    named: str,
+    like: BatchedSimulation | None = None,
+    task: Task | None = None,
+    edit: Callable[[Simulation, int], Simulation] = lambda simulation, individual: simulation,
+) -> tuple[BatchedSimulation, PointLayout]:
+    """Return a batch of the simulations of some configurations, and its layout of points."""
     problem, pairs = "", None
     # With other numbers, equal surfaces may become different, and bodies may cover other points. So
     # try more and more general layouts.
@@ -139,12 +173,11 @@ def _build(
     for layout in layouts:
 
         def build(pairs: PlanPairs | None, layout: PointLayout = layout) -> list[Simulation]:
-            return [
-                _with_task(
-                    build_experiment(each, source, layout=layout, pairs=pairs).simulation, task
-                )
-                for each in (config, *configs)
-            ]
+            found = []
+            for individual, each in enumerate((config, *configs), -1):
+                built = build_experiment(each, source, layout=layout, pairs=pairs)
+                found.append(edit(_with_task(built.simulation, task), individual))
+            return found
 
         common, *simulations = build(pairs)
         sets = [_pairs(each) for each in (like.common if like else common, *simulations)]
@@ -163,7 +196,7 @@ def _build(
         except ValueError as error:
             problem = str(error)
             break
-    raise ConfigError(source, (), f"{', '.join(numbers)}: {problem}")
+    raise ConfigError(source, (), f"{named}: {problem}")
 
 
 def _pairs(simulation: Simulation) -> PlanPairs:

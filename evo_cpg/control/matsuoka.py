@@ -163,9 +163,9 @@ class MatsuokaNetwork(eqx.Module):
     """
 
     offsets: tuple[int, ...] = eqx.field(static=True)
-    weights: Float[Numbers, "k o"]
+    weights: Float[Numbers, "k o *n"]
     own_offsets: tuple[int, ...] = eqx.field(static=True)
-    own_weights: Float[Numbers, "m o"]
+    own_weights: Float[Numbers, "m o *n"]
     rise_time: Number
     adaptation_time: Number
     constant_input: Number

@@ -26,6 +26,7 @@ Each line holds for one body and for a group of like limbs side by side (`PerBod
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -62,6 +63,7 @@ def solve(
     bias: Wrench,
     torque: Float[Array, "d *n"],
     torque_derivative: Float[Array, "d *n"],
+    held: bool = False,
 ) -> Accelerations:
     """Return the accelerations of the root and of all joints.
 
@@ -72,6 +74,7 @@ def solve(
         bias: ``V x* I V - f + I A0`` of every body.
         torque: torque on every joint axis at the present rates, N m.
         torque_derivative: ``-dtau/dqdd`` (with armature), kg m^2.
+        held: whether the root is held, and has no acceleration.
     """
     batch_ndim = torque.ndim - 1
     I_A, p_A = PerBody.of(inertia, batch_ndim), PerBody.of(bias, batch_ndim)
@@ -86,7 +89,8 @@ def solve(
         eliminated.append(felt)
 
     # Third pass, from the root to the tips: accelerations.
-    a = PerBody([root.solved(I_A.root(), p_A.root())], batch_ndim)
+    free = root.solved(I_A.root(), p_A.root())
+    a = PerBody([jax.tree.map(jnp.zeros_like, free) if held else free], batch_ndim)
     qdd = [jnp.zeros((0, *torque.shape[1:]), torque.dtype)]
     for (i, joint), felt in zip(joints, reversed(eliminated), strict=True):
         a_i, x = joint.accelerations(felt, motion_at_child(a[i.parents], kin.offset[:, i.bodies]))

@@ -161,4 +161,4 @@ def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations
     torque = equations.passive + motor.start + stop
     derivative = equations.derivative + h * (motor.derivative(tree, h) + stop_derivative)
     kin, inertia, bias = equations.kin, equations.inertia, equations.bias
-    return solve(tree, kin, inertia, bias, torque, derivative)
+    return solve(tree, kin, inertia, bias, torque, derivative, world.held)

@@ -21,6 +21,8 @@ from evo_cpg.spatial.linear import (
     cross,
     matmul,
     matmul_t,
+    matvec,
+    matvec_t,
     skew,
 )
 
@@ -66,6 +68,15 @@ class Inertia(NamedTuple):
     angular: Float[Array, "3 3 *rest"]
     mixed: Float[Array, "3 3 *rest"]
     linear: Float[Array, "3 3 *rest"]
+
+
+def inertial_wrench(inertia: Inertia, acceleration: Motion) -> Wrench:
+    """Return the wrench that gives an inertia an acceleration."""
+    turning, moving = acceleration
+    return Wrench(
+        matvec(inertia.angular, turning) + matvec(inertia.mixed, moving),
+        matvec_t(inertia.mixed, turning) + matvec(inertia.linear, moving),
+    )
 
 
 def make_inertia(

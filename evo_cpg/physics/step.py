@@ -26,6 +26,7 @@ from evo_cpg.physics.equations import (
     solve_at_once,
     with_mean_products,
 )
+from evo_cpg.physics.holding import holding_wrench
 from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.muscle import metabolic_power
 from evo_cpg.physics.state import State, integrate
@@ -48,6 +49,8 @@ class Effort(NamedTuple):
             bodies can touch.
         residual: residual of the step's equations, or None if they are solved exactly.
         warmstart: warm start of the next step, or None if no iteration is needed.
+        holding: moment (N m) and force (N) that hold the root still, in world axes, or None for a
+            free root.
     """
 
     torque: Float[Array, "d *n"]
@@ -57,6 +60,7 @@ class Effort(NamedTuple):
     pair_force: Float[Array, "k *n"] | None = None
     residual: Residual | None = None
     warmstart: Warmstart | None = None
+    holding: Float[Array, "6 *n"] | None = None
 
 
 def step(
@@ -117,7 +121,11 @@ def _step(
         # Both solves have the same matrix, only their forces differ.
         found = solve_at_once(world, h, equations)
     motor = equations.motor.at(world.tree, found.qdd, h)
-    return _finish(world.tree, h, state, command, StepSolution(found.root, found.qdd, motor))
+    solution = StepSolution(found.root, found.qdd, motor)
+    new_state, effort = _finish(world.tree, h, state, command, solution)
+    if world.held:
+        effort = effort._replace(holding=holding_wrench(world.tree, *equations[1:4], found))
+    return new_state, effort
 
 
 def _finish(

@@ -32,6 +32,7 @@ class World(eqx.Module):
         contact_model: the contact points, or None without ground.
         cells: simple volumes that make up the bodies. Empty without a water surface.
         pairs: bodies that must not pass through each other, or None if none can meet.
+        held: whether the root is held still (`evo_cpg.physics.holding`).
     """
 
     tree: Tree
@@ -41,6 +42,7 @@ class World(eqx.Module):
     contact_model: ContactModel | None = None
     cells: tuple[Cells, ...] = ()
     pairs: Pairs | None = None
+    held: bool = eqx.field(static=True, default=False)
 
     def __repr__(self) -> str:
         water = "no water" if self.water is None else "water everywhere"

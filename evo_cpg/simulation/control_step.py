@@ -323,12 +323,13 @@ def no_forces(simulation: Simulation, state: State) -> Forces:
     meeting = 0 if pairs is None else len(pairs.owners[0])
     batch, dtype = state.position.shape[1:], state.q.dtype
     none = (jnp.zeros((*shape, *batch), dtype) for shape in ((3, points), (meeting,)))
-    return Forces(jnp.zeros_like(state.q), *none)
+    held = jnp.zeros_like(state.velocity) if simulation.world.held else None
+    return Forces(jnp.zeros_like(state.q), *none, held)
 
 
 def _add_fraction(forces: Forces, effort: Effort, fraction: float) -> Forces:
     """Add the forces of a physics step, times a fraction, to the mean of the control step."""
-    of_step = effort.torque, effort.contact_force, effort.pair_force
+    of_step = effort.torque, effort.contact_force, effort.pair_force, effort.holding
     return Forces(
         *(
             mean if force is None else mean + fraction * force

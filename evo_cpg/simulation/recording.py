@@ -123,13 +123,13 @@ class Recorder(Observer):
     """Keeps arrays of every control step by name, for `as_recording`.
 
     Attributes:
-        count: number of individuals that are recorded.
+        count: number of individuals that are recorded, or None for all.
         first: index of the first of them.
         full: True to add velocities, senses and the state of the controller.
     """
 
     every_step = True
-    count: int = 1
+    count: int | None = 1
     first: int = 0
     full: bool = False
 
@@ -139,6 +139,8 @@ class Recorder(Observer):
         frames = fuse(frame, seen.effects, batch_ndim=seen.effects.energy.ndim)
         if self.full:
             frames |= _nerve_frames(seen.animal.nerves)
+        if self.count is None:
+            return frames
         recorded = slice(self.first, self.first + self.count)
         return {name: values[..., recorded] for name, values in frames.items()}
 
@@ -198,6 +200,8 @@ def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
         "energy": effects.energy,
         **{f"{name}_residual": values for name, values in residual.items()},
     }
+    if effects.forces.holding is not None:
+        frame["holding"] = effects.forces.holding
     if effects.command.activation is not None:
         frame["activation"] = effects.command.activation
     if full:

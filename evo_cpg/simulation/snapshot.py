@@ -30,11 +30,14 @@ class Forces(NamedTuple):
             points without ground.
         pair_force: force between touching limbs, at every point of the pairs in ``world.pairs``
             (`Pairs.owners`), N. There are no points if no limbs can touch.
+        holding: moment (N m) about the root's centre and force (N) that hold the root still, world
+            axes, or None for a free root.
     """
 
     torque: Float[Array, "d *n"]
     contact_force: Float[Array, "3 p *n"]
     pair_force: Float[Array, "k *n"]
+    holding: Float[Array, "6 *n"] | None = None
 
 
 @dataclasses.dataclass(frozen=True)

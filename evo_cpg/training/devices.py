@@ -114,7 +114,7 @@ def chunk_width(count: int, devices: int) -> int:
 
 
 def sharded(
-    function: Callable[..., Tree], mesh: Mesh, ranks: tuple[Any, ...], result_rank: int
+    function: Callable[..., Tree], mesh: Mesh, ranks: tuple[Any, ...], result_rank: Any
 ) -> jax.stages.Wrapped:
     """Return a function of one block, compiled at its first call. Devices never communicate.
 
@@ -123,14 +123,15 @@ def sharded(
             numbers, or None. Results are arrays with the population on the last axis.
         mesh: the devices.
         ranks: number of axes of each argument, or of each of its arrays if they differ.
-        result_rank: number of axes of each array of the result.
+        result_rank: number of axes of each array of the result, or of each of its arrays if they
+            differ.
     """
     return jax.jit(
         jax.shard_map(
             function,
             mesh=mesh,
             in_specs=jax.tree.map(_spec, ranks),
-            out_specs=_spec(result_rank),
+            out_specs=jax.tree.map(_spec, result_rank),
             check_vma=False,
         )
     )

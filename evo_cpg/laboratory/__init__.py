@@ -1,0 +1,1 @@
+"""Questions that an animal answers without evolution: open loop, cuts, other bodies, tow."""

@@ -1,0 +1,194 @@
+"""The bodies and the water of each setting: other sizes, viscosity, gravity, currents, joints."""
+
+import dataclasses
+import fnmatch
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evo_cpg.config.batched import batch_of_configs
+from evo_cpg.config.build import build_creature, build_experiment
+from evo_cpg.config.load import check_config
+from evo_cpg.config.numbers import number_at, with_numbers
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.tree import Tree
+from evo_cpg.errors import nearest
+from evo_cpg.laboratory.settings import NOTHING, LabError, Setting
+from evo_cpg.simulation.batched import BatchedSimulation
+from evo_cpg.simulation.simulation import Simulation
+
+# Powers of the size with which numbers of a creature grow. Torques of motors and springs grow with
+# the moment of inertia of a body of the same density. So a motor follows its command equally well
+# in all sizes. Muscles keep their stress, so their torque grows with the third power.
+_LENGTH, _AREA, _INERTIA = 1, 2, 5
+_POWERS = {
+    "shape": _LENGTH,
+    "at": _LENGTH,
+    "child_at": _LENGTH,
+    "position": _LENGTH,
+    "full_scale": _LENGTH,
+    "fibre_length": _LENGTH,
+    "arm": _LENGTH,
+    "area": _AREA,
+    "gain": _INERTIA,
+    "torque_limit": _INERTIA,
+    "stiffness": _INERTIA,
+    "damping": _INERTIA,
+    "armature": _INERTIA,
+}
+
+
+class Bodies(NamedTuple):
+    """The animal of each setting.
+
+    Attributes:
+        simulation: trial of all settings, or one trial for each setting.
+        creatures: the creature of each setting.
+        common: the trial of the configuration.
+    """
+
+    simulation: Simulation | BatchedSimulation
+    creatures: Sequence[Creature]
+    common: Simulation
+
+    def of(self, number: int) -> Simulation:
+        """Return the trial of one setting."""
+        whole = isinstance(self.simulation, BatchedSimulation)
+        return self.simulation[number] if whole else self.simulation  # pyright: ignore
+
+
+def build_bodies(
+    config: ExperimentConfig,
+    source: Path,
+    settings: Sequence[Setting],
+    folders: Sequence[Path],
+    prepared: Callable[[Simulation], Simulation],
+) -> Bodies:
+    """Build the animals of all settings.
+
+    Args:
+        config: configuration of the animal.
+        source: file of the configuration.
+        settings: the settings.
+        folders: further folders with a user's own classes.
+        prepared: function that changes every simulation in the same way.
+
+    Raises:
+        LabError: a setting does not fit the animal.
+        ConfigError: a number is wrong.
+    """
+    # This also makes a user's own classes importable.
+    first = build_experiment(config, source, folders)
+    configs = [config_of(config, source, setting) for setting in settings]
+
+    def edit(simulation: Simulation, individual: int) -> Simulation:
+        if individual >= 0:
+            simulation = with_joints(simulation, settings[individual])
+        return prepared(simulation)
+
+    common = edit(first.simulation, -1)
+    joints = any(name in setting for setting in settings for name in ("passive", "stiffness"))
+    if not joints and all(each == config for each in configs):
+        return Bodies(common, [first.creature] * len(settings), common)
+    same = [
+        edit(build_experiment(each, source).simulation, i) for i, each in enumerate(configs[:1])
+    ]
+    if all(each == configs[0] for each in configs) and not joints:
+        creature = build_creature(configs[0], source)
+        return Bodies(same[0], [creature] * len(settings), same[0])
+    batched = batch_of_configs(config, configs, source, edit)
+    creatures = [build_creature(each, source) for each in configs]
+    return Bodies(batched, creatures, batched.common)
+
+
+def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> ExperimentConfig:
+    """Return the configuration of a setting.
+
+    Raises:
+        LabError: the animal has no such number.
+        ConfigError: a number is wrong.
+    """
+    size = setting.get("size", 1.0)
+    if size != 1:
+        data = config.model_dump(mode="json")
+        data["creature"] = _scaled(data["creature"], float(size))
+        config = check_config(data, source)
+    numbers = {key: float(value) for key, value in setting.items() if "." in key}
+    water = config.world.water
+    if "viscosity" in setting:
+        if water is None or water.viscosity is None:
+            raise LabError("viscosity: the water has none. Set world.water.viscosity")
+        numbers["world.water.viscosity"] = water.viscosity * setting["viscosity"]
+    if "gravity" in setting:
+        numbers["world.gravity"] = config.world.gravity * setting["gravity"]
+    # A body that is towed in still water feels what a held body feels in a current.
+    current = -setting.get("current", 0.0) - setting.get("tow", 0.0)
+    if current:
+        if water is None:
+            raise LabError("current, tow: there is no water")
+        heading = math.radians(config.simulation.start_heading_deg)
+        along = current * math.cos(heading), current * math.sin(heading)
+        for axis, value in enumerate(along):
+            numbers[f"world.water.current.{axis}"] = water.current[axis] + value
+    for key in numbers:
+        number_at(config, key, source)
+    return with_numbers(config, numbers, source) if numbers else config
+
+
+def _scaled(place: Any, size: float, power: int = 0) -> Any:
+    """Return a section of a creature at another size."""
+    if isinstance(place, dict):
+        return {name: _scaled(x, size, _POWERS.get(name, power)) for name, x in place.items()}
+    if isinstance(place, list):
+        return [_scaled(each, size, power) for each in place]
+    return place * size**power if isinstance(place, float) else place
+
+
+def with_joints(simulation: Simulation, setting: Setting) -> Simulation:
+    """Return a simulation with the passive and stiffened joints of a setting.
+
+    Raises:
+        LabError: no body with a joint has such a name.
+    """
+    world = simulation.world
+    tree = world.tree
+    passive = setting.get("passive", NOTHING)
+    if passive != NOTHING:
+        moved = ~np.isin(tree.dof_bodies, list(joints_of(tree, "passive", passive)))
+        tree = dataclasses.replace(
+            tree, servo_gain=tree.servo_gain * moved, servo_stiffness=tree.servo_stiffness * moved
+        )
+        muscles = tree.muscles
+        if muscles is not None:
+            strength, stiffening = muscles.strength * moved, muscles.stiffening * moved
+            muscles = dataclasses.replace(muscles, strength=strength, stiffening=stiffening)
+            tree = dataclasses.replace(tree, muscles=muscles)
+    added = setting.get("stiffness", 0.0)
+    tree = dataclasses.replace(tree, stiffness=tree.stiffness + float(added))
+    return dataclasses.replace(simulation, world=dataclasses.replace(world, tree=tree))
+
+
+def joints_of(tree: Tree, knob: str, names: str) -> set[int]:
+    """Return the bodies of some names or patterns that have a joint.
+
+    Args:
+        tree: the creature.
+        knob: name of the knob, for messages.
+        names: names or patterns, separated by ``+``.
+
+    Raises:
+        LabError: no body with a joint has such a name.
+    """
+    movable = [tree.names[body] for body in sorted(set(tree.dof_bodies))]
+    found: set[int] = set()
+    for name in names.split("+"):
+        matching = fnmatch.filter(movable, name)
+        if not matching:
+            hint = nearest(name, movable)
+            raise LabError(f"{knob}={names}: {name!r} names no body with a joint ({hint})")
+        found.update(map(tree.names.index, matching))
+    return found

@@ -1,0 +1,99 @@
+"""The wrench on a held root, against the change of momentum and against statics."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import STRUCTURES, box_chain, in_water, quick_jit, random_creature, random_state
+from evo_cpg.creature.creature import Actuator
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics import root
+from evo_cpg.physics.articulated import solve
+from evo_cpg.physics.body_equations import body_equations
+from evo_cpg.physics.holding import holding_wrench
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.step import step
+from evo_cpg.physics.world import World
+
+H = 1 / 120
+
+
+def test_holding_wrench_balances_momentum():
+    """Momentum about the world's origin changes by the holding wrench and the weight."""
+    rng = np.random.default_rng(5)
+    world = World(build_tree(random_creature(rng, STRUCTURES[4])), 9.81, held=True)
+    tree = world.tree
+
+    def momentum(state):
+        bodies = world.bodies(kinematics(tree, state), 0.0)
+        own = jnp.einsum("ijb,jb->ib", jnp.asarray(tree.inertia), bodies.velocity)
+        return about_origin(bodies.kin, own)
+
+    def about_origin(kin, wrench):
+        moment, force = (
+            jnp.einsum("ijb,jb->ib", kin.rotation, part) for part in (wrench[:3], wrench[3:])
+        )
+        return jnp.concatenate(
+            [(moment + jnp.cross(kin.origin, force, axis=0)).sum(1), force.sum(1)]
+        )
+
+    @quick_jit
+    def balance(state, torque):
+        kin = kinematics(tree, state)
+        inertia, bias = body_equations(world, kin, 0.0)
+        found = solve(tree, kin, inertia, bias, torque, jnp.zeros_like(torque), world.held)
+        holding = holding_wrench(tree, kin, inertia, bias, found)
+        turn = jax.jvp(
+            lambda t: root.moved(state.position, state.orientation, state.velocity, t)[1],
+            (0.0,),
+            (1.0,),
+        )[1]
+        change = State(state.velocity[3:], turn, found.root, state.qd, found.qdd)
+        rate = jax.jvp(momentum, (state,), (change,))[1]
+        lever = kin.rotation[:, :, None] * jnp.asarray(tree.com)[None, :, None]
+        centre = kin.origin + lever[:, :, 0].sum(1)
+        weight = jnp.stack([0 * tree.mass, 0 * tree.mass, -9.81 * jnp.asarray(tree.mass)])
+        moment = holding[:3] + jnp.cross(state.position, holding[3:])
+        moment += jnp.cross(centre, weight, axis=0).sum(1)
+        return rate, jnp.concatenate([moment, holding[3:] + weight.sum(1)]), found.root
+
+    for _ in range(3):
+        state = random_state(tree, rng)
+        rate, wrench, acceleration = balance(state, jnp.asarray(rng.normal(size=tree.dof_count)))
+        np.testing.assert_allclose(rate, wrench, atol=1e-9 * np.abs(rate).max())
+        assert not np.any(acceleration)
+
+
+def test_held_stiff_body_feels_the_drag_of_the_laws():
+    """A straight body in a current: the holder carries the weight's rest and the laws' drag."""
+    creature = box_chain(4, "z", Actuator(gain=50.0, stiffness=500.0), density=1200.0)
+    world = dataclasses.replace(in_water(creature, current=(-0.4, 0.0, 0.0)), held=True)
+    tree = world.tree
+    start = resting_state(tree, dtype=jnp.float64)
+    still = jnp.zeros(tree.dof_count)
+
+    @quick_jit
+    def hold(state):
+        return jax.lax.scan(lambda s, _: step(world, s, still, H), state, length=60)
+
+    end, effort = hold(start)
+    bodies = world.bodies(kinematics(tree, start), H)
+    drag = sum(law.wrench(bodies) for law in world.forces)[3:].sum(1)
+    heavier = 9.81 * (tree.mass - 1000.0 * tree.volume).sum()
+    np.testing.assert_allclose(
+        effort.holding[-1, 3:], -np.asarray(drag) + [0, 0, heavier], atol=1e-6
+    )
+    assert float(drag[0]) < -1.0
+    np.testing.assert_array_equal(end.position, start.position)
+
+
+def test_free_root_has_no_holding_wrench():
+    """The field costs nothing without a held root."""
+    world = in_water(box_chain(2, "z"))
+    _, effort = step(world, resting_state(world.tree), jnp.zeros(1), H)
+    assert effort.holding is None
+    assert pytest.approx(0.0) == float(jnp.abs(effort.torque).max())
