@@ -90,11 +90,13 @@ class Environment:
         trial: int,
     ):
         tree = simulation.world.tree
-        if actions not in ("rates", "angles", "activations"):
-            allowed = "'rates', 'angles' or 'activations'"
+        if actions not in ("rates", "angles", "activations", "torques"):
+            allowed = "'rates', 'angles', 'activations' or 'torques'"
             raise ValueError(f"actions must be {allowed}, got {actions!r}")
         if actions == "activations" and tree.muscles is None:
             raise ValueError("actions='activations' needs muscles, but no joint has muscles")
+        if actions == "torques" and tree.torque_motors is None:
+            raise ValueError("actions='torques' needs torque motors, but no joint has one")
         if actions == "angles" and not np.asarray(tree.servo_stiffness).any():
             raise ValueError("actions='angles' needs motors with a stiffness, but no motor has one")
         situations = simulation.situations
@@ -144,8 +146,8 @@ class Environment:
 
         Args:
             state: state from `reset` or the previous step.
-            action: joint rate (rad/s) or angle (rad) of every degree of freedom, or activation
-                (0 to 1) of the muscles that pull to positive angles, then of the others.
+            action: joint rate (rad/s), angle (rad) or torque (N m) of every degree of freedom, or
+                activation (0 to 1) of the muscles that pull to positive angles, then of the others.
 
         Raises:
             ValueError: the action has the wrong shape.
@@ -166,6 +168,8 @@ class Environment:
                 command = Command(still, both[0] - both[1], activation=both)
             elif self._actions == "angles":
                 command = Command(still, still, action)
+            elif self._actions == "torques":
+                command = Command(still, action, torque=action)
             else:
                 command = Command(action, still)
             constants = self._constants(keys)

@@ -82,6 +82,8 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
     driven = driven & (rate_gain != 0)
     if tree.muscles is not None:
         driven = driven | np.array(tree.muscles.driven)
+    if tree.torque_motors is not None:
+        driven = driven | np.array(tree.torque_motors.driven)
     gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain
     alone = [i for i in uncoupled(network.matrix) if driven[i]]
     still = [i for i in resting(network, cpg.max_tonic_input, *gains) if driven[i]]

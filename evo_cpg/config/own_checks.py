@@ -77,7 +77,7 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation) -> None:
             return _is_like("the next state", animal.nerves)(found[0]) or _first(
                 _is_array((2, *dofs) if name == "activation" else dofs, f"its {name}")(value)
                 for name, value in given
-                if value is not None or name not in ("target_angle", "activation")
+                if value is not None or name not in ("target_angle", "activation", "torque")
             )
 
         nerves = constants.phenotype.controller, animal.nerves

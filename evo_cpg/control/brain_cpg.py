@@ -7,11 +7,13 @@ output sigma of the brain, between 0 and 1:
     u = u_max sigma,    b = b_min + (b_max - b_min) sigma,    d = d_max (2 sigma - 1),
     u_e = u (1 + d),    u_f = u (1 - d),
     target = G g (y_e - y_f) - k_c q,    within plus and minus max_rate,
-    ML = min(1, y_e / u_max),    MR = min(1, y_f / u_max).
+    ML = min(1, y_e / u_max),    MR = min(1, y_f / u_max),
+    torque = gear (ML - MR).
 
 u_e and u_f are the tonic inputs of the extensor and flexor neuron. The target rate drives motors.
 The paper describes it only as "angular-velocity control". The activations ML and MR drive muscles
-(`evo_cpg.physics.muscle`), which ignore the target rate.
+(`evo_cpg.physics.muscle`), which ignore the target rate. So do torque motors, which take the torque
+of muscles without length and speed. ``gear`` is `evo_cpg.creature.creature.TorqueMotor.gear`.
 
 | symbol | name |
 |---|---|
@@ -111,9 +113,9 @@ class BrainCpgSettings:
             group have separate axes, named ``group/axis``. Axes of all other bodies have the plain
             name.
         steering_range: largest relative difference between extensor and flexor drive, 0 to 1.
-        rate_gain: G, joint rate per unit of output, rad/s. Muscles ignore it.
+        rate_gain: G, joint rate per unit of output, rad/s. Muscles and torque motors ignore it.
         centring: k_c, rate at which a joint returns to its neutral angle, 1/s, at least 0. The
-            value 0 is the paper's angular-velocity control. Muscles ignore it.
+            value 0 is the paper's angular-velocity control. Muscles and torque motors ignore it.
         max_rate: largest commanded rate of a motor, rad/s, more than 0.
         axes: special settings of named axes, such as ``x`` or ``limbs/y``.
         joint_rates: True to give the joint rates to the brain. The paper's text lists them as
@@ -185,11 +187,12 @@ class BrainCpg(Controller):
             It is also the index of its steering.
         gain_source: index of each oscillator's adaptation gain among the gains that the brain sets.
         steering_range: d_max of each degree of freedom.
-        rate_gain: G g of each degree of freedom, rad/s, 0 for muscles.
-        centring: k_c of each degree of freedom, 1/s, 0 for muscles.
+        rate_gain: G g of each degree of freedom, rad/s, 0 for muscles and torque motors.
+        centring: k_c of each degree of freedom, 1/s, 0 for muscles and torque motors.
         control_step: length of a control step, s.
         feedback: feedback of the senses into the oscillators, or None.
         muscles: True if the creature has muscles.
+        gear: torque of each degree of freedom at full output, N m, or None without torque motors.
     """
 
     gene_count: int = eqx.field(static=True)
@@ -211,6 +214,7 @@ class BrainCpg(Controller):
     control_step: float = eqx.field(static=True)
     muscles: bool = eqx.field(static=True)
     feedback: Feedback | None = None
+    gear: Float[Numbers, " d"] | None = None
 
     signal_label = "CPG output (no unit)"
 
@@ -323,7 +327,7 @@ class BrainCpg(Controller):
         """Return the command of the neurons to motors and muscles.
 
         A muscle is activated by its own neuron, ``min(1, y / u_max)``. The extensor's muscle pulls
-        to positive angles.
+        to positive angles. A torque motor gets its gear times the difference of both activations.
 
         Args:
             state: state of the neurons after the control step.
@@ -334,11 +338,15 @@ class BrainCpg(Controller):
             expand_dims_like(self.rate_gain, signal) * signal
             - expand_dims_like(self.centring, signal) * observation.joint_angle
         )
-        limit, activation = self.max_rate, None
-        if self.muscles:
+        limit, activation, torque = self.max_rate, None, None
+        if self.muscles or self.gear is not None:
             output = jnp.maximum(state.potential, 0.0)
             activation = jnp.minimum(output * (1.0 / self.max_tonic_input), 1.0)
-        return Command(jnp.clip(rate, -limit, limit), signal, activation=activation)
+        if self.gear is not None:
+            assert activation is not None
+            torque = expand_dims_like(self.gear, signal) * (activation[0] - activation[1])
+        active = activation if self.muscles else None
+        return Command(jnp.clip(rate, -limit, limit), signal, None, active, torque)
 
     def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
         """Return the inputs of the brain: Table 2 of Iwadate 2010, every value from -1 to 1.
@@ -430,7 +438,10 @@ def build_brain_cpg(
     feedback = None
     if cpg.feedback is not None:
         feedback = build_feedback(tree, cpg.feedback, cpg.max_tonic_input, control_step)
-    muscular = tree.muscles.driven if tree.muscles else (False,) * tree.dof_count
+    none = (False,) * tree.dof_count
+    muscular = tree.muscles.driven if tree.muscles else none
+    torque_driven = tree.torque_motors.driven if tree.torque_motors else none
+    rateless = [m or t for m, t in zip(muscular, torque_driven, strict=True)]
     return BrainCpg(
         gene_count=brain.gene_count + (feedback.gene_count if feedback else 0),
         brain=brain,
@@ -449,17 +460,18 @@ def build_brain_cpg(
             [_or(axis.steering_range, settings.steering_range) for axis in own]
         ),
         rate_gain=xp.array(
-            [0.0 if m else settings.rate_gain * x.gain for x, m in zip(own, muscular, strict=True)]
+            [0.0 if m else settings.rate_gain * x.gain for x, m in zip(own, rateless, strict=True)]
         ),
         centring=xp.array(
             [
                 0.0 if m else _or(x.centring, settings.centring)
-                for x, m in zip(own, muscular, strict=True)
+                for x, m in zip(own, rateless, strict=True)
             ]
         ),
         control_step=control_step,
         feedback=feedback,
         muscles=tree.muscles is not None,
+        gear=tree.torque_motors.gear if tree.torque_motors else None,
     )
 
 

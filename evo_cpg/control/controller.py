@@ -54,12 +54,15 @@ class Command(NamedTuple):
         activation: activation of the muscles of each degree of freedom, 0 to 1: of those that pull
             to positive angles, then of the others. None relaxes all muscles. Axes with motors
             ignore it, and axes with muscles ignore the rate and the angle.
+        torque: torque of each torque motor, N m, clipped to its limit. None is no torque. Other
+            axes ignore it, and axes with torque motors ignore the rate and the angle.
     """
 
     target_rate: Float[Array, "d *n"]
     signal: Float[Array, "d *n"]
     target_angle: Float[Array, "d *n"] | None = None
     activation: Float[Array, "2 d *n"] | None = None
+    torque: Float[Array, "d *n"] | None = None
 
 
 class Origin:

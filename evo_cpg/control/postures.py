@@ -183,9 +183,9 @@ def build_posture_controller(
         control_step: time between two calls of `PostureController.act`, s.
 
     Raises:
-        ValueError: the creature has no joint, or has muscles. A motor would pull its joint beyond a
-            limit. The period is shorter than a control step, which would skip postures, or too long
-            to count.
+        ValueError: the creature has no joint, or has muscles or torque motors. A motor would pull
+            its joint beyond a limit. The period is shorter than a control step, which would skip
+            postures, or too long to count.
     """
     if not tree.dof_count:
         raise ValueError("the controller needs a creature with at least one joint")
@@ -194,6 +194,12 @@ def build_posture_controller(
         raise ValueError(
             "postures command angles of motors, but muscles take activations: joint "
             f"{driven} has muscles. Give its actuator a gain and a stiffness, or choose brain_cpg"
+        )
+    if tree.torque_motors is not None:
+        driven = tree.dof_names[tree.torque_motors.driven.index(True)]
+        raise ValueError(
+            f"postures command angles of motors, but the motor of joint {driven} takes torques. "
+            "Give its actuator a gain and a stiffness in place of the type, or choose brain_cpg"
         )
     chosen(lambda: _check_limits(tree, settings), lambda _: ~_beyond(tree, settings)[0].any())
     ratio = settings.period / control_step

@@ -64,6 +64,19 @@ class Actuator:
 
 
 @dataclasses.dataclass(frozen=True)
+class TorqueMotor:
+    """Motor on each axis of a joint whose torque the controller commands.
+
+    Attributes:
+        gear: torque per unit of a controller's output, N m. A negative gear reverses it.
+        torque_limit: largest torque on one axis, N m, or infinity for no limit.
+    """
+
+    gear: Number = 1.0
+    torque_limit: Number = float("inf")
+
+
+@dataclasses.dataclass(frozen=True)
 class Muscle:
     """Two antagonistic muscles about each axis of a joint, after Ekeberg 1993 and Hill 1938.
 
@@ -143,6 +156,7 @@ class DegreeOfFreedom(NamedTuple):
         servo_gain: torque of the motor per rate error, N m s/rad, 0 without a motor.
         servo_stiffness: torque of the motor per angle error, N m/rad, 0 without a motor.
         torque_limit: largest torque of the motor, N m, 0 without a motor, infinity for muscles.
+        torque_motor: motor whose torque the controller commands, or None.
         muscle: muscles about the axis, or None.
     """
 
@@ -155,6 +169,7 @@ class DegreeOfFreedom(NamedTuple):
     servo_gain: Number
     servo_stiffness: Number
     torque_limit: Number
+    torque_motor: TorqueMotor | None
     muscle: Muscle | None
 
 
@@ -176,7 +191,7 @@ class Joint:
         stiffness: stiffness of the passive spring towards the neutral pose, N m/rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia of each axis, kg m^2.
-        actuator: motor or muscles on each axis, or None for a passive joint.
+        actuator: servo, torque motor or muscles on each axis, or None for a passive joint.
     """
 
     parent: str
@@ -193,19 +208,22 @@ class Joint:
     stiffness: Number = 0.0
     damping: Number = 0.0
     armature: Number = 0.0
-    actuator: Actuator | Muscle | None = None
+    actuator: Actuator | TorqueMotor | Muscle | None = None
 
     @property
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
         """Degrees of freedom, in the order in which they turn."""
         motor = self.actuator
         muscle = motor if isinstance(motor, Muscle) else None
+        torque_motor = motor if isinstance(motor, TorqueMotor) else None
         driven: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
         if muscle is not None:
             driven = 0.0, 0.0, float("inf")
+        elif torque_motor is not None:
+            driven = 0.0, 0.0, torque_motor.torque_limit
         elif isinstance(motor, Actuator):
             driven = motor.gain, motor.stiffness, motor.torque_limit
-        same = (self.stiffness, self.damping, self.armature, *driven, muscle)
+        same = (self.stiffness, self.damping, self.armature, *driven, torque_motor, muscle)
         limits = zip(self.axes, self.lower, self.upper, strict=True)
         return tuple(DegreeOfFreedom(axis, low, high, *same) for axis, low, high in limits)
 

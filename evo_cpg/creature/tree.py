@@ -17,10 +17,11 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
 from evo_cpg.creature.muscles import Muscles, muscles_of
+from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 
@@ -78,6 +79,7 @@ class Tree(eqx.Module):
         servo_gain: torque of the motors per rate error, N m s/rad, 0 for a passive axis.
         servo_stiffness: stiffness of the motors' springs, N m/rad.
         torque_limit: largest torque of the motors, N m.
+        torque_motors: motors whose torque is commanded, or None if there are none.
         muscles: muscles about the axes, or None if there are none.
         limit_stiffness: stiffness of the soft limits, N m/rad.
         limit_damping: damping of the soft limits, N m s/rad.
@@ -103,6 +105,7 @@ class Tree(eqx.Module):
     servo_gain: Float[Numbers, " d"]
     servo_stiffness: Float[Numbers, " d"]
     torque_limit: Float[Numbers, " d"]
+    torque_motors: TorqueMotors | None
     muscles: Muscles | None
     limit_stiffness: Float[Numbers, " d"]
     limit_damping: Float[Numbers, " d"]
@@ -116,6 +119,12 @@ class Tree(eqx.Module):
     def dof_count(self) -> int:
         """Number of joint axes, without the free root's six degrees of freedom."""
         return len(self.dof_names)
+
+    def torque_limit_without(self, axes: Bool[np.ndarray, " d"]) -> Float[Numbers, " d"]:
+        """Return the torque limits, with 0 for the torque motors of some axes, N m."""
+        if self.torque_motors is None:
+            return self.torque_limit
+        return xp.where(np.array(self.torque_motors.driven) & axes, 0.0, self.torque_limit)
 
 
 def build_tree(creature: Creature) -> Tree:
@@ -161,8 +170,15 @@ def build_tree(creature: Creature) -> Tree:
 
     gain, spring = each("servo_gain"), each("servo_stiffness")
     muscles = muscles_of([dof.muscle for dof in dofs])
-    # A limit balances a muscle like a motor of that torque at 1 rad/s.
+    torque_motors, torque_limit = (
+        torque_motors_of([dof.torque_motor for dof in dofs]),
+        each("torque_limit"),
+    )
+    # A limit balances muscles and torque motors like a servo of that torque at 1 rad/s.
     push = gain + spring if muscles is None else gain + spring + muscles.strength
+    if torque_motors is not None:
+        full = xp.minimum(xp.abs(torque_motors.gear), torque_limit)
+        push = push + xp.where(np.array(torque_motors.driven), full, 0.0)
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
@@ -186,7 +202,8 @@ def build_tree(creature: Creature) -> Tree:
         upper=each("upper"),
         servo_gain=gain,
         servo_stiffness=spring,
-        torque_limit=each("torque_limit"),
+        torque_limit=torque_limit,
+        torque_motors=torque_motors,
         muscles=muscles,
         limit_stiffness=leverage * limit_rate**2 + push * limit_rate,
         limit_damping=2 * LIMIT_DAMPING_RATIO * leverage * limit_rate,

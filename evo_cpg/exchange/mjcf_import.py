@@ -64,7 +64,7 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
     Args:
         path: the file.
         motor_gain: gain of the velocity servos that replace torque motors, N m s/rad, or None to
-            refuse torque motors.
+            keep torque motors.
 
     Raises:
         ExchangeError: MuJoCo is missing or cannot load the file, or a part of the file cannot be

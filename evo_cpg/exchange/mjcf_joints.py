@@ -17,7 +17,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from evo_cpg.config.schema.joint import ActuatorConfig, JointConfig
+from evo_cpg.config.schema.joint import JointConfig
 from evo_cpg.creature.creature import Body, Joint
 from evo_cpg.exchange.compiled import (
     TOLERANCE,
@@ -27,6 +27,7 @@ from evo_cpg.exchange.compiled import (
     tidy_vector,
 )
 from evo_cpg.exchange.mjcf_ground import number_text, place_text
+from evo_cpg.exchange.mjcf_motors import Driver
 from evo_cpg.exchange.mjcf_shapes import Placed
 from evo_cpg.spatial.rotation import matrix_to_euler
 
@@ -61,9 +62,7 @@ def joints_of(model: Any, body: int) -> list[int]:
     return list(range(first, first + int(model.body_jntnum[body])))
 
 
-def check_joints(
-    compiled: Compiled, body: int, motors: Mapping[int, ActuatorConfig | None]
-) -> None:
+def check_joints(compiled: Compiled, body: int, motors: Mapping[int, Driver | None]) -> None:
     """Refuse joints of a body that cannot be one joint of a creature."""
     model = compiled.model
     joints = joints_of(model, body)
@@ -116,7 +115,7 @@ def read_joint(
     body: int,
     placed: Mapping[int, Placed],
     names: Mapping[int, str],
-    motors: Mapping[int, ActuatorConfig | None],
+    motors: Mapping[int, Driver | None],
 ) -> JointConfig:
     """Return the joint of a body whose hinges `check_joints` accepted.
 

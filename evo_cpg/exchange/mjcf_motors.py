@@ -5,7 +5,8 @@
 | motor with a spring | ``position``: ``kp`` is its stiffness, ``kv`` its gain |
 | motor without a spring | ``velocity``: ``kv`` is its gain |
 | torque limit | ``forcerange`` |
-| velocity servo with the caller's gain | ``motor`` with limits, in the import |
+| torque motor | ``motor``: ``gear`` is its gear |
+| velocity servo with the caller's gain | ``motor`` with limits, in the import on request |
 | muscles | ``motor``: ``gear`` is their strength, the command is ML - MR |
 
 The passive stiffness and damping of muscles are those of the hinge. MJCF leaves out the stiffness
@@ -17,35 +18,45 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from evo_cpg.config.schema.joint import ActuatorConfig
+from evo_cpg.config.schema.joint import ActuatorConfig, TorqueMotorConfig
 from evo_cpg.config.schema.section import LARGEST
-from evo_cpg.creature.creature import Actuator, Muscle
+from evo_cpg.creature.creature import Actuator, Muscle, TorqueMotor
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 from evo_cpg.exchange.mjcf_ground import number_text
+
+# Motors that an import makes.
+Driver = ActuatorConfig | TorqueMotorConfig
 
 # Number of actuator groups that MuJoCo can disable.
 _GROUPS = 31
 
 
-def add_motor(actuator: Element, joint: str, motor: Actuator | Muscle) -> None:
+def add_motor(actuator: Element, joint: str, motor: Actuator | TorqueMotor | Muscle) -> None:
     """Add the motor or the muscles of a hinge."""
     if isinstance(motor, Muscle):
         element = SubElement(actuator, "motor", name=joint, joint=joint)
         element.set("gear", number_text(motor.strength))
         element.set("ctrlrange", number_text(-1.0, 1.0))
         return
-    kind = "position" if motor.stiffness else "velocity"
-    element = SubElement(actuator, kind, name=joint, joint=joint)
-    if motor.stiffness:
-        element.set("kp", number_text(motor.stiffness))
-    element.set("kv", number_text(motor.gain))
-    if np.isfinite(motor.torque_limit):
-        element.set("forcerange", number_text(-motor.torque_limit, motor.torque_limit))
+    limit = motor.torque_limit
+    if isinstance(motor, TorqueMotor):
+        # MuJoCo limits the force before the gear.
+        limit = limit / abs(motor.gear)
+        element = SubElement(actuator, "motor", name=joint, joint=joint)
+        element.set("gear", number_text(motor.gear))
+    else:
+        kind = "position" if motor.stiffness else "velocity"
+        element = SubElement(actuator, kind, name=joint, joint=joint)
+        if motor.stiffness:
+            element.set("kp", number_text(motor.stiffness))
+        element.set("kv", number_text(motor.gain))
+    if np.isfinite(limit):
+        element.set("forcerange", number_text(-limit, limit))
 
 
-def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, ActuatorConfig | None]:
+def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, Driver | None]:
     """Return the motor of every driven joint, or None for a refused motor, which is recorded."""
-    motors: dict[int, ActuatorConfig | None] = {}
+    motors: dict[int, Driver | None] = {}
     for number in range(len(compiled.model.actuator_trnid)):
         with compiled.refusals.collecting():
             joint = _driven_joint(compiled, number, motors)
@@ -70,9 +81,7 @@ def _driven_joint(compiled: Compiled, number: int, driven: Container[int]) -> in
     return joint
 
 
-def _read_motor(
-    compiled: Compiled, number: int, joint: int, motor_gain: float | None
-) -> ActuatorConfig:
+def _read_motor(compiled: Compiled, number: int, joint: int, motor_gain: float | None) -> Driver:
     """Read one motor. The gear scales the angle and multiplies the force."""
     mujoco, model, item = compiled.mujoco, compiled.model, compiled.item("actuator", number)
     gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
@@ -96,33 +105,29 @@ def _read_motor(
         (model.jnt_actfrcrange[joint], model.jnt_actfrclimited[joint]),
     ]
     if not affine:
-        if motor_gain is None:
-            raise item.refusal(
-                "it is a torque motor, and our motors are servos",
-                "position, velocity, or --motor-gain to replace torque motors by velocity servos",
-            )
-        # The servo's limit is the largest torque of the motor.
         command = gear * strength * model.actuator_ctrlrange[_place(compiled, "ctrl", number)]
         limits.append((command, _limits_commands(compiled, number)))
-        gain, stiffness = motor_gain, 0.0
     elif not damping > 0:
         raise item.refusal("it has no damping", "a kv of more than 0")
     else:
         # The square of the gear could overflow.
         gain, stiffness = (gear * (gear * value) for value in (damping, stiffness))
     torques = [torque for torque, given in limits if given and not _boundless(torque)]
-    if not affine and not torques:
+    if not affine and motor_gain is not None and not torques:
+        # The servo's limit is the largest torque of the motor.
         raise item.refusal("it has no limits", "ctrlrange or forcerange")
     for lower, upper in torques:
         if not np.isclose(-lower, upper, rtol=TOLERANCE):
             raise item.refusal(
                 f"its limits {lower:g} and {upper:g} differ in size", "limits of equal size"
             )
-    values = {
-        "gain": tidy(gain),
-        "stiffness": tidy(stiffness),
-        "torque_limit": tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None,
-    }
+    limit = tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None
+    if not affine:
+        if motor_gain is None:
+            values = {"type": "torque", "gear": tidy(gear * strength), "torque_limit": limit}
+            return item.section(TorqueMotorConfig, values)
+        gain, stiffness = motor_gain, 0.0
+    values = {"gain": tidy(gain), "stiffness": tidy(stiffness), "torque_limit": limit}
     return item.section(ActuatorConfig, values)
 
 

@@ -149,6 +149,7 @@ class Brain:
             rate,
             np.zeros_like(rate) if angle is None else angle,
             jnp.zeros((2, *rate.shape)) if activation is None else activation,
+            np.zeros_like(rate) if command.torque is None else command.torque,
         )
 
 
@@ -191,7 +192,7 @@ def second_opinion(
     player = _Player(mujoco, model, world, simulation.step_length)
     player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
     pushes = _pushes(steps)
-    recorded = steps.target_rate, steps.target_angle, steps.activation
+    recorded = steps.target_rate, steps.target_angle, steps.activation, steps.commanded_torque
     commands, active = player.commands(MotorCommand(*recorded))
     poses, held = [player.data.qpos.copy()], []
     for index in range(steps.torque.shape[-1]):
@@ -283,7 +284,12 @@ class _Player:
         )
         springy = stiffness > 0
         along = gain / np.where(springy, stiffness, 1.0) * target_rate
-        driven = np.where(springy, target_angle + along, target_rate)[self._motors].T
+        driven = np.where(springy, target_angle + along, target_rate)
+        if tree.torque_motors is not None:
+            gear = np.asarray(tree.torque_motors.gear, float)[:, None]
+            share = np.asarray(command.torque) / np.where(gear == 0, 1.0, gear)
+            driven = np.where(np.array(tree.torque_motors.driven)[:, None], share, driven)
+        driven = driven[self._motors].T
         return np.asarray(driven, float), np.moveaxis(np.asarray(command.activation, float), -1, 0)
 
     def advance(

@@ -160,7 +160,10 @@ def with_joints(simulation: Simulation, setting: Setting) -> Simulation:
     if passive != NOTHING:
         moved = ~np.isin(tree.dof_bodies, list(joints_of(tree, "passive", passive)))
         tree = dataclasses.replace(
-            tree, servo_gain=tree.servo_gain * moved, servo_stiffness=tree.servo_stiffness * moved
+            tree,
+            servo_gain=tree.servo_gain * moved,
+            servo_stiffness=tree.servo_stiffness * moved,
+            torque_limit=tree.torque_limit_without(~moved),
         )
         muscles = tree.muscles
         if muscles is not None:

@@ -13,6 +13,7 @@ Each law gives its torque at the present rates and its derivative. The implicit 
   at the *end* of the step. A limit on the torque before the step makes the motor chatter and exceed
   its limit threefold. If k_m = 0, the motor is a velocity servo (Iwadate 2010:
   "angular-velocity control"). If rate* = 0, the motor is a dashpot (Fukui 2003, 2.6).
+- Torque motor: the commanded torque up to its limit, T = 0. It is constant over the step.
 - Muscles: `evo_cpg.physics.muscle`, without a limit.
 """
 
@@ -36,11 +37,13 @@ class MotorCommand(NamedTuple):
         target_angle: reference angles of the motors' springs, rad, or None for the neutral pose.
         activation: activation of the muscles, 0 to 1: of those that pull to positive angles, then
             of the others. None relaxes them all.
+        torque: torque of the torque motors, N m, or None for no torque.
     """
 
     target_rate: Float[Array, "d *n"]
     target_angle: Float[Array, "d *n"] | None = None
     activation: Float[Array, "2 d *n"] | None = None
+    torque: Float[Array, "d *n"] | None = None
 
 
 class MotorTorque(NamedTuple):
@@ -136,6 +139,9 @@ def motor_torque(tree: Tree, state: State, command: MotorCommand, h: float) -> M
         angle = command.target_angle
         error = -ahead if angle is None else angle - ahead
         torque = torque + expand_dims_like(tree.servo_stiffness, rates) * error
+    if tree.torque_motors is not None and command.torque is not None:
+        driven = expand_dims_like(np.array(tree.torque_motors.driven), rates).astype(bool)
+        torque = torque + jnp.where(driven, clamp_torque(tree, command.torque), 0.0)
     if tree.muscles is None:
         return MotorTorque(torque)
     pull = pull_of(tree.muscles, command.activation, state.q, rates)
@@ -154,6 +160,6 @@ def overloaded(tree: Tree, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:
 
 
 def clamp_torque(tree: Tree, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-    """Return the servo torque clamped to its limit, N m."""
+    """Return the motors' torque clamped to its limit, N m."""
     limit = expand_dims_like(tree.torque_limit, torque)
     return jnp.clip(torque, -limit, limit)

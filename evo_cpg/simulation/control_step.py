@@ -254,7 +254,9 @@ def move(
     """Take the physics steps of a control step (see `control_step`)."""
     world, h, state = simulation.world, simulation.step_length, animal.state
     batch = state.position.shape[1:]
-    motors = MotorCommand(command.target_rate, command.target_angle, command.activation)
+    motors = MotorCommand(
+        command.target_rate, command.target_angle, command.activation, command.torque
+    )
 
     def advance(carry, _):
         before, warmstart, energy, airborne, forces, ground_force, residual = carry

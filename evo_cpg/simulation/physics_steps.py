@@ -27,6 +27,8 @@ class PhysicsSteps(NamedTuple):
             none.
         activation: activation of the muscles, first of those that pull to positive angles, or 0 if
             the controller commands none.
+        commanded_torque: commanded torque of each torque motor, N m, or 0 if the controller
+            commands none.
         torque: torque of the motors and muscles, N m.
         contact_force: force of the ground on every contact point, world axes, N. No points without
             ground.
@@ -43,6 +45,7 @@ class PhysicsSteps(NamedTuple):
     target_rate: Float[Array, "d t"]
     target_angle: Float[Array, "d t"]
     activation: Float[Array, "2 d t"]
+    commanded_torque: Float[Array, "d t"]
     torque: Float[Array, "d t"]
     contact_force: Float[Array, "3 p t"]
     pair_force: Float[Array, "k t"]
@@ -67,14 +70,16 @@ class EachPhysicsStep(Observer):
         assert seen.effects.physics is not None
         before, after, effort = seen.effects.physics
         rate, angle, activation = command.target_rate, command.target_angle, command.activation
+        none_given = jnp.zeros_like(rate)
         relaxed = jnp.zeros((2, *rate.shape), rate.dtype)
         held = (
             rate,
-            jnp.zeros_like(rate) if angle is None else angle,
+            none_given if angle is None else angle,
             relaxed if activation is None else activation,
+            none_given if command.torque is None else command.torque,
             observation.light,
         )
-        rates, angles, active, light = (x[None].repeat(len(before.q), 0) for x in held)
+        rates, angles, active, torques, light = (x[None].repeat(len(before.q), 0) for x in held)
         none = jnp.zeros((len(before.q), 0, *rate.shape[1:]), rate.dtype)
         exact, residual = jnp.zeros_like(effort.energy), effort.residual
         steps = PhysicsSteps(
@@ -83,6 +88,7 @@ class EachPhysicsStep(Observer):
             rates,
             angles,
             active,
+            torques,
             effort.torque,
             none[:, None].repeat(3, 1) if effort.contact_force is None else effort.contact_force,
             none if effort.pair_force is None else effort.pair_force,

@@ -204,6 +204,8 @@ def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
         frame["holding"] = effects.forces.holding
     if effects.command.activation is not None:
         frame["activation"] = effects.command.activation
+    if effects.command.torque is not None:
+        frame["commanded_torque"] = effects.command.torque
     if full:
         # Joint angles and rates are recorded with the state.
         senses = effects.observation._replace(joint_angle=None, joint_rate=None)._asdict()

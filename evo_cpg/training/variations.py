@@ -151,6 +151,7 @@ def limp(simulation: Simulation) -> Simulation:
         tree,
         servo_gain=np.zeros_like(tree.servo_gain),
         servo_stiffness=np.zeros_like(tree.servo_stiffness),
+        torque_limit=tree.torque_limit_without(np.ones(tree.dof_count, bool)),
         muscles=muscles,
     )
     return eqx.tree_at(lambda s: s.world.tree, simulation, weak)

@@ -337,7 +337,11 @@ def test_wrong_arguments_are_named(experiment, genomes):
     ):
         with pytest.raises(ValueError, match="trial must be from 0 to 0, got 1"):
             call()
-    with pytest.raises(ValueError, match="must be 'rates', 'angles' or 'activations', got 't"):
+    with pytest.raises(
+        ValueError, match="must be 'rates', 'angles', 'activations' or 'torques', g"
+    ):
+        experiment.environment("powers")
+    with pytest.raises(ValueError, match="needs torque motors, but no joint has one"):
         experiment.environment("torques")
     with pytest.raises(ValueError, match="needs muscles, but no joint has muscles"):
         experiment.environment("activations")

@@ -99,6 +99,14 @@ def test_elements_of_a_swimmer():
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.slow
+def test_numbers_of_torque_motors():
+    motor = "creature.bodies.1.joint.actuator"
+    config = load_config(CONFIG, [*TINY, f"{motor}={{type: torque, gear: 2, torque_limit: 3}}"])
+    check_elements(config, [f"{motor}.gear", f"{motor}.torque_limit"])
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.slow
 def test_numbers_of_muscles():
     motor = "creature.bodies.1.joint.actuator"
     muscle = f"{motor}={{type: muscle, area: 2e-4, arm: 0.02, fibre_length: 0.05}}"

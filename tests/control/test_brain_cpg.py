@@ -16,8 +16,9 @@ from evo_cpg.control.brain_cpg import AxisSettings, BrainCpgSettings, build_brai
 from evo_cpg.control.controller import Observation
 from evo_cpg.control.couplings import UnfitError
 from evo_cpg.control.matsuoka import CpgSettings
-from evo_cpg.creature.creature import Muscle
+from evo_cpg.creature.creature import Muscle, TorqueMotor
 from evo_cpg.creature.muscles import muscles_of
+from evo_cpg.creature.torque_motors import torque_motors_of
 
 
 def observe(rng, dofs, batch=(), lights=1, pressures=10, gauges=0):
@@ -142,6 +143,19 @@ def test_neurons_activate_the_muscles_of_their_side(chain):
         .activation
         is None
     )
+
+
+def test_neurons_command_torque_motors_like_rigid_muscles(chain):
+    """Torque gear (ML - MR). Torque motors have no target rate."""
+    motors = torque_motors_of([TorqueMotor(8.0), None])
+    tree = dataclasses.replace(chain(3, "z"), torque_motors=motors)
+    grown = build_brain_cpg(tree, 1, 3, BrainCpgSettings(cpg=CpgSettings(max_tonic_input=2.0)))
+    state = grown.initial_state((), float)
+    state = eqx.tree_at(lambda s: s.potential, state, jnp.array([[1.5, 3.0], [0.5, 0.5]]))
+    command = grown.command(state, observe(np.random.default_rng(0), 2))
+    np.testing.assert_allclose(command.torque, [8.0 * (0.75 - 0.25), 0.0])
+    assert command.activation is None
+    assert command.target_rate[0] == 0 and command.target_rate[1] != 0
 
 
 def test_command_is_limited_to_the_largest_rate(chain):

@@ -18,8 +18,9 @@ from evo_cpg.control.postures import (
     PostureSettings,
     build_posture_controller,
 )
-from evo_cpg.creature.creature import Muscle
+from evo_cpg.creature.creature import Muscle, TorqueMotor
 from evo_cpg.creature.muscles import muscles_of
+from evo_cpg.creature.torque_motors import torque_motors_of
 
 ANGLES = [110, 130, 150, 170, 190, 210, 230, 250]  # degrees: Fukui 2003, 2.5
 LEGS = ("front_left", "front_right", "hind_left", "hind_right")
@@ -296,6 +297,13 @@ def test_too_short_and_too_long_periods_are_refused(pendulum, period):
 def test_settings_out_of_range_are_refused(changes, words):
     with pytest.raises(ValueError, match=words):
         PostureSettings(**changes)
+
+
+def test_torque_motors_are_refused(chain):
+    motors = torque_motors_of([TorqueMotor(), None])
+    tree = dataclasses.replace(chain(3, "z"), torque_motors=motors)
+    with pytest.raises(ValueError, match=r"the motor of joint b1\.z takes torques"):
+        build_posture_controller(tree, PostureSettings(), 1 / 60)
 
 
 def test_muscles_are_refused(chain):

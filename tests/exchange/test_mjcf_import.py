@@ -13,7 +13,7 @@ from creatures import STRUCTURES, quick_jit, random_creature
 from evo_cpg.config.build import build_creature
 from evo_cpg.config.load import dump_creature, load_config
 from evo_cpg.config.schema.creature import CreatureConfig
-from evo_cpg.creature.creature import Actuator, Creature
+from evo_cpg.creature.creature import Actuator, Creature, TorqueMotor
 from evo_cpg.creature.shapes import Capsule
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
@@ -119,7 +119,8 @@ def assert_same(found: Creature, expected: Creature) -> None:
 @pytest.mark.parametrize("number", range(len(STRUCTURES)))
 def test_export_and_import_preserve_a_creature(read, number):
     rng = np.random.default_rng(number)
-    motor = (None, Actuator(2.0, 3.0, stiffness=5.0), Actuator(0.5))[number % 3]
+    servos = Actuator(2.0, 3.0, stiffness=5.0), Actuator(0.5)
+    motor = (None, *servos, TorqueMotor(-2.0, 0.5), TorqueMotor(3.0))[number % 5]
     creature = random_creature(rng, STRUCTURES[number], 1.2, motor, axes_seed=number)
     painted = dataclasses.replace(creature.bodies[1], color="#12ab9f")
     creature = dataclasses.replace(
@@ -320,10 +321,6 @@ def two(first: str = "", second: str = "") -> str:
             "body 'limb': its gravcomp is not the buoyancy of a fluid around all bodies. Allowed",
         ),
         (
-            model(actuators=MOTOR),
-            "actuator 'm': it is a torque motor, and our motors are servos. Allowed: position",
-        ),
-        (
             model(actuators='<position name="m" joint="h" kp="1"/>'),
             "actuator 'm': it has no damping. Allowed: a kv of more than 0",
         ),
@@ -474,7 +471,20 @@ def test_elements_without_numbers_are_refused(read, tmp_path, monkeypatch, text,
     assert str(refusal.value).startswith(f"{tmp_path / 'model.xml'}: {expected}")
 
 
-def test_a_torque_motor_without_limits_is_refused(read):
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ('gear="4" ctrlrange="-0.5 0.5"', TorqueMotor(4.0, 2.0)),
+        ('gear="-4" forcerange="-0.5 0.5"', TorqueMotor(-4.0, 2.0)),
+        ('gear="4"', TorqueMotor(4.0)),
+    ],
+)
+def test_a_torque_motor_stays_one(read, given, expected):
+    found = read(model(actuators=f'<motor joint="h" {given}/>')).creature.build()
+    assert found.bodies[1].joint and found.bodies[1].joint.actuator == expected
+
+
+def test_a_servo_for_a_torque_motor_without_limits_is_refused(read):
     words = r"'m': it has no limits\. Allowed: ctrlrange or forcer"
     unlimited = model(actuators=MOTOR.replace('ctrlrange="-1 1"', ""))
     with pytest.raises(ExchangeError, match=words):

@@ -290,6 +290,7 @@ def test_energy_balance_of_a_swimming_chain_closes():
                 target_rate=np.zeros((2, count)),
                 target_angle=np.zeros((2, count)),
                 activation=active,
+                commanded_torque=np.zeros((2, count)),
                 torque=torque,
                 contact_force=np.zeros((3, 0, count)),
                 pair_force=none,

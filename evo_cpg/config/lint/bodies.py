@@ -7,9 +7,9 @@ import numpy as np
 
 from evo_cpg.config.errors import Key
 from evo_cpg.config.lint.rule import Case, LintWarning, rule
-from evo_cpg.config.schema.joint import MuscleConfig
+from evo_cpg.config.schema.joint import MuscleConfig, TorqueMotorConfig
 from evo_cpg.config.schema.typical import ROUNDING, TURN
-from evo_cpg.creature.creature import Body, Muscle
+from evo_cpg.creature.creature import Body, Muscle, TorqueMotor
 from evo_cpg.creature.shapes import Capsule, Shape
 from evo_cpg.spatial.numerics import Triple
 
@@ -158,8 +158,9 @@ def no_rate(case: Case) -> Iterator[LintWarning]:
     """Warn of a `rate_gain` of 0, with which the controller moves no joint."""
     # Pyright cannot follow a class that is created at import.
     given: Any = case.config.controller
-    muscles = any(isinstance(joint.given.actuator, MuscleConfig) for joint in case.joints())
-    if given.type == "brain_cpg" and given.rate_gain == 0 and not muscles:
+    rateless = MuscleConfig, TorqueMotorConfig
+    driven = any(isinstance(joint.given.actuator, rateless) for joint in case.joints())
+    if given.type == "brain_cpg" and given.rate_gain == 0 and not driven:
         yield case.warning(
             ("controller", "rate_gain"),
             "the rhythm sets a rate of 0 for every joint, so the animal stays in its neutral pose. "
@@ -178,13 +179,17 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
         if motor is None:
             continue
         built = motor.build()
-        muscles = isinstance(built, Muscle)
-        limit = built.strength if muscles else built.torque_limit
+        if isinstance(built, Muscle):
+            limit, word = built.strength, "area"
+        elif isinstance(built, TorqueMotor):
+            limit, word = min(abs(built.gear), built.torque_limit), "gear"
+        else:
+            limit, word = built.torque_limit, "torque_limit"
         # Inertia of a rod that turns about its end. Other bodies and water only increase it.
         mass = float(body.mass)
         inertia = mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
         turn = float(np.rad2deg(limit / inertia * time**2 / 2))
-        found.append((turn, (*joint.key, "actuator", "area" if muscles else "torque_limit")))
+        found.append((turn, (*joint.key, "actuator", word)))
     if not found or max(found)[0] >= _LEAST_TURN:
         return
     turn, key = max(found)

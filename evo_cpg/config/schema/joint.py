@@ -10,7 +10,7 @@ from evo_cpg.config.schema.copies import MirrorAxis
 from evo_cpg.config.schema.frames import moved, opposed, reflected, unit
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
 from evo_cpg.config.schema.typical import Direction
-from evo_cpg.creature.creature import Actuator, Joint, Muscle
+from evo_cpg.creature.creature import Actuator, Joint, Muscle, TorqueMotor
 from evo_cpg.spatial.numerics import as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
@@ -52,6 +52,33 @@ class ActuatorConfig(Section):
         return Actuator(self.gain, limit, self.stiffness)
 
 
+class TorqueMotorConfig(Section):
+    """A motor on each axis whose torque the controller commands.
+
+    Attributes:
+        type: torque.
+        gear: torque per unit of a controller's output, N m; negative to reverse it. The controller
+            ``brain_cpg`` commands ``gear (ML - MR)``, with ML and MR of muscles. Controllers that
+            command torques ignore it.
+        torque_limit: largest torque, N m, unlimited if left out.
+    """
+
+    type: Literal["torque"]
+    gear: Finite = 1.0
+    torque_limit: Positive | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "TorqueMotorConfig":
+        if self.gear == 0:
+            raise ValueError("gear: must not be 0")
+        return self
+
+    def build(self) -> TorqueMotor:
+        """Build the motor."""
+        limit = float("inf") if self.torque_limit is None else self.torque_limit
+        return TorqueMotor(self.gear, limit)
+
+
 class MuscleConfig(Section):
     """Two antagonistic muscles about each axis, after Ekeberg and Hill.
 
@@ -88,7 +115,9 @@ class MuscleConfig(Section):
 
 
 _MotorConfig = Annotated[
-    Annotated[ActuatorConfig, Tag("servo")] | Annotated[MuscleConfig, Tag("muscle")],
+    Annotated[ActuatorConfig, Tag("servo")]
+    | Annotated[TorqueMotorConfig, Tag("torque")]
+    | Annotated[MuscleConfig, Tag("muscle")],
     by_type("servo"),
 ]
 
