@@ -152,10 +152,11 @@ def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
     velocity = body_velocity(kin)
     momentum = matvec(expand_dims_like(tree.inertia, velocity, velocity.ndim + 1), velocity)
     armature, stiffness = (expand_dims_like(x, state.q) for x in (tree.armature, tree.stiffness))
+    stretch = state.q if tree.rest is None else state.q - expand_dims_like(tree.rest, state.q)
     return (
         0.5 * (velocity * momentum).sum((0, 1))
         + tree.mass.sum() * snapshot.world.gravity * snapshot.centre_of_mass[2]
-        + 0.5 * (armature * state.qd**2 + stiffness * state.q**2).sum(0)
+        + 0.5 * (armature * state.qd**2 + stiffness * stretch**2).sum(0)
     )
 
 

@@ -6,7 +6,7 @@ body has a frame at its geometric centre. In the neutral pose z is up and the an
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -143,14 +143,23 @@ class Muscle:
         return self.area * self.stress * self.max_speed * self.fibre_length
 
 
+# A motor or muscles about an axis.
+Motor = Actuator | TorqueMotor | Muscle
+
+# Angle that stands for no limit of a joint, rad. It is finite, because derivatives by the numbers
+# of a body multiply it.
+NO_LIMIT = 1e6
+
+
 class DegreeOfFreedom(NamedTuple):
     """One degree of freedom of a joint: a rotation about an axis through the joint's position.
 
     Attributes:
         axis: unit vector in the child's neutral frame.
-        lower: lower limit, rad.
-        upper: upper limit, rad.
+        lower: lower limit, rad, or ``-NO_LIMIT``.
+        upper: upper limit, rad, or ``NO_LIMIT``.
         stiffness: stiffness of the passive spring, N m/rad.
+        rest: angle at which that spring is relaxed, rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
         servo_gain: torque of the motor per rate error, N m s/rad, 0 without a motor.
@@ -164,6 +173,7 @@ class DegreeOfFreedom(NamedTuple):
     lower: Number
     upper: Number
     stiffness: Number
+    rest: Number
     damping: Number
     armature: Number
     servo_gain: Number
@@ -185,13 +195,15 @@ class Joint:
         parent_anchor: position of the joint in the parent's frame, m.
         child_anchor: position of the joint in the child's frame, m.
         axes: unit vectors in the child's neutral frame, in order.
-        lower: lower limit of each axis, rad.
-        upper: upper limit of each axis, rad.
+        lower: lower limit of each axis, rad, or ``-NO_LIMIT``.
+        upper: upper limit of each axis, rad, or ``NO_LIMIT``.
         orientation: rotation from child frame to parent frame in the neutral pose, ``(3, 3)``.
-        stiffness: stiffness of the passive spring towards the neutral pose, N m/rad.
+        stiffness: stiffness of the passive spring, N m/rad. Like the values below, it is one for
+            all axes, or a tuple with one for each.
         damping: passive damping, N m s/rad.
-        armature: rotor inertia of each axis, kg m^2.
-        actuator: servo, torque motor or muscles on each axis, or None for a passive joint.
+        armature: rotor inertia, kg m^2.
+        actuator: servo, torque motor or muscles, or None for a passive axis.
+        rest: angle at which the passive spring is relaxed, rad.
     """
 
     parent: str
@@ -205,27 +217,48 @@ class Joint:
         (0.0, 1.0, 0.0),
         (0.0, 0.0, 1.0),
     )
-    stiffness: Number = 0.0
-    damping: Number = 0.0
-    armature: Number = 0.0
-    actuator: Actuator | TorqueMotor | Muscle | None = None
+    stiffness: Number | tuple[Number, ...] = 0.0
+    damping: Number | tuple[Number, ...] = 0.0
+    armature: Number | tuple[Number, ...] = 0.0
+    actuator: Motor | tuple[Motor | None, ...] | None = None
+    rest: Number | tuple[Number, ...] = 0.0
 
     @property
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
         """Degrees of freedom, in the order in which they turn."""
-        motor = self.actuator
-        muscle = motor if isinstance(motor, Muscle) else None
-        torque_motor = motor if isinstance(motor, TorqueMotor) else None
-        driven: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
-        if muscle is not None:
-            driven = 0.0, 0.0, float("inf")
-        elif torque_motor is not None:
-            driven = 0.0, 0.0, torque_motor.torque_limit
-        elif isinstance(motor, Actuator):
-            driven = motor.gain, motor.stiffness, motor.torque_limit
-        same = (self.stiffness, self.damping, self.armature, *driven, torque_motor, muscle)
-        limits = zip(self.axes, self.lower, self.upper, strict=True)
-        return tuple(DegreeOfFreedom(axis, low, high, *same) for axis, low, high in limits)
+        columns = (
+            self.lower,
+            self.upper,
+            *(self._each(x) for x in (self.stiffness, self.rest, self.damping, self.armature)),
+            self.motors,
+        )
+        return tuple(
+            DegreeOfFreedom._make((*passive, *_driven(motor)))
+            for *passive, motor in zip(self.axes, *columns, strict=True)
+        )
+
+    @property
+    def motors(self) -> tuple[Motor | None, ...]:
+        """Motor or muscles about each axis."""
+        return self._each(self.actuator)
+
+    def _each(self, value: Any) -> tuple[Any, ...]:
+        """Return the value of each axis."""
+        return value if isinstance(value, tuple) else (value,) * len(self.axes)
+
+
+def _driven(
+    motor: Motor | None,
+) -> tuple[Number, Number, Number, TorqueMotor | None, Muscle | None]:
+    """Return the fields of `DegreeOfFreedom` about a motor."""
+    match motor:
+        case Muscle():
+            return 0.0, 0.0, float("inf"), None, motor
+        case TorqueMotor():
+            return 0.0, 0.0, motor.torque_limit, motor, None
+        case Actuator():
+            return motor.gain, motor.stiffness, motor.torque_limit, None, None
+    return 0.0, 0.0, 0.0, None, None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,8 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from evo_cpg.creature.creature import NO_LIMIT
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.decisions import Condition
+from evo_cpg.spatial.decisions import Condition, chosen
 from evo_cpg.spatial.numerics import Numbers, xp
 
 # Widening of joint limits (rad), because loads push joints beyond their soft limits.
@@ -68,13 +69,22 @@ def _swept(tree: Tree, chain: list[int], box: Interval, most: int) -> Interval:
     for body in chain:
         dofs = [i for i, owner in enumerate(tree.dof_bodies) if owner == body]
         for i in reversed(dofs):
-            edges = xp.linspace(tree.lower[i] - _GIVE, tree.upper[i] + _GIVE, pieces + 1)
+            ends = tree.lower[i] - _GIVE, tree.upper[i] + _GIVE
+            # An axis without limits turns all the way round.
+            free = functools.partial(_is_free, tree, i)
+            whole = chosen(lambda free=free: bool(free()), lambda made, free=free: free() == made)
+            edges = xp.linspace(*((-np.pi, np.pi) if whole else ends), pieces + 1)
             low, high = _times(_turns(tree.joint_axes[:, i], edges), (low, high))
         fixed = tree.joint_orientation[:, :, body]
         low, high = _times((fixed[..., None], fixed[..., None]), (low, high))
         offset = tree.joint_offset[:, body, None]
         low, high = low + offset, high + offset
     return low, high
+
+
+def _is_free(tree: Tree, axis: int) -> Condition:
+    """Return whether an axis has no limits."""
+    return tree.upper[axis] >= NO_LIMIT
 
 
 def _turns(axis: Numbers, edges: Numbers) -> Interval:

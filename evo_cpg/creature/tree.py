@@ -72,10 +72,11 @@ class Tree(eqx.Module):
         com: centre of mass (and of volume) in the working frame, m.
         inertia: spatial inertia in the working frame, kg m^2, kg m and kg.
         stiffness: stiffness of the passive springs, N m/rad.
+        rest: angles at which these springs are relaxed, rad, or None if all are 0.
         damping: passive damping, N m s/rad.
         armature: rotor inertia of each axis, kg m^2.
-        lower: lower joint limit, rad.
-        upper: upper joint limit, rad.
+        lower: lower joint limit, rad, or ``-NO_LIMIT`` (`evo_cpg.creature.creature`).
+        upper: upper joint limit, rad, or ``NO_LIMIT``.
         servo_gain: torque of the motors per rate error, N m s/rad, 0 for a passive axis.
         servo_stiffness: stiffness of the motors' springs, N m/rad.
         torque_limit: largest torque of the motors, N m.
@@ -98,6 +99,7 @@ class Tree(eqx.Module):
     com: Float[Numbers, "3 b"]
     inertia: Float[Numbers, "6 6 b"]
     stiffness: Float[Numbers, " d"]
+    rest: Float[Numbers, " d"] | None
     damping: Float[Numbers, " d"]
     armature: Float[Numbers, " d"]
     lower: Float[Numbers, " d"]
@@ -168,6 +170,8 @@ def build_tree(creature: Creature) -> Tree:
     def each(name: str) -> Float[Numbers, "d *rest"]:
         return xp.array([getattr(dof, name) for dof in dofs], float)
 
+    rest = each("rest")
+    sprung = chosen(lambda: bool((rest != 0).any()), lambda made: made | ~(rest != 0).any())
     gain, spring = each("servo_gain"), each("servo_stiffness")
     muscles = muscles_of([dof.muscle for dof in dofs])
     torque_motors, torque_limit = (
@@ -196,6 +200,7 @@ def build_tree(creature: Creature) -> Tree:
         com=com.T,
         inertia=inertia,
         stiffness=each("stiffness"),
+        rest=rest if sprung else None,
         damping=each("damping"),
         armature=each("armature"),
         lower=each("lower"),

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pydantic
 
+from evo_cpg.config.allowed import key_of
 from evo_cpg.config.schema.section import Section
 from evo_cpg.exchange.refusals import ExchangeError, Refusal, Refusals, RefusedError
 from evo_cpg.installation import command_for
@@ -137,7 +138,7 @@ def make_section(
     said = problem["msg"].removeprefix("Value error, ")
     if problem["type"] != "value_error":
         said = f"{problem['input']}: {said[:1].lower()}{said[1:]}"
-    key = ".".join(map(str, problem["loc"]))
+    key = ".".join(map(str, key_of(problem, values)))
     raise RefusedError(Refusal(what, f"{key}: {said}" if key else said, line))
 
 

@@ -106,9 +106,9 @@ def mjcf_model(
         SubElement(contact, "pair", geom1=first, geom2=second, condim="1")
     actuator = SubElement(root, "actuator")
     for body in creature.bodies:
-        motor = body.joint and body.joint.actuator
-        if motor:
-            for name in joint_names(body):
+        motors = body.joint.motors if body.joint else ()
+        for name, motor in zip(joint_names(body), motors, strict=True):
+            if motor:
                 add_motor(actuator, name, motor)
     if orientation is not None and angles is not None:
         hinges = [name for i in order for name in joint_names(creature.bodies[i])]

@@ -81,7 +81,7 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
     bodies = [i for i in range(root, model.nbody) if model.body_rootid[i] == root]
     placed, made_of = _read_shapes(compiled, bodies)
     for body in bodies[1:]:
-        check_joints(compiled, body, motors)
+        check_joints(compiled, body)
     fluid = 0.0
     if len(placed) == len(bodies):
         with compiled.refusals.collecting():

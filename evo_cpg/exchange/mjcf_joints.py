@@ -3,22 +3,22 @@
 | here | in MJCF |
 |---|---|
 | each axis of a joint | a ``hinge`` at the body's origin, named `body.1`, `body.2`, ... |
-| limits of each axis | ``range`` |
-| stiffness, damping, armature of the joint | the same attribute of every hinge |
+| limits of an axis | ``range``, or none |
+| stiffness, damping, armature of an axis | the same attribute of its hinge |
+| angle of the relaxed spring | ``springref`` |
 | passive stiffness and damping of muscles | added to those of every hinge |
 
-A hinge without a ``range`` is refused, and so are hinges of one body that differ in more than axis
-and range.
+Hinges of one body at different places are refused.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from evo_cpg.config.schema.joint import JointConfig
-from evo_cpg.creature.creature import Body, Joint
+from evo_cpg.creature.creature import NO_LIMIT, Body, Joint
 from evo_cpg.exchange.compiled import (
     TOLERANCE,
     Compiled,
@@ -43,13 +43,16 @@ def add_hinges(element: Element, body: Body, joint: Joint) -> None:
     for name, dof in zip(joint_names(body), joint.dofs, strict=True):
         direction = place_text(np.array(dof.axis))
         hinge = SubElement(element, "joint", name=name, type="hinge", axis=direction)
-        hinge.set("limited", "true")
-        hinge.set("range", number_text(dof.lower, dof.upper))
+        limited = dof.upper < NO_LIMIT
+        hinge.set("limited", "true" if limited else "false")
+        if limited:
+            hinge.set("range", number_text(dof.lower, dof.upper))
         muscle = dof.muscle
         values = {
             "stiffness": dof.stiffness + (muscle.rest_stiffness if muscle else 0.0),
             "damping": dof.damping + (muscle.damping if muscle else 0.0),
             "armature": dof.armature,
+            "springref": dof.rest,
         }
         for key, value in values.items():
             if value:
@@ -62,7 +65,7 @@ def joints_of(model: Any, body: int) -> list[int]:
     return list(range(first, first + int(model.body_jntnum[body])))
 
 
-def check_joints(compiled: Compiled, body: int, motors: Mapping[int, Driver | None]) -> None:
+def check_joints(compiled: Compiled, body: int) -> None:
     """Refuse joints of a body that cannot be one joint of a creature."""
     model = compiled.model
     joints = joints_of(model, body)
@@ -71,25 +74,11 @@ def check_joints(compiled: Compiled, body: int, motors: Mapping[int, Driver | No
         compiled.item("body", body).refuse(problem, "one to three hinges")
     if not all(_is_plain_hinge(compiled, joint) for joint in joints):
         return
-    alike = {
-        "stiffness": model.jnt_stiffness,
-        "damping": model.dof_damping[model.jnt_dofadr],
-        "armature": model.dof_armature[model.jnt_dofadr],
-    }
-    # None marks a refused actuator.
-    unread = [joint for joint in joints if motors.get(joint, ...) is None]
     for joint in joints[1:]:
-        first, unlike = joints[0], []
-        if not unread and motors.get(joint) != motors.get(first):
-            unlike.append("actuator")
-        for word, values in alike.items():
-            if not np.allclose(values[joint], values[first], rtol=TOLERANCE, atol=0):
-                unlike.append(word)
+        first = joints[0]
         if np.abs(model.jnt_pos[joint] - model.jnt_pos[first]).max() > TOLERANCE:
-            unlike.append("pos")
-        for word in unlike:
-            problem = f"its {word} differs from {compiled.item('joint', first)}"
-            allowed = f"the same {word} for all hinges of a body"
+            problem = f"its pos differs from {compiled.item('joint', first)}"
+            allowed = "the same pos for all hinges of a body"
             compiled.item("joint", joint).refuse(problem, allowed)
 
 
@@ -102,11 +91,6 @@ def _is_plain_hinge(compiled: Compiled, joint: int) -> bool:
         allowed = "one to three hinges at one place, which turn one after the other"
         item.refuse(f"it is a {word} joint", allowed)
         return False
-    if not model.jnt_limited[joint]:
-        item.refuse("it has no limits", "limits in the attribute range")
-    address = model.jnt_qposadr[joint]
-    if model.jnt_stiffness[joint] and model.qpos_spring[address] != model.qpos0[address]:
-        item.refuse("its springref differs from its ref", "a spring to the neutral pose")
     return True
 
 
@@ -130,12 +114,16 @@ def read_joint(
     own, parent = placed[body], placed[above]
     model = compiled.model
     joints = joints_of(model, body)
-    first, limits = joints[0], []
+    first, limits, rest = joints[0], [], []
     for joint in joints:
         # MuJoCo counts angles from the file's reference, and we count from the neutral pose.
         neutral = model.qpos0[model.jnt_qposadr[joint]]
-        limits.append(tidy_vector(np.rad2deg(model.jnt_range[joint] - neutral)))
-    place, dof = np.array(model.jnt_pos[first]), int(model.jnt_dofadr[first])
+        limit = tidy_vector(np.rad2deg(model.jnt_range[joint] - neutral))
+        limits.append(limit if model.jnt_limited[joint] else None)
+        spring = model.qpos_spring[model.jnt_qposadr[joint]] - neutral
+        rest.append(tidy(np.rad2deg(spring)) if model.jnt_stiffness[joint] else 0.0)
+    dofs = model.jnt_dofadr[joints]
+    place = np.array(model.jnt_pos[first])
     turn = rotation(compiled, model.body_quat[body])
     at = np.array(model.body_pos[body]) + turn @ place
     euler = np.rad2deg(matrix_to_euler(parent.turn.T @ turn @ own.turn))
@@ -144,15 +132,23 @@ def read_joint(
         "at": tidy_vector(parent.turn.T @ (at - parent.centre)),
         "child_at": tidy_vector(own.turn.T @ (place - own.centre)),
         "axes": [_axis(own.turn.T @ model.jnt_axis[joint]) for joint in joints],
-        "limits_deg": limits[0] if len(set(limits)) == 1 else limits,
+        # A section that is built from None would have its default.
+        "limits_deg": _one_or_each(limits) or limits,
         "rotation_deg": tidy_vector(euler),
-        "stiffness": tidy(model.jnt_stiffness[first]),
-        "damping": tidy(model.dof_damping[dof]),
-        "armature": tidy(model.dof_armature[dof]),
-        "actuator": motors.get(first),
+        "stiffness": _one_or_each(map(tidy, model.jnt_stiffness[joints])),
+        "rest_deg": _one_or_each(rest),
+        "damping": _one_or_each(map(tidy, model.dof_damping[dofs])),
+        "armature": _one_or_each(map(tidy, model.dof_armature[dofs])),
+        "actuator": _one_or_each(map(motors.get, joints)),
     }
     item = compiled.item("body", body)
     return item.section(JointConfig, values, f"joint of {item}")
+
+
+def _one_or_each(values: Iterable[Any]) -> Any:
+    """Return the value that all axes have in common, or a list."""
+    every = list(values)
+    return every[0] if all(value == every[0] for value in every) else every
 
 
 def _axis(direction: np.ndarray) -> str | tuple[float, ...]:

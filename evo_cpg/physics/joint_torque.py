@@ -3,7 +3,7 @@
 Each law gives its torque at the present rates and its derivative. The implicit step uses
 ``tau_end = tau - T qdd`` with the diagonal T below.
 
-- Passive: ``-k (q + h qd) - c qd``, T = h (c + h k).
+- Passive: ``-k (q + h qd - rest) - c qd``, T = h (c + h k).
 - Limit: a one-sided spring and damper, ``-K max(0, qd_end - v*)`` with ``K = c + h k``. The rate v*
   brings the joint just to its limit at the end of the step. If the joint is past its limit, v* is
   the return rate of the spring. The limit never slows a returning joint. A step of one solve (no
@@ -78,6 +78,8 @@ def passive_torque(
     """Return the torque (N m) and T (kg m^2) of springs and dampers over a step of h (s)."""
     stiffness, damping = (expand_dims_like(x, state.q) for x in (tree.stiffness, tree.damping))
     torque = -stiffness * (state.q + h * state.qd) - damping * state.qd
+    if tree.rest is not None:
+        torque = torque + stiffness * expand_dims_like(tree.rest, state.q)
     return torque, h * (damping + h * stiffness)
 
 

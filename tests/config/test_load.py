@@ -171,6 +171,26 @@ def test_shipped_configs_are_read_back_unchanged(path, tmp_path):
             "'fibre_length'?",
         ),
         (
+            "creature__bodies__1__joint__stiffness",
+            [1.0, 2.0, 3.0, 4.0],
+            "creature.bodies.1.joint: stiffness gives 4 values for 1 axes. Give one value for all",
+        ),
+        (
+            "creature__bodies__1__joint__damping",
+            [-1.0],
+            "creature.bodies.1.joint.damping.0: -1.0: must be greater than or equal to 0",
+        ),
+        (
+            "creature__bodies__1__joint__actuator",
+            [{"gian": 2}],
+            "creature.bodies.1.joint.actuator.0.gian: unknown key: did you mean 'gain'?",
+        ),
+        (
+            "creature__bodies__1__joint__actuator",
+            {"type": "torque", "gear": 0},
+            "creature.bodies.1.joint.actuator: gear: must not be 0",
+        ),
+        (
             "creature__bodies__1__joint__actuator",
             {"type": "musle"},
             "creature.bodies.1.joint.actuator.type: 'musle' is not known",

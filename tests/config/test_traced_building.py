@@ -107,6 +107,23 @@ def test_numbers_of_torque_motors():
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.slow
+def test_numbers_of_single_axes():
+    joint = "creature.bodies.1.joint"
+    given = {
+        "axes": "[y, z]",
+        "limits_deg": "[null, [-50, 40]]",
+        "stiffness": "[1, 2]",
+        "rest_deg": "[20, -10]",
+        "armature": "[0, 0.01]",
+        "actuator": "[{type: torque, gear: 2}, {gain: 3}]",
+    }
+    config = load_config(CONFIG, [*TINY, *(f"{joint}.{name}={x}" for name, x in given.items())])
+    keys = "limits_deg.1.0", "stiffness.1", "rest_deg.0", "armature.1", "actuator.1.gain"
+    check_elements(config, [f"{joint}.{key}" for key in (*keys, "actuator.0.gear")])
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.slow
 def test_numbers_of_muscles():
     motor = "creature.bodies.1.joint.actuator"
     muscle = f"{motor}={{type: muscle, area: 2e-4, arm: 0.02, fibre_length: 0.05}}"

@@ -11,6 +11,7 @@ import pytest
 
 from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import (
+    NO_LIMIT,
     Actuator,
     Body,
     Creature,
@@ -30,6 +31,7 @@ from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.joint_torque import MotorCommand, clamp_torque, motor_torque, passive_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
+from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 
 GRAVITY = 9.81
@@ -112,6 +114,67 @@ def test_accelerations_equal_mujocos(compiled, number, kind):
         assert np.abs(expected - theirs).max() < 1e-9 * np.abs(theirs).max()
         strained += int((np.abs(motor) == MOTORS[kind].torque_limit).sum())
     assert strained > 0
+
+
+def unlike_axes(number: int) -> Creature:
+    """Return a random creature whose axes have values and motors of their own."""
+    creature, rng = animal(number), np.random.default_rng(number)
+    choice = [TorqueMotor(2.0, 1.0), Actuator(2.0, 3.0), Actuator(1.0, stiffness=4.0), None]
+    bodies = []
+    for body in creature.bodies:
+        joint = body.joint
+        if joint is not None:
+            count = len(joint.axes)
+            free = rng.random(count) < 0.5
+            values = {
+                name: tuple(rng.uniform(0, 2, count))
+                for name in ("stiffness", "damping", "armature", "rest")
+            }
+            joint = dataclasses.replace(
+                joint,
+                **values,
+                lower=tuple(np.where(free, -NO_LIMIT, -3.0)),
+                upper=tuple(np.where(free, NO_LIMIT, 3.0)),
+                actuator=tuple(choice[i] for i in rng.integers(4, size=count)),
+            )
+        bodies.append(dataclasses.replace(body, joint=joint))
+    return dataclasses.replace(creature, bodies=tuple(bodies))
+
+
+@pytest.mark.parametrize("number", [1, 3])
+def test_axes_with_values_of_their_own_accelerate_as_in_mujoco(compiled, number):
+    """Springs with rest angles, dampers, rotors and motors, each of one axis: 1e-9."""
+    creature = unlike_axes(number)
+    world = World(build_tree(creature), GRAVITY)
+    tree, model = world.tree, compiled(creature, GRAVITY)
+    data, order = mujoco.MjData(model), dof_order(model, tree)
+    rng = np.random.default_rng(number)
+
+    @quick_jit
+    def ours(state, command):
+        kin = kinematics(tree, state)
+        inertia, bias = body_equations(world, kin, 0.0)
+        passive, derivative = passive_torque(tree, state, 0.0)
+        motor = clamp_torque(tree, motor_torque(tree, state, command, 0.0).start)
+        rotor = derivative + expand_dims_like(tree.armature, motor)
+        return jnp.concatenate(solve(tree, kin, inertia, bias, passive + motor, rotor))
+
+    assert tree.torque_motors is not None
+    springs, gear = tree.servo_stiffness > 0, tree.torque_motors.gear
+    of_torque = np.array(tree.torque_motors.driven)
+    assert of_torque.any() and springs.any() and (tree.upper == NO_LIMIT).any()
+    for _ in range(STATES):
+        state = random_state(tree, rng)
+        target = rng.normal(size=tree.dof_count)
+        rate = np.where(springs, 0.0, target)
+        expected = ours(state, MotorCommand(rate, target, torque=target))
+        rotation = load_state(model, data, tree, state)
+        control = np.where(of_torque, target / np.where(of_torque, gear, 1.0), target)
+        data.ctrl = control[motor_order(model, tree)]
+        mujoco.mj_forward(model, data)
+        theirs = [rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[6 + order]]
+        theirs = np.concatenate(theirs)
+        assert np.abs(expected - theirs).max() < 1e-9 * np.abs(theirs).max()
 
 
 def test_joint_limits_are_exported(compiled):

@@ -10,7 +10,7 @@ from jaxtyping import Array
 
 from creatures import STRUCTURES, box_chain, in_water, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import mechanical_energy
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from evo_cpg.creature.creature import NO_LIMIT, Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import LIMIT_FREQUENCY, build_tree
 from evo_cpg.physics.joint_torque import MotorCommand
@@ -150,6 +150,30 @@ def test_spring_is_the_implicit_euler_oscillator(damping):
         expected.append(np.linalg.solve(np.eye(2) - H * rate, expected[-1]))
     ours = np.concatenate([states.q, states.qd], 1)
     np.testing.assert_allclose(ours, expected[1:], atol=1e-11 * np.abs(expected).max())
+
+
+def test_a_spring_rests_at_its_angle_and_an_axis_without_limits_turns_on():
+    """A damped spring comes to rest at its angle, and a rotor beside it keeps its rate."""
+    two = box_chain(3, "z")
+    first, second = two.bodies[1].joint, two.bodies[2].joint
+    assert first is not None and second is not None
+    sprung = dataclasses.replace(first, stiffness=4.0, damping=1.0, rest=0.4)
+    free = {"lower": (-NO_LIMIT,), "upper": (NO_LIMIT,), "child_anchor": (0.0, 0.0, 0.0)}
+    spun = dataclasses.replace(second, **free)
+    bodies = [dataclasses.replace(two.bodies[1], joint=sprung)]
+    with jax.enable_x64(True):
+        world = World(build_tree(dataclasses.replace(two, bodies=(two.bodies[0], *bodies))), 0.0)
+        states, _ = record(world, resting_state(world.tree, (), float), jnp.zeros((2400, 1)))
+        assert states.q[-1, 0] == pytest.approx(0.4, abs=1e-6)
+        still = Snapshot(world, H, jax.tree.map(lambda x: x[-1], states))
+        assert float(mechanical_energy(still)) < 1e-9
+        bodies = [dataclasses.replace(two.bodies[1], joint=dataclasses.replace(spun, parent="b0"))]
+        world = World(build_tree(dataclasses.replace(two, bodies=(two.bodies[0], *bodies))), 0.0)
+        start = dataclasses.replace(
+            resting_state(world.tree, (), float), qd=jnp.array([20.0]), velocity=jnp.zeros(6)
+        )
+        states, _ = record(world, start, jnp.zeros((120, 1)))
+        assert states.q[-1, 0] > 15.0
 
 
 def test_spring_frequency_equals_the_closed_form():

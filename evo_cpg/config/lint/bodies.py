@@ -96,7 +96,7 @@ def masses(case: Case) -> Iterator[LintWarning]:
 def joint_limits(case: Case) -> Iterator[LintWarning]:
     """Warn of limits below 3.2 degrees, beyond a full turn, or that exclude the neutral pose."""
     for joint in case.joints():
-        for lower, upper in joint.given.limits:
+        for lower, upper in filter(None, joint.given.limits):
             widest = max(abs(lower), abs(upper))
             if widest <= np.pi + ROUNDING:
                 problem = (
@@ -145,7 +145,7 @@ def postures(case: Case) -> Iterator[LintWarning]:
 def no_motor(case: Case) -> Iterator[LintWarning]:
     """Warn if no joint has a motor."""
     joints = list(case.joints())
-    if joints and all(joint.given.actuator is None for joint in joints):
+    if joints and all(motor is None for joint in joints for motor in joint.given.motors):
         yield case.warning(
             (*joints[0].key, "actuator"),
             "no joint has a motor, so the controller moves nothing. Give joints a motor, such as "
@@ -159,7 +159,7 @@ def no_rate(case: Case) -> Iterator[LintWarning]:
     # Pyright cannot follow a class that is created at import.
     given: Any = case.config.controller
     rateless = MuscleConfig, TorqueMotorConfig
-    driven = any(isinstance(joint.given.actuator, rateless) for joint in case.joints())
+    driven = any(isinstance(x, rateless) for joint in case.joints() for x in joint.given.motors)
     if given.type == "brain_cpg" and given.rate_gain == 0 and not driven:
         yield case.warning(
             ("controller", "rate_gain"),
@@ -174,10 +174,9 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
     simulation = case.config.simulation
     time = simulation.steps / simulation.control_rate_hz
     found = []
-    for joint in case.joints():
-        motor, body = joint.given.actuator, joint.body
-        if motor is None:
-            continue
+    pairs = [(joint, x) for joint in case.joints() for x in joint.given.motors if x is not None]
+    for joint, motor in pairs:
+        body = joint.body
         built = motor.build()
         if isinstance(built, Muscle):
             limit, word = built.strength, "area"
@@ -189,7 +188,9 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
         mass = float(body.mass)
         inertia = mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
         turn = float(np.rad2deg(limit / inertia * time**2 / 2))
-        found.append((turn, (*joint.key, "actuator", word)))
+        listed = isinstance(joint.given.actuator, list)
+        place = (joint.given.motors.index(motor),) if listed else ()
+        found.append((turn, (*joint.key, "actuator", *place, word)))
     if not found or max(found)[0] >= _LEAST_TURN:
         return
     turn, key = max(found)

@@ -1,16 +1,17 @@
 """Sections of the joint between a body and its parent, and of its motors."""
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, Tag, model_validator
+from pydantic import Field, Tag, model_serializer, model_validator
 
 from evo_cpg.config.schema.choice import by_type
 from evo_cpg.config.schema.copies import MirrorAxis
 from evo_cpg.config.schema.frames import moved, opposed, reflected, unit
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
 from evo_cpg.config.schema.typical import Direction
-from evo_cpg.creature.creature import Actuator, Joint, Muscle, TorqueMotor
+from evo_cpg.creature.creature import NO_LIMIT, Actuator, Joint, Muscle, TorqueMotor
 from evo_cpg.spatial.numerics import as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
@@ -156,6 +157,11 @@ def _require_regular(directions: np.ndarray, lower: float, upper: float) -> None
         )
 
 
+def _as_tuple(given: Any) -> Any:
+    """Return a list of values of each axis as a tuple, and a value of all axes as it is."""
+    return tuple(given) if isinstance(given, list) else given
+
+
 class JointConfig(Section):
     """The joint between a body and its parent.
 
@@ -166,51 +172,76 @@ class JointConfig(Section):
         axes: 1 to 3 axes in this body's own frame, which turn in this order: x, y, z, -x, -y, -z
             or a vector.
         limits_deg: lower and upper limit, for all axes or one pair for each, degrees; the middle
-            one of three axes at right angles turns by at most 85.
+            one of three axes at right angles turns by at most 85; null for no limits.
         rotation_deg: roll, pitch and yaw of this body relative to its parent at rest, degrees,
             about the parent's x, then y, then z. ``[0, 40, 90]`` points the x axis of a leg to the
             left and 40 degrees down.
-        stiffness: stiffness of the passive spring, N m/rad.
+        stiffness: stiffness of the passive spring, N m/rad; one for all axes or a list, as below.
+        rest_deg: angle at which that spring is relaxed, degrees; only without muscles.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
-        actuator: motors or muscles, without which the joint is passive.
+        actuator: motors or muscles, for all axes or a list with one or null for each, without which
+            the joint is passive.
     """
 
     parent: str
     at: Vector
     child_at: Vector
     axes: Annotated[list[AxisName | Vector], Field(min_length=1, max_length=3)]
-    limits_deg: tuple[Finite, Finite] | list[tuple[Finite, Finite]] = (-60.0, 60.0)
+    limits_deg: tuple[Finite, Finite] | list[tuple[Finite, Finite] | None] | None = (-60.0, 60.0)
     rotation_deg: Annotated[Vector, Direction()] = (0.0, 0.0, 0.0)
-    stiffness: NotNegative = 0.0
-    damping: NotNegative = 0.0
-    armature: NotNegative = 0.0
-    actuator: _MotorConfig | None = None
+    stiffness: NotNegative | list[NotNegative] = 0.0
+    rest_deg: Finite | list[Finite] = 0.0
+    damping: NotNegative | list[NotNegative] = 0.0
+    armature: NotNegative | list[NotNegative] = 0.0
+    actuator: _MotorConfig | list[_MotorConfig | None] | None = None
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        # Run folders of version 1.0 have no such key.
+        return {name: x for name, x in write(self).items() if name != "rest_deg" or x != 0.0}
 
     @model_validator(mode="after")
     def _check(self) -> "JointConfig":
         limits = self.limits
+        for name in ("stiffness", "rest_deg", "damping", "armature", "actuator"):
+            given = getattr(self, name)
+            if isinstance(given, list) and len(given) != len(self.axes):
+                raise ValueError(
+                    f"{name} gives {len(given)} values for {len(self.axes)} axes. "
+                    "Give one value for all axes, or one for each"
+                )
+        muscular = any(isinstance(motor, MuscleConfig) for motor in self.motors)
+        if muscular and np.any(self.rest_deg):
+            raise ValueError("rest_deg: must be 0 for a joint with muscles")
         if len(limits) != len(self.axes):
             raise ValueError(
                 f"limits_deg gives {len(limits)} pairs for {len(self.axes)} axes. "
                 "Give one pair for all axes, or one for each"
             )
-        for lower, upper in limits:
+        for lower, upper in filter(None, limits):
             if not lower < upper:
                 raise ValueError(f"limits_deg: {lower:g} is not below {upper:g}")
         directions = np.array(self.directions)
         if np.linalg.matrix_rank(directions, tol=1e-6) < len(directions):
             raise ValueError("axes: must be linearly independent and not zero")
         if len(self.axes) == 3:
-            _require_regular(directions, *limits[1])
+            _require_regular(directions, *limits[1] or (-180.0, 180.0))
         return self
 
     @property
-    def limits(self) -> list[tuple[float, float]]:
-        """Limits of each axis, as pairs, degrees."""
-        if isinstance(self.limits_deg, tuple):
-            return [self.limits_deg] * len(self.axes)
-        return self.limits_deg
+    def limits(self) -> list[tuple[float, float] | None]:
+        """Limits of each axis, as pairs, degrees, or None for no limits."""
+        if isinstance(self.limits_deg, list):
+            return self.limits_deg
+        return [self.limits_deg] * len(self.axes)
+
+    @property
+    def motors(self) -> list[_MotorConfig | None]:
+        """Motor or muscles of each axis."""
+        if isinstance(self.actuator, list):
+            return self.actuator
+        return [self.actuator] * len(self.axes)
 
     @property
     def directions(self) -> list[tuple[float, ...]]:
@@ -249,17 +280,27 @@ class JointConfig(Section):
             centre: centre of mass of the body in the frame of ``child_at``, m.
         """
         rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
-        limits = xp.deg2rad(xp.array(self.limits))
+        limits = [
+            (-NO_LIMIT, NO_LIMIT) if pair is None else tuple(xp.deg2rad(xp.array(pair)))
+            for pair in self.limits
+        ]
+        each = isinstance(self.actuator, list)
+        motors = tuple(motor and motor.build() for motor in self.motors)
         return Joint(
             parent=parent,
             parent_anchor=moved(self.at, parent_centre),
             child_anchor=moved(self.child_at, centre),
             axes=tuple(unit(axis) for axis in self.directions),
-            lower=tuple(limits[:, 0]),
-            upper=tuple(limits[:, 1]),
+            lower=tuple(pair[0] for pair in limits),
+            upper=tuple(pair[1] for pair in limits),
             orientation=tuple(map(as_vector, rotation)),
-            stiffness=self.stiffness,
-            damping=self.damping,
-            armature=self.armature,
-            actuator=self.actuator and self.actuator.build(),
+            stiffness=_as_tuple(self.stiffness),
+            damping=_as_tuple(self.damping),
+            armature=_as_tuple(self.armature),
+            actuator=motors if each else motors[0],
+            rest=_as_tuple(
+                [xp.deg2rad(x) for x in self.rest_deg]
+                if isinstance(self.rest_deg, list)
+                else xp.deg2rad(self.rest_deg)
+            ),
         )
