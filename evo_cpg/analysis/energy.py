@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 from evo_cpg.analysis.along_time import along_time
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.force_law import Bodies, body_velocity
-from evo_cpg.physics.joint_torque import expected_limit_torque, limit_torque
+from evo_cpg.physics.joint_torque import expected_limit_torque, friction_torque, limit_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.pair_contacts import find_pair_contacts
 from evo_cpg.physics.per_body import take
@@ -49,7 +49,7 @@ class Ledger(NamedTuple):
     Attributes:
         stored: increase of E.
         motors: work of the motors, negative when they brake.
-        dampers: work of the joints' dampers.
+        dampers: work of the joints' dampers and dry friction.
         limits: work of the joints' soft limits.
         lift: work of the ground's normal forces.
         friction: work of the ground's friction.
@@ -121,7 +121,9 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
     velocity = (before.velocity + after.velocity) / 2
     middle = dataclasses.replace(before, velocity=velocity, qd=rate)
     kin = kinematics(tree, middle)
-    damping = expand_dims_like(tree.damping, rate)
+    braking = -expand_dims_like(tree.damping, rate) * after.qd
+    if tree.dry_friction is not None:
+        braking = braking + friction_torque(tree, after.qd, h)[0]
     contact = _ground_work(world, steps.contact_force, kinematics(tree, before), kin, h)
     lift, friction, push_out, ground = contact
     at = [world.bodies(each, h) for each in (first.kinematics, kin, last.kinematics)]
@@ -132,7 +134,7 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
     return (
         mechanical_energy(last) - mechanical_energy(first),
         h * (steps.torque * rate).sum(0),
-        -h * (damping * after.qd * rate).sum(0),
+        h * (braking * rate).sum(0),
         h * (_limit_torques(world, before, after, h) * rate).sum(0),
         lift,
         friction,

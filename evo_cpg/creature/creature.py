@@ -162,6 +162,7 @@ class DegreeOfFreedom(NamedTuple):
         rest: angle at which that spring is relaxed, rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
+        friction_loss: torque of dry friction, N m.
         servo_gain: torque of the motor per rate error, N m s/rad, 0 without a motor.
         servo_stiffness: torque of the motor per angle error, N m/rad, 0 without a motor.
         torque_limit: largest torque of the motor, N m, 0 without a motor, infinity for muscles.
@@ -176,6 +177,7 @@ class DegreeOfFreedom(NamedTuple):
     rest: Number
     damping: Number
     armature: Number
+    friction_loss: Number
     servo_gain: Number
     servo_stiffness: Number
     torque_limit: Number
@@ -204,6 +206,7 @@ class Joint:
         armature: rotor inertia, kg m^2.
         actuator: servo, torque motor or muscles, or None for a passive axis.
         rest: angle at which the passive spring is relaxed, rad.
+        friction_loss: torque of dry friction, N m.
     """
 
     parent: str
@@ -222,16 +225,13 @@ class Joint:
     armature: Number | tuple[Number, ...] = 0.0
     actuator: Motor | tuple[Motor | None, ...] | None = None
     rest: Number | tuple[Number, ...] = 0.0
+    friction_loss: Number | tuple[Number, ...] = 0.0
 
     @property
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
         """Degrees of freedom, in the order in which they turn."""
-        columns = (
-            self.lower,
-            self.upper,
-            *(self._each(x) for x in (self.stiffness, self.rest, self.damping, self.armature)),
-            self.motors,
-        )
+        alike = self.stiffness, self.rest, self.damping, self.armature, self.friction_loss
+        columns = self.lower, self.upper, *map(self._each, alike), self.motors
         return tuple(
             DegreeOfFreedom._make((*passive, *_driven(motor)))
             for *passive, motor in zip(self.axes, *columns, strict=True)

@@ -55,6 +55,18 @@ class Group(NamedTuple):
     parents: tuple[int, ...]
 
 
+class DryFriction(eqx.Module):
+    """Dry friction of the joint axes.
+
+    Attributes:
+        loss: largest torque, N m.
+        inertia: effective inertia of each axis in the neutral pose, with its rotor, kg m^2.
+    """
+
+    loss: Float[Numbers, " d"]
+    inertia: Float[Numbers, " d"]
+
+
 class Tree(eqx.Module):
     """A free-floating tree of rigid bodies in the order of the recursions.
 
@@ -75,6 +87,7 @@ class Tree(eqx.Module):
         rest: angles at which these springs are relaxed, rad, or None if all are 0.
         damping: passive damping, N m s/rad.
         armature: rotor inertia of each axis, kg m^2.
+        dry_friction: dry friction of the axes, or None if there is none.
         lower: lower joint limit, rad, or ``-NO_LIMIT`` (`evo_cpg.creature.creature`).
         upper: upper joint limit, rad, or ``NO_LIMIT``.
         servo_gain: torque of the motors per rate error, N m s/rad, 0 for a passive axis.
@@ -102,6 +115,7 @@ class Tree(eqx.Module):
     rest: Float[Numbers, " d"] | None
     damping: Float[Numbers, " d"]
     armature: Float[Numbers, " d"]
+    dry_friction: DryFriction | None
     lower: Float[Numbers, " d"]
     upper: Float[Numbers, " d"]
     servo_gain: Float[Numbers, " d"]
@@ -170,7 +184,8 @@ def build_tree(creature: Creature) -> Tree:
     def each(name: str) -> Float[Numbers, "d *rest"]:
         return xp.array([getattr(dof, name) for dof in dofs], float)
 
-    rest = each("rest")
+    rest, armature, loss = each("rest"), each("armature"), each("friction_loss")
+    rubs = chosen(lambda: bool((loss != 0).any()), lambda made: made | ~(loss != 0).any())
     sprung = chosen(lambda: bool((rest != 0).any()), lambda made: made | ~(rest != 0).any())
     gain, spring = each("servo_gain"), each("servo_stiffness")
     muscles = muscles_of([dof.muscle for dof in dofs])
@@ -202,7 +217,8 @@ def build_tree(creature: Creature) -> Tree:
         stiffness=each("stiffness"),
         rest=rest if sprung else None,
         damping=each("damping"),
-        armature=each("armature"),
+        armature=armature,
+        dry_friction=DryFriction(loss, leverage + armature) if rubs else None,
         lower=each("lower"),
         upper=each("upper"),
         servo_gain=gain,

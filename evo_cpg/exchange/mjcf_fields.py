@@ -81,7 +81,6 @@ NEUTRAL = {
     "jnt_stiffnesspoly": Neutral("joint", "stiffness polynomial"),
     "jnt_springyield": Neutral("joint", "springyield"),
     "jnt_plasticadr": Neutral("joint", "plastic state", -1.0),
-    "dof_frictionloss": Neutral("dof", "frictionloss"),
     "dof_dampingpoly": Neutral("dof", "damping polynomial"),
     "geom_margin": Neutral("geom", "margin"),
     "geom_gap": Neutral("geom", "gap"),

@@ -4,7 +4,7 @@
 |---|---|
 | each axis of a joint | a ``hinge`` at the body's origin, named `body.1`, `body.2`, ... |
 | limits of an axis | ``range``, or none |
-| stiffness, damping, armature of an axis | the same attribute of its hinge |
+| stiffness, damping, armature, friction loss of an axis | the same attribute of its hinge |
 | angle of the relaxed spring | ``springref`` |
 | passive stiffness and damping of muscles | added to those of every hinge |
 
@@ -53,6 +53,7 @@ def add_hinges(element: Element, body: Body, joint: Joint) -> None:
             "damping": dof.damping + (muscle.damping if muscle else 0.0),
             "armature": dof.armature,
             "springref": dof.rest,
+            "frictionloss": dof.friction_loss,
         }
         for key, value in values.items():
             if value:
@@ -123,6 +124,7 @@ def read_joint(
         spring = model.qpos_spring[model.jnt_qposadr[joint]] - neutral
         rest.append(tidy(np.rad2deg(spring)) if model.jnt_stiffness[joint] else 0.0)
     dofs = model.jnt_dofadr[joints]
+    loss = model.dof_frictionloss[dofs] * (not compiled.disabled("frictionloss"))
     place = np.array(model.jnt_pos[first])
     turn = rotation(compiled, model.body_quat[body])
     at = np.array(model.body_pos[body]) + turn @ place
@@ -139,6 +141,7 @@ def read_joint(
         "rest_deg": _one_or_each(rest),
         "damping": _one_or_each(map(tidy, model.dof_damping[dofs])),
         "armature": _one_or_each(map(tidy, model.dof_armature[dofs])),
+        "friction_loss": _one_or_each(map(tidy, loss)),
         "actuator": _one_or_each(map(motors.get, joints)),
     }
     item = compiled.item("body", body)

@@ -41,7 +41,9 @@ def held(world: World) -> World:
     if world.pairs is not None:
         raise LabError("tow: needs creature.self_collision: false")
     if needs_iteration(world):
-        raise LabError("tow: needs motors without a torque_limit")
+        raise LabError(
+            "tow: needs motors without a torque_limit, and joints without a friction_loss"
+        )
     return dataclasses.replace(world, held=True)
 
 

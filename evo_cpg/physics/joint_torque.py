@@ -9,6 +9,8 @@ Each law gives its torque at the present rates and its derivative. The implicit 
   the return rate of the spring. The limit never slows a returning joint. A step of one solve (no
   ground, no motor limits) uses a spring and damper if the joint would pass its limit at the present
   rate.
+- Dry friction: ``-clip(K qd_end, F)`` with the friction loss F. ``K = 1000 I / h`` is so large that
+  the joint sticks below F: it keeps a thousandth of its acceleration. I is its effective inertia.
 - Motor: ``g (rate* - qd) + k_m (angle* - q - h qd)``, T = h (g + h k_m), with a limit on the torque
   at the *end* of the step. A limit on the torque before the step makes the motor chatter and exceed
   its limit threefold. If k_m = 0, the motor is a velocity servo (Iwadate 2010:
@@ -27,6 +29,9 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.muscle import pull_of
 from evo_cpg.physics.state import State
 from evo_cpg.spatial.linear import expand_dims_like
+
+# Resistance of a joint that sticks by dry friction, times the step, relative to its inertia.
+_STICKING = 1000.0
 
 
 class MotorCommand(NamedTuple):
@@ -108,6 +113,24 @@ def limit_torque(
 
     above, below = miss(q - upper, rate), miss(lower - q, -rate)
     return below - above, jnp.where((above > 0) | (below > 0), derivative, 0.0)
+
+
+def friction_torque(
+    tree: Tree, rate: Float[Array, "d *n"], h: float
+) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
+    """Return the torque of dry friction (N m), and its decrease per rate (N m s/rad).
+
+    Args:
+        tree: the creature, with dry friction.
+        rate: joint rates at the end of the step, rad/s.
+        h: step, s.
+    """
+    assert tree.dry_friction is not None
+    loss = expand_dims_like(tree.dry_friction.loss, rate)
+    resistance = expand_dims_like(tree.dry_friction.inertia * (_STICKING / h), rate)
+    sticking = resistance * rate
+    slides = jnp.abs(sticking) >= loss
+    return -jnp.clip(sticking, -loss, loss), jnp.where(slides, 0.0, resistance)
 
 
 def expected_limit_torque(

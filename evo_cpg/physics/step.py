@@ -98,7 +98,7 @@ def first_warmstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> W
 def needs_iteration(world: World) -> bool:
     """Return whether steps of a world need iteration, because the force laws have kinks."""
     contact = world.contact_model is not None or world.pairs is not None
-    return contact or _can_overload(world.tree)
+    return contact or world.tree.dry_friction is not None or _can_overload(world.tree)
 
 
 def _step(

@@ -10,6 +10,7 @@ derivatives of the potentials are the laws at the end of the step:
 
 - normal contact forces, forces between bodies and joint limits: one-sided springs,
 - friction: Huber's function, which sticks up to the radius of the friction cone and then slides,
+- dry friction of a joint: Huber's function, too, with a given torque,
 - motors: the servo's torque up to the torque limit. Muscles have no limit.
 
 The problem has generalized coordinates (`evo_cpg.physics.generalized`), because there are few. The
@@ -45,7 +46,7 @@ from evo_cpg.physics.contact import (
 )
 from evo_cpg.physics.equations import Equations
 from evo_cpg.physics.generalized import body_accelerations, generalized_force, mass_matrix
-from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, overloaded
+from evo_cpg.physics.joint_torque import clamp_torque, friction_torque, limit_torque, overloaded
 from evo_cpg.physics.pair_contacts import PairForces
 from evo_cpg.physics.root import (
     joint_part,
@@ -77,10 +78,10 @@ _NONE = 1e-12
 
 
 class Linearization(NamedTuple):
-    """The laws of motors, limits of joints, contacts and pairs, linearized.
+    """The laws of motors, limits and friction of joints, contacts and pairs, linearized.
 
     Attributes:
-        torque: torque of motors and limits of joints at zero joint acceleration, N m.
+        torque: torque of motors, limits and friction of joints at zero joint acceleration, N m.
         derivative: decrease of that torque per end-of-step rate, N m s/rad.
         contact: laws of the contact points, or None without ground.
         pairs: forces of the pairs, or None if no pair can touch.
@@ -170,6 +171,9 @@ class StepProblem(NamedTuple):
         change = self.h * qdd
         stop, stop_derivative = limit_torque(tree, state.q, state.qd + change, self.h)
         torque, derivative = torque + stop + stop_derivative * change, derivative + stop_derivative
+        if tree.dry_friction is not None:
+            rub, rub_derivative = friction_torque(tree, state.qd + change, self.h)
+            torque, derivative = torque + rub + rub_derivative * change, derivative + rub_derivative
         contact_model, contacts, linear = self.world.contact_model, self.equations.contacts, None
         if contact_model is not None and contacts is not None and velocity is not None:
             linear = linearize_contacts(contact_model, contacts, radius, velocity, self.h)
@@ -336,14 +340,22 @@ class StepProblem(NamedTuple):
     def changes_overload(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
         """Return for which individuals a motion overloads other motors than zero acceleration does.
 
-        `step_solver.free_motion` holds motors at their limits. Its torques are then wrong.
+        `step_solver.free_motion` holds motors at their limits, and joints at sticking or sliding.
+        Its torques are then wrong.
         """
         tree, without = self.world.tree, self.equations.motor.start
         commanded = self.commanded_torque(joint_part(y))
         given = clamp_torque(tree, commanded)
         stays = jnp.where(overloaded(tree, without), clamp_torque(tree, without), commanded)
         least = _SAME_TORQUE * expand_dims_like(tree.torque_limit, given) + _NONE
-        return (jnp.abs(given - stays) > least).any(0)
+        changes = (jnp.abs(given - stays) > least).any(0)
+        if tree.dry_friction is None:
+            return changes
+        rate, change = self.equations.state.qd, self.h * joint_part(y)
+        before, slope = friction_torque(tree, rate, self.h)
+        after, _ = friction_torque(tree, rate + change, self.h)
+        least = _SAME_TORQUE * expand_dims_like(tree.dry_friction.loss, after) + _NONE
+        return changes | (jnp.abs(after - before + slope * change) > least).any(0)
 
     def commanded_torque(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Return the torques that motors and muscles command at the end of the step, N m."""

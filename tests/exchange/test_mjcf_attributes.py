@@ -185,7 +185,6 @@ REFUSED = {
         model(joint='solimplimit="0.5 0.6 0.001 0.5 2"'),
         JOINT + "its solimplimit is 0.5 0.6 0.001 0.5 2. Allowed: 0.9 0.95 0.001 0.5 2",
     ),
-    "joint frictionloss": (model(joint='frictionloss="1"'), JOINT + "it has frictionloss"),
     "joint type": (model(joint='type="slide"'), JOINT + "it is a slide joint"),
     "joint actuatorgravcomp": (
         model(joint='actuatorgravcomp="true"'),
@@ -374,6 +373,7 @@ READ = (
     "body_ipos body_iquat body_inertia body_jntnum body_jntadr body_geomnum body_geomadr "
     "jnt_type jnt_pos jnt_axis jnt_range jnt_limited jnt_stiffness jnt_qposadr jnt_dofadr "
     "jnt_bodyid jnt_actfrclimited jnt_actfrcrange dof_damping dof_armature dof_jntid "
+    "dof_frictionloss "
     "geom_bodyid geom_type geom_size geom_pos geom_quat geom_friction geom_rgba geom_dataid "
     "geom_contype geom_conaffinity mesh_vert mesh_vertadr mesh_vertnum mesh_face mesh_faceadr "
     "mesh_facenum actuator_trnid actuator_trntype actuator_dyntype actuator_gaintype "
@@ -455,7 +455,6 @@ OPTIONS_WITHOUT_EFFECT = {
 
 FLAGS_WITHOUT_EFFECT = {
     "no creature has equalities": "equality",
-    "no creature has dry friction in its joints": "frictionloss",
     "sensors are left out by name": "sensor",
     "start of the solver": "warmstart",
     "bound of softness, which must be the default": "refsafe",
@@ -468,7 +467,7 @@ FLAGS_WITHOUT_EFFECT = {
 }
 
 # Flags that the import reads, or leaves out by name.
-FLAGS_READ = {"gravity", "clampctrl", "contact", "filterparent"}
+FLAGS_READ = {"gravity", "clampctrl", "contact", "filterparent", "frictionloss"}
 
 
 def undecided(names: Iterable[str], *decided: Iterable[str]) -> list[str]:
@@ -501,7 +500,7 @@ def test_every_field_of_the_compiled_model_is_decided():
 
 def test_all_refusals_are_listed_with_lines(read, tmp_path):
     text = model(
-        joint='margin="5" frictionloss="1" solreflimit="0.1 1"',
+        joint='margin="5" actuatorgravcomp="true" solreflimit="0.1 1"',
         geom='type="cylinder" margin="0.1"',
         actuator='forcerange="-1 2"',
         flag='constraint="disable"',
@@ -517,7 +516,7 @@ def test_all_refusals_are_listed_with_lines(read, tmp_path):
             "  flag 'constraint': it is disabled. Allowed: enable",
             "  joint 'h': it has margin. Allowed: no margin (line 7)",
             "  joint 'h': its solreflimit is 0.1 1. Allowed: 0.02 1 (line 7)",
-            "  joint 'h': it has frictionloss. Allowed: no frictionloss (line 7)",
+            "  joint 'h': it has actuatorgravcomp. Allowed: no actuatorgravcomp (line 7)",
             "  geom 'g': it has margin. Allowed: no margin (line 8)",
             "  geom 'g': it is a cylinder. Allowed: box, sphere, ellipsoid, capsule, mesh (line 8)",
             "  actuator 'm': its limits -1 and 2 differ in size. "

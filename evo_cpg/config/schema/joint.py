@@ -180,6 +180,7 @@ class JointConfig(Section):
         rest_deg: angle at which that spring is relaxed, degrees; only without muscles.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
+        friction_loss: torque of dry friction, N m.
         actuator: motors or muscles, for all axes or a list with one or null for each, without which
             the joint is passive.
     """
@@ -194,17 +195,19 @@ class JointConfig(Section):
     rest_deg: Finite | list[Finite] = 0.0
     damping: NotNegative | list[NotNegative] = 0.0
     armature: NotNegative | list[NotNegative] = 0.0
+    friction_loss: NotNegative | list[NotNegative] = 0.0
     actuator: _MotorConfig | list[_MotorConfig | None] | None = None
 
     @model_serializer(mode="wrap")
     def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        # Run folders of version 1.0 have no such key.
-        return {name: x for name, x in write(self).items() if name != "rest_deg" or x != 0.0}
+        # Run folders of version 1.0 have no such keys.
+        new = "rest_deg", "friction_loss"
+        return {name: x for name, x in write(self).items() if name not in new or x != 0.0}
 
     @model_validator(mode="after")
     def _check(self) -> "JointConfig":
         limits = self.limits
-        for name in ("stiffness", "rest_deg", "damping", "armature", "actuator"):
+        for name in ("stiffness", "rest_deg", "damping", "armature", "friction_loss", "actuator"):
             given = getattr(self, name)
             if isinstance(given, list) and len(given) != len(self.axes):
                 raise ValueError(
@@ -297,6 +300,7 @@ class JointConfig(Section):
             stiffness=_as_tuple(self.stiffness),
             damping=_as_tuple(self.damping),
             armature=_as_tuple(self.armature),
+            friction_loss=_as_tuple(self.friction_loss),
             actuator=motors if each else motors[0],
             rest=_as_tuple(
                 [xp.deg2rad(x) for x in self.rest_deg]
