@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from evo_cpg.creature.creature import Body, Creature, Joint, Material, Motor
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
@@ -46,7 +46,7 @@ def random_creature(
     rng: np.random.Generator,
     structure: tuple[tuple[int, int], ...],
     limits: float = 9.0,
-    motor: Actuator | None = None,
+    motor: Motor | None = None,
     axes_seed: int = 0,
 ) -> Creature:
     """Return a creature of a fixed structure with random bodies and joints.
@@ -111,7 +111,7 @@ def random_state(
 def box_chain(
     bodies: int,
     axes: str,
-    motor: Actuator | None = None,
+    motor: Motor | None = None,
     size: tuple[float, float, float] = (0.2, 0.1, 0.1),
     gap: float = 0.02,
     density: float = 1000.0,

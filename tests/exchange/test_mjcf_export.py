@@ -18,6 +18,7 @@ from evo_cpg.creature.creature import (
     CreatureError,
     Joint,
     Material,
+    Motor,
     TorqueMotor,
 )
 from evo_cpg.creature.shapes import Box, Shape, Sphere
@@ -45,7 +46,7 @@ MOTORS = {
 each_structure = pytest.mark.parametrize("number", range(len(STRUCTURES)))
 
 
-def animal(number: int, motor: Actuator | None = None, seed: int = 0) -> Creature:
+def animal(number: int, motor: Motor | None = None, seed: int = 0) -> Creature:
     rng = np.random.default_rng([number, seed])
     return random_creature(rng, STRUCTURES[number], motor=motor, axes_seed=number)
 

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from creatures import box_chain
-from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material, TorqueMotor
+from evo_cpg.creature.creature import (
+    NO_LIMIT,
+    Actuator,
+    Body,
+    Creature,
+    Joint,
+    Material,
+    TorqueMotor,
+)
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.jax_internals import quick_jit
@@ -26,11 +34,10 @@ WATER = Material(1000.0)
 def wheels(*motors: TorqueMotor | Actuator | None) -> tuple[World, float]:
     """Return wheels on the centre of a hub, and the inertia that the first one sees alone."""
     hub, rim = Box((0.2, 0.2, 0.2)), Box((0.3, 0.3, 0.02))
-    place = {"parent_anchor": (0.0,) * 3, "child_anchor": (0.0,) * 3}
-    limits = {"lower": (-1e9,), "upper": (1e9,)}
+    centre, free = (0.0, 0.0, 0.0), ((-NO_LIMIT,), (NO_LIMIT,))
     bodies = [Body("hub", hub, WATER)]
     for i, motor in enumerate(motors):
-        joint = Joint("hub", **place, axes=((0.0, 0.0, 1.0),), **limits, actuator=motor)
+        joint = Joint("hub", centre, centre, ((0.0, 0.0, 1.0),), *free, actuator=motor)
         bodies.append(Body(f"wheel{i}", rim, WATER, joint))
     creature = Creature("wheels", tuple(bodies))
     inertias = [body.shape.inertia(body.mass)[2] for body in creature.bodies]
