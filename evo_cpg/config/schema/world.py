@@ -107,7 +107,8 @@ class WaterConfig(Section):
             return self
         if self.law is not None:
             raise ValueError(
-                f"viscosity has a drag law of its own; leave out law ({self.law!r}) or set it to null"
+                f"viscosity has a drag law of its own; leave out law ({self.law!r}) or "
+                "set it to null"
             )
         if self.skin_drag is not None:
             raise ValueError(
