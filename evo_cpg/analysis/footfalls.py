@@ -6,7 +6,7 @@
 | duty factor | fraction of the time that a foot spends in stance | Alexander and Jayes 1983 |
 | phase of a foot | its touch-down in the stride of a reference foot, 0 to 1 | Hildebrand 1965 |
 | airborne fraction | fraction of the time in which nothing touches the ground | |
-| slip | speed over the ground of a foot that stays in contact | |
+| slip | speed over the ground of what touches it, weighted by load | `simulation.foot_slip` |
 
 A *foot* is any body that touches the ground, even a belly.
 """
@@ -16,6 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+
+from evo_cpg.simulation.foot_slip import Slip, slip_of_points
 
 # Duration (s) below which contacts and breaks are chatter, and its limit as a fraction of a stride.
 _CHATTER, _CHATTER_FRACTION = 0.05, 0.1
@@ -157,35 +159,34 @@ def phases(touched: Bool[np.ndarray, "t f"], step: float) -> Phases:
     return Phases(reference, phase, regularity)
 
 
-def slip_speeds(
+def slip_sums(
     position: Float[np.ndarray, "t f 3"],
     rotation: Float[np.ndarray, "t f 3 3"],
     lowest: Float[np.ndarray, "t f 3"],
-    touched: Bool[np.ndarray, "t f"],
+    force: Float[np.ndarray, "t f 3"],
     step: float,
-) -> Float[np.ndarray, " f"]:
-    """Return the mean horizontal speed of each foot's lowest point in contact, m/s.
+) -> Slip:
+    """Return the sums of each foot's slip over the samples (`evo_cpg.simulation.foot_slip`).
 
-    The lowest point is a material point of the foot, so a rolling wheel does not slip.
-
-    A sample with contact may begin before touch-down or end after lift-off. A sample therefore
-    counts only if both its neighbours have contact. A foot without three such samples in a row has
-    NaN.
+    A foot's point of contact is its lowest point at a sample. Its velocity is a difference between
+    this sample and the next, so the last sample does not count.
 
     Args:
         position: origin of each foot's frame, m.
         rotation: rotation from foot to world.
         lowest: lowest point of each foot in its own frame, m.
-        touched: whether each foot touches at any time between a sample and the next.
+        force: force of the ground on each foot, mean from a sample to the next, N.
         step: time between samples, s.
+
+    Returns:
+        Slip with one value for each foot.
     """
     here = position[:-1] + np.einsum("tfij,tfj->tfi", rotation[:-1], lowest[:-1])
     there = position[1:] + np.einsum("tfij,tfj->tfi", rotation[1:], lowest[:-1])
-    speed = np.linalg.norm((there - here)[..., :2], axis=-1) / step
-    beside = np.pad(touched, ((1, 1), (0, 0)), constant_values=True)
-    on = (beside[:-2] & touched & beside[2:])[:-1]
-    time = on.sum(0)
-    return np.where(time > 0, (speed * on).sum(0) / np.maximum(time, 1), np.nan)
+    components_first = (2, 0, 1)
+    return slip_of_points(
+        force[:-1].transpose(components_first), ((there - here) / step).transpose(components_first)
+    )
 
 
 def _runs(state: Bool[np.ndarray, " t"]) -> list[tuple[int, int]]:
