@@ -14,6 +14,7 @@ A *foot* is any body that touches the ground, even a belly.
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -183,10 +184,8 @@ def slip_sums(
     """
     here = position[:-1] + np.einsum("tfij,tfj->tfi", rotation[:-1], lowest[:-1])
     there = position[1:] + np.einsum("tfij,tfj->tfi", rotation[1:], lowest[:-1])
-    components_first = (2, 0, 1)
-    return slip_of_points(
-        force[:-1].transpose(components_first), ((there - here) / step).transpose(components_first)
-    )
+    of_samples = (force[:-1], (there - here) / step)
+    return slip_of_points(*(jnp.asarray(each.transpose(2, 0, 1)) for each in of_samples))
 
 
 def _runs(state: Bool[np.ndarray, " t"]) -> list[tuple[int, int]]:
