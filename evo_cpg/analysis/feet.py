@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -10,6 +11,7 @@ from evo_cpg.analysis import footfalls
 from evo_cpg.analysis.footfalls import Phases
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.limbs import Limb, limbs
+from evo_cpg.simulation.foot_slip import Slip, slip_of_points
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
@@ -88,21 +90,9 @@ def contacts(
     touched = footfalls.touching(force, owners, bodies)
     ever = np.flatnonzero(touched.any(0))
     bodies, touched = [bodies[i] for i in ever], touched[:, ever]
-    places = [names.index(tree.names[body]) for body in bodies]
-    rotation = np.asarray(recording.rotation, float)[:, places]
-    lowest = np.zeros((*touched.shape, 3))
-    for k, place in enumerate(places):
-        shape = creature.bodies[place].shape
-        # Compute the lowest point only in contact: support takes one direction at a time.
-        for t in np.flatnonzero(touched[:, k]):
-            lowest[t, k] = shape.support(-rotation[t, k, 2])
-    position = np.asarray(recording.position, float)[:, places]
-    each = np.zeros((*touched.shape, 3))
-    for k, body in enumerate(bodies):
-        each[:, k] = force[..., owners == body].sum(-1)
-    sums = footfalls.slip_sums(position, rotation, lowest, each, step)
-    load = np.asarray(sums.load, float) / max(1, len(each) - 1)
-    slip = np.where(load > 0, np.asarray(sums.speed(), float), np.nan)
+    sums = [_slip(frames, owners == body) for body in bodies]
+    load = np.array([each.load for each in sums], float)
+    slip = np.array([each.speed() if each.load > 0 else np.nan for each in sums], float)
     whole = mean_slip(slip, load)
     feet = np.array([body > 0 for body in bodies], bool)
     touched = touched[:, feet]
@@ -113,7 +103,7 @@ def contacts(
         steady=steady,
         duty_factor=footfalls.duty_factors(touched),
         phases=footfalls.phases(steady[first:], step),
-        load=load[feet],
+        load=load[feet] / len(force),
         slip=slip[feet],
         whole_slip=whole,
         airborne=footfalls.airborne_fraction((force != 0).any(1)),
@@ -149,6 +139,15 @@ def limb_contacts(
         duty_factor=footfalls.duty_factors(touched),
         slip=mean_slip(feet.slip[own], feet.load[own]),
     )
+
+
+def _slip(frames: Mapping[str, Array | np.ndarray], points: Bool[np.ndarray, " p"]) -> Slip:
+    """Return the slip of some contact points of the recorded animal, summed over the trial."""
+    force, velocity = (
+        jnp.asarray(frames[name])[:, :, points, 0] for name in ("contact_force", "contact_velocity")
+    )
+    every = slip_of_points(*(jnp.moveaxis(each, 0, -1) for each in (force, velocity)))
+    return Slip(every.slide.sum(), every.load.sum())
 
 
 def mean_slip(slip: Float[np.ndarray, " f"], load: Float[np.ndarray, " f"]) -> float:

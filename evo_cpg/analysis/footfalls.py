@@ -1,4 +1,4 @@
-"""Footfalls: instants and durations of contact of each foot, and its slip on the ground.
+"""Footfalls: instants and durations of contact of each foot.
 
 | word | meaning | source |
 |---|---|---|
@@ -6,7 +6,6 @@
 | duty factor | fraction of the time that a foot spends in stance | Alexander and Jayes 1983 |
 | phase of a foot | its touch-down in the stride of a reference foot, 0 to 1 | Hildebrand 1965 |
 | airborne fraction | fraction of the time in which nothing touches the ground | |
-| slip | speed over the ground of what touches it, weighted by load | `simulation.foot_slip` |
 
 A *foot* is any body that touches the ground, even a belly.
 """
@@ -14,11 +13,8 @@ A *foot* is any body that touches the ground, even a belly.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
-
-from evo_cpg.simulation.foot_slip import Slip, slip_of_points
 
 # Duration (s) below which contacts and breaks are chatter, and its limit as a fraction of a stride.
 _CHATTER, _CHATTER_FRACTION = 0.05, 0.1
@@ -158,34 +154,6 @@ def phases(touched: Bool[np.ndarray, "t f"], step: float) -> Phases:
         phase[i] = round(float(np.angle(mean) / (2 * np.pi)), 9) % 1.0
         regularity[i] = abs(mean)
     return Phases(reference, phase, regularity)
-
-
-def slip_sums(
-    position: Float[np.ndarray, "t f 3"],
-    rotation: Float[np.ndarray, "t f 3 3"],
-    lowest: Float[np.ndarray, "t f 3"],
-    force: Float[np.ndarray, "t f 3"],
-    step: float,
-) -> Slip:
-    """Return the sums of each foot's slip over the samples (`evo_cpg.simulation.foot_slip`).
-
-    A foot's point of contact is its lowest point at a sample. Its velocity is a difference between
-    this sample and the next, so the last sample does not count.
-
-    Args:
-        position: origin of each foot's frame, m.
-        rotation: rotation from foot to world.
-        lowest: lowest point of each foot in its own frame, m.
-        force: force of the ground on each foot, mean from a sample to the next, N.
-        step: time between samples, s.
-
-    Returns:
-        Slip with one value for each foot.
-    """
-    here = position[:-1] + np.einsum("tfij,tfj->tfi", rotation[:-1], lowest[:-1])
-    there = position[1:] + np.einsum("tfij,tfj->tfi", rotation[1:], lowest[:-1])
-    of_samples = (force[:-1], (there - here) / step)
-    return slip_of_points(*(jnp.asarray(each.transpose(2, 0, 1)) for each in of_samples))
 
 
 def _runs(state: Bool[np.ndarray, " t"]) -> list[tuple[int, int]]:

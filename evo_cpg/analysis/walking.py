@@ -7,8 +7,9 @@
 | tripod strength | time of joint swing / time of any swing in a tripod | Wosnitza et al. 2013 |
 | relative slip | slip of the feet / speed of the animal | |
 
-Duty factors, touch-downs and slip are in `evo_cpg.analysis.footfalls`, the stride length and the
-cost of transport in `evo_cpg.analysis.stride`.
+Duty factors and touch-downs are in `evo_cpg.analysis.footfalls`, slip in
+`evo_cpg.simulation.foot_slip`, the stride length and the cost of transport in
+`evo_cpg.analysis.stride`.
 """
 
 import numpy as np
