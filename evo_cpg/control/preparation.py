@@ -25,6 +25,7 @@ from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.control.matsuoka import MatsuokaState, Oscillators
 from evo_cpg.control.stretch import Stretch
 from evo_cpg.spatial.linear import expand_dims_like, of_each
+from evo_cpg.spatial.numerics import Numbers
 
 SENSES = ("light", "pressure", "balance", "joints", "depth", "sensors", "feedback")
 """Senses that can be silenced. ``joints`` is what the brain senses of the joints, and ``feedback``
@@ -44,13 +45,13 @@ class Surgery(NamedTuple):
         heard: factor of each of the `SENSES`.
     """
 
-    kept: Float[Array, "d *n"]
-    tonic: Float[Array, "2 d *n"]
-    gain: Float[Array, "d *n"]
-    coupled: Float[Array, "k d *n"]
-    own_coupled: Float[Array, "m d *n"]
-    felt: Float[Array, "f d *n"]
-    heard: Float[Array, "s *n"]
+    kept: Float[Numbers, "d *n"]
+    tonic: Float[Numbers, "2 d *n"]
+    gain: Float[Numbers, "d *n"]
+    coupled: Float[Numbers, "k d *n"]
+    own_coupled: Float[Numbers, "m d *n"]
+    felt: Float[Numbers, "f d *n"]
+    heard: Float[Numbers, "s *n"]
 
     def flat(self) -> Float[np.ndarray, " g"]:
         """Return all numbers of one individual as a vector."""
@@ -85,11 +86,6 @@ class Preparation(Controller):
     def uses_load(self) -> bool:
         """Return whether the spinal cord feels the load of limbs."""
         return self.animal.uses_load
-
-    @property
-    def uses_senses(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Return whether a brain or a feedback uses the senses."""
-        return True
 
     @property
     def _shapes(self) -> tuple[tuple[int, ...], ...]:

@@ -101,7 +101,7 @@ def _ask_animal(
     subject: Subject, values: Mapping[str, Sequence[Any]], seconds: float | None
 ) -> Answer:
     settings = combinations(values)
-    bodies = _prepared(subject, settings, seconds, "speed" in values)
+    bodies = _prepared(subject, settings, seconds, "tow" in values)
     frames = record_all(bodies.simulation, _genes(subject, bodies, settings))
     simulations = tuple(bodies.of(i) for i in range(len(settings)))
     rows, recordings = [], []
@@ -116,11 +116,11 @@ def _ask_animal(
             continue
         found = gait_numbers(simulation, creature, own, recording)
         quantities = list(found.quantities)
-        if "speed" in setting:
+        if "tow" in setting:
             body = tuple(value for name, value in setting.items() if name not in NERVES)
             if body not in drags:
                 drags[body] = straight_drag(simulation)
-            quantities += tow_numbers(simulation, own, found, setting["speed"], drags[body])
+            quantities += tow_numbers(simulation, own, found, setting["tow"], drags[body])
         quantities.append(ground_speed(simulation, recording, found))
         rows.append(dict(setting) | {one.key: one.value for one in quantities})
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -174,7 +174,7 @@ def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
         if found:
             span = f"from {found[0]:.3g} to {found[1]:.3g} of f_0 = {rest[i]:.3g} Hz"
         notes.append(f"{worded(setting)}: entrained 1:1 {span}")
-    asked = [{name: row[name] for name in values} for row in rows]
+    asked: list[Setting] = [{name: row[name] for name in values} for row in rows]
     return Answer(asked, rows, (), tuple(notes))
 
 

@@ -29,7 +29,7 @@ def flume_notes(settings: Sequence[Setting], rows: Sequence[Mapping[str, Any]]) 
     """
     groups: dict[str, list[tuple[float, float]]] = {}
     for setting, row in zip(settings, rows, strict=True):
-        if "current" not in setting or "speed" in setting:
+        if "current" not in setting or "tow" in setting:
             continue
         others = worded({name: x for name, x in setting.items() if name != "current"})
         groups.setdefault(others, []).append((setting["current"], row["ground_speed"]))

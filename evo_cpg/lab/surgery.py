@@ -37,7 +37,8 @@ def prepare(controller: Controller, settings: list[Setting], brain: bool) -> Con
     feedback = controller.feedback
     if feedback is not None and feedback.gene_count and not brain:
         raise LabError("weights of the feedback evolve. Ask a run folder, or set the weights")
-    return Preparation(controller, brain, brain and not names & set(OPEN_LOOP))
+    awake = brain and not names & set(OPEN_LOOP)
+    return Preparation(animal=controller, trained=brain, awake=awake)
 
 
 def genes_of(

@@ -37,11 +37,11 @@ def held(world: World) -> World:
         LabError: a step of the world needs iteration, which holds no root.
     """
     if world.contact_model is not None:
-        raise LabError("speed: an animal on the ground cannot be towed. Leave out world.ground")
+        raise LabError("tow: an animal on the ground cannot be towed. Leave out world.ground")
     if world.pairs is not None:
-        raise LabError("speed: needs creature.self_collision: false")
+        raise LabError("tow: needs creature.self_collision: false")
     if needs_iteration(world):
-        raise LabError("speed: needs motors without a torque_limit")
+        raise LabError("tow: needs motors without a torque_limit")
     return dataclasses.replace(world, held=True)
 
 
