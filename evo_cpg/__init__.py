@@ -11,7 +11,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from evo_cpg.api.analyse import analyse
+    from evo_cpg.api.analyse import analyse, gait_numbers
     from evo_cpg.api.environment import Environment, EnvironmentState
     from evo_cpg.api.experiment import Experiment, Trials
     from evo_cpg.api.lab import lab
@@ -51,6 +51,7 @@ _HOMES = {
     "Trials": "api.experiment",
     "analyse": "api.analyse",
     "lab": "api.lab",
+    "gait_numbers": "api.analyse",
     "load": "api.load",
     "show_progress": "api.progress",
     "train": "api.training",
@@ -69,6 +70,7 @@ __all__ = [  # noqa: RUF022 - in the order of the reference in docs/api.md
     "analyse",
     "lab",
     "Answer",
+    "gait_numbers",
     "show_progress",
     "Task",
     "Transition",

@@ -53,7 +53,7 @@ class GaitNumbers(NamedTuple):
         wave: wave of bending along the chain, or None without a chain or below an amplitude of one
             degree.
         midline: sway of the midline in the body's frame, or None without a wave of bending, without
-            a midline of three bodies, or with less than two strides.
+            a midline of three bodies, with less than two strides, or if the body is coiled.
         feet: contacts with the ground, or None without ground.
         power: absolute power of all motors in each control step, W.
         peak_torque: largest absolute torque of each motor, N m.

@@ -20,6 +20,7 @@ from evo_cpg.config.trust import code_folders
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.couplings import CouplingError, UnfitError
 from evo_cpg.creature.creature import Creature, CreatureError, length_of
+from evo_cpg.creature.limbs import limbs
 from evo_cpg.creature.self_collision import PlanPairs, SelfCollision
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import PointLayout, outer_surfaces, random_surfaces
@@ -199,12 +200,14 @@ def build_simulation(
         engine=engine,
         extra_sensors=extra_sensors,
         rules=_build_rules(config, creature, world, pairs),
-        measures=_build_measures(config, task, world),
+        measures=_build_measures(config, task, creature, world),
     )
     return creature, simulation
 
 
-def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measures:
+def _build_measures(
+    config: ExperimentConfig, task: Task, creature: Creature, world: World
+) -> Measures:
     """Build the measures of gait: the requested measures, and the axes of a map.
 
     Raises:
@@ -233,9 +236,28 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
             problem = "is undefined without ground (world.ground)"
         elif name == "cost_of_transport" and not chosen(lambda: world.gravity > 0):
             problem = "is undefined without gravity (world.gravity)"
+        elif name == "limb_duty_factor" and not _limb_bodies(creature, world):
+            problem = "is undefined for a creature without limbs that can touch the ground"
         if problem:
             raise KeyProblem(key, f"{name!r} {problem}")
-    return measures(*dict.fromkeys(name for _, name in requested))
+    names = dict.fromkeys(name for _, name in requested)
+    bodies = _limb_bodies(creature, world) if "limb_duty_factor" in names else ()
+    return measures(*names, limbs=bodies)
+
+
+def _limb_bodies(creature: Creature, world: World) -> tuple[tuple[int, ...], ...]:
+    """Return the indices in the tree of the bodies of each limb that can touch the ground."""
+    if world.contact_model is None:
+        return ()
+    names, touching = world.tree.names, set(world.contact_model.bodies)
+    found = chosen(
+        lambda: tuple(
+            tuple(names.index(creature.bodies[i].name) for i in limb.bodies)
+            for limb in limbs(creature)
+        ),
+        lambda _: True,
+    )
+    return tuple(limb for limb in found if touching & set(limb))
 
 
 def _build_rules(
