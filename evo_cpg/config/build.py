@@ -38,7 +38,8 @@ from evo_cpg.physics.force_law import ForceLaw
 from evo_cpg.physics.lift import make_plate_lift
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.reactive_thrust import LEAST_BODIES, reactive_water
-from evo_cpg.physics.viscous_drag import ViscousDrag, make_viscous_drag
+from evo_cpg.physics.viscous_bodies import make_viscous_drag
+from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
@@ -390,6 +391,7 @@ def _drag(
     form, skin = _surface_points(water, creature, layout)
     surfacing = water.surface is not None
     if water.viscosity is None:
+        assert water.law is not None and water.skin_drag is not None
         patches = make_patches(tree, form, skin, water.law, surfacing, layout)
         return Drag(water.form_drag, water.skin_drag, patches, water.law)
     return make_viscous_drag(
