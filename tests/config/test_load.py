@@ -357,6 +357,10 @@ def test_tasks_without_a_light():
     assert isinstance(walk, Walk)
     weights = (walk.distance_weight, walk.tilt_weight, walk.bounce_weight, walk.airborne_weight)
     assert weights == (2, 3, 4, 5)
+    assert (walk.slip_weight, walk.cost_weight) == (None, None)
+    priced = task(type="walk", slip_weight=6, cost_weight=7)
+    assert isinstance(priced, Walk)
+    assert (priced.slip_weight, priced.cost_weight) == (6, 7)
     # The head is a box 0.2 m long.
     assert (walk.light, walk.heading, walk.torso_length) == (None, "any", pytest.approx(0.2))
 
