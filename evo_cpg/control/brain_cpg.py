@@ -190,8 +190,6 @@ class BrainCpg(Controller):
         control_step: length of a control step, s.
         muscles: True if the creature has muscles.
         feedback: feedback of the senses into the oscillators, or None.
-        feedback: feedback of the senses into the oscillators, or None.
-        muscles: True if the creature has muscles.
     """
 
     gene_count: int = eqx.field(static=True)
