@@ -19,7 +19,7 @@ def reproduce(
         str | None,
         typer.Argument(
             metavar="STUDY",
-            help="One of iwadate2010, fukui2003, salamander, hexapod, starfish, turtle, search,"
+            help="One of iwadate2010, fukui2003, salamander, hexapod, starfish, turtle, animals, search,"
             " benchmarks.",
         ),
     ] = None,
