@@ -12,7 +12,6 @@ from evo_cpg.analysis.limit_cycle import parts
 from evo_cpg.control.couplings import explicit_weights
 from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix
 from evo_cpg.creature.tree import Tree
-from evo_cpg.simulation.simulation import Simulation
 
 # Axes count as perpendicular if the cosine of their angle is less.
 _SQUARE = 1e-6
@@ -65,14 +64,12 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
     return sorted(found, key=lambda chain: (-len(chain.oscillators), chain.oscillators[0]))
 
 
-def joint_rows(simulation: Simulation) -> list[tuple[int, ...]]:
-    """Return the degrees of freedom of each chain of the simulated creature's oscillators.
+def joint_rows(tree: Tree) -> list[tuple[int, ...]]:
+    """Return the degrees of freedom of each chain of a creature, whatever couples its oscillators.
 
-    Without a rhythm generator, the chains are those of oscillators with default settings.
+    These are the chains of oscillators with default settings.
     """
-    oscillators = simulation.controller.rhythm_generator
-    settings = CpgSettings() if oscillators is None else oscillators.settings
-    return [chain.oscillators for chain in chains(simulation.world.tree, settings)]
+    return [chain.oscillators for chain in chains(tree, CpgSettings())]
 
 
 def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, " d"]:

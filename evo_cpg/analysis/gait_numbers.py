@@ -123,7 +123,7 @@ def gait_numbers(
     frequency = stride.stride_frequency(angle, step)
     power = np.asarray(frames["energy"], float)[:, 0] / step
     tree = simulation.world.tree
-    rows = joint_rows(simulation)
+    rows = joint_rows(simulation.world.tree)
     signs = axis_signs(tree, rows)
     angle *= signs
     chain = _chain(rows, recording)

@@ -232,7 +232,7 @@ def page(
         run=champion.run if experiment.runs > 1 else None,
         trial=trial if experiment.trials > 1 else None,
         seed=config.seed + champion.run,
-        chains=joint_rows(simulation),
+        chains=joint_rows(simulation.world.tree),
         signal=simulation.controller.signal_label,
         config=folder.config.read_text(encoding="utf-8"),
         meta=meta,

@@ -34,7 +34,7 @@ def plot(
     if recording.dof_names:
         simulation = experiment.simulation
         tree = simulation.world.tree
-        rows = joint_rows(simulation)
+        rows = joint_rows(simulation.world.tree)
         figure = joint_signals_figure(
             recording,
             chains=rows,

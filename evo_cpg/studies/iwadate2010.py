@@ -125,7 +125,7 @@ def _untrained(workshop: Workshop) -> dict[str, int]:
 
 
 def _gait(simulation: Simulation, recording: Recording) -> Gait:
-    signs = axis_signs(simulation.world.tree, joint_rows(simulation))
+    signs = axis_signs(simulation.world.tree, joint_rows(simulation.world.tree))
     return gait(recording, signs=signs)
 
 
