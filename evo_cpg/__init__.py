@@ -11,7 +11,7 @@ from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from evo_cpg.api.analyse import analyse
+    from evo_cpg.api.analyse import analyse, gait_numbers
     from evo_cpg.api.environment import Environment, EnvironmentState
     from evo_cpg.api.experiment import Experiment, Trials
     from evo_cpg.api.lab import lab
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from evo_cpg.config.errors import ConfigError
     from evo_cpg.control.controller import Command, Controller, Observation
     from evo_cpg.evolution.strategy import Evaluation, Strategy
-    from evo_cpg.lab.ask import Answer
+    from evo_cpg.laboratory.ask import Answer
     from evo_cpg.physics.force_law import Bodies, ForceLaw
     from evo_cpg.simulation.sensor import Sensor
     from evo_cpg.simulation.snapshot import Forces, Snapshot
     from evo_cpg.simulation.task import Task, Transition
 
 _HOMES = {
-    "Answer": "lab.ask",
+    "Answer": "laboratory.ask",
     "Bodies": "physics.force_law",
     "Command": "control.controller",
     "ConfigError": "config.errors",
@@ -51,6 +51,7 @@ _HOMES = {
     "Trials": "api.experiment",
     "analyse": "api.analyse",
     "lab": "api.lab",
+    "gait_numbers": "api.analyse",
     "load": "api.load",
     "show_progress": "api.progress",
     "train": "api.training",
@@ -69,6 +70,7 @@ __all__ = [  # noqa: RUF022 - in the order of the reference in docs/api.md
     "analyse",
     "lab",
     "Answer",
+    "gait_numbers",
     "show_progress",
     "Task",
     "Transition",

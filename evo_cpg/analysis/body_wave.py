@@ -141,5 +141,5 @@ def travelling_index(signals: Float[np.ndarray, "t j"], step: float, frequency: 
     if not power[-1] > _STILL**2:
         return _NOT_A_NUMBER
     first = modes[:, -1]
-    singular = np.linalg.svd(np.stack([first.real, first.imag], -1), compute_uv=False)
+    singular = np.linalg.svd(np.stack([np.real(first), np.imag(first)], -1), compute_uv=False)
     return float(singular[1] / singular[0])

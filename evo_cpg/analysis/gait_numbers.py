@@ -20,6 +20,7 @@ from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.feet import Feet, contacts
 from evo_cpg.analysis.midline import MidlineMotion, midline_motion
 from evo_cpg.analysis.midline_points import midline_chain, midline_points
+from evo_cpg.analysis.muscle_quantities import muscle_quantities
 from evo_cpg.analysis.phase_lags import PhaseLags, phase_lags
 from evo_cpg.analysis.quantity import Quantity
 from evo_cpg.analysis.swim_quantities import is_dry, water_quantities, wave_quantities
@@ -53,7 +54,7 @@ class GaitNumbers(NamedTuple):
         wave: wave of bending along the chain, or None without a chain or below an amplitude of one
             degree.
         midline: sway of the midline in the body's frame, or None without a wave of bending, without
-            a midline of three bodies, or with less than two strides.
+            a midline of three bodies, with less than two strides, or if the body is coiled.
         feet: contacts with the ground, or None without ground.
         power: absolute power of all motors in each control step, W.
         peak_torque: largest absolute torque of each motor, N m.
@@ -189,7 +190,7 @@ def _quantities(
     energy = float(numbers.power.sum() * step)
     # The energy of the last control step moves the animal beyond the last recorded position.
     spent = float(numbers.power[:-1].sum() * step)
-    no_stride = "" if frequency > 0 else _NO_STRIDE
+    no_stride, muscular = "" if frequency > 0 else _NO_STRIDE, tree.muscles is not None
     moving = stride.if_anywhere(along, step * (len(middle) - 1), length)
     stride_length = stride.stride_length(moving, frequency)
     found = [
@@ -236,7 +237,8 @@ def _quantities(
     swims |= simulation.world.water_level == math.inf
     found += [
         Quantity("power", "mean power", energy / duration, "W",
-                 "power of all motors, |torque x rate| summed over the joints"),
+                 "power of all motors, |torque x rate| summed over the joints"
+                 + (", and metabolic power of muscles (Minetti and Alexander 1997)" * muscular)),
         Quantity("peak_power", "peak power", float(numbers.power.max(initial=0.0)), "W",
                  "largest power, as a mean of a control step"),
         Quantity("energy", "energy", energy, "J", "mean power x duration"),
@@ -247,21 +249,21 @@ def _quantities(
         Quantity("peak_torque", "peak torque", float(numbers.peak_torque.max(initial=0.0)), "N m",
                  "largest torque of any motor, as a mean of a control step"),
     ]  # fmt: skip
-    return found
+    return found + muscle_quantities(tree, recording)
 
 
 def _cost_of_animals(mass: float, speed: float, swims: bool) -> tuple[Animals, ...]:
     """Return the cost of transport of animals of a mass (kg) at a speed (m/s)."""
     if swims:
         low, high = swimming_cost(mass)
-        who, source = "fish of this mass, metabolic", "formulas for fish and for salmon"
+        animal, source = "fish of this mass, metabolic", "formulas for fish and for salmon"
     elif speed > 0:
         low, high = running_cost(mass), running_cost(mass, speed)
-        who = "runners of this mass, metabolic, fast and at this speed"
+        animal = "runners of this mass, metabolic, fast and at this speed"
         source = "Taylor et al. 1982"
     else:
         return ()
-    return (Animals("cost_of_transport", float(low), float(high), who, source, True),)
+    return (Animals("cost_of_transport", float(low), float(high), animal, source, True),)
 
 
 def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, ...]:

@@ -21,6 +21,8 @@ unstable.
 
 All computations are in float64, in units of the network (`Flow`). All tolerances are relative to
 the swing of the orbit, so they hold for every drive and every time scale.
+
+Feedback of the senses (`evo_cpg.control.feedback`) is left out: the orbit is that of the open loop.
 """
 
 from collections.abc import Sequence

@@ -97,7 +97,9 @@ class MidlineMotion(NamedTuple):
 def midline_motion(
     points: Float[np.ndarray, "t p 3"], step: float, frequency: float, length: float | None = None
 ) -> MidlineMotion | None:
-    """Return the motion of a midline, or None with less than two cycles.
+    """Return the motion of a midline, or None with less than two cycles or of a coiled body.
+
+    The mean places of a body that is not coiled ascend from head to tail.
 
     Args:
         points: paths of three or more points on the midline, from the head's tip to the tail's, m.
@@ -106,7 +108,7 @@ def midline_motion(
         length: body length, m, or None for the mean length of the midline.
     """
     found = sway(points, step, frequency)
-    if found is None:
+    if found is None or not (np.diff(found.place) > 0).all():
         return None
     segments = np.linalg.norm(np.diff(points, axis=1), axis=-1).mean(0)
     distance = np.concatenate([[0.0], np.cumsum(segments)])

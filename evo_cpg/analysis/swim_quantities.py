@@ -31,7 +31,7 @@ from evo_cpg.simulation.simulation import Simulation
 
 _DRY = "it is out of the water for more than half of the time"
 _STANDS = f"its wave stands: the travelling index is below {STANDING:g}"
-_FEW = "the second half of the trial has fewer than two strides"
+_FEW = "the second half of the trial has fewer than two strides, or the body is coiled"
 _DRAG_PUSHES = (
     "without reactive thrust, drag both pushes and resists, so thrust cannot be told apart"
 )

@@ -219,6 +219,7 @@ def page(
         still=_jpeg(picture([panel], Film(_STILL))),
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
+        root_index=experiment.creature.root_index,
     )
     audit = _audit(folder, champion)
     subject = Subject(

@@ -73,7 +73,8 @@ class Environment:
     """One animal in its world, without its controller. `Experiment.environment` makes it.
 
     Attributes:
-        action_names: degree of freedom that each number of an action moves.
+        action_names: degree of freedom that each number of an action moves. Activations have the
+            side of the muscle at the end, + or -.
         action_size: count of numbers in an action.
         observation_sizes: names of the observation's parts, in order, with the count of numbers in
             each part (see `evo_cpg.Observation`).
@@ -89,15 +90,21 @@ class Environment:
         trial: int,
     ):
         tree = simulation.world.tree
-        if actions not in ("rates", "angles"):
-            raise ValueError(f"actions must be 'rates' or 'angles', got {actions!r}")
+        if actions not in ("rates", "angles", "activations"):
+            allowed = "'rates', 'angles' or 'activations'"
+            raise ValueError(f"actions must be {allowed}, got {actions!r}")
+        if actions == "activations" and tree.muscles is None:
+            raise ValueError("actions='activations' needs muscles, but no joint has muscles")
         if actions == "angles" and not np.asarray(tree.servo_stiffness).any():
             raise ValueError("actions='angles' needs motors with a stiffness, but no motor has one")
         situations = simulation.situations
         own = situations[trial if len(situations) > 1 else 0]
         self._simulation = dataclasses.replace(simulation, situations=(own,))
         self._scales, self._actions = scales, actions
-        self.action_names, self.action_size = tree.dof_names, tree.dof_count
+        self.action_names = tree.dof_names
+        if actions == "activations":
+            self.action_names = tuple(f"{name}{side}" for side in "+-" for name in tree.dof_names)
+        self.action_size = len(self.action_names)
         self.episode_length = simulation.steps
         seen = jax.eval_shape(lambda: self._sense(self._start(None), None)[1])
         self.observation_sizes = {
@@ -137,7 +144,8 @@ class Environment:
 
         Args:
             state: state from `reset` or the previous step.
-            action: joint rate (rad/s) or angle (rad) of every degree of freedom.
+            action: joint rate (rad/s) or angle (rad) of every degree of freedom, or activation
+                (0 to 1) of the muscles that pull to positive angles, then of the others.
 
         Raises:
             ValueError: the action has the wrong shape.
@@ -152,10 +160,14 @@ class Environment:
         def whole(
             animal: AnimalState, tally: Any, number: Array, keys: Array | None, action: Array
         ):
-            still = jnp.zeros_like(action)
-            command = Command(action, still)
-            if self._actions == "angles":
+            still = jnp.zeros_like(animal.state.q)
+            if self._actions == "activations":
+                both = jnp.clip(action, 0.0, 1.0).reshape(2, -1)
+                command = Command(still, both[0] - both[1], activation=both)
+            elif self._actions == "angles":
                 command = Command(still, still, action)
+            else:
+                command = Command(action, still)
             constants = self._constants(keys)
             seen = sense(self._simulation, constants, animal)
             animal, effects = move(self._simulation, constants, animal, seen, command)

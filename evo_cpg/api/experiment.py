@@ -288,11 +288,13 @@ class Experiment:
 
         Args:
             actions: quantity that an action sets: ``rates`` of the joints for the motors to follow
-                (rad/s), or ``angles`` for the motors' springs to pull to (rad).
+                (rad/s), ``angles`` for the motors' springs to pull to (rad), or ``activations`` of
+                the muscles (0 to 1).
             trial: number of the trial, from 0, which sets the start and the place of the light.
 
         Raises:
-            ValueError: there is no such trial, or no motor has a spring for ``angles``.
+            ValueError: there is no such trial. No motor has a spring for ``angles``, or no joint
+                has muscles for ``activations``.
         """
         if not 0 <= trial < self.trials:
             raise ValueError(f"trial must be from 0 to {self.trials - 1}, got {trial}")

@@ -101,6 +101,9 @@ def _export_model(source: Path, output: Path) -> None:
         carried = world.water.surface is None
         what = "the water, except buoyancy" if carried else "the water, because it has a surface"
         print(f"left out: {what}", file=sys.stderr)
+    if world.tree.muscles is not None:
+        what = "the stiffness of active muscles, and Hill's law"
+        print(f"left out: {what}", file=sys.stderr)
     own = [type(law).__name__ for law in world.forces if not law.of_water]
     if own:
         print(f"left out: force laws of your own, {', '.join(own)}", file=sys.stderr)

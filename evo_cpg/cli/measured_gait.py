@@ -1,9 +1,13 @@
 """Table of a gait's numbers on the terminal, beside those of animals."""
 
+import textwrap
 from collections.abc import Sequence
 
 from evo_cpg.analysis.quantity import Quantity
 from evo_cpg.cli.tables import show_table
+
+# Width of the lines below the table, characters.
+_WIDTH = 80
 
 
 def show_numbers(quantities: Sequence[Quantity]) -> None:
@@ -17,7 +21,7 @@ def show_numbers(quantities: Sequence[Quantity]) -> None:
             each.name,
             _digits(each.value),
             each.unit,
-            "; ".join(f"{animals.range} {animals.who}" for animals in each.animals),
+            "; ".join(f"{animals.range} {animals.animal}" for animals in each.animals),
         ]
         for each in quantities
         if each.exists
@@ -38,4 +42,4 @@ def _show_missing(quantities: Sequence[Quantity]) -> None:
         if not each.exists and each.missing:
             missing.setdefault(each.missing, []).append(each.name)
     for reason, names in missing.items():
-        print(f"no {', '.join(names)}: {reason}")
+        print(textwrap.fill(f"no {', '.join(names)}: {reason}", _WIDTH))

@@ -43,7 +43,11 @@ def plot(
             signal=simulation.controller.signal_label,
         )
         print(save_figure(figure, place / f"joint_signals{name}.png"))
-    print(save_figure(path_figure(recording), place / f"path{name}.png"))
+    print(
+        save_figure(
+            path_figure(recording, experiment.creature.root_index), place / f"path{name}.png"
+        )
+    )
     checkpoint, number = opened.folder.load(), opened.champion.run
     found = checkpoint and gait_map(experiment, checkpoint, number)
     if found:

@@ -101,6 +101,8 @@ def show_rhythm(
             print(f"ring of {names}: each lags behind the one before by {lags} deg")
     for reason, joints in rests.items():
         print(f"{', '.join(joints)}: {reason}")
+    if cpg.feedback is not None:
+        print("open loop: without the senses of controller.cpg.feedback, which change the rhythm")
     warn_of_oscillators(path, simulation)
     if failures:
         for reason, joints in failures.items():

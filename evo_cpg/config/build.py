@@ -20,6 +20,7 @@ from evo_cpg.config.trust import code_folders
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.couplings import CouplingError, UnfitError
 from evo_cpg.creature.creature import Creature, CreatureError, length_of
+from evo_cpg.creature.limbs import limbs
 from evo_cpg.creature.self_collision import PlanPairs, SelfCollision
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import PointLayout, outer_surfaces, random_surfaces
@@ -37,7 +38,8 @@ from evo_cpg.physics.force_law import ForceLaw
 from evo_cpg.physics.lift import make_plate_lift
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.reactive_thrust import LEAST_BODIES, reactive_water
-from evo_cpg.physics.viscous_drag import ViscousDrag, make_viscous_drag
+from evo_cpg.physics.viscous_bodies import make_viscous_drag
+from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
@@ -199,12 +201,14 @@ def build_simulation(
         engine=engine,
         extra_sensors=extra_sensors,
         rules=_build_rules(config, creature, world, pairs),
-        measures=_build_measures(config, task, world),
+        measures=_build_measures(config, task, creature, world),
     )
     return creature, simulation
 
 
-def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measures:
+def _build_measures(
+    config: ExperimentConfig, task: Task, creature: Creature, world: World
+) -> Measures:
     """Build the measures of gait: the requested measures, and the axes of a map.
 
     Raises:
@@ -233,9 +237,28 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
             problem = "is undefined without ground (world.ground)"
         elif name == "cost_of_transport" and not chosen(lambda: world.gravity > 0):
             problem = "is undefined without gravity (world.gravity)"
+        elif name == "limb_duty_factor" and not _limb_bodies(creature, world):
+            problem = "is undefined for a creature without limbs that can touch the ground"
         if problem:
             raise KeyProblem(key, f"{name!r} {problem}")
-    return measures(*dict.fromkeys(name for _, name in requested))
+    names = dict.fromkeys(name for _, name in requested)
+    bodies = _limb_bodies(creature, world) if "limb_duty_factor" in names else ()
+    return measures(*names, limbs=bodies)
+
+
+def _limb_bodies(creature: Creature, world: World) -> tuple[tuple[int, ...], ...]:
+    """Return the indices in the tree of the bodies of each limb that can touch the ground."""
+    if world.contact_model is None:
+        return ()
+    names, touching = world.tree.names, set(world.contact_model.bodies)
+    found = chosen(
+        lambda: tuple(
+            tuple(names.index(creature.bodies[i].name) for i in limb.bodies)
+            for limb in limbs(creature)
+        ),
+        lambda _: True,
+    )
+    return tuple(limb for limb in found if touching & set(limb))
 
 
 def _build_rules(
@@ -368,6 +391,7 @@ def _drag(
     form, skin = _surface_points(water, creature, layout)
     surfacing = water.surface is not None
     if water.viscosity is None:
+        assert water.law is not None and water.skin_drag is not None
         patches = make_patches(tree, form, skin, water.law, surfacing, layout)
         return Drag(water.form_drag, water.skin_drag, patches, water.law)
     return make_viscous_drag(

@@ -23,6 +23,9 @@ _SINCE_1_0 = {
     ("controller", "cpg"): {"feedback": None},
 }
 
+# Keys that version 1.0 lacked, and whose default gives its results.
+_SAME_AS_1_0 = {("task",): {"slip_weight": 0.0, "cost_weight": 0.0}}
+
 
 class FormerKeyWarning(FutureWarning):
     """Warning about a key with a new name."""
@@ -88,7 +91,7 @@ def without_former_values(data: dict[str, Any]) -> dict[str, Any]:
     def known(found: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
         return {k: v for k, v in found.items() if k not in values or values[k] != v}
 
-    for section, values in _SINCE_1_0.items():
+    for section, values in (*_SINCE_1_0.items(), *_SAME_AS_1_0.items()):
         data = _changed(data, section, lambda found, values=values: known(found, values))
     for former, section in _SECTIONS.items():
         data = _renamed(data, section, RENAMED[former], former)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.spatial.linear import expand_dims_like, of_each
 from evo_cpg.spatial.numerics import Number, Numbers
 
 # Longest delay, s. A delay costs one stored sample of each oscillator per control step.
@@ -66,12 +66,15 @@ class Gain(eqx.Module):
     high: Number | None = None
     gene: int | None = eqx.field(static=True, default=None)
 
-    def value(self, genes: Float[Array, "g *n"] | None) -> Array | Number:
-        """Return the weight of each individual."""
+    def times(
+        self, values: Float[Array, "k *n"], genes: Float[Array, "g *n"] | None
+    ) -> Float[Array, "k *n"]:
+        """Return values times the weight of each individual."""
         if self.high is None:
-            return self.low
+            return self.low * values
         assert genes is not None and self.gene is not None
-        return self.low + (self.high - self.low) * jax.nn.sigmoid(genes[self.gene])
+        share = jax.nn.sigmoid(genes[self.gene])
+        return of_each(self.low + (self.high - self.low) * share, values) * values
 
 
 # Builds the gain of a weight, with the next free gene.

@@ -166,9 +166,9 @@ class Load(eqx.Module):
             load: load of each body.
         """
         own = self.limbs.loads(load)
-        others = own.sum(0) - own
-        weight, neighbour_weight = self.weight.value(genes), self.neighbour_weight.value(genes)
-        return self.limbs.of_oscillators(weight * own + neighbour_weight * others)
+        others = own.sum(0, keepdims=True) - own
+        felt = self.weight.times(own, genes) + self.neighbour_weight.times(others, genes)
+        return self.limbs.of_oscillators(felt)
 
 
 class Tegotae(eqx.Module):
@@ -186,7 +186,7 @@ class Tegotae(eqx.Module):
         self, genes: Float[Array, "g *n"] | None, load: Float[Array, "b *n"]
     ) -> Float[Array, "o *n"]:
         """Return s n of each oscillator (see `evo_cpg.control.phase.clock_rate`)."""
-        return self.limbs.of_oscillators(self.gain.value(genes) * self.limbs.loads(load))
+        return self.limbs.of_oscillators(self.gain.times(self.limbs.loads(load), genes))
 
 
 class Reset(eqx.Module):

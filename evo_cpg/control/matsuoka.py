@@ -422,7 +422,7 @@ def runge_kutta_step(
     zeros = jnp.zeros((2, margin, *drive.shape[2:]), drive.dtype)
     per_rise, per_adaptation = h / network.rise_time, h / network.adaptation_time
     if rate is not None:
-        per_rise, per_adaptation = per_rise * rate, per_adaptation * rate
+        per_rise, per_adaptation = per_rise * rate[None], per_adaptation * rate[None]
 
     def pad(potential: Array) -> Array:
         return jnp.concatenate([zeros, potential, zeros], axis=1)

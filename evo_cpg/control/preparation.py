@@ -25,6 +25,7 @@ from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.control.matsuoka import MatsuokaState, Oscillators
 from evo_cpg.control.stretch import Stretch
 from evo_cpg.spatial.linear import expand_dims_like, of_each
+from evo_cpg.spatial.numerics import Numbers
 
 SENSES = ("light", "pressure", "balance", "joints", "depth", "sensors", "feedback")
 """Senses that can be silenced. ``joints`` is what the brain senses of the joints, and ``feedback``
@@ -44,13 +45,13 @@ class Surgery(NamedTuple):
         heard: factor of each of the `SENSES`.
     """
 
-    kept: Float[Array, "d *n"]
-    tonic: Float[Array, "2 d *n"]
-    gain: Float[Array, "d *n"]
-    coupled: Float[Array, "k d *n"]
-    own_coupled: Float[Array, "m d *n"]
-    felt: Float[Array, "f d *n"]
-    heard: Float[Array, "s *n"]
+    kept: Float[Numbers, "d *n"]
+    tonic: Float[Numbers, "2 d *n"]
+    gain: Float[Numbers, "d *n"]
+    coupled: Float[Numbers, "k d *n"]
+    own_coupled: Float[Numbers, "m d *n"]
+    felt: Float[Numbers, "f d *n"]
+    heard: Float[Numbers, "s *n"]
 
     def flat(self) -> Float[np.ndarray, " g"]:
         """Return all numbers of one individual as a vector."""
@@ -85,11 +86,6 @@ class Preparation(Controller):
     def uses_load(self) -> bool:
         """Return whether the spinal cord feels the load of limbs."""
         return self.animal.uses_load
-
-    @property
-    def uses_senses(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Return whether a brain or a feedback uses the senses."""
-        return True
 
     @property
     def _shapes(self) -> tuple[tuple[int, ...], ...]:
@@ -147,14 +143,14 @@ class Preparation(Controller):
     ) -> tuple[MatsuokaState, Command]:
         """Run one control step of the changed animal."""
         animal, surgery = decoded
-        tonic, gain = surgery.tonic, surgery.gain
+        tonic, gain, senses = map(jnp.asarray, (surgery.tonic, surgery.gain, surgery.heard))
         if self.awake:
             assert animal is not None
-            sensed = silenced(observation, surgery.heard)
+            sensed = silenced(observation, senses)
             own_tonic, own_gain = self.animal.descending(animal, state, sensed)
             tonic = tonic + surgery.kept[None] * own_tonic
             gain = gain + surgery.kept * own_gain
-        heard = surgery.heard[SENSES.index("feedback")]
+        heard = senses[SENSES.index("feedback")]
         load = observation.load
         proprioception = observation._replace(
             joint_angle=_heard(heard, observation.joint_angle),
@@ -169,7 +165,7 @@ class Preparation(Controller):
         """Return the animal with the couplings and the feedback of each individual."""
         network, feedback = self.animal.network, self.animal.feedback
         weights, own = (
-            factor * expand_dims_like(weight, factor)
+            factor * expand_dims_like(weight, jnp.asarray(factor))
             for factor, weight in (
                 (surgery.coupled, network.weights),
                 (surgery.own_coupled, network.own_weights),
@@ -180,7 +176,7 @@ class Preparation(Controller):
             stretch, first = [], 0
             for sense in feedback.stretch:
                 felt = surgery.felt[first : first + len(sense.offsets)]
-                rows = felt * expand_dims_like(sense.rows, felt)
+                rows = felt * expand_dims_like(sense.rows, jnp.asarray(felt))
                 stretch.append(dataclasses.replace(sense, rows=rows))
                 first += len(sense.offsets)
             feedback = dataclasses.replace(feedback, stretch=tuple(stretch))

@@ -113,8 +113,8 @@ class Stretch(eqx.Module):
             joint_angle: joint angles, rad.
             joint_rate: joint rates, rad/s.
         """
-        angle, rate = self.angle_weight.value(genes), self.rate_weight.value(genes)
-        return spread(self.offsets, self.rows, angle * joint_angle + rate * joint_rate)
+        angle = self.angle_weight.times(joint_angle, genes)
+        return spread(self.offsets, self.rows, angle + self.rate_weight.times(joint_rate, genes))
 
 
 def build_stretch(

@@ -296,6 +296,11 @@ class Creature:
         """Return the index of a body in ``bodies``."""
         return [body.name for body in self.bodies].index(name)
 
+    @property
+    def root_index(self) -> int:
+        """Index in ``bodies`` of the body without a joint."""
+        return next(i for i, body in enumerate(self.bodies) if body.joint is None)
+
     def bodies_of(self, names: Sequence[str]) -> list[Body]:
         """Return the bodies with some names, in the order of the names."""
         return [self.bodies[self.body_index(name)] for name in names]

@@ -31,6 +31,9 @@ _SLICES = 4
 # Largest component of a unit vector along the axis from which vectors across it are made.
 _NEARLY_ALONG = 0.9
 
+# Least length, so that a body without size has no 0 / 0, m.
+_LEAST = 1e-12
+
 # Edge radius of a box in pictures, as a fraction of its smallest half size. Vertices along an
 # eighth of a circle: 6 look round on a body that fills a third of a frame.
 _ROUNDING, _QUARTER = 0.28, 6
@@ -365,9 +368,10 @@ class Ellipsoid(Shape):
 
     @override
     def distance(self, points: Numbers) -> Numbers:
-        scaled = points / self.half_extents
+        half = xp.maximum(self.half_extents, _LEAST)
+        scaled = points / half
         level = xp.linalg.norm(scaled, axis=-1)
-        gradient = xp.linalg.norm(scaled / self.half_extents, axis=-1)
+        gradient = xp.linalg.norm(scaled / half, axis=-1)
         at_centre = gradient < 1e-12
         estimate = level * (level - 1) / xp.where(at_centre, 1.0, gradient)
         return xp.where(at_centre, -self.half_extents.min(), estimate)
@@ -375,13 +379,13 @@ class Ellipsoid(Shape):
     @override
     def support(self, direction: Numbers) -> Numbers:
         stretched = self.half_extents * direction
-        return self.half_extents * stretched / xp.linalg.norm(stretched)
+        return self.half_extents * stretched / xp.maximum(xp.linalg.norm(stretched), _LEAST)
 
     @override
     def surface(self, resolution: int) -> Surface:
         """Map the sphere's product rule (Gauss in x, uniform around x) to the ellipsoid."""
         directions, solid_angles = _sphere_rule(resolution)
-        scaled = directions / self.half_extents
+        scaled = directions / xp.maximum(self.half_extents, _LEAST)
         stretch = xp.linalg.norm(scaled, axis=-1)
         return Surface(
             directions * self.half_extents,
@@ -477,7 +481,7 @@ class Capsule(Shape):
     @override
     def inertia(self, mass: Number) -> Numbers:
         r, length = self.radius, self.length
-        cylinder = mass * xp.pi * r**2 * length / self.volume
+        cylinder = mass * xp.pi * r**2 * length / xp.maximum(self.volume, _LEAST**3)
         ends = mass - cylinder
         axial = cylinder * r**2 / 2 + ends * 0.4 * r**2
         across = cylinder * (length**2 / 12 + r**2 / 4) + ends * (

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from evo_cpg.creature.creature import Body, Creature, neutral_pose
-from evo_cpg.creature.outline import outline_surface, outlines
+from evo_cpg.creature.outline import outlines
+from evo_cpg.creature.outline_points import outline_surface
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
@@ -43,6 +44,9 @@ _NEAR, _NEAR_IN_COMPLETE = 1 / 0.8, 3.0
 # Depth of a point in another body at which it is covered, as a fraction of the size of its area and
 # of the other body's least half extent.
 _SUNK = 0.25
+
+# Least size of a point's area, so that bodies without size cover nothing, m.
+_LEAST = 1e-12
 
 # Largest distance (m) of surfaces that two bodies share, and distance (m) outside a shared surface
 # at which no body may be.
@@ -288,6 +292,7 @@ def _covered(
             local = (world - centres[j]) @ rotations[j]
             gap = shape.distance(local.reshape(-1, 3)).reshape(local.shape[:-1]).min(0)
             size = _SUNK * xp.minimum(xp.sqrt(areas), xp.min(shape.half_extents))
+            size = xp.maximum(size, _LEAST)
             fraction = xp.clip(-gap / size, 0.0, 1.0)
             found[i][int(j)] = fraction * fraction * (3.0 - 2.0 * fraction)
     return found

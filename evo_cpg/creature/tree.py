@@ -30,6 +30,9 @@ from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 LIMIT_FREQUENCY = 10.0
 LIMIT_DAMPING_RATIO = 1.0
 
+# Least volume of a body, so that a body without size has a fraction under water, m^3.
+_LEAST_VOLUME = 1e-30
+
 
 class Group(NamedTuple):
     """Bodies of one depth in the tree with limbs of the same build, such as all four thighs.
@@ -173,7 +176,7 @@ def build_tree(creature: Creature) -> Tree:
         joint_orientation=orientation,
         joint_axes=each("axis").reshape(-1, 3).T,
         mass=mass,
-        volume=xp.array([body.shape.volume for body in bodies]),
+        volume=xp.maximum(xp.array([body.shape.volume for body in bodies]), _LEAST_VOLUME),
         com=com.T,
         inertia=inertia,
         stiffness=each("stiffness"),

@@ -5,6 +5,7 @@
 | each axis of a joint | a ``hinge`` at the body's origin, named `body.1`, `body.2`, ... |
 | limits of each axis | ``range`` |
 | stiffness, damping, armature of the joint | the same attribute of every hinge |
+| passive stiffness and damping of muscles | added to those of every hinge |
 
 A hinge without a ``range`` is refused, and so are hinges of one body that differ in more than axis
 and range.
@@ -43,8 +44,14 @@ def add_hinges(element: Element, body: Body, joint: Joint) -> None:
         hinge = SubElement(element, "joint", name=name, type="hinge", axis=direction)
         hinge.set("limited", "true")
         hinge.set("range", number_text(dof.lower, dof.upper))
-        for key in ("stiffness", "damping", "armature"):
-            if value := getattr(dof, key):
+        muscle = dof.muscle
+        values = {
+            "stiffness": dof.stiffness + (muscle.rest_stiffness if muscle else 0.0),
+            "damping": dof.damping + (muscle.damping if muscle else 0.0),
+            "armature": dof.armature,
+        }
+        for key, value in values.items():
+            if value:
                 hinge.set(key, number_text(value))
 
 

@@ -6,6 +6,10 @@
 | motor without a spring | ``velocity``: ``kv`` is its gain |
 | torque limit | ``forcerange`` |
 | velocity servo with the caller's gain | ``motor`` with limits, in the import |
+| muscles | ``motor``: ``gear`` is their strength, the command is ML - MR |
+
+The passive stiffness and damping of muscles are those of the hinge. MJCF leaves out the stiffness
+of active muscles and Hill's law.
 """
 
 from collections.abc import Container
@@ -15,7 +19,7 @@ import numpy as np
 
 from evo_cpg.config.schema.joint import ActuatorConfig
 from evo_cpg.config.schema.section import LARGEST
-from evo_cpg.creature.creature import Actuator
+from evo_cpg.creature.creature import Actuator, Muscle
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 from evo_cpg.exchange.mjcf_ground import number_text
 
@@ -23,8 +27,13 @@ from evo_cpg.exchange.mjcf_ground import number_text
 _GROUPS = 31
 
 
-def add_motor(actuator: Element, joint: str, motor: Actuator) -> None:
-    """Add the motor of a hinge."""
+def add_motor(actuator: Element, joint: str, motor: Actuator | Muscle) -> None:
+    """Add the motor or the muscles of a hinge."""
+    if isinstance(motor, Muscle):
+        element = SubElement(actuator, "motor", name=joint, joint=joint)
+        element.set("gear", number_text(motor.strength))
+        element.set("ctrlrange", number_text(-1.0, 1.0))
+        return
     kind = "position" if motor.stiffness else "velocity"
     element = SubElement(actuator, kind, name=joint, joint=joint)
     if motor.stiffness:

@@ -15,6 +15,7 @@ Both programs solve the same equations of motion. They differ in these points:
 - Buoyancy and force laws (`evo_cpg.physics.force_law`) are ours, applied to MuJoCo's bodies at
   every MuJoCo step. Laws with an inertia, such as added mass, act by a force on MuJoCo's degrees of
   freedom (`evo_cpg.exchange.carried_inertia`). The impact of water that a body enters is left out.
+- Muscles are a torque motor, a spring and a damper, which follow our law in every step of MuJoCo.
 - If friction differs from trial to trial, MuJoCo uses the friction of the configuration.
 """
 
@@ -32,6 +33,7 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.analysis.excursions import in_water
 from evo_cpg.control.controller import Command
 from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.muscles import Muscles
 from evo_cpg.exchange.carried_inertia import CarriedInertia, step_with_inertia
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
@@ -39,7 +41,9 @@ from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.fusion.engine import using
 from evo_cpg.installation import command_for
 from evo_cpg.physics.force_law import in_body_axes
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.muscle import Pull, pull_of
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.weight import buoyancy_alone
 from evo_cpg.physics.world import World
@@ -56,7 +60,7 @@ _UPRIGHT = 0.5
 # direction. Their time constant is one of our steps, in which an impact of ours ends.
 _HARD_STEP, _IMPEDANCE_RATIO = 1 / 3840, 100.0
 
-# Longest step (s) with explicit forces, such as water's, on light limbs.
+# Longest step (s) with explicit forces, such as water's or springs of muscles, on light limbs.
 _LAW_STEP = 1 / 2000
 
 
@@ -128,10 +132,8 @@ class Brain:
 
         self._think = jax.jit(think)
 
-    def think(
-        self, state: State, borne: Float[np.ndarray, " b"]
-    ) -> tuple[Float[np.ndarray, "d 1"], Float[np.ndarray, "d 1"]]:
-        """Return reference rates (rad/s) and angles (rad) of the motors.
+    def think(self, state: State, borne: Float[np.ndarray, " b"]) -> MotorCommand:
+        """Return the command to motors and muscles, with an axis of one individual.
 
         Args:
             state: state of the animal.
@@ -142,8 +144,12 @@ class Brain:
             force[2, point] = borne[body]
         here = jax.tree.map(lambda x: np.asarray(x, np.float32)[..., None], state)
         self._nerves, command = jax.device_get(self._think(here, self._nerves, force))
-        rate, angle = command.target_rate, command.target_angle
-        return rate, np.zeros_like(rate) if angle is None else angle
+        rate, angle, activation = command.target_rate, command.target_angle, command.activation
+        return MotorCommand(
+            rate,
+            np.zeros_like(rate) if angle is None else angle,
+            jnp.zeros((2, *rate.shape)) if activation is None else activation,
+        )
 
 
 def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
@@ -185,14 +191,15 @@ def second_opinion(
     player = _Player(mujoco, model, world, simulation.step_length)
     player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
     pushes = _pushes(steps)
-    commands = player.commands(*map(np.asarray, (steps.target_rate, steps.target_angle)))
+    recorded = steps.target_rate, steps.target_angle, steps.activation
+    commands, active = player.commands(MotorCommand(*recorded))
     poses, held = [player.data.qpos.copy()], []
     for index in range(steps.torque.shape[-1]):
         player.data.qvel[:3] += pushes[:, index]
         if brain is not None and index % substeps == 0:
-            own = player.commands(*brain.think(player.state(), player.weight_borne()))
-            commands[index : index + substeps] = own
-        player.advance(commands[index], finer)
+            own = player.commands(brain.think(player.state(), player.weight_borne()))
+            commands[index : index + substeps], active[index : index + substeps] = own
+        player.advance(commands[index], active[index], finer)
         if not np.isfinite(player.data.qpos).all():
             raise ExchangeError("MuJoCo's animal diverged")
         if (index + 1) % substeps == 0:
@@ -218,7 +225,7 @@ def _compile(simulation: Simulation, creature: Creature, hard: bool) -> tuple[An
         ) from None
     world, h = simulation.world, simulation.step_length
     longest = _HARD_STEP if hard else h
-    if _applied(world):
+    if _applied(world) or world.tree.muscles is not None:
         longest = min(longest, _LAW_STEP)
     finer = int(np.ceil(h / longest - 1e-9))
     element = mjcf_model(
@@ -254,6 +261,7 @@ class _Player:
         self._animal = np.isin(model.geom_bodyid, self._bodies)
         self._structure = jax.tree.structure(resting_state(world.tree))
         self._laws = _law_forces(world, h) if _applied(world) else None
+        self._pull = None if world.tree.muscles is None else _pull_forces(world.tree.muscles)
         self._surface = world.water_level
 
     def begin(self, state: State) -> None:
@@ -262,23 +270,38 @@ class _Player:
         self.mujoco.mj_forward(self.model, self.data)
 
     def commands(
-        self, target_rate: Float[np.ndarray, "d t"], target_angle: Float[np.ndarray, "d t"]
-    ) -> Float[np.ndarray, "t motors"]:
-        """Return the commands of MuJoCo's motors for each step, which give our motors' torques."""
-        tree = self.tree
+        self, command: MotorCommand
+    ) -> tuple[Float[np.ndarray, "t motors"], Float[np.ndarray, "t 2 d"]]:
+        """Return the commands of MuJoCo's motors for each step, and the activations of muscles.
+
+        The commands give our motors' torques. Those of muscles change within a step, see `advance`.
+        """
+        tree, target_rate = self.tree, np.asarray(command.target_rate)
+        target_angle = np.asarray(command.target_angle)
         gain, stiffness = (
             np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)
         )
         springy = stiffness > 0
         along = gain / np.where(springy, stiffness, 1.0) * target_rate
-        command = np.where(springy, target_angle + along, target_rate)
-        return np.asarray(command[self._motors].T, float)
+        driven = np.where(springy, target_angle + along, target_rate)[self._motors].T
+        return np.asarray(driven, float), np.moveaxis(np.asarray(command.activation, float), -1, 0)
 
-    def advance(self, command: Float[np.ndarray, " motors"], count: int) -> None:
-        """Take some of MuJoCo's steps with a constant command."""
+    def advance(
+        self,
+        command: Float[np.ndarray, " motors"],
+        activation: Float[np.ndarray, "2 d"],
+        count: int,
+    ) -> None:
+        """Take some of MuJoCo's steps with a constant command.
+
+        Muscles are a torque motor, with the stiffness and damping of their hinge. All three follow
+        the law of muscles in every step of MuJoCo.
+        """
         self.data.ctrl[:] = command
         for _ in range(count):
             carried = None
+            if self._pull is not None:
+                self._set_muscles(self._pull(activation, self.state()))
             if self._laws is not None:
                 applied, carried = self._laws(self.state())
                 self.data.xfrc_applied[self._bodies] = applied.T
@@ -286,6 +309,17 @@ class _Player:
                 self.mujoco.mj_step(self.model, self.data)
             else:
                 step_with_inertia(self.mujoco, self.model, self.data, self._bodies, carried)
+
+    def _set_muscles(self, pull: Pull) -> None:
+        """Set strength, stiffness and damping of the muscles' hinges and motors."""
+        tree, model, muscles = self.tree, self.model, self.tree.muscles
+        assert muscles is not None
+        hinges = 6 + self.dofs
+        model.jnt_stiffness[model.dof_jntid[hinges]] = tree.stiffness + pull.stiffness
+        model.dof_damping[hinges] = tree.damping + pull.damping
+        own = np.array(muscles.driven)[self._motors]
+        share = pull.drive / np.where(muscles.driven, muscles.strength, 1.0)
+        self.data.ctrl[own] = share[self._motors][own]
 
     def is_held(self) -> bool:
         """Return whether the animal touches something other than itself, or swims.
@@ -326,6 +360,17 @@ class _Player:
 def _applied(world: World) -> bool:
     """Return whether the world has forces that MJCF cannot hold."""
     return world.water is not None or bool(world.forces)
+
+
+def _pull_forces(muscles: Muscles) -> Callable[[np.ndarray, State], Pull]:
+    """Return a function of activations and state for the torque of the muscles."""
+    program = jax.jit(lambda activation, q, rate: pull_of(muscles, activation, q, rate))
+
+    def compute(activation: np.ndarray, state: State) -> Pull:
+        with jax.enable_x64(True):
+            return jax.device_get(program(activation, state.q, state.qd))
+
+    return compute
 
 
 def _law_forces(

@@ -38,6 +38,9 @@ _NODES = 200
 # water when it turns, and the closed form is 0 / 0.
 _ROUND = 1e-6
 
+# Least semi-axis, so that a body without size has no 0 / 0, m.
+_LEAST = 1e-9
+
 
 class AddedMass(ForceLaw):
     """Water that the bodies carry along, in proportion to their fraction under water.
@@ -136,7 +139,9 @@ def ellipsoid(shape: Shape) -> Float[Numbers, " 6"]:
         Three values about the axes of `Shape.stretch` (m^5), then three along the axes (m^3).
     """
     half, _ = shape.stretch
+    half = xp.maximum(half, _LEAST)
     axes = half * (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
+    axes = xp.maximum(axes, _LEAST)
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     # l = a^2 (x / (1 - x))^2 maps (0, 1) to (0, infinity) and leaves a smooth integrand.
     x = (nodes + 1) / 2

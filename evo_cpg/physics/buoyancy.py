@@ -68,6 +68,9 @@ _DENSITIES = {
 # Product of two differences in depth (m^2) up to which a corner counts as level with the others.
 _LEAST_SIDES = 1e-12
 
+# Least half axis, so that a cell without size has finite moments, m.
+_LEAST = 1e-9
+
 
 class Cells(eqx.Module):
     """Parts of the creature's bodies with the same profile and the same triangles.
@@ -122,7 +125,7 @@ def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
                 bodies,
                 # The geometric centre is the centre of mass: densities are uniform.
                 xp.array([cell.centre for _, cell in alike]).T + tree.com[:, np.array(bodies)],
-                xp.array([cell.half_axes for _, cell in alike]).T,
+                xp.maximum(xp.array([cell.half_axes for _, cell in alike]).T, _LEAST),
                 xp.array([cell.volume for _, cell in alike]),
                 alike[0][1].triangles,
             )

@@ -139,7 +139,7 @@ def motor_torque(tree: Tree, state: State, command: MotorCommand, h: float) -> M
     if tree.muscles is None:
         return MotorTorque(torque)
     pull = pull_of(tree.muscles, command.activation, state.q, rates)
-    return MotorTorque(torque + pull.torque(state.q, rates, h), pull.derivative(h))
+    return MotorTorque(torque + pull.torque(state.q, rates), pull.derivative(h))
 
 
 def has_springs(tree: Tree) -> bool:

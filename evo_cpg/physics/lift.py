@@ -51,7 +51,7 @@ from evo_cpg.creature.slender import slender_chains
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
-from evo_cpg.physics.per_body import take
+from evo_cpg.physics.per_body import spread, take
 from evo_cpg.physics.reactive_thrust import LEAST_BODIES
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
@@ -157,9 +157,7 @@ class PlateLift(ForceLaw):
 
     def _spread(self, bodies: Bodies, own: Float[Array, "k p *n"]) -> Float[Array, "k b *n"]:
         """Return a quantity of the plates as a quantity of all bodies."""
-        values = dict(zip(self.bodies, jnp.unstack(own, axis=1), strict=True))
-        none = jnp.zeros_like(own[:, 0])
-        return jnp.stack([values.get(i, none) for i in range(bodies.tree.body_count)], 1)
+        return spread(own, self.bodies, bodies.tree.body_count)
 
     def _centre(self, bodies: Bodies) -> Float[Array, "3 p *#n"]:
         return expand_dims_like(bodies.tree.com[:, np.array(self.bodies)], bodies.velocity)
@@ -294,6 +292,8 @@ def _plate(shape: Shape) -> tuple[Numbers, Numbers, Number]:
     """Return the frame of a thin body as rows, its lengths (m) and its area (m^2)."""
     half, axes = shape.stretch
     thinnest = xp.where(half <= xp.min(half), 1.0, 0.0)
+    # The first of equal axes.
+    thinnest = thinnest * xp.where(xp.cumsum(thinnest) > 1.0, 0.0, 1.0)
     normal, first = axes @ thinnest, axes @ xp.roll(thinnest, 1)
     second = xp.cross(normal, first)
     lengths = [

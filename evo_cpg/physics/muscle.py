@@ -20,8 +20,10 @@ Both branches have the form ``fv(q) = 1 - c(q) q`` with a positive c:
     c = 0.8 (1 + 7.56 / k) / (1 - 7.56 q / k)   for q < 0
 
 so Hill's velocity term is a damper. A step keeps c at the present rate and takes q at the end.
-That is stable at any step and any stiffness, and exact at constant rates. Stiffness and damping
-are taken at the end of the step, too. The length factor fl is taken at the start.
+That is stable at any step and any stiffness, and exact at constant rates. The damping delta acts on
+the rate at the end of the step, too. The springs act on the mean of three successive angles, with
+the weights 1/4, 1/2, 1/4 (Newmark 1959). They are stable at any stiffness, and neither damp the
+motion nor do work in a closed cycle. The length factor fl is taken at the start.
 
 | symbol | name |
 |---|---|
@@ -65,15 +67,13 @@ class Pull(NamedTuple):
     stiffness: Float[Array, "d *n"]
     damping: Float[Array, "d *n"]
 
-    def torque(
-        self, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
-    ) -> Float[Array, "d *n"]:
-        """Return the torque at the angles after a step of h (s) with the present rates, N m."""
-        return self.drive - self.stiffness * (q + h * rate) - self.damping * rate
+    def torque(self, q: Float[Array, "d *n"], rate: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Return the torque at angles (rad) and rates (rad/s), N m."""
+        return self.drive - self.stiffness * q - self.damping * rate
 
     def derivative(self, h: float) -> Float[Array, "d *n"]:
-        """Return the decrease of the torque per final rate, N m s/rad, never negative."""
-        return self.damping + h * self.stiffness
+        """Return the decrease of the torque per final rate of a step, N m s/rad, never negative."""
+        return self.damping + 0.25 * h * self.stiffness
 
 
 def pull_of(

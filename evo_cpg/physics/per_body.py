@@ -1,4 +1,4 @@
-"""One quantity of every body, for recursions over groups of similar limbs.
+"""One quantity of every body, for recursions over groups of similar limbs and for force laws.
 
 A recursion has the same equations for one body and for a whole `evo_cpg.creature.tree.Group`, whose
 bodies are stacked on the axis in front of the individuals. Only the indices of the parents differ.
@@ -110,6 +110,22 @@ def take(x: Array, indices: np.ndarray, axis: int = 1) -> Array:
         return jax.lax.slice_in_dim(x, int(indices[0]), int(indices[-1]) + 1, step, axis)
     pieces = [jax.lax.slice_in_dim(x, int(i), int(i) + 1, axis=axis) for i in indices]
     return jnp.concatenate(pieces, axis) if pieces else jax.lax.slice_in_dim(x, 0, 0, axis=axis)
+
+
+def spread(parts: Array, bodies: Sequence[int], count: int, axis: int = 1) -> Array:
+    """Return parts of some bodies as a quantity of all bodies, with 0 for the others.
+
+    Args:
+        parts: one part for each entry of ``bodies``, stacked on the axis.
+        bodies: body of each part. The parts of a body that occurs more than once are added.
+        count: number of bodies.
+        axis: axis of the bodies.
+    """
+    each: dict[int, Array] = {}
+    for body, part in zip(bodies, jnp.unstack(parts, axis=axis), strict=True):
+        each[body] = each[body] + part if body in each else part
+    none = jnp.zeros_like(next(iter(each.values())))
+    return jnp.stack([each.get(body, none) for body in range(count)], axis)
 
 
 def _unstacked(stacked: Value, batch_ndim: int) -> list[Value]:

@@ -47,7 +47,7 @@ from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.creature.slender import SlenderChain, slender_chains
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part, blocks
-from evo_cpg.physics.per_body import take
+from evo_cpg.physics.per_body import spread, take
 from evo_cpg.physics.sections import Sections, chain_inertia, sections
 from evo_cpg.spatial.decisions import Condition, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like
@@ -180,12 +180,7 @@ class ReactiveThrust(ForceLaw):
     def _on_bodies(self, bodies: Bodies, parts: Array) -> Array:
         """Return the sum of parts ``(..., e, *n)`` of the edges for every body ``(..., b, *n)``."""
         axis = parts.ndim - (bodies.velocity.ndim - 1)
-        each: dict[int, Array] = {}
-        for body, part in zip(self.bodies, jnp.unstack(parts, axis=axis), strict=True):
-            each[body] = each[body] + part if body in each else part
-        none = jnp.zeros_like(next(iter(each.values())))
-        count = bodies.velocity.shape[1]
-        return jnp.stack([each.get(body, none) for body in range(count)], axis)
+        return spread(parts, self.bodies, bodies.tree.body_count, axis)
 
 
 def reactive_water(

@@ -10,7 +10,8 @@ place of the root's centre. If there is ground, only the horizontal distance cou
 | ``speed`` | distance / duration of the trial | m/s |
 | ``cost_of_transport`` | energy of the motors / (weight x distance) (Tucker 1975) | - |
 | ``power`` | energy of the motors / duration | W |
-| ``duty_factor`` | fraction of time on the ground, mean of the limbs that ever touch it | - |
+| ``duty_factor`` | fraction of time on the ground, mean of the bodies that ever touch it | - |
+| ``limb_duty_factor`` | the same of whole limbs, without trunk and tail | - |
 | ``airborne`` | fraction of time in which nothing touches the ground | - |
 | ``frequency`` | sign changes of a joint's velocity / (2 x duration), mean of all joints | Hz |
 | ``amplitude`` | standard deviation of the joints' angles, mean of all joints | rad |
@@ -19,12 +20,13 @@ place of the root's centre. If there is ground, only the horizontal distance cou
 """
 
 import abc
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.task import Transition
@@ -242,20 +244,39 @@ class DutyFactor(Measure):
 
     def update(self, tally: Array, transition: Transition) -> Array:
         """See `Measure.update`."""
-        force, step = transition.forces.contact_force, transition.before.control_step
-        # Every contact force has a normal component. So the force vector is not zero in any axes.
-        touched = (force * force).sum(0) > 0
-        owners = transition.before.contact_bodies
-        rows = [
-            touched[np.flatnonzero(owners == body)].any(0)
-            for body in _limbs(transition.before.world)
-        ]
-        return tally + step * jnp.stack(rows).astype(tally.dtype)
+        bodies = [(body,) for body in _limbs(transition.before.world)]
+        touched = _touched_groups(transition, bodies)
+        return tally + transition.before.control_step * touched.astype(tally.dtype)
 
     def finish(self, tally: Array, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
-        feet = (tally > 0).astype(tally.dtype).sum(0)
-        return tally.sum(0) / (jnp.maximum(feet, 1.0) * trial.duration)
+        return _mean_of_touching(tally, trial)
+
+
+class LimbDutyFactor(Measure):
+    """Fraction of control steps on the ground, mean of all limbs that ever touch it.
+
+    A limb touches the ground if any of its bodies does. Trunk and tail are not limbs
+    (`evo_cpg.creature.limbs`).
+
+    Attributes:
+        limbs: indices in the tree of the bodies of each limb.
+    """
+
+    limbs: tuple[tuple[int, ...], ...] = eqx.field(static=True, default=())
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:
+        """Return zero as the time on the ground (s) of every limb."""
+        return jnp.zeros((len(self.limbs), *batch), dtype)
+
+    def update(self, tally: Array, transition: Transition) -> Array:
+        """See `Measure.update`."""
+        touched = _touched_groups(transition, self.limbs)
+        return tally + transition.before.control_step * touched.astype(tally.dtype)
+
+    def finish(self, tally: Array, trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        return _mean_of_touching(tally, trial)
 
 
 MEASURES: dict[str, type[Measure]] = {
@@ -264,6 +285,7 @@ MEASURES: dict[str, type[Measure]] = {
     "cost_of_transport": CostOfTransport,
     "duty_factor": DutyFactor,
     "frequency": Frequency,
+    "limb_duty_factor": LimbDutyFactor,
     "power": Power,
     "speed": Speed,
     "tilt": Tilt,
@@ -271,7 +293,7 @@ MEASURES: dict[str, type[Measure]] = {
 }
 
 # Measures that mean nothing without ground.
-GROUND_MEASURES = ("airborne", "duty_factor")
+GROUND_MEASURES = ("airborne", "duty_factor", "limb_duty_factor")
 
 
 class Measures(eqx.Module):
@@ -304,9 +326,20 @@ class Measures(eqx.Module):
         return zip(self.names, self.each, strict=True)
 
 
-def measures(*names: str) -> Measures:
-    """Return measures by their keys in `MEASURES`."""
-    return Measures(names, tuple(MEASURES[name]() for name in names))
+def measures(*names: str, limbs: tuple[tuple[int, ...], ...] = ()) -> Measures:
+    """Return measures by their keys in `MEASURES`.
+
+    Args:
+        names: keys of the measures.
+        limbs: indices in the tree of the bodies of each limb, for ``limb_duty_factor``.
+    """
+    return Measures(
+        names,
+        tuple(
+            LimbDutyFactor(limbs) if MEASURES[name] is LimbDutyFactor else MEASURES[name]()
+            for name in names
+        ),
+    )
 
 
 def distance(displacement: Displacement, world: World) -> Float[Array, " *n"]:
@@ -314,6 +347,24 @@ def distance(displacement: Displacement, world: World) -> Float[Array, " *n"]:
     x, y, z = displacement.end - displacement.start
     level = x * x + y * y
     return jnp.sqrt(level if world.contact_model is not None else level + z * z)
+
+
+def _touched_groups(
+    transition: Transition, groups: Sequence[tuple[int, ...]]
+) -> Bool[Array, "g *n"]:
+    """Return whether any body of each group touches the ground in a control step."""
+    force = transition.forces.contact_force
+    # Every contact force has a normal component. So the force vector is not zero in any axes.
+    touched = (force * force).sum(0) > 0
+    owners = transition.before.contact_bodies
+    rows = [touched[np.flatnonzero(np.isin(owners, group))].any(0) for group in groups]
+    return jnp.stack(rows)
+
+
+def _mean_of_touching(time: Float[Array, "g *n"], trial: Trial) -> Float[Array, " *n"]:
+    """Return the mean fraction of time of the groups that ever touch, from their times, s."""
+    ever = (time > 0).astype(time.dtype).sum(0)
+    return time.sum(0) / (jnp.maximum(ever, 1.0) * trial.duration)
 
 
 def _limbs(world: World) -> list[int]:

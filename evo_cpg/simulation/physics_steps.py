@@ -25,7 +25,9 @@ class PhysicsSteps(NamedTuple):
         target_rate: commanded rate of each motor, rad/s.
         target_angle: commanded angle of the motors' springs, rad, or 0 if the controller commands
             none.
-        torque: torque of the motors, N m.
+        activation: activation of the muscles, first of those that pull to positive angles, or 0 if
+            the controller commands none.
+        torque: torque of the motors and muscles, N m.
         contact_force: force of the ground on every contact point, world axes, N. No points without
             ground.
         pair_force: force between touching limbs, N. Empty if no limbs can touch.
@@ -40,6 +42,7 @@ class PhysicsSteps(NamedTuple):
     after: State
     target_rate: Float[Array, "d t"]
     target_angle: Float[Array, "d t"]
+    activation: Float[Array, "2 d t"]
     torque: Float[Array, "d t"]
     contact_force: Float[Array, "3 p t"]
     pair_force: Float[Array, "k t"]
@@ -63,9 +66,15 @@ class EachPhysicsStep(Observer):
         command, observation = seen.effects.command, seen.effects.observation
         assert seen.effects.physics is not None
         before, after, effort = seen.effects.physics
-        rate, angle = command.target_rate, command.target_angle
-        held = rate, jnp.zeros_like(rate) if angle is None else angle, observation.light
-        rates, angles, light = (x[None].repeat(len(before.q), 0) for x in held)
+        rate, angle, activation = command.target_rate, command.target_angle, command.activation
+        relaxed = jnp.zeros((2, *rate.shape), rate.dtype)
+        held = (
+            rate,
+            jnp.zeros_like(rate) if angle is None else angle,
+            relaxed if activation is None else activation,
+            observation.light,
+        )
+        rates, angles, active, light = (x[None].repeat(len(before.q), 0) for x in held)
         none = jnp.zeros((len(before.q), 0, *rate.shape[1:]), rate.dtype)
         exact, residual = jnp.zeros_like(effort.energy), effort.residual
         steps = PhysicsSteps(
@@ -73,6 +82,7 @@ class EachPhysicsStep(Observer):
             after,
             rates,
             angles,
+            active,
             effort.torque,
             none[:, None].repeat(3, 1) if effort.contact_force is None else effort.contact_force,
             none if effort.pair_force is None else effort.pair_force,

@@ -11,6 +11,18 @@ and `Walk` subtracts terms that are typical of running, each from the whole tria
     f = a D/l - b T - c H/l - d A,
     T = mean(1 - cos(angle between the torso's z axis and the vertical)).
 
+Feet that slide, and motors that work hard, can have a price as well:
+
+    f = ... - e S/l - g C/l,     S = v_s t,     C = E/(m g').
+
+S is the slip speed of `evo_cpg.simulation.foot_slip` times the duration t of the trial. C is the
+height to which the energy of the motors could lift the animal. With the slip ratio s = S/D and the
+cost of transport k = C/D, the price of a unit of distance is
+
+    a D/l - e S/l - g C/l = (a - e s - g k) D/l.
+
+So a stride pays if e s + g k < a, no ratio is computed near D = 0, and standing still scores 0.
+
 The thesis does not define "distance". Here D is a straight line over ground, without height. It
 leads from the initial place of the torso's centre to its place at the last control step. The torso
 is the root of the creature. Lengths are measured in torso lengths l. A weight is the cost of a term
@@ -22,8 +34,11 @@ of 1, in torso lengths of displacement.
 | T | ``tilt``: 0 upright, 1 on the side, 2 on the back |
 | H | ``bounce``: standard deviation of the height of the torso's centre (m) |
 | A | ``airborne``: fraction of the time in which nothing touches the ground |
+| S | ``slip``: path (m) that everything on the ground slides in the trial, weighted by load |
+| C | ``cost``: energy of the motors E over the weight m g' (m) |
 | l | ``torso_length`` (m) |
 | a, b, c, d | ``distance_weight``, ``tilt_weight``, ``bounce_weight``, ``airborne_weight`` |
+| e, g | ``slip_weight``, ``cost_weight`` |
 """
 
 from collections.abc import Mapping
@@ -33,6 +48,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from evo_cpg.simulation.foot_slip import Slip, no_slip, slip_of_step
 from evo_cpg.simulation.measures import Displacement, no_displacement
 from evo_cpg.simulation.task import Task, Transition
 from evo_cpg.spatial.numerics import Number
@@ -52,6 +68,8 @@ class Gait(NamedTuple):
             the variance keeps its digits.
         squared_rise: sum of the squared rise, m^2.
         airborne: sum of the airborne fractions of the control steps.
+        slip: sums of the slip, times the length of a control step, or None if slip costs nothing.
+        cost: energy of the motors over the weight, m, or None if it costs nothing.
     """
 
     displacement: Displacement
@@ -59,6 +77,8 @@ class Gait(NamedTuple):
     rise: Float[Array, " *n"]
     squared_rise: Float[Array, " *n"]
     airborne: Float[Array, " *n"]
+    slip: Slip | None
+    cost: Float[Array, " *n"] | None
 
 
 class Distance(Task):
@@ -107,6 +127,8 @@ class Walk(Task):
         tilt_weight: b.
         bounce_weight: c.
         airborne_weight: d.
+        slip_weight: e, or None if slip is not measured.
+        cost_weight: g, or None if the cost is not measured.
     """
 
     torso_length: Number
@@ -116,12 +138,19 @@ class Walk(Task):
     tilt_weight: Number = 20.0
     bounce_weight: Number = 20.0
     airborne_weight: Number = 10.0
+    slip_weight: Number | None = None
+    cost_weight: Number | None = None
 
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Gait:
         """See `Task.begin`."""
         del steps
-        sums = (jnp.zeros(batch, dtype) for _ in Gait._fields[1:])
-        return Gait(no_displacement(batch, dtype), *sums)
+        none = jnp.zeros(batch, dtype)
+        return Gait(
+            no_displacement(batch, dtype),
+            *(none, none, none, none),
+            slip=None if self.slip_weight is None else no_slip(batch, dtype),
+            cost=None if self.cost_weight is None else none,
+        )
 
     def update(self, tally: Gait, transition: Transition, steps: int) -> Gait:
         """See `Task.update`."""
@@ -137,28 +166,52 @@ class Walk(Task):
             tally.rise + rise,
             tally.squared_rise + rise * rise,
             tally.airborne + transition.airborne,
+            slip=None if tally.slip is None else tally.slip.plus(_slip(transition)),
+            cost=None if tally.cost is None else tally.cost + _cost(transition),
         )
 
     def terms(self, tally: Gait, steps: int) -> dict[str, Float[Array, " *n"]]:
-        """Return ``distance``, ``forward`` (m), ``tilt``, ``bounce`` (m) and ``airborne``."""
+        """Return the terms of the module's table, without slip and cost if they are free."""
         mean = tally.rise / steps
-        return _measured(tally.displacement) | {
+        terms = _measured(tally.displacement) | {
             "tilt": tally.tilt / steps,
             "bounce": jnp.sqrt(jnp.maximum(tally.squared_rise / steps - mean * mean, 0.0)),
             "airborne": tally.airborne / steps,
         }
+        if tally.slip is not None:
+            terms["slip"] = steps * tally.slip.speed()
+        if tally.cost is not None:
+            terms["cost"] = tally.cost
+        return terms
 
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
-        """Return the weighted displacement minus the costs of tilt, bounce and airborne time."""
+        """Return the weighted displacement minus the prices of all other terms."""
         del scales
-        return (
+        fitness = (
             self.distance_weight * _headed(terms, self.heading) / self.torso_length
             - self.tilt_weight * terms["tilt"]
             - self.bounce_weight * terms["bounce"] / self.torso_length
             - self.airborne_weight * terms["airborne"]
         )
+        if self.slip_weight is not None:
+            fitness = fitness - self.slip_weight * terms["slip"] / self.torso_length
+        if self.cost_weight is not None:
+            fitness = fitness - self.cost_weight * terms["cost"] / self.torso_length
+        return fitness
+
+
+def _slip(transition: Transition) -> Slip:
+    """Return the slip of a control step, with a path (N m) instead of a speed."""
+    slide, load = slip_of_step(transition)
+    return Slip(transition.before.control_step * slide, load)
+
+
+def _cost(transition: Transition) -> Float[Array, " *n"]:
+    """Return the energy of a control step over the weight, m."""
+    world = transition.before.world
+    return transition.energy / (jnp.asarray(world.tree.mass).sum() * world.gravity)
 
 
 def _measured(displacement: Displacement) -> dict[str, Float[Array, " *n"]]:

@@ -37,7 +37,8 @@ def swim(workshop: Workshop) -> list[Table]:
     best = workshop.checkpoint("shared").champion
     for champion, recording in workshop.recordings("shared"):
         if best is not None and champion.run == best.run:
-            workshop.draw(path_figure(recording), "path")
+            root = workshop.experiment("shared").creature.root_index
+            workshop.draw(path_figure(recording, root), "path")
     return [light_table(workshop, "shared", "random", still(workshop, "shared"))]
 
 

@@ -27,7 +27,7 @@ def head_index(creature: Creature) -> int:
     """Return the number of the body that carries the eyes, or of a blind animal's root."""
     if creature.light_sensors:
         return creature.body_index(creature.light_sensors[0].body)
-    return next(i for i, body in enumerate(creature.bodies) if body.joint is None)
+    return creature.root_index
 
 
 def body_colors(creature: Creature) -> np.ndarray:

@@ -222,14 +222,18 @@ def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[in
 
 
 @framed
-def path_figure(recording: Recording) -> Figure:
+def path_figure(recording: Recording, root_index: int) -> Figure:
     """Draw the root's path from above, with outlines of the animal, and the distance over time.
 
     The distance is measured to the light. Without a light it is the displacement from the start.
+
+    Args:
+        recording: the motion.
+        root_index: index of the root in ``creature.bodies``.
     """
     figure = new_figure(10.5, 4.4)
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
-    root = recording.position[:, 0, :2]
+    root = recording.position[:, root_index, :2]
     steps = np.stack([root[:-1], root[1:]], 1)
     trace = LineCollection(list(steps), cmap="viridis", lw=2.2)
     trace.set_array(recording.time[:-1])

@@ -177,7 +177,7 @@ def scene_of(panel: Panel, clip: Clip) -> Scene:
     else:
         look, surface = STYLES[panel.world], None
     # Without a light, the recorded distance refers to the root.
-    root = clip.position[:, next(i for i, body in enumerate(creature.bodies) if not body.joint)]
+    root = clip.position[:, creature.root_index]
     bearing = course(root, panel.recording.goal, radius / 10)
     if panel.ground is not None:
         ground, marks = panel.ground, Marks(root[0, :2], bearing, mark_spacing(2 * radius))

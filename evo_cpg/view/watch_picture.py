@@ -39,7 +39,10 @@ def watch_picture(
     Returns:
         The path.
     """
-    charts = [_pixels(fitness_figure(history)), _pixels(path_figure(recording))]
+    charts = [
+        _pixels(fitness_figure(history)),
+        _pixels(path_figure(recording, experiment.creature.root_index)),
+    ]
     # Height at which the charts are together as wide as the animal's picture.
     height = round(_SIZE[0] / sum(chart.width / chart.height for chart in charts))
     sizes = [(round(chart.width * height / chart.height), height) for chart in charts]

@@ -216,6 +216,15 @@ def test_a_stiff_body_has_no_wave_and_no_lag():
     assert math.isnan(body_wave(signals, np.arange(5.0), 5.0, STEP, 1.0).count)
 
 
+def test_a_coiled_body_has_no_wave():
+    """A ring of points that beats."""
+    angle = 1.9 * np.pi * PLACE
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], -1)
+    points = ring * (1 + 0.05 * np.sin(2 * np.pi * TIME))[:, None, None]
+    found = swimming(points, STEP, 1.0, length=1.0)
+    assert np.isnan([found.tail_amplitude, found.wave_speed, found.lag]).all()
+
+
 def test_a_still_place_does_not_hide_the_wave():
     """The nose is at rest."""
     lateral = PLACE * wave(1.0, 1.2)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.allometry import running_cost, swimming_cost
+from evo_cpg.analysis.allometry import reynolds_of_swimmers, running_cost, swimming_cost
 from evo_cpg.analysis.animals import ANIMALS, animals_of
 from evo_cpg.analysis.walking import froude_number, recovery, relative_slip, tripod_strength
 
@@ -80,8 +80,16 @@ def test_swimming_costs_of_fish():
     assert high == pytest.approx(0.104, abs=0.001)
 
 
+def test_reynolds_numbers_of_swimmers():
+    """Both laws of Gazzola et al. 2014 meet near Sw = 7500."""
+    found = reynolds_of_swimmers(np.array([1e2, 1e6]))
+    np.testing.assert_allclose(found, [0.03 * 1e2**1.31, 0.4 * 1e6**1.02])
+    meet = (0.4 / 0.03) ** (1 / 0.29)
+    assert meet == pytest.approx(7500, rel=0.02)
+
+
 def test_ranges_of_animals_are_ordered_and_named():
     for each in ANIMALS:
-        assert each.low <= each.high and each.who and each.source
-    assert animals_of("recovery")[0].who == "walking animals"
+        assert each.low <= each.high and each.animal and (each.source or each.secondary)
+    assert animals_of("recovery")[0].animal == "walking animals"
     assert animals_of("nothing") == ()

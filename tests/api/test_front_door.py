@@ -337,8 +337,10 @@ def test_wrong_arguments_are_named(experiment, genomes):
     ):
         with pytest.raises(ValueError, match="trial must be from 0 to 0, got 1"):
             call()
-    with pytest.raises(ValueError, match="actions must be 'rates' or 'angles', got 'torques'"):
+    with pytest.raises(ValueError, match="must be 'rates', 'angles' or 'activations', got 't"):
         experiment.environment("torques")
+    with pytest.raises(ValueError, match="needs muscles, but no joint has muscles"):
+        experiment.environment("activations")
     with pytest.raises(ValueError, match="needs motors with a stiffness, but no motor has one"):
         experiment.environment("angles")
     environment = experiment.environment()

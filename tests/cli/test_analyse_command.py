@@ -50,7 +50,9 @@ def swimmer(cli, tmp_path_factory) -> Path:
     assert code == 0, complaint
     code, out, complaint = cli("analyse", run)
     assert code == 0, complaint
-    assert out == f"{run / 'analysis.html'}\n"
+    lines = out.splitlines()
+    assert lines[:2] == [str(run / "analysis.html"), str(run / "analysis.json")]
+    assert max(map(len, lines[2:])) <= 80
     return run
 
 
@@ -293,6 +295,20 @@ def test_wrong_options_are_refused(cli, swimmer, tmp_path, arguments, words):
     assert (tmp_path / "there.html").read_text() == "mine"
 
 
+@pytest.mark.slow
+def test_numbers_in_json_python_and_terminal_agree(swimmer):
+    """A number that does not exist is null and has a reason."""
+    written = json.loads((swimmer / "analysis.json").read_text())
+    found = evo.gait_numbers(swimmer)
+    for each in found.quantities:
+        row = written["quantities"][each.key]
+        assert (row["value"] is None) == (not each.exists) == bool(row["missing"])
+        if each.exists:
+            assert row["value"] == pytest.approx(each.value, rel=1e-6), each.key
+    with pytest.raises(ValueError, match="trial must be 0 to 0, got 2"):
+        evo.gait_numbers(swimmer, trial=2)
+
+
 def test_a_folder_without_a_run_is_refused(cli, tmp_path):
     code, _, complaint = cli("analyse", tmp_path)
     assert code == 2 and "is not a run folder" in complaint
@@ -304,7 +320,7 @@ def test_out_names_the_page(cli, swimmer, tmp_path):
         "analyse", swimmer, "--out", "there.html", "--overwrite", folder=tmp_path
     )
     assert code == 0, complaint
-    assert out == "there.html\n"
+    assert out.splitlines()[:2] == ["there.html", "there.json"]
     assert "<canvas" in (tmp_path / "there.html").read_text()
 
 

@@ -114,7 +114,7 @@ def test_completions_are_names_files_and_folders(tmp_path, monkeypatch):
     (tmp_path / "runs" / "one" / "config.yaml").touch()
     (tmp_path / "hexa.yaml").touch()
     (tmp_path / "hex.txt").touch()
-    assert complete_config("hex") == ["hexapod", "hex/", "hexa.yaml"]
+    assert complete_config("hex") == ["hexapod", "hexapod_tripod", "hex/", "hexa.yaml"]
     assert complete_config("") == [*shipped_names(), "hex/", "hexa.yaml", "runs/"]
     assert complete_shipped("starfish") == ["starfish", "starfish_land"]
     assert complete_folder("") == ["hex/", "runs/"]

@@ -126,3 +126,14 @@ def test_rules_differ_for_round_bodies_only():
         assert (
             np.shape(areas[0]) == np.shape(areas[1]) and bool((areas[0] == areas[1]).all())
         ) is same
+
+
+def test_free_slip_and_cost_are_no_change():
+    """A weight of 0 means the same as in version 1.0, any other does not."""
+    walk = {"type": "walk", "tilt_weight": 20.0}
+    for weights, left in (
+        ({"slip_weight": 0.0, "cost_weight": 0.0}, {}),
+        ({"slip_weight": 1.0, "cost_weight": 0.0}, {"slip_weight": 1.0}),
+    ):
+        assert without_former_values({"task": walk | weights}) == {"task": walk | left}
+        assert with_former_values({"task": walk | weights}) == {"task": walk | weights}

@@ -49,7 +49,7 @@ def test_champion_of_a_run_keeps_its_brain(finished_run, cli, tmp_path):
         (("u=1", "u=2"), "u is given twice"),
         (("u=0:1",), "u=0:1: expected START:STOP:COUNT"),
         (("u=0:1:3:lin",), "u=0:1:3:lin: expected START:STOP:COUNT"),
-        (("speed=0.1", "w=3"), "'w' is no knob"),
+        (("tow=0.1", "w=3"), "'w' is no knob"),
     ],
 )
 def test_wrong_words_have_one_clear_line(animal, cli, words, message):

@@ -7,6 +7,7 @@ import stat
 import sys
 import time
 
+import jax
 import numpy as np
 import pytest
 import typer
@@ -41,6 +42,8 @@ def devices(monkeypatch):
 @pytest.fixture
 def quick(monkeypatch, compiled):
     """Set the environment of quick programs, which jobs inherit."""
+    # JAX reads its flags at its start. It starts here, so that this process keeps its devices.
+    assert jax.local_device_count() == 2
     for name, value in environment(compiled).items():
         monkeypatch.setenv(name, value)
 

@@ -165,6 +165,17 @@ def test_shipped_configs_are_read_back_unchanged(path, tmp_path):
             "creature.bodies.1.joint.actuator.gian: unknown key: did you mean 'gain'?",
         ),
         (
+            "creature__bodies__1__joint__actuator",
+            {"type": "muscle", "area": 1e-4, "arm": 0.01, "fiber_length": 0.05},
+            "creature.bodies.1.joint.actuator.fiber_length: unknown key: did you mean "
+            "'fibre_length'?",
+        ),
+        (
+            "creature__bodies__1__joint__actuator",
+            {"type": "musle"},
+            "creature.bodies.1.joint.actuator.type: 'musle' is not known",
+        ),
+        (
             "creature__materials__flesh__densiti",
             1,
             "creature.materials.flesh.densiti: unknown key: did you mean 'density'?",
@@ -214,7 +225,7 @@ def test_unknown_key_gets_the_nearest_valid_key(key, value, expected):
         ("world__gravity", -9.81, "-9.81: must be greater than or equal to 0"),
         ("world__gravity", False, "False: must be a number"),
         ("world__water__sheltered", 1, "1: must be true or false"),
-        ("world__water__law", "newton", "'newton': must be 'normal' or 'isotropic'"),
+        ("world__water__law", "newton", "'newton': must be 'normal', 'isotropic' or null"),
         ("world__water__viscosity", 0, "0: must be greater than 0"),
         ("simulation__steps", 0, "0: must be greater than or equal to 1"),
         ("simulation__steps", 10**12, "1000000000000: must be less than or equal"),
@@ -346,6 +357,10 @@ def test_tasks_without_a_light():
     assert isinstance(walk, Walk)
     weights = (walk.distance_weight, walk.tilt_weight, walk.bounce_weight, walk.airborne_weight)
     assert weights == (2, 3, 4, 5)
+    assert (walk.slip_weight, walk.cost_weight) == (None, None)
+    priced = task(type="walk", slip_weight=6, cost_weight=7)
+    assert isinstance(priced, Walk)
+    assert (priced.slip_weight, priced.cost_weight) == (6, 7)
     # The head is a box 0.2 m long.
     assert (walk.light, walk.heading, walk.torso_length) == (None, "any", pytest.approx(0.2))
 
@@ -604,6 +619,14 @@ def test_water_with_reactive_thrust_is_built():
             "viscosity determines skin friction; leave out skin_drag (0.1)",
         ),
         (
+            {"viscosity": 0.001, "skin_drag": 0.02},
+            "viscosity determines skin friction; leave out skin_drag (0.02)",
+        ),
+        (
+            {"viscosity": 0.001, "law": "normal"},
+            "viscosity has a drag law of its own; leave out law ('normal')",
+        ),
+        (
             {"viscosity": 0.001, "law": "isotropic"},
             "viscosity has a drag law of its own; leave out law ('isotropic')",
         ),
@@ -619,6 +642,15 @@ def test_water_with_reactive_thrust_is_built():
 )
 def test_invalid_water_is_rejected(water, expected):
     assert expected in problem(small(world={"water": water}))
+
+
+def test_null_leaves_skin_drag_and_law_to_the_viscosity():
+    water = {"viscosity": 0.001, "skin_drag": None, "law": None}
+    config = check_config(small(world={"water": water}), "mine.yaml")
+    again = check_config(config.model_dump(mode="json"), "again.yaml")
+    assert again == config == check_config(small(world={"water": {"viscosity": 0.001}}), "")
+    plain = check_config(small(world={"water": water | {"viscosity": None}}), "").world.water
+    assert plain is not None and (plain.skin_drag, plain.law) == (0.02, "normal")
 
 
 def test_overrides_apply_in_order_and_reach_everything():

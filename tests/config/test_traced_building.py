@@ -99,6 +99,16 @@ def test_elements_of_a_swimmer():
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.slow
+def test_numbers_of_muscles():
+    motor = "creature.bodies.1.joint.actuator"
+    muscle = f"{motor}={{type: muscle, area: 2e-4, arm: 0.02, fibre_length: 0.05}}"
+    names = "area", "arm", "fibre_length", "stress", "bend_deg", "tone", "curvature", "max_speed"
+    keys = [f"{motor}.{name}" for name in (*names, "damping_time")]
+    check_elements(load_config(CONFIG, [*TINY, muscle, "simulation.substeps=1"]), keys)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.slow
 def test_numbers_of_a_swimmer_with_reactive_thrust():
     settings = ("world.water.reactive_thrust=true", "simulation.substeps=1")
     keys = ["world.water.density", "creature.bodies.0.shape.size.0", "creature.bodies.1.joint.at.0"]

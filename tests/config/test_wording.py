@@ -98,7 +98,7 @@ def problem(data: dict) -> str:
         (
             "world.water.law",
             "isotropc",
-            "must be 'normal' or 'isotropic'. Did you mean 'isotropic'?",
+            "must be 'normal', 'isotropic' or null. Did you mean 'isotropic'?",
         ),
         # Keys.
         ("world.ground", {True: 1}, f"the key True must be text. {TRUTHS}"),

@@ -1,5 +1,6 @@
 """The whole controller: inputs and outputs of the brain, and commands to the motors."""
 
+import dataclasses
 import doctest
 
 import equinox as eqx
@@ -15,6 +16,8 @@ from evo_cpg.control.brain_cpg import AxisSettings, BrainCpgSettings, build_brai
 from evo_cpg.control.controller import Observation
 from evo_cpg.control.couplings import UnfitError
 from evo_cpg.control.matsuoka import CpgSettings
+from evo_cpg.creature.creature import Muscle
+from evo_cpg.creature.muscles import muscles_of
 
 
 def observe(rng, dofs, batch=(), lights=1, pressures=10, gauges=0):
@@ -119,6 +122,26 @@ def test_motor_command_follows_the_rhythm_and_centres_the_joint(chain):
     weights = 4.0 * np.array([0.0, 2.0] * 3)
     rate = weights * signal - np.array([2.0, 0.5] * 3) * np.asarray(sense.joint_angle)
     np.testing.assert_allclose(command.target_rate, np.clip(rate, -1.5, 1.5), atol=1e-14)
+
+
+def test_neurons_activate_the_muscles_of_their_side(chain):
+    """ML = min(1, y_e / u_max), MR = min(1, y_f / u_max). Muscles have no target rate."""
+    motor = Muscle(area=1e-4, arm=0.01, fibre_length=0.05)
+    tree = dataclasses.replace(chain(3, "z"), muscles=muscles_of([motor, None]))
+    settings = BrainCpgSettings(cpg=CpgSettings(max_tonic_input=2.0), rate_gain=3.0)
+    grown = build_brain_cpg(tree, 1, 3, settings)
+    state = grown.initial_state((), float)
+    potential = jnp.array([[1.5, 3.0], [-1.0, 0.5]])
+    state = eqx.tree_at(lambda s: s.potential, state, potential)
+    command = grown.command(state, observe(np.random.default_rng(0), 2))
+    np.testing.assert_allclose(command.activation, [[0.75, 1.0], [0.0, 0.25]])
+    assert command.target_rate[0] == 0 and command.target_rate[1] != 0
+    assert (
+        build_brain_cpg(chain(3, "z"), 1, 3, settings)
+        .command(state, observe(np.random.default_rng(0), 2))
+        .activation
+        is None
+    )
 
 
 def test_command_is_limited_to_the_largest_rate(chain):

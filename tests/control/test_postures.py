@@ -1,5 +1,6 @@
 """The postures: meaning of every bit, and times of the switches."""
 
+import dataclasses
 import functools
 import math
 
@@ -17,6 +18,8 @@ from evo_cpg.control.postures import (
     PostureSettings,
     build_posture_controller,
 )
+from evo_cpg.creature.creature import Muscle
+from evo_cpg.creature.muscles import muscles_of
 
 ANGLES = [110, 130, 150, 170, 190, 210, 230, 250]  # degrees: Fukui 2003, 2.5
 LEGS = ("front_left", "front_right", "hind_left", "hind_right")
@@ -293,3 +296,10 @@ def test_too_short_and_too_long_periods_are_refused(pendulum, period):
 def test_settings_out_of_range_are_refused(changes, words):
     with pytest.raises(ValueError, match=words):
         PostureSettings(**changes)
+
+
+def test_muscles_are_refused(chain):
+    motor = Muscle(area=1e-4, arm=0.01, fibre_length=0.05)
+    tree = dataclasses.replace(chain(3, "z"), muscles=muscles_of([motor, None]))
+    with pytest.raises(ValueError, match=r"muscles take activations: joint b1\.z has muscles"):
+        build_posture_controller(tree, PostureSettings(), 1 / 60)

@@ -185,6 +185,7 @@ def test_limit_stiffness_uses_the_effective_inertia():
 
 def test_index_of_a_body():
     assert creature(body("a"), body("b", "a")).body_index("b") == 1
+    assert creature(body("b", "a"), body("a")).root_index == 1
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -22,6 +22,17 @@ INDIVIDUALS, TIMES, APART, NUDGES = 10, 10, 20, 8
 # Relative distance of neighbouring float32 numbers.
 LAST_DIGIT = 2.0**-23
 SMALL = "iwadate2010_swimmer", ("creature.bodies.1.repeat=1",)
+STRETCH = "{angle_weight: [-1, 1], rate_weight: 0.1, delay: 0.02, from_parents: 1}"
+FEELING = SMALL[0], (*SMALL[1], f"controller.cpg.feedback={{stretch: [{STRETCH}]}}")
+LEGS = '{limbs: ["*_arm", "*_thigh"]'
+ALL_SENSES = (
+    "iwadate2010_salamander_land",
+    (
+        f"controller.cpg.feedback={{stretch: [{STRETCH}], "
+        f"load: [{LEGS}, weight: 0.2, neighbour_weight: [-1, 0], delay: 0.03}}], "
+        f"tegotae: [{LEGS}, gain: 0.5}}], touch_down: [{LEGS}}}]}}",
+    ),
+)
 # The robust configs have the creatures of other configs.
 EVERY = sorted(p.stem for p in CONFIGS.glob("*.yaml") if not p.stem.endswith("_robust"))
 IN_WATER = "iwadate2010_swimmer", "iwadate2010_salamander_water", "two_eyed_swimmer"
@@ -103,7 +114,14 @@ def nudged(animal, generator):
     return animal._replace(state=jax.tree.map(nudge, animal.state))
 
 
-@pytest.mark.parametrize("config", cases(EVERY))
+@pytest.mark.parametrize(
+    "config",
+    [
+        *cases(EVERY),
+        pytest.param(FEELING, id="stretch"),
+        pytest.param(ALL_SENSES, id="all feedback", marks=pytest.mark.slow),
+    ],
+)
 def test_control_steps_agree_to_the_last_digits(config, trials):
     trial, generator = trials(config), np.random.default_rng(0)
     animal, apart, loose, touching = trial.start, [], [], 0

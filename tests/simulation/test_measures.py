@@ -6,6 +6,7 @@ import pytest
 
 import evo_cpg as evo
 from evo_cpg.config.load import load_config
+from evo_cpg.creature.limbs import limbs
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
@@ -77,7 +78,7 @@ def test_duty_factor_and_airborne_follow_from_contact_forces(evaluated):
     experiment, on_ground, found, _ = evaluated
     if not on_ground:
         return
-    simulation = experiment.parts.simulation
+    simulation, tree = experiment.parts.simulation, experiment.world.tree
     genes = experiment.random_genomes(3, 4).T
     frames = jax.jit(lambda genes: rollout(simulation, genes, observers=Recorder(4)))(genes)
     force = np.linalg.norm(np.asarray(frames["contact_force"]), axis=1)
@@ -89,5 +90,13 @@ def test_duty_factor_and_airborne_follow_from_contact_forces(evaluated):
         fraction = touching.mean(1)
         expected = fraction[fraction > 0].mean() if (fraction > 0).any() else 0.0
         assert float(found.descriptors["duty_factor"][i]) == pytest.approx(expected, abs=0.02)
+        legs = [
+            np.isin(owners, [tree.names.index(experiment.creature.bodies[k].name) for k in bodies])
+            for bodies, _, _ in limbs(experiment.creature)
+        ]
+        legs = [float((force[:, own, i] > 0).any(1).mean()) for own in legs]
+        expected = np.mean([one for one in legs if one > 0] or [0.0])
+        found_one = float(found.descriptors["limb_duty_factor"][i])
+        assert found_one == pytest.approx(expected, abs=0.02)
         nothing = (force[:, :, i] == 0).all(1).mean()
         assert float(found.descriptors["airborne"][i]) >= nothing - 0.02

@@ -90,3 +90,13 @@ def test_pairs_cost_nothing_without_self_collision():
     touching, apart = (estimate_operations(simulation_of(*x)) for x in (many, (*many, _APART)))
     assert touching.pairs > 0 and apart.pairs == 0
     assert touching.total - touching.pairs == apart.total
+
+
+@pytest.mark.slow
+def test_muscles_add_less_than_a_fifth_of_the_operations():
+    muscle = "{type: muscle, area: 2e-4, arm: 0.005, fibre_length: 0.02}"
+    muscles = [f"creature.bodies.{i}.joint.actuator={muscle}" for i in (1, 2, 3)]
+    motors, of_muscles = (
+        true_operations(simulation_of(*given, config="eel")) for given in ((), muscles)
+    )
+    assert motors < of_muscles < 1.2 * motors

@@ -152,16 +152,28 @@ def test_joint_signals_that_cannot_be_drawn_are_refused(recording):
 
 def test_the_legend_of_a_path_names_its_dots(recording):
     every = (recording.time[-1] - recording.time[0]) / 6
-    dots, start, light = legend_of(path_figure(recording).axes[0])
+    dots, start, light = legend_of(path_figure(recording, 0).axes[0])
     words = (f"bodies, every {every:.3g} s", "start of the root", "light")
     assert (dots, start, light) == words
+
+
+def test_a_path_is_that_of_the_root_in_any_order_of_bodies(recording):
+    """A file may list the tail first."""
+    bodies = recording.position.shape[1]
+    tail_first = recording._replace(position=recording.position[:, ::-1])
+    first, last = (
+        figure.axes[0].collections[0].get_segments()
+        for figure in (path_figure(recording, 0), path_figure(tail_first, bodies - 1))
+    )
+    np.testing.assert_array_equal(first, last)
+    np.testing.assert_array_equal(first[0][0], recording.position[0, 0, :2])
 
 
 @pytest.mark.parametrize(
     ("goal", "words"), [(np.nan, "distance from the start (m)"), (3.0, "distance to the light (m)")]
 )
 def test_the_label_of_the_distance_names_its_origin(recording, goal, words):
-    later = path_figure(recording._replace(goal=np.full(3, goal))).axes[1]
+    later = path_figure(recording._replace(goal=np.full(3, goal)), 0).axes[1]
     assert later.get_ylabel() == words
     assert later.lines[0].get_ydata().max() == pytest.approx(recording.distance.max())
 

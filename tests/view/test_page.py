@@ -9,8 +9,8 @@ import pytest
 import synthetic
 from scipy.spatial.transform import Rotation
 
-from evo_cpg.analysis.footfalls import Phases
 from evo_cpg.analysis.feet import Feet
+from evo_cpg.analysis.footfalls import Phases
 from evo_cpg.physics.contact_model import Ground
 from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.view.clip import sample

@@ -176,6 +176,10 @@ class WalkConfig(_TaskSection):
         tilt_weight: weight of the torso's tilt: 0 upright, 1 on the side, 2 on the back.
         bounce_weight: weight of the standard deviation of the torso's height (in torso lengths).
         airborne_weight: weight of the fraction of time without ground contact.
+        slip_weight: weight of the path that everything on the ground slides, weighted by load (in
+            torso lengths).
+        cost_weight: weight of the energy of the motors divided by the animal's weight (in torso
+            lengths).
     """
 
     type: Literal["walk"] = "walk"
@@ -184,6 +188,8 @@ class WalkConfig(_TaskSection):
     tilt_weight: NotNegative = 20.0
     bounce_weight: NotNegative = 20.0
     airborne_weight: NotNegative = 10.0
+    slip_weight: NotNegative = 0.0
+    cost_weight: NotNegative = 0.0
 
     needs_ground: ClassVar[bool] = True
 
@@ -191,7 +197,18 @@ class WalkConfig(_TaskSection):
         """Build the task (see `ReachLightConfig.build`)."""
         del light, control_rate
         torso = next(body for body in creature.bodies if body.joint is None)
-        return self.into(Walk, torso_length=2 * torso.shape.half_extents[0])
+        return self.into(
+            Walk,
+            torso_length=2 * torso.shape.half_extents[0],
+            slip_weight=_priced(self.slip_weight),
+            cost_weight=_priced(self.cost_weight),
+        )
+
+
+def _priced(weight: Number) -> Number | None:
+    """Return a weight, or None for 0, so that a term without a price is not computed."""
+    priced = chosen(lambda: bool(weight > 0), lambda made: (weight > 0) == made)
+    return weight if priced else None
 
 
 TaskConfig = Annotated[

@@ -1,6 +1,7 @@
 """Sections of gravity, water and ground."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -39,7 +40,8 @@ class WaterConfig(Section):
             viscosity, drag follows the Reynolds number and the shape of the bodies.
         form_drag: coefficient C_d for the normal velocity at every surface point. With a viscosity
             it is a factor of the measured coefficients.
-        skin_drag: coefficient C_f for the tangential velocity at every surface point.
+        skin_drag: coefficient C_f for the tangential velocity at every surface point. It must be
+            absent or ``null`` with a viscosity.
         surface: height of the water's surface, m, or ``null`` for water everywhere.
         added_mass: whether bodies accelerate the water around them, as in ideal fluid.
         reactive_thrust: whether slender chains of at least three bodies push off from the water
@@ -49,7 +51,7 @@ class WaterConfig(Section):
         current_gradient: derivatives of the current's components (rows) along x, y and z, 1/s.
         vortices: vortices that are added to the current.
         law: drag law: ``normal`` splits the drag into form and skin drag, ``isotropic`` is exactly
-            eq. 8 of Iwadate 2010.
+            eq. 8 of Iwadate 2010. It must be absent or ``null`` with a viscosity.
         sheltered: whether surfaces that other bodies cover at rest have no drag.
         shelter: rule for what is covered: ``outline`` joins round ends in line, ``facing`` is the
             rule of version 1.0.
@@ -64,7 +66,7 @@ class WaterConfig(Section):
     density: Annotated[Positive, LIQUID] = 1000.0
     viscosity: Annotated[Positive | None, VISCOSITY] = None
     form_drag: NotNegative = 1.0
-    skin_drag: NotNegative = 0.02
+    skin_drag: NotNegative | None = 0.02
     surface: Finite | None = None
     added_mass: bool = False
     reactive_thrust: bool = False
@@ -72,7 +74,7 @@ class WaterConfig(Section):
     current: Vector = (0.0, 0.0, 0.0)
     current_gradient: tuple[Vector, Vector, Vector] | None = None
     vortices: tuple[VortexConfig, ...] = ()
-    law: DragLaw = "normal"
+    law: DragLaw | None = "normal"
     sheltered: bool = True
     shelter: ShelterRule = "outline"
     points: Literal["quadrature", "random"] = "quadrature"
@@ -87,15 +89,25 @@ class WaterConfig(Section):
         current = Current(self.current, self.current_gradient)
         return Water(self.density, self.surface, (current, *vortices))
 
+    @model_validator(mode="before")
+    @classmethod
+    def _has_defaults_of_its_drag_law(cls, data: Any) -> Any:
+        """Replace ``null`` by the default. Skin drag and law have none with a viscosity."""
+        if not isinstance(data, Mapping):
+            return data
+        unset = [key for key in ("skin_drag", "law") if data.get(key) is None]
+        given = {key: value for key, value in data.items() if key not in unset}
+        return given if data.get("viscosity") is None else given | dict.fromkeys(unset)
+
     @model_validator(mode="after")
     def _has_one_drag_law(self) -> "WaterConfig":
         if self.viscosity is None:
             if self.lift:
                 raise ValueError("lift completes the drag of water with a viscosity; set viscosity")
             return self
-        if self.law != "normal":
+        if self.law is not None:
             raise ValueError(f"viscosity has a drag law of its own; leave out law ({self.law!r})")
-        if self.skin_drag != type(self).model_fields["skin_drag"].default:
+        if self.skin_drag is not None:
             raise ValueError(
                 f"viscosity determines skin friction; leave out skin_drag ({self.skin_drag:g})"
             )

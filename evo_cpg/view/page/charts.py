@@ -164,10 +164,10 @@ def midline_figure(motion: MidlineMotion) -> Figure:
     fine = np.linspace(0.0, 1.0, 50)
     middle.plot(along.place, along.amplitude, "o", color=ORANGE, ms=4)
     middle.plot(fine, np.polyval(along.quadratic[::-1], fine), color=INK, lw=1.2)
-    middle.set(xlabel="place on the body (lengths)", ylabel="amplitude (lengths)", ylim=(0, None))
+    middle.set(xlabel="place (lengths)", ylabel="amplitude (lengths)", ylim=(0, None))
     right.plot(along.place, motion.lag.each, "o-", color=BLUE, lw=1.2, ms=4)
     right.axhline(0.0, color=INK, lw=0.6)
-    right.set(xlabel="place on the body (lengths)", ylabel="lag on bending (cycles)")
+    right.set(xlabel="place (lengths)", ylabel="lag on bending (cycles)")
     return figure
 
 

@@ -81,7 +81,7 @@ def gait(motion: RecordedMotion) -> Html:
     parts += [
         tag("h3", "Its path"),
         charts.chart(
-            path_figure(_every(recording, places)),
+            path_figure(_every(recording, places), motion.root_index),
             "Path of the root from above, and distance over time.",
         ),
     ]

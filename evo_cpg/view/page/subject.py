@@ -109,6 +109,7 @@ class RecordedMotion(NamedTuple):
         still: picture of the animal, JPEG.
         history: columns of metrics.csv.
         chain_places: places of the joints along the body, m behind the first.
+        root_index: index of the root in ``creature.bodies``.
     """
 
     recording: Recording
@@ -118,3 +119,4 @@ class RecordedMotion(NamedTuple):
     still: bytes
     history: Mapping[str, np.ndarray]
     chain_places: np.ndarray
+    root_index: int

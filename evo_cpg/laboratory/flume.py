@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
-from evo_cpg.lab.settings import Setting, worded
-from evo_cpg.lab.tow import directions, whole_cycles
+from evo_cpg.laboratory.settings import Setting, worded
+from evo_cpg.laboratory.tow import directions, whole_cycles
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
@@ -29,7 +29,7 @@ def flume_notes(settings: Sequence[Setting], rows: Sequence[Mapping[str, Any]]) 
     """
     groups: dict[str, list[tuple[float, float]]] = {}
     for setting, row in zip(settings, rows, strict=True):
-        if "current" not in setting or "speed" in setting:
+        if "current" not in setting or "tow" in setting:
             continue
         others = worded({name: x for name, x in setting.items() if name != "current"})
         groups.setdefault(others, []).append((setting["current"], row["ground_speed"]))

@@ -22,9 +22,11 @@ def record_all(
         simulation: the trial, or one trial for each individual.
         genes: genomes of the individuals.
     """
-    common, inputs, values = simulation, None, ()
+    inputs, values = None, ()
     if isinstance(simulation, BatchedSimulation):
         common, inputs, values = simulation
+    else:
+        common = simulation
     recorder = Recorder(count=None, full=True)
 
     def follow(values: tuple[Array, ...], genes: Array) -> dict[str, Array]:

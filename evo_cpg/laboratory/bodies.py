@@ -17,7 +17,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
-from evo_cpg.lab.settings import NOTHING, LabError, Setting
+from evo_cpg.laboratory.settings import NOTHING, LabError, Setting
 from evo_cpg.simulation.batched import BatchedSimulation
 from evo_cpg.simulation.simulation import Simulation
 
@@ -126,10 +126,10 @@ def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> Exper
     if "gravity" in setting:
         numbers["world.gravity"] = config.world.gravity * setting["gravity"]
     # A body that is towed in still water feels what a held body feels in a current.
-    current = -setting.get("current", 0.0) - setting.get("speed", 0.0)
+    current = -setting.get("current", 0.0) - setting.get("tow", 0.0)
     if current:
         if water is None:
-            raise LabError("current, speed: there is no water")
+            raise LabError("current, tow: there is no water")
         heading = math.radians(config.simulation.start_heading_deg)
         along = current * math.cos(heading), current * math.sin(heading)
         for axis, value in enumerate(along):

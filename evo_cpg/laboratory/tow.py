@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
-from evo_cpg.lab.settings import LabError
+from evo_cpg.laboratory.settings import LabError
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.step import needs_iteration
 from evo_cpg.physics.world import World
@@ -37,11 +37,11 @@ def held(world: World) -> World:
         LabError: a step of the world needs iteration, which holds no root.
     """
     if world.contact_model is not None:
-        raise LabError("speed: an animal on the ground cannot be towed. Leave out world.ground")
+        raise LabError("tow: an animal on the ground cannot be towed. Leave out world.ground")
     if world.pairs is not None:
-        raise LabError("speed: needs creature.self_collision: false")
+        raise LabError("tow: needs creature.self_collision: false")
     if needs_iteration(world):
-        raise LabError("speed: needs motors without a torque_limit")
+        raise LabError("tow: needs motors without a torque_limit")
     return dataclasses.replace(world, held=True)
 
 

@@ -11,8 +11,9 @@ from evo_cpg.api.lab import subject_of
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.tables import show_table
 from evo_cpg.files import make_folder, write_table
-from evo_cpg.lab.ask import Answer, ask
-from evo_cpg.lab.columns import shown_columns
+from evo_cpg.laboratory.ask import Answer, ask
+from evo_cpg.laboratory.columns import shown_columns
+from evo_cpg.laboratory.settings import KNOBS
 from evo_cpg.system import named
 from evo_cpg.view.figure import save_figure
 from evo_cpg.view.lab_plot import Panel, cell, lab_figure
@@ -113,10 +114,12 @@ def show_answer(name: str, answer: Answer, place: Path) -> None:
     panels = [Panel(one.label, [row[one.key] for row in rows]) for one in columns[:_MOST_PANELS]]
     fixed = ", ".join(f"{k}={cell(v)}" for k, v in answer.settings[0].items() if k not in varied)
     title = f"{name}: {fixed}" if fixed else name
+    units = {knob: KNOBS[knob].unit for knob in varied if knob in KNOBS}
+    labels = [f"{knob} ({units[knob]})" if units.get(knob) else knob for knob in varied]
     settings = [[each[knob] for knob in varied] for each in answer.settings]
     print(table)
     if panels:
-        print(save_figure(lab_figure(varied, settings, panels, title), table.with_suffix(".png")))
+        print(save_figure(lab_figure(labels, settings, panels, title), table.with_suffix(".png")))
     for note in answer.notes[:_MOST_ROWS]:
         print(note)
     lost = sum(not np.isfinite(each.position).all() for each in answer.recordings)

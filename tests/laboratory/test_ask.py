@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from swimmer import FORWARDS, subject
 
+import evo_cpg as evo
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.lab.ask import ask
-from evo_cpg.lab.flume import flume_notes
-from evo_cpg.lab.settings import LabError
+from evo_cpg.laboratory.ask import Answer, ask
+from evo_cpg.laboratory.flume import flume_notes
+from evo_cpg.laboratory.settings import LabError
 from evo_cpg.physics.added_mass import AddedMass
 
 
@@ -21,7 +22,7 @@ def ribbon(tmp_path_factory):
 
 def test_current_carries_a_still_body_along(ribbon):
     """Quadratic drag: w' = -k w^2 for the water's speed w past the body, so w = U/(1 + k U t)."""
-    rows = ask(ribbon, {"u": [0.0], "current": [0.5], "speed": [0.0]}, seconds=0.1).rows
+    rows = ask(ribbon, {"u": [0.0], "current": [0.5], "tow": [0.0]}, seconds=0.1).rows
     answer = ask(ribbon, {"u": [0.0], "current": [0.5]})
     (moving,), (row,) = answer.recordings, answer.rows
     law = answer.simulations[0].world.law(AddedMass)
@@ -79,7 +80,7 @@ def test_stiff_joints_bend_less(ribbon):
 
 def test_towed_stiff_body_has_its_drag_and_no_thrust(ribbon):
     """The drag of the laws grows with the square of the speed."""
-    rows = ask(ribbon, FORWARDS | {"u": [0.0, 1.0], "speed": [0.1, 0.2]}).rows
+    rows = ask(ribbon, FORWARDS | {"u": [0.0, 1.0], "tow": [0.1, 0.2]}).rows
     slow, fast, *moving = rows
     assert slow["holding_force"] == pytest.approx(slow["straight_drag"], rel=1e-2)
     assert fast["straight_drag"] == pytest.approx(4 * slow["straight_drag"], rel=1e-5)
@@ -131,3 +132,8 @@ def test_program_of_the_page_runs(capsys):
     (program,) = re.findall(r"```python\n(.+?)```", page, re.S)
     exec(compile(program, "documented", "exec"), {})
     assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+def test_the_front_door_is_a_function_in_any_order():
+    """No subpackage has the name of the function."""
+    assert evo.Answer is Answer and callable(evo.lab)

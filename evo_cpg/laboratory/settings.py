@@ -30,11 +30,13 @@ class Knob(NamedTuple):
         meaning: meaning of the values, with their unit.
         least: smallest value, or None for names instead of numbers.
         most: largest value.
+        unit: unit, empty for a pure number.
     """
 
     meaning: str
     least: float | None = None
     most: float = float("inf")
+    unit: str = ""
 
 
 _ANY = -float("inf")
@@ -57,18 +59,24 @@ BODY = {
     "size": Knob("factor of all lengths", 1e-6),
     "viscosity": Knob("factor of the water's viscosity", 1e-12),
     "gravity": Knob("factor of gravity", 0.0),
-    "speed": Knob(
-        "speed at which the animal is towed along its heading with its root held, m/s", _ANY
+    "tow": Knob(
+        "speed at which the animal is towed along its heading with its root held, m/s",
+        _ANY,
+        unit="m/s",
     ),
-    "current": Knob("speed of the water against the animal's initial heading, m/s", _ANY),
+    "current": Knob(
+        "speed of the water against the animal's initial heading, m/s", _ANY, unit="m/s"
+    ),
     "passive": Knob("bodies whose joints have no motor, as names or patterns"),
-    "stiffness": Knob("stiffness of a spring that is added to every joint, N m/rad", 0.0),
+    "stiffness": Knob(
+        "stiffness of a spring that is added to every joint, N m/rad", 0.0, unit="N m/rad"
+    ),
 }
 
 # Knobs of an isolated cord that a motor bends.
 CORD = {
     "bend": Knob("bodies whose joints a motor bends, as names or patterns"),
-    "degrees": Knob("amplitude of the bending, degrees", 0.0, 180.0),
+    "degrees": Knob("amplitude of the bending, degrees", 0.0, 180.0, "degrees"),
     "ratio": Knob("frequency of the bending, as a multiple of the cord's own", 1e-3),
 }
 
