@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from evo_cpg.config.errors import ConfigError
     from evo_cpg.control.controller import Command, Controller, Observation
     from evo_cpg.evolution.strategy import Evaluation, Strategy
-    from evo_cpg.lab.ask import Answer
+    from evo_cpg.laboratory.ask import Answer
     from evo_cpg.physics.force_law import Bodies, ForceLaw
     from evo_cpg.simulation.sensor import Sensor
     from evo_cpg.simulation.snapshot import Forces, Snapshot
     from evo_cpg.simulation.task import Task, Transition
 
 _HOMES = {
-    "Answer": "lab.ask",
+    "Answer": "laboratory.ask",
     "Bodies": "physics.force_law",
     "Command": "control.controller",
     "ConfigError": "config.errors",

@@ -13,7 +13,7 @@ class Animals(NamedTuple):
         key: key of the quantity in `evo_cpg.analysis.gait_numbers`.
         low: lower end.
         high: upper end, or the single figure again.
-        who: the animals.
+        animal: the animals.
         source: the paper, empty if it is unknown.
         secondary: whether the figure comes from a secondary source.
     """
@@ -21,7 +21,7 @@ class Animals(NamedTuple):
     key: str
     low: float
     high: float
-    who: str
+    animal: str
     source: str
     secondary: bool = False
 
@@ -35,7 +35,7 @@ class Animals(NamedTuple):
     def __str__(self) -> str:
         secondary = "secondary source" if self.secondary else ""
         sources = ", ".join(part for part in (self.source, secondary) if part)
-        return f"{self.range} {self.who} ({sources})"
+        return f"{self.range} {self.animal} ({sources})"
 
 
 _WAVES = "Wave Motion 78, 83 (2018)"

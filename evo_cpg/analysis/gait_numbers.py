@@ -256,14 +256,14 @@ def _cost_of_animals(mass: float, speed: float, swims: bool) -> tuple[Animals, .
     """Return the cost of transport of animals of a mass (kg) at a speed (m/s)."""
     if swims:
         low, high = swimming_cost(mass)
-        who, source = "fish of this mass, metabolic", "formulas for fish and for salmon"
+        animal, source = "fish of this mass, metabolic", "formulas for fish and for salmon"
     elif speed > 0:
         low, high = running_cost(mass), running_cost(mass, speed)
-        who = "runners of this mass, metabolic, fast and at this speed"
+        animal = "runners of this mass, metabolic, fast and at this speed"
         source = "Taylor et al. 1982"
     else:
         return ()
-    return (Animals("cost_of_transport", float(low), float(high), who, source, True),)
+    return (Animals("cost_of_transport", float(low), float(high), animal, source, True),)
 
 
 def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, ...]:

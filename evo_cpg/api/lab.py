@@ -9,8 +9,8 @@ from evo_cpg.api.progress import working
 from evo_cpg.config.load import load_config
 from evo_cpg.config.shipped import find_config
 from evo_cpg.config.trust import trusting
-from evo_cpg.lab.ask import Answer, Subject, ask
-from evo_cpg.lab.settings import LabError
+from evo_cpg.laboratory.ask import Answer, Subject, ask
+from evo_cpg.laboratory.settings import LabError
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
 

@@ -42,6 +42,6 @@ def lab(
     ] = None,
 ) -> None:
     """Ask an animal a question without evolution."""
-    from evo_cpg.cli.asked import ask_animal
+    from evo_cpg.cli.answers import ask_animal
 
     ask_animal(animal, knobs or [], seconds, number, out)

@@ -21,7 +21,7 @@ def show_numbers(quantities: Sequence[Quantity]) -> None:
             each.name,
             _digits(each.value),
             each.unit,
-            "; ".join(f"{animals.range} {animals.who}" for animals in each.animals),
+            "; ".join(f"{animals.range} {animals.animal}" for animals in each.animals),
         ]
         for each in quantities
         if each.exists

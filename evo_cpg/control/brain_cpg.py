@@ -188,8 +188,8 @@ class BrainCpg(Controller):
         rate_gain: G g of each degree of freedom, rad/s, 0 for muscles.
         centring: k_c of each degree of freedom, 1/s, 0 for muscles.
         control_step: length of a control step, s.
-        muscles: True if the creature has muscles.
         feedback: feedback of the senses into the oscillators, or None.
+        muscles: True if the creature has muscles.
     """
 
     gene_count: int = eqx.field(static=True)

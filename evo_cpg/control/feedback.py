@@ -203,8 +203,9 @@ def feel(
             delayed, past = sense.delay.after(sense.now(genes, load), past)
             total += delayed
             loaded.append(past)
-        if feedback.tegotae:
-            strength = sum(sense.strength(genes, load) for sense in feedback.tegotae)
+        for sense in feedback.tegotae:
+            own = sense.strength(genes, load)
+            strength = own if strength is None else strength + own
         for reset, past in zip(feedback.resets, memory.touching, strict=True):
             acts, past = reset.at(load, past)
             touching.append(past)

@@ -143,14 +143,14 @@ class Preparation(Controller):
     ) -> tuple[MatsuokaState, Command]:
         """Run one control step of the changed animal."""
         animal, surgery = decoded
-        tonic, gain = surgery.tonic, surgery.gain
+        tonic, gain, senses = map(jnp.asarray, (surgery.tonic, surgery.gain, surgery.heard))
         if self.awake:
             assert animal is not None
-            sensed = silenced(observation, surgery.heard)
+            sensed = silenced(observation, senses)
             own_tonic, own_gain = self.animal.descending(animal, state, sensed)
             tonic = tonic + surgery.kept[None] * own_tonic
             gain = gain + surgery.kept * own_gain
-        heard = surgery.heard[SENSES.index("feedback")]
+        heard = senses[SENSES.index("feedback")]
         load = observation.load
         proprioception = observation._replace(
             joint_angle=_heard(heard, observation.joint_angle),
@@ -165,7 +165,7 @@ class Preparation(Controller):
         """Return the animal with the couplings and the feedback of each individual."""
         network, feedback = self.animal.network, self.animal.feedback
         weights, own = (
-            factor * expand_dims_like(weight, factor)
+            factor * expand_dims_like(weight, jnp.asarray(factor))
             for factor, weight in (
                 (surgery.coupled, network.weights),
                 (surgery.own_coupled, network.own_weights),
@@ -176,7 +176,7 @@ class Preparation(Controller):
             stretch, first = [], 0
             for sense in feedback.stretch:
                 felt = surgery.felt[first : first + len(sense.offsets)]
-                rows = felt * expand_dims_like(sense.rows, felt)
+                rows = felt * expand_dims_like(sense.rows, jnp.asarray(felt))
                 stretch.append(dataclasses.replace(sense, rows=rows))
                 first += len(sense.offsets)
             feedback = dataclasses.replace(feedback, stretch=tuple(stretch))

@@ -148,7 +148,7 @@ class Brain:
         return MotorCommand(
             rate,
             np.zeros_like(rate) if angle is None else angle,
-            np.zeros((2, *rate.shape)) if activation is None else activation,
+            jnp.zeros((2, *rate.shape)) if activation is None else activation,
         )
 
 
@@ -192,7 +192,7 @@ def second_opinion(
     player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
     pushes = _pushes(steps)
     recorded = steps.target_rate, steps.target_angle, steps.activation
-    commands, active = player.commands(MotorCommand(*map(np.asarray, recorded)))
+    commands, active = player.commands(MotorCommand(*recorded))
     poses, held = [player.data.qpos.copy()], []
     for index in range(steps.torque.shape[-1]):
         player.data.qvel[:3] += pushes[:, index]
@@ -276,7 +276,8 @@ class _Player:
 
         The commands give our motors' torques. Those of muscles change within a step, see `advance`.
         """
-        tree, target_rate, target_angle = self.tree, command.target_rate, command.target_angle
+        tree, target_rate = self.tree, np.asarray(command.target_rate)
+        target_angle = np.asarray(command.target_angle)
         gain, stiffness = (
             np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)
         )

@@ -219,7 +219,7 @@ def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalSta
         names = ", ".join(f"{type(one).__name__}.sense" for one in simulation.extra_sensors)
         custom = fuse(read, state, animal.forces, constants.light, batch_ndim=ndim, name=names)
     load = None
-    if simulation.controller.uses_load:
+    if simulation.controller.uses_load and animal.forces is not None:
         load = fuse(
             lambda force: body_loads(world, force),
             animal.forces.contact_force,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from functools import partial
 
 from evo_cpg.api.lab import lab
-from evo_cpg.lab.ask import Answer
+from evo_cpg.laboratory.ask import Answer
 from evo_cpg.studies import card_land, card_nerves, card_water
 from evo_cpg.studies.card import (
     Question,

@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from evo_cpg.analysis.allometry import running_cost
 from evo_cpg.analysis.gait import fourier_component
-from evo_cpg.lab.ask import Answer
-from evo_cpg.lab.settings import Setting
+from evo_cpg.laboratory.ask import Answer
+from evo_cpg.laboratory.settings import Setting
 from evo_cpg.simulation.recording import Recording
 
 Measure = Callable[[Sequence[Answer]], Sequence[float]]

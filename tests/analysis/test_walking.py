@@ -90,6 +90,6 @@ def test_reynolds_numbers_of_swimmers():
 
 def test_ranges_of_animals_are_ordered_and_named():
     for each in ANIMALS:
-        assert each.low <= each.high and each.who and (each.source or each.secondary)
-    assert animals_of("recovery")[0].who == "walking animals"
+        assert each.low <= each.high and each.animal and (each.source or each.secondary)
+    assert animals_of("recovery")[0].animal == "walking animals"
     assert animals_of("nothing") == ()

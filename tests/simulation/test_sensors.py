@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from creatures import quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import DepthSensor
+from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.kinematics import kinematics
@@ -18,6 +19,7 @@ from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.water import Water
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.sensors import (
+    body_loads,
     depth_readings,
     light_readings,
     light_strength,
@@ -27,6 +29,7 @@ from evo_cpg.simulation.sensors import (
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 from evo_cpg.simulation.velocity_sensor import VelocitySensor
 from evo_cpg.spatial.rotation import euler_to_matrix, integrate_quaternion
+from on_ground import alone, record, released
 from trials import EYES, swimmer
 
 
@@ -203,3 +206,15 @@ def test_velocities_equal_central_differences(x64):
     own = np.einsum("ijn,in->jn", rotation[:, :, i], rate[:, i])
     np.testing.assert_allclose(read, own / 100.0, rtol=1e-6, atol=1e-8)
     assert np.abs(over).max() == 1.0
+
+
+def test_load_of_a_body_at_rest_is_its_whole_weight():
+    with jax.enable_x64(True):
+        world = alone(Box((0.2, 0.1, 0.1)))
+        _, force = record(world, released(world, [[0.0], [0.0], [0.05]]), 120)
+        # On a flat floor the contact frame's third axis is vertical.
+        load = body_loads(world, jnp.asarray(force[-1]))
+        assert load.shape == (1, 1)
+        assert float(load[0, 0]) == pytest.approx(1.0, abs=1e-6)
+        weightless = dataclasses.replace(world, gravity=0.0)
+        assert float(body_loads(weightless, jnp.asarray(force[-1]))[0, 0]) == 0.0

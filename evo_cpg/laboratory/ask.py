@@ -12,10 +12,10 @@ from evo_cpg.analysis.gait_numbers import gait_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.matsuoka import parts
 from evo_cpg.control.preparation import Preparation
-from evo_cpg.lab.bodies import Bodies, build_bodies, joints_of
-from evo_cpg.lab.entrain import bend, entrained_range, locking, rest_frequency, steps_of
-from evo_cpg.lab.flume import flume_notes, ground_speed
-from evo_cpg.lab.settings import (
+from evo_cpg.laboratory.bodies import Bodies, build_bodies, joints_of
+from evo_cpg.laboratory.entrain import bend, entrained_range, locking, rest_frequency, steps_of
+from evo_cpg.laboratory.flume import flume_notes, ground_speed
+from evo_cpg.laboratory.settings import (
     CORD,
     NERVES,
     LabError,
@@ -24,9 +24,9 @@ from evo_cpg.lab.settings import (
     require_values,
     worded,
 )
-from evo_cpg.lab.surgery import genes_of, prepare, sides_of
-from evo_cpg.lab.tow import held, straight_drag, tow_numbers
-from evo_cpg.lab.trials import record_all
+from evo_cpg.laboratory.surgery import genes_of, prepare, sides_of
+from evo_cpg.laboratory.tow import held, straight_drag, tow_numbers
+from evo_cpg.laboratory.trials import record_all
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.recording import Recording, as_recording
 from evo_cpg.simulation.simulation import Simulation
@@ -81,7 +81,8 @@ def ask(
 
     Args:
         subject: the animal.
-        values: values of each knob (`evo_cpg.lab.settings.KNOBS`) or key of the configuration.
+        values: values of each knob (`evo_cpg.laboratory.settings.KNOBS`), or of each key of the
+            configuration.
         seconds: duration of a trial, s, or None for the duration in the configuration. The second
             half is measured.
 
@@ -129,7 +130,7 @@ def _ask_animal(
 
 
 def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
-    """Bend an isolated spinal cord (`evo_cpg.lab.entrain`)."""
+    """Bend an isolated spinal cord (`evo_cpg.laboratory.entrain`)."""
     settings = combinations({name: each for name, each in values.items() if name != "ratio"})
     bodies = _prepared(subject, settings, None, False)
     controller, tree = bodies.common.controller, bodies.common.world.tree
@@ -174,8 +175,8 @@ def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
         if found:
             span = f"from {found[0]:.3g} to {found[1]:.3g} of f_0 = {rest[i]:.3g} Hz"
         notes.append(f"{worded(setting)}: entrained 1:1 {span}")
-    asked: list[Setting] = [{name: row[name] for name in values} for row in rows]
-    return Answer(asked, rows, (), tuple(notes))
+    questions: list[Setting] = [{name: row[name] for name in values} for row in rows]
+    return Answer(questions, rows, (), tuple(notes))
 
 
 # Duration of the trial of a straight cord, s.

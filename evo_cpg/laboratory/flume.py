@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
-from evo_cpg.lab.settings import Setting, worded
-from evo_cpg.lab.tow import directions, whole_cycles
+from evo_cpg.laboratory.settings import Setting, worded
+from evo_cpg.laboratory.tow import directions, whole_cycles
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 

@@ -17,7 +17,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
-from evo_cpg.lab.settings import NOTHING, LabError, Setting
+from evo_cpg.laboratory.settings import NOTHING, LabError, Setting
 from evo_cpg.simulation.batched import BatchedSimulation
 from evo_cpg.simulation.simulation import Simulation
 

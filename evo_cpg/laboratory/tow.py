@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
-from evo_cpg.lab.settings import LabError
+from evo_cpg.laboratory.settings import LabError
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.step import needs_iteration
 from evo_cpg.physics.world import World

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evo_cpg.lab.entrain import _REST, CYCLES, entrained_range, locking, rest_frequency
+from evo_cpg.laboratory.entrain import _REST, CYCLES, entrained_range, locking, rest_frequency
 
 H, W0, K = 1 / 60, 2 * np.pi * 1.3, 1.5
 

@@ -11,9 +11,9 @@ from evo_cpg.api.lab import subject_of
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.tables import show_table
 from evo_cpg.files import make_folder, write_table
-from evo_cpg.lab.ask import Answer, ask
-from evo_cpg.lab.columns import shown_columns
-from evo_cpg.lab.settings import KNOBS
+from evo_cpg.laboratory.ask import Answer, ask
+from evo_cpg.laboratory.columns import shown_columns
+from evo_cpg.laboratory.settings import KNOBS
 from evo_cpg.system import named
 from evo_cpg.view.figure import save_figure
 from evo_cpg.view.lab_plot import Panel, cell, lab_figure

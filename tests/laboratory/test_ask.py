@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from swimmer import FORWARDS, subject
 
+import evo_cpg as evo
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.lab.ask import ask
-from evo_cpg.lab.flume import flume_notes
-from evo_cpg.lab.settings import LabError
+from evo_cpg.laboratory.ask import Answer, ask
+from evo_cpg.laboratory.flume import flume_notes
+from evo_cpg.laboratory.settings import LabError
 from evo_cpg.physics.added_mass import AddedMass
 
 
@@ -131,3 +132,8 @@ def test_program_of_the_page_runs(capsys):
     (program,) = re.findall(r"```python\n(.+?)```", page, re.S)
     exec(compile(program, "documented", "exec"), {})
     assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+def test_the_front_door_is_a_function_in_any_order():
+    """No subpackage has the name of the function."""
+    assert evo.Answer is Answer and callable(evo.lab)

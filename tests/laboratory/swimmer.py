@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 
 from evo_cpg.config.load import load_config
-from evo_cpg.lab.ask import Subject
+from evo_cpg.laboratory.ask import Subject
 
 JOINT = {
     "parent": "head",

@@ -10,8 +10,8 @@ from evo_cpg.control.controller import Controller
 from evo_cpg.control.preparation import SENSES, Preparation, Surgery
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
-from evo_cpg.lab.bodies import joints_of
-from evo_cpg.lab.settings import NERVES, NOTHING, OPEN_LOOP, LabError, Setting
+from evo_cpg.laboratory.bodies import joints_of
+from evo_cpg.laboratory.settings import NERVES, NOTHING, OPEN_LOOP, LabError, Setting
 
 
 def prepare(controller: Controller, settings: list[Setting], brain: bool) -> Controller:
@@ -38,7 +38,7 @@ def prepare(controller: Controller, settings: list[Setting], brain: bool) -> Con
     if feedback is not None and feedback.gene_count and not brain:
         raise LabError("weights of the feedback evolve. Ask a run folder, or set the weights")
     awake = brain and not names & set(OPEN_LOOP)
-    return Preparation(animal=controller, trained=brain, awake=awake)
+    return Preparation(animal=controller, trained=brain, awake=awake)  # pyright: ignore[reportCallIssue]
 
 
 def genes_of(
