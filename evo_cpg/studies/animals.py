@@ -10,11 +10,12 @@ from evo_cpg.api.lab import lab
 from evo_cpg.laboratory.ask import Answer
 from evo_cpg.studies import card_land, card_nerves, card_water
 from evo_cpg.studies.card import (
+    Absent,
     Question,
     Row,
     Verdict,
-    card_table,
-    missing_table,
+    absent_table,
+    card_tables,
 )
 from evo_cpg.studies.study import Part, Runs, Study, Table
 from evo_cpg.studies.workshop import Workshop
@@ -38,7 +39,12 @@ def card(workshop: Workshop, rows: Sequence[Row]) -> list[Table]:
     bars = [Bar(one.row.name, one.row.rule.low, one.row.rule.high, one.values) for one in verdicts]
     workshop.draw(card_figure(bars))
     places = {question.animal: _place(workshop, question.animal) for question in questions}
-    return [card_table(verdicts), missing_table(verdicts, places)]
+    return card_tables(verdicts, places)
+
+
+def absent(workshop: Workshop, rows: Sequence[Absent]) -> list[Table]:
+    """Return the figures that no simulation of ours answers."""
+    return [absent_table(rows)]
 
 
 def _ask(workshop: Workshop, question: Question) -> list[Answer]:
@@ -72,5 +78,7 @@ STUDY = Study(
                                + card_nerves.MUSCLES)),
         "land": Part("water and land, and walkers", ("trot", "tripod"),
                      partial(card, rows=card_land.WALKERS)),
+        "absent": Part("figures without an answer", (),
+                       partial(absent, rows=card_land.ABSENT)),
     },
 )  # fmt: skip

@@ -1,7 +1,7 @@
 """Report card: figures of real animals beside ours, each with a rule that was set beforehand.
 
-A rule is a range. A figure is reproduced if the median of ours lies in its range. There are six
-kinds of rules:
+A rule is a range. A figure is reproduced if the median of ours lies in its range. There are
+these kinds of rules:
 
 | rule | range |
 |---|---|
@@ -10,7 +10,7 @@ kinds of rules:
 | `points` | a change in percent, 10 percentage points less to 10 more |
 | `exponent` | an exponent, 0.1 less to 0.1 more |
 | `factor` | a figure, half to twice |
-| `above`, `below` | one side of a limit |
+| `above`, `below` | one side of a limit, without the limit |
 """
 
 import math
@@ -39,7 +39,12 @@ class Rule(NamedTuple):
     def holds(self, values: Sequence[float]) -> bool | None:
         """Return whether the median of the finite values is in the range, or None without any."""
         known = [value for value in values if math.isfinite(value)]
-        return self.low <= float(np.median(known)) <= self.high if known else None
+        if not known:
+            return None
+        median = float(np.median(known))
+        if math.isinf(self.low) or math.isinf(self.high):
+            return self.low < median < self.high
+        return self.low <= median <= self.high
 
     def worded(self) -> str:
         """Return the range in words, such as ``0.2 to 0.4`` or ``above 0``."""
@@ -156,37 +161,55 @@ class Verdict(NamedTuple):
         return {True: "yes", False: "no", None: "not measured"}[self.row.rule.holds(self.values)]
 
 
-def card_table(verdicts: Sequence[Verdict]) -> Table:
-    """Return the card as a table."""
-    head = ["animal", "its figure", "rule", "ours: median (range)", "over", "reproduced", "source"]
-    rows = [
-        [
-            row.name,
-            row.figure,
-            row.rule.worded(),
-            middle(each.values, row.digits),
-            row.ours,
-            each.reproduced,
-            row.source,
-        ]
-        for each in verdicts
-        for row in [each.row]
-    ]
-    kept = sum(each.reproduced == "yes" for each in verdicts)
-    return Table(f"{kept} of {len(verdicts)} figures are reproduced:", head, rows)
-
-
-def missing_table(verdicts: Sequence[Verdict], places: Mapping[str, str]) -> Table:
-    """Return what is missing in each row, and the command that answers it.
+def card_tables(verdicts: Sequence[Verdict], places: Mapping[str, str]) -> list[Table]:
+    """Return the card: a table for each question, below the command that answers it.
 
     Args:
         verdicts: the rows with their answers.
         places: configuration or run folder of each animal, as the command takes it.
     """
-    rows = [
-        [row.name, f"`{row.question.command(places[row.question.animal])}`", row.missing]
-        for row in (each.row for each in verdicts)
+    groups: dict[str, list[Verdict]] = {}
+    for one in verdicts:
+        question = one.row.question
+        groups.setdefault(question.command(places[question.animal]), []).append(one)
+    return [
+        Table(f"`{command}`", _HEAD, [_cells(one) for one in own])
+        for command, own in groups.items()
     ]
-    return Table(
-        "Command that answers each row, and what is missing:", ["", "command", "missing"], rows
-    )
+
+
+_HEAD = ("animal", "its figure", "reproduced if", "ours: median (range)", "reproduced", "missing")
+
+
+def _cells(verdict: Verdict) -> list[str]:
+    row = verdict.row
+    return [
+        row.name,
+        f"{row.figure} ({row.source})",
+        row.rule.worded(),
+        f"{middle(verdict.values, row.digits)}, {row.ours}",
+        verdict.reproduced,
+        row.missing,
+    ]
+
+
+class Absent(NamedTuple):
+    """A figure of an animal that no simulation of ours answers.
+
+    Attributes:
+        name: animal and quantity.
+        figure: the animal's figure.
+        source: paper.
+        reason: reason, in one clause.
+    """
+
+    name: str
+    figure: str
+    source: str
+    reason: str
+
+
+def absent_table(rows: Sequence[Absent]) -> Table:
+    """Return the figures without an answer as a table."""
+    head = ("animal", "its figure", "why ours has none")
+    return Table("", head, [[row.name, f"{row.figure} ({row.source})", row.reason] for row in rows])

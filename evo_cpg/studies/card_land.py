@@ -1,7 +1,7 @@
 """Rows of the report card: the salamander in water and on land, and walkers."""
 
 from evo_cpg.studies import card_measures as m
-from evo_cpg.studies.card import Question, Row, above, below, factor, third, within
+from evo_cpg.studies.card import Absent, Question, Row, above, below, factor, third, within
 
 # Limbs of the salamander.
 _LIMBS = "*_arm+*_hand+*_thigh+*_shin"
@@ -68,7 +68,8 @@ WALKERS = [
         1,
     ),
     Row(
-        "eel on land: size of the lag of displacement on bending, percent of a cycle. Ours: the salamander",
+        "eel on land: displacement lags bending, percent of a cycle, without sign. "
+        "Ours: the salamander",
         "0",
         _EEL,
         below(3.0),
@@ -97,5 +98,56 @@ WALKERS = [
         m.cost_over_allometry,
         _SEEDS,
         "ours is mechanical work over an efficiency of 0.25",
+    ),
+]
+
+ABSENT = [
+    Absent(
+        "trout behind a cylinder",
+        "tail beats at the shedding frequency, body wave 25 % faster than the flow",
+        "2013, J. Exp. Biol. 216, 3442",
+        "our water has currents, but no vortices",
+    ),
+    Absent(
+        "eel: impulse of the wake",
+        "twice that of elongated-body and resistive models",
+        "Tytell 2004, J. Exp. Biol., secondary source",
+        "our water has no wake",
+    ),
+    Absent(
+        "eel backwards",
+        "steeper frequency over speed, uniform amplitude",
+        "D'Aout and Aerts 1999, J. Exp. Biol., secondary source",
+        "no animal of ours swims backwards",
+    ),
+    Absent(
+        "newt under water",
+        "1.19 lengths from snout to vent a second, duty factor 0.41",
+        "Ashley-Ross, Lundin, Johnson 2009, secondary source",
+        "it walks on the bottom. Our salamander swims",
+    ),
+    Absent(
+        "model of a salamander: limbs",
+        "oscillators of limbs are slower than those of the body",
+        "Ijspeert et al. 2007",
+        "all oscillators of an animal of ours have the same time constants",
+    ),
+    Absent(
+        "zebrafish larva",
+        "up to 100 Hz, displacement 57 to 63 degrees behind curvature",
+        "2004, J. Exp. Biol. 207, 853",
+        "our animals are controlled 60 times a second",
+    ),
+    Absent(
+        "robot fish",
+        "speed predicted to 0.019 m/s",
+        "arXiv 2602.23283",
+        "its data have no licence, so the program cannot ship them",
+    ),
+    Absent(
+        "Caenorhabditis elegans, crawling",
+        "drag across over drag along: 10",
+        "arXiv 1112.1118",
+        "the ratio belongs to the agar's film. Our water gives slender bodies at most 2",
     ),
 ]

@@ -4,6 +4,7 @@ Each function takes the answers of a question, and returns a list with one value
 seed. Values that do not exist are NaN.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 
@@ -134,7 +135,7 @@ def _law(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 
 
 def change(key: str, knob: str, before: float, after: float) -> Measure:
-    """Return a measure: change of a quantity in percent, if a knob changes from one to another value.
+    """Return a measure: change of a quantity in percent, between two values of a knob.
 
     Args:
         key: quantity, or ``curvature`` for the root mean square of all joint angles.
@@ -252,9 +253,9 @@ def burst(place: float) -> Measure:
 def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
     """Return a measure: cycles until the lag across a cut has returned to the intact animal's.
 
-    The lag is that of the bending at the cut's joint on the joint before it. It has returned when it
-    stays within 0.1 cycle of the mean lag of the intact animal. Without a return, the value is the
-    number of cycles of the whole trial.
+    The lag is that of the bending at the cut's joint on the joint before it. It has returned when
+    it stays within 0.1 cycle of the mean lag of the intact animal. Without a return, the value is
+    the number of cycles of the whole trial.
 
     Args:
         joint: joint in front of which the cord is cut.
@@ -286,7 +287,7 @@ def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
     starts = _upward(before)
     own = _upward(behind)
     lags = []
-    for start, end in zip(starts[:-1], starts[1:], strict=True):
+    for start, end in itertools.pairwise(starts):
         later = own[own >= start]
         lags.append((later[0] - start) / (end - start) if len(later) else math.nan)
     return np.array(lags)

@@ -49,7 +49,7 @@ EFFICIENCY = [
     Row(
         f"eels and lampreys: Strouhal number {_BEST}",
         "0.45",
-        "2009, J. Exp. Biol. 212, 576 (secondary source)",
+        "Borazjani and Sotiropoulos 2009, J. Exp. Biol. 212, 576 (secondary source)",
         third(0.45),
         DRIVE,
         m.at_best("strouhal", "froude_efficiency", "b"),
@@ -58,7 +58,7 @@ EFFICIENCY = [
     Row(
         "self-propelled models: exponent of the Strouhal number over the Reynolds number",
         "below 0",
-        "2009, J. Exp. Biol. 212, 576 (secondary source)",
+        "Borazjani and Sotiropoulos 2009, J. Exp. Biol. 212, 576 (secondary source)",
         below(0.0),
         THICK,
         m.slope("strouhal", "reynolds", "u"),
