@@ -330,17 +330,17 @@ def no_forces(simulation: Simulation, state: State) -> Forces:
     return Forces(jnp.zeros_like(state.q), contact, between, held)
 
 
-def _add_fraction(mean: Forces, effort: Effort, fraction: float) -> Forces:
+def _add_fraction(forces: Forces, effort: Effort, fraction: float) -> Forces:
     """Add the forces of a physics step, times a fraction, to the mean of the control step."""
 
-    def plus(before: Array, force: Array | None) -> Array:
-        return before if force is None else before + fraction * force
+    def plus(mean: Array, force: Array | None) -> Array:
+        return mean if force is None else mean + fraction * force
 
-    held = mean.holding
+    held = forces.holding
     return Forces(
-        plus(mean.torque, effort.torque),
-        plus(mean.contact_force, effort.contact_force),
-        plus(mean.pair_force, effort.pair_force),
+        plus(forces.torque, effort.torque),
+        plus(forces.contact_force, effort.contact_force),
+        plus(forces.pair_force, effort.pair_force),
         None if held is None else plus(held, effort.holding),
     )
 
