@@ -180,9 +180,12 @@ def _readings(given: Any) -> list[Any]:
     if isinstance(given, str):
         if given.lower() in ("none", "nil"):
             found.append(None)
-        if "," in given:
-            found.append([_number_or_text(part.strip()) for part in given.split(",")])
-        found += [number for number in [_number_or_text(given)] if not isinstance(number, str)]
+        number, parts = _number_or_text(given), given.split(",")
+        numbers = [] if isinstance(number, str) else [number]
+        lists = [[_number_or_text(part.strip()) for part in parts]] if len(parts) > 1 else []
+        # A single comma without a space is a decimal comma, if a number is allowed.
+        decimal = len(parts) == 2 and not any(map(str.isspace, given))
+        found += numbers + lists if decimal else lists + numbers
     elif isinstance(given, list) and len(given) == 1:
         found.append(given[0])
     elif isinstance(given, dict) and len(given) == 1 and list(given.values()) == [None]:

@@ -60,7 +60,7 @@ def problem(data: dict) -> str:
         (
             "creature.bodies.1.joint.limits_deg",
             60,
-            "must be a list of 2 numbers or a list of lists",
+            "null, a list of 2 numbers or a list of entries, each null or a list of 2 numbers",
         ),
         ("creature.bodies.1.joint.limits_deg", [[-60, "a"]], "must be a number"),
         ("creature.bodies.1.joint.at", 3, "3: must be a list of 3 numbers"),
@@ -92,8 +92,17 @@ def problem(data: dict) -> str:
         ("creature.bodies.1.name", True, f"True: must be text. {TRUTHS}"),
         ("creature.bodies.1.name", 12, "12: must be text. Write '12'"),
         ("creature.bodies.1.name", {"side": None}, "must be text. Write '{side}'"),
-        ("creature.bodies.1.joint.damping", "1.5 N m s", "must be a number. Write 1.5"),
-        ("creature.bodies.1.joint.damping", "0,5", "must be a number. Write 0.5"),
+        (
+            "creature.bodies.1.joint.damping",
+            "1.5 N m s",
+            "a number or a list of numbers. Write 1.5",
+        ),
+        (
+            "creature.bodies.1.joint.damping",
+            "0,5",
+            "must be a number or a list of numbers. Write 0.5",
+        ),
+        ("creature.bodies.1.joint.damping", "1, 2", "a list of numbers. Write [1, 2]"),
         ("creature.bodies.1.joint.at.0", "\N{MINUS SIGN}0.11", "must be a number. Write -0.11"),
         (
             "world.water.law",
