@@ -34,6 +34,15 @@ SWIMMING = (
 
 FLUME = (Column("ground_speed", "ground m/s", "speed over ground (m/s)"), *SWIMMING)
 
+CUT = (
+    SWIMMING[0],
+    Column("front_frequency", "front Hz", "frequency in front of the cut (Hz)"),
+    Column("behind_frequency", "behind Hz", "frequency behind the cut (Hz)"),
+    Column("cut_lag", "lag deg", "lag at the cut (degrees)"),
+    Column("cut_scatter", "scatter", "scatter of the lag (cycles)"),
+    *SWIMMING[1:],
+)
+
 TOWED = (
     Column("holding_force", "F N", "mean force that holds it, forwards (N)"),
     Column("straight_drag", "D N", "drag of the straight body (N)"),
@@ -48,7 +57,7 @@ TOWED = (
 CORD = (
     Column("rest_frequency", "f0 Hz", "frequency without bending (Hz)"),
     Column("frequency", "f Hz", "frequency (Hz)"),
-    Column("followed", "f/fb", "frequency of the cord / frequency of the bending"),
+    Column("followed", "f/fb", "frequency: cord / bending"),
     Column("phase", "phase", "phase behind the bending (cycles)"),
     Column("scatter", "scatter", "scatter of the phase (cycles)"),
     Column("entrained", "1:1", "entrained 1:1 (1 or 0)"),
@@ -58,7 +67,7 @@ CORD = (
 def shown_columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
     """Return the measures that exist under at least one setting, the most important first."""
     names = {name for row in rows for name in row}
-    kinds = {"entrained": CORD, "holding_force": TOWED, "current": FLUME}
+    kinds = {"entrained": CORD, "holding_force": TOWED, "current": FLUME, "cut_lag": CUT}
     kind = next((kind for name, kind in kinds.items() if name in names), SWIMMING)
     return [
         column

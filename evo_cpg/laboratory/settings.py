@@ -6,6 +6,7 @@ configuration is a knob, too, under its key.
 """
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -76,11 +77,13 @@ BODY = {
 # Knobs of an isolated cord that a motor bends.
 CORD = {
     "bend": Knob("bodies whose joints a motor bends, as names or patterns"),
-    "degrees": Knob("amplitude of the bending, degrees", 0.0, 180.0, "degrees"),
+    "degrees": Knob("amplitude of the bending, degrees", 1e-3, 180.0, "degrees"),
     "ratio": Knob("frequency of the bending, as a multiple of the cord's own", 1e-3),
 }
 
 KNOBS = NERVES | BODY | CORD
+
+_SECONDS = Knob("duration of each trial, s", 0.1, 1e5, "s")
 
 
 def combinations(values: Mapping[str, Sequence[Any]], most: int = 10_000) -> list[Setting]:
@@ -100,12 +103,18 @@ def combinations(values: Mapping[str, Sequence[Any]], most: int = 10_000) -> lis
     return [dict(zip(values, row, strict=True)) for row in itertools.product(*values.values())]
 
 
-def require_values(values: Mapping[str, Sequence[Any]]) -> None:
+def require_values(values: Mapping[str, Sequence[Any]], seconds: float | None) -> None:
     """Check the names of knobs, and the range of their values. Keys of a configuration pass.
+
+    Args:
+        values: values of each knob.
+        seconds: duration of each trial, s, or None.
 
     Raises:
         LabError: a knob is unknown, or a value is not allowed.
     """
+    if seconds is not None:
+        _require("seconds", _SECONDS, seconds)
     for name, each in values.items():
         knob = KNOBS.get(name)
         if knob is None:
@@ -129,10 +138,12 @@ def _require(name: str, knob: Knob, value: Any) -> None:
         return
     if not is_number:
         raise LabError(f"{name}={value}: expected a number ({knob.meaning})")
-    if not knob.least <= value <= knob.most:
+    if not (knob.least <= value <= knob.most and math.isfinite(value)):
         allowed = f"from {knob.least:g} to {knob.most:g}"
         if knob.most == float("inf"):
-            allowed = f"at least {knob.least:g}"
+            allowed = f"at least {knob.least:g}, finite"
+        if knob.least == _ANY:
+            allowed = "a finite number"
         raise LabError(f"{name}={value:g}: {knob.meaning}. Allowed: {allowed}")
 
 
