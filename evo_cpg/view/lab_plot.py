@@ -59,7 +59,8 @@ def lab_figure(
     if 1 < len(lines) <= _NAMED:
         handles = grid[0].get_legend_handles_labels()
         others = legible(", ".join(knobs[1:]))
-        figure.legend(*handles, title=others, loc="outside lower center", ncols=min(len(lines), 5))
+        across = -(-len(lines) // -(-len(lines) // 5))
+        figure.legend(*handles, title=others, loc="outside lower center", ncols=across)
     return figure
 
 
@@ -90,6 +91,9 @@ def _draw(
             axes.tick_params(axis="x", rotation=40)
     elif _spans_decades(first):
         axes.set_xscale("log")
+    known = [value for value in panel.values if math.isfinite(value)]
+    if known and _spans_decades(known):
+        axes.set_yscale("log")
     if knobs:
         axes.set_xlabel(legible(knobs[0]))
     axes.set_title(legible(panel.label))
@@ -107,4 +111,4 @@ def cell(value: Any) -> str:
         return value
     if value is None or not math.isfinite(value):
         return "-"
-    return f"{value:.3g}"
+    return f"{value:.0f}" if 1000 <= abs(value) < 1e5 else f"{value:.3g}"
