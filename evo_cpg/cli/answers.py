@@ -113,7 +113,7 @@ def _value(text: str) -> Any:
 
 
 def show_answer(name: str, answer: Answer, place: Path) -> None:
-    """Print the table of an answer, and write ``lab.csv`` and ``lab.png``."""
+    """Print the table of an answer, and write ``lab.csv``, ``columns.csv`` and ``lab.png``."""
     rows = answer.rows
     varied = [
         knob
@@ -133,6 +133,9 @@ def show_answer(name: str, answer: Answer, place: Path) -> None:
         print(note)
     table = place / _TABLE
     write_table(table, rows)
+    meanings = [{"column": name, **each._asdict()} for name, each in answer.meanings.items()]
+    if meanings:
+        write_table(place / "columns.csv", meanings)
     drawn = [one for one in columns if len(rows) == 1 or len({row[one.key] for row in rows}) > 1]
     panels = [Panel(one.label, [row[one.key] for row in rows]) for one in drawn[:_MOST_PANELS]]
     fixed = ", ".join(f"{k}={cell(v)}" for k, v in answer.settings[0].items() if k not in varied)

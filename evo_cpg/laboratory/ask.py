@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,6 +52,18 @@ class Subject(NamedTuple):
     genes: Float[np.ndarray, " g"] | None = None
 
 
+class Meaning(NamedTuple):
+    """Meaning of a measure.
+
+    Attributes:
+        unit: unit, empty for a pure number.
+        definition: definition.
+    """
+
+    unit: str
+    definition: str
+
+
 class Answer(NamedTuple):
     """An answer: a row of measures for each setting.
 
@@ -61,6 +74,7 @@ class Answer(NamedTuple):
         recordings: motion under each setting. Empty for an isolated cord.
         notes: results that belong to several settings, one sentence each.
         simulations: trial of each setting. Empty for an isolated cord.
+        meanings: unit and definition of each measure, by name.
     """
 
     settings: list[Setting]
@@ -68,6 +82,7 @@ class Answer(NamedTuple):
     recordings: tuple[Recording, ...] = ()
     notes: tuple[str, ...] = ()
     simulations: tuple[Simulation, ...] = ()
+    meanings: Mapping[str, Meaning] = MappingProxyType({})
 
     def __repr__(self) -> str:
         return f"Answer({len(self.rows)} settings, {len(self.rows[0])} columns)"
@@ -111,6 +126,7 @@ def _ask_animal(
     frames = record_all(bodies.simulation, _genes(subject, bodies, settings))
     simulations = tuple(bodies.of(i) for i in range(len(settings)))
     rows, recordings, cut = [], [], cut_of(settings)
+    meanings: dict[str, Meaning] = {}
     drags: dict[tuple, float] = {}
     for i, setting in enumerate(settings):
         own = {name: values[..., i : i + 1] for name, values in frames.items()}
@@ -132,9 +148,11 @@ def _ask_animal(
             own_cut = setting["cut"] if setting["cut"] != NOTHING else cut
             quantities += cut_numbers(simulation.world.tree, recording, own_cut, found.first)
         rows.append(dict(setting) | {one.key: one.value for one in quantities})
+        meanings |= {one.key: Meaning(one.unit, one.definition) for one in quantities}
     names = list(dict.fromkeys(name for row in rows for name in row))
     rows = [{name: row.get(name, np.nan) for name in names} for row in rows]
-    return Answer(settings, rows, tuple(recordings), flume_notes(settings, rows), simulations)
+    notes = flume_notes(settings, rows)
+    return Answer(settings, rows, tuple(recordings), notes, simulations, meanings)
 
 
 def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
@@ -188,8 +206,18 @@ def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
                 span = f"at no other ratio than {found[0]:.3g}"
         notes.append(f"{worded(setting)}: entrained 1:1 {span} (f0 = {rest[i]:.3g} Hz)")
     questions: list[Setting] = [{name: row[name] for name in values} for row in rows]
-    return Answer(questions, rows, (), tuple(notes))
+    return Answer(questions, rows, (), tuple(notes), (), _OF_CORDS)
 
+
+_OF_CORDS = {
+    "rest_frequency": Meaning("Hz", "frequency f0 of the cord without bending"),
+    "bending_frequency": Meaning("Hz", "frequency fb of the bending"),
+    "frequency": Meaning("Hz", "frequency of the first bent oscillator"),
+    "followed": Meaning("", "frequency of the oscillator that is farthest from fb, over fb"),
+    "phase": Meaning("cycles", "phase by which the first bent oscillator follows the bending"),
+    "scatter": Meaning("cycles", "circular standard deviation of this phase"),
+    "entrained": Meaning("", "1 if the cord is entrained 1:1, else 0"),
+}
 
 # Duration of the trial of a straight cord, s.
 _STRAIGHT = 16.0

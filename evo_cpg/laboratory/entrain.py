@@ -36,6 +36,8 @@ CYCLES, MEASURED = 20, 10
 _REST, _MEASURED_REST = 15.0, 10.0
 # Largest relative error of the frequency, and largest scatter of the phase, cycles.
 SAME_FREQUENCY, LARGEST_SCATTER = 0.01, 0.05
+# Largest scatter of a phase that has a mean, cycles.
+LARGEST_PHASE_SCATTER = 0.2
 
 
 class Locking(NamedTuple):
@@ -44,7 +46,8 @@ class Locking(NamedTuple):
     Attributes:
         frequency: frequency of the first bent oscillator, Hz, or NaN without a rhythm.
         followed: frequency of the oscillator that is farthest from the bending, over the bending's.
-        phase: phase of the first bent oscillator behind the bending, cycles, -0.5 to 0.5.
+        phase: phase of the first bent oscillator behind the bending, cycles, -0.5 to 0.5, or NaN
+            if it scatters by more than `LARGEST_PHASE_SCATTER`.
         scatter: circular standard deviation of the phase, cycles.
         entrained: whether the cord is entrained 1:1.
     """
@@ -147,8 +150,8 @@ def locking(
     followed = float(ratios[np.abs(ratios - 1).argmax()])
     turns = np.exp(2j * np.pi * frequency * times[first])
     mean = turns.mean()
-    phase = float(np.angle(mean) / (2 * np.pi))
     scatter = math.sqrt(max(0.0, -2 * math.log(max(abs(mean), 1e-12)))) / (2 * math.pi)
+    phase = float(np.angle(mean) / (2 * np.pi)) if scatter <= LARGEST_PHASE_SCATTER else math.nan
     entrained = abs(followed - 1) < SAME_FREQUENCY and scatter < LARGEST_SCATTER
     return Locking(own, followed, phase, scatter, bool(entrained))
 

@@ -31,7 +31,7 @@ class Knob(NamedTuple):
         meaning: meaning of the values, with their unit.
         least: smallest value, or None for names instead of numbers.
         most: largest value.
-        unit: unit, empty for a pure number.
+        unit: unit, or what a pure number counts, for pictures.
     """
 
     meaning: str
@@ -44,22 +44,26 @@ _ANY = -float("inf")
 
 # Knobs that replace the brain's signals.
 OPEN_LOOP = {
-    "u": Knob("tonic input of all oscillators, as a fraction of the largest", 0.0, 1.0),
-    "b": Knob("adaptation gain of all oscillators", 0.0),
+    "u": Knob(
+        "tonic input of all oscillators, as a fraction of the largest", 0.0, 1.0, "tonic input"
+    ),
+    "b": Knob("adaptation gain of all oscillators", 0.0, unit="adaptation gain"),
     "turn": Knob("relative difference between extensor and flexor drive", -1.0, 1.0),
 }
 
 NERVES = OPEN_LOOP | {
     "cut": Knob("body in front of whose joint the spinal cord is cut"),
-    "behind": Knob("tonic input behind the cut, as a fraction of the largest", 0.0, 1.0),
-    "feedback": Knob("factor of what the spinal cord senses", 0.0),
+    "behind": Knob(
+        "tonic input behind the cut, as a fraction of the largest", 0.0, 1.0, "tonic input"
+    ),
+    "feedback": Knob("factor of what the spinal cord senses", 0.0, unit="factor"),
     "silence": Knob(f"silenced sense: {', '.join(SENSES)} or all"),
 }
 
 BODY = {
-    "size": Knob("factor of all lengths", 1e-6),
-    "viscosity": Knob("factor of the water's viscosity", 1e-12),
-    "gravity": Knob("factor of gravity", 0.0),
+    "size": Knob("factor of all lengths", 1e-6, unit="factor"),
+    "viscosity": Knob("factor of the water's viscosity", 1e-12, unit="factor"),
+    "gravity": Knob("factor of gravity", 0.0, unit="factor"),
     "tow": Knob(
         "speed at which the animal is towed along its heading with its root held, m/s",
         _ANY,
@@ -78,7 +82,9 @@ BODY = {
 CORD = {
     "bend": Knob("bodies whose joints a motor bends, as names or patterns"),
     "degrees": Knob("amplitude of the bending, degrees", 1e-3, 180.0, "degrees"),
-    "ratio": Knob("frequency of the bending, as a multiple of the cord's own", 1e-3),
+    "ratio": Knob(
+        "frequency of the bending, as a multiple of the cord's own", 1e-3, unit="bending / cord"
+    ),
 }
 
 KNOBS = NERVES | BODY | CORD
