@@ -123,7 +123,7 @@ def silenced_by(silence: str) -> set[str]:
     Raises:
         LabError: there is no such sense.
     """
-    silenced = set(SENSES) if silence == "all" else set(silence.split("+")) - {NOTHING}
+    silenced: set[str] = {*SENSES} if silence == "all" else {*silence.split("+")} - {NOTHING}
     for name in sorted(silenced):
         if name not in SENSES:
             raise LabError(f"silence={silence}: {nearest(name, [*SENSES, 'all', NOTHING])}")
