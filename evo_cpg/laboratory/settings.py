@@ -56,6 +56,7 @@ NERVES = OPEN_LOOP | {
     "behind": Knob(
         "tonic input behind the cut, as a fraction of the largest", 0.0, 1.0, "tonic input"
     ),
+    "undriven": Knob("bodies whose oscillators have no drive, as names or patterns"),
     "feedback": Knob("factor of what the spinal cord senses", 0.0, unit="factor"),
     "silence": Knob(f"silenced sense: {', '.join(SENSES)} or all"),
 }
