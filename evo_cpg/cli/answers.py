@@ -137,7 +137,10 @@ def show_answer(name: str, answer: Answer, place: Path) -> None:
     if meanings:
         write_table(place / "columns.csv", meanings)
     drawn = [one for one in columns if len(rows) == 1 or len({row[one.key] for row in rows}) > 1]
-    panels = [Panel(one.label, [row[one.key] for row in rows]) for one in drawn[:_MOST_PANELS]]
+    panels = [
+        Panel(one.label, [row[one.key] for row in rows], one.decades, one.cycle)
+        for one in drawn[:_MOST_PANELS]
+    ]
     fixed = ", ".join(f"{k}={cell(v)}" for k, v in answer.settings[0].items() if k not in varied)
     title = f"{name}: {fixed}" if fixed else name
     units = {knob: KNOBS[knob].unit for knob in varied if knob in KNOBS}

@@ -12,11 +12,15 @@ class Column(NamedTuple):
         key: name of the measure in the rows.
         head: head of the column, at most 9 characters.
         label: name with unit.
+        decades: whether values often span decades, so that a picture needs a logarithmic axis.
+        cycle: length of a cycle, for a phase, or 0.
     """
 
     key: str
     head: str
     label: str
+    decades: bool = False
+    cycle: float = 0.0
 
 
 SWIMMING = (
@@ -25,8 +29,8 @@ SWIMMING = (
     Column("strouhal", "St", "Strouhal number"),
     Column("wave_slip", "U/V", "slip U/V"),
     Column("froude_efficiency", "eta", "Froude efficiency"),
-    Column("cost_of_transport", "CoT", "cost of transport"),
-    Column("power", "P W", "mean power of the motors (W)"),
+    Column("cost_of_transport", "CoT", "cost of transport", decades=True),
+    Column("power", "P W", "mean power of the motors (W)", decades=True),
     Column("tail_excursion", "A m", "tail, peak to peak (m)"),
     Column("travelling_index", "travel", "travelling index"),
     Column("duty_factor", "duty", "duty factor"),
@@ -36,9 +40,9 @@ FLUME = (Column("ground_speed", "ground m/s", "speed over ground (m/s)"), *SWIMM
 
 CUT = (
     SWIMMING[0],
-    Column("front_frequency", "front Hz", "frequency in front of the cut (Hz)"),
-    Column("behind_frequency", "behind Hz", "frequency behind the cut (Hz)"),
-    Column("cut_lag", "lag deg", "lag at the cut (degrees)"),
+    Column("front_frequency", "f1 Hz", "frequency in front of the cut (Hz)"),
+    Column("behind_frequency", "f2 Hz", "frequency behind the cut (Hz)"),
+    Column("cut_lag", "lag deg", "lag at the cut (degrees)", cycle=360.0),
     Column("cut_scatter", "scatter", "scatter of the lag (cycles)"),
     *SWIMMING[1:],
 )
@@ -58,7 +62,7 @@ CORD = (
     Column("rest_frequency", "f0 Hz", "frequency without bending (Hz)"),
     Column("frequency", "f Hz", "frequency (Hz)"),
     Column("followed", "f/fb", "frequency: cord / bending"),
-    Column("phase", "phase", "phase behind the bending (cycles)"),
+    Column("phase", "phase", "phase behind the bending (cycles)", cycle=1.0),
     Column("scatter", "scatter", "scatter of the phase (cycles)"),
     Column("entrained", "1:1", "entrained 1:1 (1 or 0)"),
 )
