@@ -136,9 +136,7 @@ def show_answer(name: str, answer: Answer, place: Path) -> None:
     meanings = [{"column": name, **each._asdict()} for name, each in answer.meanings.items()]
     if meanings:
         write_table(place / "columns.csv", meanings)
-    drawn = [
-        one for one in columns if len(rows) == 1 or len({cell(row[one.key]) for row in rows}) > 1
-    ]
+    drawn = [one for one in columns if len({cell(row[one.key]) for row in rows}) > 1] or columns
     panels = [
         Panel(one.label, [row[one.key] for row in rows], one.decades, one.cycle)
         for one in drawn[:_MOST_PANELS]
