@@ -89,7 +89,18 @@ def slope(y: str, x: str, over: str, low: float = 0.0, high: float = math.inf) -
         low: least Reynolds number, 0 for any.
         high: largest Reynolds number.
     """
-    return lambda answers: [_law(x, y)[0] for x, y in _pairs(answers, y, x, over, low, high)]
+    return lambda answers: [_law(x, y) for x, y in _pairs(answers, y, x, over, low, high)]
+
+
+def slope_at_best(y: str, x: str, best: str, over: str) -> Measure:
+    """Return a measure: exponent of y ~ x^n over the settings of `at_best`."""
+
+    def found(answers: Sequence[Answer]) -> list[float]:
+        pairs = zip(at_best(x, best, over)(answers), at_best(y, best, over)(answers), strict=True)
+        known = np.array([pair for pair in pairs if min(pair) > 0], float).reshape(-1, 2)
+        return [_law(known[:, 0], known[:, 1])]
+
+    return found
 
 
 def prefactor(y: str, x: str, over: str, power: float, low: float, high: float) -> Measure:
@@ -126,12 +137,9 @@ def _pairs(
     return found
 
 
-def _law(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return exponent and prefactor of a power law, or NaN with fewer than three points."""
-    if len(x) < 3:
-        return math.nan, math.nan
-    power, start = np.polyfit(np.log(x), np.log(y), 1)
-    return float(power), float(np.exp(start))
+def _law(x: np.ndarray, y: np.ndarray) -> float:
+    """Return the exponent of a power law, or NaN with fewer than three points."""
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0]) if len(x) >= 3 else math.nan
 
 
 def change(key: str, knob: str, before: float, after: float) -> Measure:
@@ -289,7 +297,9 @@ def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
     lags = []
     for start, end in itertools.pairwise(starts):
         later = own[own >= start]
-        lags.append((later[0] - start) / (end - start) if len(later) else math.nan)
+        # Without a later crossing, the trial ends first.
+        if len(later):
+            lags.append((later[0] - start) / (end - start))
     return np.array(lags)
 
 
