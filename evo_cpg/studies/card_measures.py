@@ -252,7 +252,8 @@ def burst(place: float) -> Measure:
                 output = np.asarray(recording.cpg_output, float)
                 own = output[round(len(output) * _LAST) :, round(place * (output.shape[1] - 1))]
                 top = own.max()
-                values.append(100.0 * float((own > _BURST * top).mean()) if top > 0 else math.nan)
+                part = 100.0 * float((own > _BURST * top).mean())
+                values.append(part if top > 0 else math.nan)
         return values
 
     return found
@@ -261,7 +262,7 @@ def burst(place: float) -> Measure:
 def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
     """Return a measure: cycles until the lag across a cut has returned to the intact animal's.
 
-    The lag is that of the bending at the cut's joint on the joint before it. It has returned when
+    The lag is that of the oscillator at the cut on the oscillator before it. It has returned when
     it stays within 0.1 cycle of the mean lag of the intact animal. Without a return, the value is
     the number of cycles of the whole trial.
 
@@ -289,9 +290,9 @@ def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
 
 
 def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
-    """Return the lag of a joint on the joint before it, in each cycle of the latter, cycles."""
+    """Return the lag of an oscillator on the one before it, in each cycle of the latter, cycles."""
     k = recording.dof_names.index(joint)
-    before, behind = np.asarray(recording.joint_angle, float)[:, [k - 1, k]].T
+    before, behind = np.asarray(recording.cpg_output, float)[:, [k - 1, k]].T
     starts = _upward(before)
     own = _upward(behind)
     lags = []
