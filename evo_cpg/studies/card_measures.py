@@ -228,7 +228,7 @@ def activity_speed(answers: Sequence[Answer]) -> list[float]:
 
 
 def lead_grows(answers: Sequence[Answer]) -> list[float]:
-    """Return by how much more activity leads bending in the last third than in the first, cycles."""
+    """Return the growth of the lead of activity on bending, last third less first, cycles."""
     found = []
     for answer in answers:
         for row, recording in zip(answer.rows, answer.recordings, strict=True):
