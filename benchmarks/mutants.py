@@ -295,8 +295,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/step.py",
-        "* (state.qd + new_state.qd)",
-        "* (state.qd + state.qd)",
+        "* 0.5 * (state.qd + new_state.qd)",
+        "* 0.5 * (state.qd + state.qd)",
         "physics/test_motors_and_joints.py simulation/test_transport_and_slip.py",
     ),
     Mutant(
@@ -325,8 +325,8 @@ MUTANTS = (
     ),
     Mutant(
         "control/brain_cpg.py",
-        "- expand_dims_like(self.centring, signal) * joint_angle",
-        "+ expand_dims_like(self.centring, signal) * joint_angle",
+        "- expand_dims_like(self.centring, signal) * observation.joint_angle",
+        "+ expand_dims_like(self.centring, signal) * observation.joint_angle",
         "control/test_brain_cpg.py",
     ),
     Mutant(

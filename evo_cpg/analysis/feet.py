@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -10,6 +11,7 @@ from evo_cpg.analysis import footfalls
 from evo_cpg.analysis.footfalls import Phases
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.limbs import Limb, limbs
+from evo_cpg.simulation.foot_slip import Slip, slip_of_points
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
@@ -23,8 +25,10 @@ class Feet(NamedTuple):
         steady: ``touched`` without chatter.
         duty_factor: duty factor of each body.
         phases: phases of the touch-downs in the second half of the trial.
-        slip: speed of each body over the ground in contact, m/s. NaN without three control steps of
-            contact in a row.
+        load: mean load of each body, N.
+        slip: slip speed of each body, m/s (`evo_cpg.simulation.foot_slip`). NaN without load.
+        whole_slip: slip speed of everything that touches the ground, the root included, m/s. NaN
+            without load.
         airborne: fraction of the control steps in which nothing touches, the root included.
     """
 
@@ -33,7 +37,9 @@ class Feet(NamedTuple):
     steady: Bool[np.ndarray, "t f"]
     duty_factor: Float[np.ndarray, " f"]
     phases: Phases
+    load: Float[np.ndarray, " f"]
     slip: Float[np.ndarray, " f"]
+    whole_slip: float
     airborne: float
 
 
@@ -45,8 +51,7 @@ class LimbContacts(NamedTuple):
         touched: whether each limb touches in each control step.
         steady: ``touched`` without chatter.
         duty_factor: duty factor of each limb.
-        slip: mean speed over the ground of the limbs in contact, m/s, weighted by time. NaN if none
-            stays in contact for three control steps.
+        slip: slip speed of all limbs, m/s. NaN without load.
     """
 
     limbs: tuple[Limb, ...]
@@ -81,29 +86,26 @@ def contacts(
     force = np.asarray(frames["contact_force"])[..., 0]
     owners = np.array(contact_model.bodies, int)
     names = [body.name for body in creature.bodies]
-    bodies = sorted({int(i) for i in owners if i > 0}, key=lambda i: names.index(tree.names[i]))
-    touched = (
-        footfalls.touching(force, owners, bodies) if bodies else np.zeros((len(force), 0), bool)
-    )
+    bodies = sorted(set(owners.tolist()), key=lambda i: names.index(tree.names[i]))
+    touched = footfalls.touching(force, owners, bodies)
     ever = np.flatnonzero(touched.any(0))
     bodies, touched = [bodies[i] for i in ever], touched[:, ever]
-    places = [names.index(tree.names[body]) for body in bodies]
-    rotation = np.asarray(recording.rotation, float)[:, places]
-    lowest = np.zeros((*touched.shape, 3))
-    for k, place in enumerate(places):
-        shape = creature.bodies[place].shape
-        # Compute the lowest point only in contact: support takes one direction at a time.
-        for t in np.flatnonzero(touched[:, k]):
-            lowest[t, k] = shape.support(-rotation[t, k, 2])
+    sums = [_slip(frames, owners == body) for body in bodies]
+    load = np.array([each.load for each in sums], float)
+    slip = np.array([each.speed() if each.load > 0 else np.nan for each in sums], float)
+    whole = mean_slip(slip, load)
+    feet = np.array([body > 0 for body in bodies], bool)
+    touched = touched[:, feet]
     steady = footfalls.settled(touched, step, footfalls.chatter(frequency))
-    position = np.asarray(recording.position, float)[:, places]
     return Feet(
-        names=tuple(tree.names[body] for body in bodies),
+        names=tuple(tree.names[body] for body in bodies if body > 0),
         touched=touched,
         steady=steady,
         duty_factor=footfalls.duty_factors(touched),
         phases=footfalls.phases(steady[first:], step),
-        slip=footfalls.slip_speeds(position, rotation, lowest, touched, step),
+        load=load[feet] / len(force),
+        slip=slip[feet],
+        whole_slip=whole,
         airborne=footfalls.airborne_fraction((force != 0).any(1)),
     )
 
@@ -135,16 +137,25 @@ def limb_contacts(
         touched=touched,
         steady=footfalls.settled(touched, step, footfalls.chatter(frequency)),
         duty_factor=footfalls.duty_factors(touched),
-        slip=mean_slip(feet.slip[own], feet.duty_factor[own]),
+        slip=mean_slip(feet.slip[own], feet.load[own]),
     )
 
 
-def mean_slip(slip: Float[np.ndarray, " f"], weight: Float[np.ndarray, " f"]) -> float:
-    """Return the mean slip, m/s, of the feet that have one, or NaN if none has.
+def _slip(frames: Mapping[str, Array | np.ndarray], points: Bool[np.ndarray, " p"]) -> Slip:
+    """Return the slip of some contact points of the recorded animal, summed over the trial."""
+    force, velocity = (
+        jnp.asarray(frames[name])[:, :, points, 0] for name in ("contact_force", "contact_velocity")
+    )
+    every = slip_of_points(*(jnp.moveaxis(each, 0, -1) for each in (force, velocity)))
+    return Slip(every.slide.sum(), every.load.sum())
+
+
+def mean_slip(slip: Float[np.ndarray, " f"], load: Float[np.ndarray, " f"]) -> float:
+    """Return the slip speed of several feet together, m/s, or NaN without load.
 
     Args:
-        slip: slip of each foot, m/s, or NaN.
-        weight: time on the ground of each foot.
+        slip: slip speed of each foot, m/s, or NaN.
+        load: mean load of each foot, N.
     """
-    stays = np.isfinite(slip)
-    return float(np.average(slip[stays], weights=weight[stays])) if stays.any() else np.nan
+    loaded = load > 0
+    return float(np.average(slip[loaded], weights=load[loaded])) if loaded.any() else np.nan

@@ -1,4 +1,4 @@
-"""Footfalls: instants and durations of contact of each foot, and its slip on the ground.
+"""Footfalls: instants and durations of contact of each foot.
 
 | word | meaning | source |
 |---|---|---|
@@ -6,7 +6,6 @@
 | duty factor | fraction of the time that a foot spends in stance | Alexander and Jayes 1983 |
 | phase of a foot | its touch-down in the stride of a reference foot, 0 to 1 | Hildebrand 1965 |
 | airborne fraction | fraction of the time in which nothing touches the ground | |
-| slip | speed over the ground of a foot that stays in contact | |
 
 A *foot* is any body that touches the ground, even a belly.
 """
@@ -155,37 +154,6 @@ def phases(touched: Bool[np.ndarray, "t f"], step: float) -> Phases:
         phase[i] = round(float(np.angle(mean) / (2 * np.pi)), 9) % 1.0
         regularity[i] = abs(mean)
     return Phases(reference, phase, regularity)
-
-
-def slip_speeds(
-    position: Float[np.ndarray, "t f 3"],
-    rotation: Float[np.ndarray, "t f 3 3"],
-    lowest: Float[np.ndarray, "t f 3"],
-    touched: Bool[np.ndarray, "t f"],
-    step: float,
-) -> Float[np.ndarray, " f"]:
-    """Return the mean horizontal speed of each foot's lowest point in contact, m/s.
-
-    The lowest point is a material point of the foot, so a rolling wheel does not slip.
-
-    A sample with contact may begin before touch-down or end after lift-off. A sample therefore
-    counts only if both its neighbours have contact. A foot without three such samples in a row has
-    NaN.
-
-    Args:
-        position: origin of each foot's frame, m.
-        rotation: rotation from foot to world.
-        lowest: lowest point of each foot in its own frame, m.
-        touched: whether each foot touches at any time between a sample and the next.
-        step: time between samples, s.
-    """
-    here = position[:-1] + np.einsum("tfij,tfj->tfi", rotation[:-1], lowest[:-1])
-    there = position[1:] + np.einsum("tfij,tfj->tfi", rotation[1:], lowest[:-1])
-    speed = np.linalg.norm((there - here)[..., :2], axis=-1) / step
-    beside = np.pad(touched, ((1, 1), (0, 0)), constant_values=True)
-    on = (beside[:-2] & touched & beside[2:])[:-1]
-    time = on.sum(0)
-    return np.where(time > 0, (speed * on).sum(0) / np.maximum(time, 1), np.nan)
 
 
 def _runs(state: Bool[np.ndarray, " t"]) -> list[tuple[int, int]]:

@@ -1,7 +1,7 @@
 """Numbers that describe the motion of an animal in one trial.
 
-Speed, power, cost of transport, duty factor and airborne fraction cover the whole trial, as in
-`evo_cpg.simulation.measures`. Strides, lags and waves cover its second half, after the initial
+Speed, power, cost of transport, duty factor, airborne fraction and slip cover the whole trial, as
+in `evo_cpg.simulation.measures`. Strides, lags and waves cover its second half, after the initial
 motion. A number that does not exist comes with a reason.
 """
 

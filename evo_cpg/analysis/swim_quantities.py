@@ -45,12 +45,13 @@ def wave_quantities(motion: MidlineMotion | None, no_stride: str) -> list[Quanti
         no_stride: reason why there is no stride, or an empty text.
     """
     nan = math.nan
-    count = speed = travelling = lag = tail = relative = nan
+    count = speed = travelling = lag = tail = relative = fitted = nan
     if motion is not None:
         wave = motion.wave
         count, speed, travelling = wave.count, wave.speed, wave.travelling
         lag, tail = motion.lag.mean, motion.tail_amplitude
         relative = tail / motion.length
+        fitted = motion.envelope.fitted
     missing = no_stride or (_FEW if motion is None else _STANDS)
     return [
         Quantity("wave_count", "waves on the body", count, "",
@@ -68,6 +69,9 @@ def wave_quantities(motion: MidlineMotion | None, no_stride: str) -> list[Quanti
                  "sway of its tip from side to side in a stride", missing),
         Quantity("tail_amplitude", "relative excursion of the tail", relative, "lengths",
                  "excursion of the tail / length of the midline", missing),
+        Quantity("envelope_fit", "quadratic envelope", fitted, "",
+                 "fraction of the variance of the amplitude along the body that a quadratic "
+                 "explains (Videler 1993)", missing),
     ]  # fmt: skip
 
 

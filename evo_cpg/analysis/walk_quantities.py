@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.cycles import whole_cycles
-from evo_cpg.analysis.feet import Feet, LimbContacts, limb_contacts, mean_slip
+from evo_cpg.analysis.feet import Feet, LimbContacts, limb_contacts
 from evo_cpg.analysis.quantity import Quantity
 from evo_cpg.analysis.walking import (
     SIX,
@@ -50,10 +50,7 @@ def ground_quantities(
         airborne, swims = math.nan, "there is water everywhere, which supports it"
     bodies = feet.duty_factor if len(feet.names) else np.array([math.nan])
     never = "" if len(feet.names) else "nothing but the root ever touches the ground"
-    slip = mean_slip(feet.slip, feet.duty_factor)
-    brief = never or "nothing but the root stays on the ground for three control steps"
-    if math.isfinite(slip):
-        brief = ""
+    slip, aloft = feet.whole_slip, "nothing presses on the ground"
     return [
         Quantity("duty_factor", "duty factor", float(bodies.mean()), "",
                  "fraction of the time on the ground, mean of the bodies that ever touch it, "
@@ -61,11 +58,10 @@ def ground_quantities(
         Quantity("airborne", "airborne fraction", airborne, "",
                  "fraction of the control steps in which nothing touches the ground", swims),
         Quantity("slip", "slip", slip, "m/s",
-                 "horizontal speed of each foot's lowest point, in all control steps of a contact "
-                 "except its first and last. Mean of all bodies, weighted by time on the ground",
-                 brief),
+                 "horizontal speed of the material at the points of contact, weighted by load, as "
+                 "in the task `walk`", aloft),
         Quantity("relative_slip", "relative slip", slip / speed, "", "slip / path speed",
-                 brief or no_speed),
+                 aloft if math.isnan(slip) else no_speed),
         *_of_limbs(simulation, creature, recording, feet, middle, frequency, speed, no_speed),
     ]  # fmt: skip
 
@@ -97,7 +93,7 @@ def _of_limbs(
                  "without trunk and tail (Alexander and Jayes 1983)"),
         Quantity("foot_slip", "foot slip / speed", float(relative_slip(limbs.slip, speed)), "",
                  "slip of the limbs / path speed",
-                 no_speed or "no limb stays on the ground for three control steps"),
+                 no_speed or "no limb presses on the ground"),
         Quantity("hip_height", "hip height", hips, "m",
                  "mean height of the limbs' first joints above the floor in the second half"),
         Quantity("froude_number", "Froude number", float(froude_number(speed, gravity, hips)), "",

@@ -5,10 +5,11 @@
 | Froude number | v^2 / (g h), with the hip height h | Alexander and Jayes 1983 |
 | recovery | energy saved by exchange in the centre of mass / energy | Cavagna et al. 1977 |
 | tripod strength | time of joint swing / time of any swing in a tripod | Wosnitza et al. 2013 |
-| relative slip | slip of the feet in stance / speed of the animal | |
+| relative slip | slip of the feet / speed of the animal | |
 
-Duty factors, touch-downs and slip are in `evo_cpg.analysis.footfalls`, the stride length and the
-cost of transport in `evo_cpg.analysis.stride`.
+Duty factors and touch-downs are in `evo_cpg.analysis.footfalls`, slip in
+`evo_cpg.simulation.foot_slip`, the stride length and the cost of transport in
+`evo_cpg.analysis.stride`.
 """
 
 import numpy as np
@@ -88,12 +89,10 @@ def tripod_strength(touched: Bool[np.ndarray, "t 6 *n"]) -> Float[np.ndarray, " 
 
 
 def relative_slip(slip_speed: Values, speed: Values) -> Values:
-    """Return the slip of the feet in stance over the animal's speed, no unit.
-
-    It equals the feet's paths on the ground in stance / (speed x time in stance).
+    """Return the slip of the feet over the animal's speed, no unit.
 
     Args:
-        slip_speed: mean speed of the feet over the ground in stance, m/s.
+        slip_speed: slip speed of the feet, m/s (`evo_cpg.simulation.foot_slip`).
         speed: speed of the animal, m/s. The result is NaN for 0.
     """
     exists = np.asarray(speed) > 0

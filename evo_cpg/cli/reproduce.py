@@ -19,8 +19,8 @@ def reproduce(
         str | None,
         typer.Argument(
             metavar="STUDY",
-            help="One of iwadate2010, fukui2003, salamander, hexapod, starfish, turtle, search,"
-            " benchmarks.",
+            help="One of iwadate2010, fukui2003, salamander, hexapod, starfish, turtle, animals,"
+            " search, benchmarks.",
         ),
     ] = None,
     parts: Annotated[

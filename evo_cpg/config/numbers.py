@@ -104,8 +104,11 @@ def are_checked_alone(config: ExperimentConfig, keys: Sequence[str]) -> bool:
         changed = put_numbers(config, dict(zip(keys, numbers, strict=True)))
         sections = {id(each): each for key in keys for each, _ in _sections(changed, key)}
         for section in sections.values():
-            for name in type(section).__pydantic_decorators__.model_validators:
-                getattr(section, name)()
+            validators = type(section).__pydantic_decorators__.model_validators
+            for name, validator in validators.items():
+                # Validators before the fields only rename or complete keys.
+                if validator.info.mode == "after":
+                    getattr(section, name)()
 
     try:
         jax.eval_shape(check, [jnp.zeros(())] * len(keys))

@@ -51,6 +51,7 @@ OPEN_LOOP = {
 NERVES = OPEN_LOOP | {
     "cut": Knob("body in front of whose joint the spinal cord is cut"),
     "behind": Knob("tonic input behind the cut, as a fraction of the largest", 0.0, 1.0),
+    "undriven": Knob("bodies whose oscillators have no drive, as names or patterns"),
     "feedback": Knob("factor of what the spinal cord senses", 0.0),
     "silence": Knob(f"silenced sense: {', '.join(SENSES)} or all"),
 }

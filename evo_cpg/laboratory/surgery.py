@@ -72,6 +72,10 @@ def surgery_of(controller: Preparation, tree: Tree, setting: Setting) -> Surgery
         )
     if setting.get("cut", NOTHING) != NOTHING:
         surgery = _transected(controller, tree, surgery, setting, b)
+    if setting.get("undriven", NOTHING) != NOTHING:
+        bodies = joints_of(tree, "undriven", setting["undriven"])
+        driven = ~np.isin(tree.dof_bodies, list(bodies))
+        surgery = surgery._replace(kept=surgery.kept * driven, tonic=surgery.tonic * driven)
     heard = _heard(setting.get("silence", NOTHING))
     heard[SENSES.index("feedback")] *= setting.get("feedback", 1.0)
     return surgery._replace(heard=heard)

@@ -322,19 +322,24 @@ def no_forces(simulation: Simulation, state: State) -> Forces:
     points = 0 if contact_model is None else len(contact_model.bodies)
     meeting = 0 if pairs is None else len(pairs.owners[0])
     batch, dtype = state.position.shape[1:], state.q.dtype
-    none = (jnp.zeros((*shape, *batch), dtype) for shape in ((3, points), (meeting,)))
+    contact = jnp.zeros((3, points, *batch), dtype)
+    between = jnp.zeros((meeting, *batch), dtype)
     held = jnp.zeros_like(state.velocity) if simulation.world.held else None
-    return Forces(jnp.zeros_like(state.q), *none, held)
+    return Forces(jnp.zeros_like(state.q), contact, between, held)
 
 
 def _add_fraction(forces: Forces, effort: Effort, fraction: float) -> Forces:
     """Add the forces of a physics step, times a fraction, to the mean of the control step."""
-    of_step = effort.torque, effort.contact_force, effort.pair_force, effort.holding
+
+    def plus(mean: Array, force: Array | None) -> Array:
+        return mean if force is None else mean + fraction * force
+
+    held = forces.holding
     return Forces(
-        *(
-            mean if force is None else mean + fraction * force
-            for mean, force in zip(forces, of_step, strict=True)
-        )
+        plus(forces.torque, effort.torque),
+        plus(forces.contact_force, effort.contact_force),
+        plus(forces.pair_force, effort.pair_force),
+        None if held is None else plus(held, effort.holding),
     )
 
 

@@ -10,13 +10,13 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import UserError
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.simulation.control_step import Effects
 from evo_cpg.simulation.observer import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.spatial.linear import cross, expand_dims_like
 
 # Prefixes of the names of recorded arrays with readings of sensors and with the controller's state.
@@ -135,7 +135,7 @@ class Recorder(Observer):
 
     def of_step(self, seen: Seen) -> dict[str, Array]:
         """Return the recorded arrays of a control step, by name."""
-        frame = functools.partial(_frame, seen.simulation.world.tree, self.full)
+        frame = functools.partial(_frame, seen.simulation, self.full)
         frames = fuse(frame, seen.effects, batch_ndim=seen.effects.energy.ndim)
         if self.full:
             frames |= _nerve_frames(seen.animal.nerves)
@@ -182,8 +182,10 @@ def as_recording(
     )
 
 
-def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
+def _frame(simulation: Simulation, full: bool, effects: Effects) -> dict[str, Array]:
     """Return the recorded arrays of one control step by name, without the controller's state."""
+    world = simulation.world
+    tree = world.tree
     kin = kinematics(tree, effects.before)
     com = expand_dims_like(tree.com, kin.origin)
     residual = {} if effects.residual is None else effects.residual._asdict()
@@ -200,6 +202,9 @@ def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
         "energy": effects.energy,
         **{f"{name}_residual": values for name, values in residual.items()},
     }
+    if world.contact_model is not None:
+        after = Snapshot(world, 1.0 / simulation.control_rate, effects.after)
+        frame["contact_velocity"] = after.contact_velocity
     if effects.forces.holding is not None:
         frame["holding"] = effects.forces.holding
     if effects.command.activation is not None:

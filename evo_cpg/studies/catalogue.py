@@ -11,6 +11,7 @@ NAMES = (
     "hexapod",
     "starfish",
     "turtle",
+    "animals",
     "search",
     "benchmarks",
 )

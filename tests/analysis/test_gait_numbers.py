@@ -111,8 +111,10 @@ def test_a_standing_animal_has_no_stride_length_or_relative_slip(speed):
     world = lying(creature)
     force = np.zeros((COUNT, 3, len(world.contact_model.bodies), 1))
     force[:, 2, np.array(world.contact_model.bodies) == 5] = 3.0
-    place = swims(speed)
-    found = numbers_of(creature, world, place, wave(), bends=False, contact_force=force)
+    place, velocity = swims(speed), np.zeros_like(force)
+    velocity[:, 0] = speed
+    frames = {"contact_force": force, "contact_velocity": velocity}
+    found = numbers_of(creature, world, place, wave(), bends=False, **frames)
     assert found.value("path_speed") == pytest.approx(speed, rel=1e-3)
     assert found.value("slip") == pytest.approx(speed, rel=1e-3)
     keys = ("stride_length", "relative_stride", "relative_slip")

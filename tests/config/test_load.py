@@ -616,19 +616,19 @@ def test_water_with_reactive_thrust_is_built():
         ({"surfce": 0}, "world.water.surfce: unknown key: did you mean 'surface'?"),
         (
             {"viscosity": 0.001, "skin_drag": 0.1},
-            "viscosity determines skin friction; leave out skin_drag (0.1)",
+            "viscosity determines skin friction; leave out skin_drag (0.1) or set it to null",
         ),
         (
             {"viscosity": 0.001, "skin_drag": 0.02},
-            "viscosity determines skin friction; leave out skin_drag (0.02)",
+            "viscosity determines skin friction; leave out skin_drag (0.02) or set it to null",
         ),
         (
             {"viscosity": 0.001, "law": "normal"},
-            "viscosity has a drag law of its own; leave out law ('normal')",
+            "viscosity has a drag law of its own; leave out law ('normal') or set it to null",
         ),
         (
             {"viscosity": 0.001, "law": "isotropic"},
-            "viscosity has a drag law of its own; leave out law ('isotropic')",
+            "viscosity has a drag law of its own; leave out law ('isotropic') or set it to null",
         ),
         (
             {"current_gradient": [[0.2, 0, 0], [0, 0.1, 0], [0, 0, 0]]},

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
+from evo_cpg.analysis.gait_numbers import gait_numbers
 from evo_cpg.control.commanded import Commanded
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Sphere
@@ -14,7 +15,8 @@ from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.foot_slip import no_slip, slip_of_points
-from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.recording import Recorder, as_recording
+from evo_cpg.simulation.rollout import JUDGE, rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
@@ -23,8 +25,15 @@ from evo_cpg.simulation.walk import Walk
 RATE, GRAVITY, SPEED = 240, 9.81, 1.0
 
 
-def terms_of(shape, friction, height, seconds, velocity, orientation=(1.0, 0.0, 0.0, 0.0)):
-    """Return the terms of a body that is released on the ground with a velocity (m/s, rad/s)."""
+def terms_of(*released, **options):
+    """Return the terms of a body that is released on the ground."""
+    return trial_of(*released, **options)[0]
+
+
+def trial_of(
+    shape, friction, height, seconds, velocity, orientation=(1.0, 0.0, 0.0, 0.0), rate=RATE
+):
+    """Return terms and gait numbers of a body that starts with a velocity (m/s, rad/s)."""
     body = Creature("body", (Body("body", shape, Material(300.0, 0.0, friction, friction)),))
     tree = build_tree(body)
     ground = Ground(0.0, friction, friction)
@@ -33,9 +42,9 @@ def terms_of(shape, friction, height, seconds, velocity, orientation=(1.0, 0.0, 
         sensors=place_sensors(body, tree),
         controller=Commanded(tree),
         task=Walk(torso_length=0.2, slip_weight=1.0, cost_weight=1.0),
-        control_rate=float(RATE),
-        substeps=1,
-        steps=round(seconds * RATE),
+        control_rate=float(rate),
+        substeps=RATE // rate,
+        steps=round(seconds * rate),
         situations=(Situation((0.0, 0.0, height)),),
     )
 
@@ -46,10 +55,13 @@ def terms_of(shape, friction, height, seconds, velocity, orientation=(1.0, 0.0, 
         )
         return State(state.position, turned, moving, state.q, state.qd)
 
-    outcome = quick_jit(lambda genes: rollout(simulation, genes, begin=begin))(
-        np.zeros((0, 1), np.float32)
-    )
-    return {name: float(value[0]) for name, value in outcome.terms.items()}
+    watched = (JUDGE, Recorder())
+    outcome, frames = quick_jit(
+        lambda genes: rollout(simulation, genes, observers=watched, begin=begin)
+    )(np.zeros((0, 1), np.float32))
+    motion = as_recording(simulation, frames, ["body"])
+    numbers = gait_numbers(simulation, body, frames, motion)
+    return {name: float(value[0]) for name, value in outcome.terms.items()}, numbers
 
 
 def test_a_block_slips_its_stopping_distance():
@@ -60,6 +72,20 @@ def test_a_block_slips_its_stopping_distance():
     assert terms["distance"] == pytest.approx(stopping, rel=3e-3)
     assert terms["slip"] == pytest.approx(stopping, rel=3e-3)
     assert terms["cost"] == 0.0
+
+
+def test_task_and_analysis_have_the_slip_of_a_block_that_lands():
+    """Load times speed adds up to m v^2 / (2 mu), and load to m g t, so S = v^2 / (2 mu g).
+
+    Velocities are those at the end of each control step of 1/60 s.
+    """
+    mu, seconds = 0.3, 0.6
+    terms, numbers = trial_of(
+        Box((0.3, 0.3, 0.1)), mu, 0.06, seconds, (0, 0, 0, SPEED, 0, 0), rate=60
+    )
+    path = SPEED**2 / (2 * mu * GRAVITY)
+    assert terms["slip"] == pytest.approx(path, rel=0.07)
+    assert numbers.value("slip") * seconds == pytest.approx(terms["slip"], rel=1e-5)
 
 
 def test_a_rolling_ball_does_not_slip():

@@ -65,7 +65,9 @@ def test_an_animal_without_drive_stays_where_it_is():
     assert isinstance(controller, BrainCpg)
     assert np.abs(evaluate(simulation, genes)["distance"] - 1).item() < 1e-3
     inputs = np.linspace(-1, 1, controller.brain.sizes[0], dtype=np.float32)[:, None]
-    outputs = think(controller.brain, controller.decode(jnp.asarray(genes)), jnp.asarray(inputs))
+    outputs = think(
+        controller.brain, controller.decode(jnp.asarray(genes)).brain, jnp.asarray(inputs)
+    )
     assert np.abs(controller.cpg_inputs(outputs)[0]).max() < 1e-12
 
 

@@ -106,10 +106,14 @@ class WaterConfig(Section):
                 raise ValueError("lift completes the drag of water with a viscosity; set viscosity")
             return self
         if self.law is not None:
-            raise ValueError(f"viscosity has a drag law of its own; leave out law ({self.law!r})")
+            raise ValueError(
+                f"viscosity has a drag law of its own; leave out law ({self.law!r}) or "
+                "set it to null"
+            )
         if self.skin_drag is not None:
             raise ValueError(
-                f"viscosity determines skin friction; leave out skin_drag ({self.skin_drag:g})"
+                f"viscosity determines skin friction; leave out skin_drag ({self.skin_drag:g}) or "
+                "set it to null"
             )
         return self
 

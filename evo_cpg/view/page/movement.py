@@ -190,8 +190,8 @@ def _feet_table(numbers: GaitNumbers) -> Html:
         "Phase: touch-down as a fraction of the stride of the reference body (Hildebrand 1965). "
         "Regularity: 1 if the phases are always equal, 0 if they are random. Both have no value (a "
         "dash) for a body that does not touch down within the reference's strides in the second "
-        "half of the trial, and for all bodies if none touches down twice. Slip has no value for a "
-        "body without three control steps of contact in a row."
+        "half of the trial, and for all bodies if none touches down twice. Slip is weighted "
+        "by load."
     )
     head = ["body", "duty factor", "phase", "regularity", "slip (m/s)"]
     return join(table(head, rows, numbers=(1, 2, 3, 4)), tag("p", words, class_="note"))

@@ -1,0 +1,319 @@
+"""Values of the report card, from answers of the laboratory.
+
+Each function takes the answers of a question, and returns a list with one value for each setting or
+seed. Values that do not exist are NaN.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.analysis.allometry import running_cost
+from evo_cpg.analysis.gait import fourier_component
+from evo_cpg.laboratory.ask import Answer
+from evo_cpg.laboratory.settings import Setting
+from evo_cpg.simulation.recording import Recording
+
+Measure = Callable[[Sequence[Answer]], Sequence[float]]
+"""Function of the answers of a question."""
+
+# Samples of a trial that are measured, as a fraction of the trial at its end.
+_LAST = 0.5
+# Smallest activity of a muscle that counts as a burst, as a fraction of the largest.
+_BURST = 0.1
+# Largest difference from the lag of the intact animal at which the lag has returned, cycles.
+_RETURNED = 0.1
+# Reynolds number where the two laws of Gazzola et al. 2014 meet (`analysis.allometry`).
+_TURBULENT = 3600.0
+# Least Reynolds number of the laminar law in its source: larvae.
+_LARVAE = 10.0
+
+
+def each(key: str, scale: float = 1.0) -> Measure:
+    """Return a measure: a quantity of all settings, times a scale."""
+    return lambda answers: [scale * row.get(key, math.nan) for one in answers for row in one.rows]
+
+
+def where(measured: Measure, **knobs: object) -> Measure:
+    """Return a measure of only those settings whose knobs have these values."""
+
+    def chosen(answers: Sequence[Answer]) -> Sequence[float]:
+        return measured([_where(one, knobs) for one in answers])
+
+    return chosen
+
+
+def _where(answer: Answer, knobs: Setting) -> Answer:
+    kept = [i for i, row in enumerate(answer.rows) if all(row[k] == v for k, v in knobs.items())]
+    return answer._replace(
+        settings=[answer.settings[i] for i in kept],
+        rows=[answer.rows[i] for i in kept],
+        recordings=tuple(answer.recordings[i] for i in kept),
+        simulations=tuple(answer.simulations[i] for i in kept),
+    )
+
+
+def at_best(key: str, best: str, over: str, scale: float = 1.0) -> Measure:
+    """Return a measure: a quantity where another one is largest, for each value of a knob.
+
+    Args:
+        key: quantity.
+        best: quantity to be largest.
+        over: knob.
+        scale: factor of the quantity.
+    """
+
+    def found(answers: Sequence[Answer]) -> list[float]:
+        values = []
+        for answer in answers:
+            for value in dict.fromkeys(row[over] for row in answer.rows):
+                rows = [row for row in answer.rows if row[over] == value]
+                rows = [row for row in rows if math.isfinite(row.get(best, math.nan))]
+                if rows:
+                    values.append(scale * max(rows, key=lambda row: row[best]).get(key, math.nan))
+        return values
+
+    return found
+
+
+def slope(y: str, x: str, over: str, low: float = 0.0, high: float = math.inf) -> Measure:
+    """Return a measure: exponent of a power law y ~ x^n, for each value of a knob.
+
+    Args:
+        y: quantity.
+        x: quantity.
+        over: knob with one law for each of its values.
+        low: least Reynolds number, 0 for any.
+        high: largest Reynolds number.
+    """
+    return lambda answers: [_law(x, y)[0] for x, y in _pairs(answers, y, x, over, low, high)]
+
+
+def prefactor(y: str, x: str, over: str, power: float, low: float, high: float) -> Measure:
+    """Return a measure: geometric mean of y / x^power, for each value of a knob (see `slope`)."""
+    return lambda answers: [
+        float(np.exp(np.mean(np.log(y) - power * np.log(x)))) if len(x) else math.nan
+        for x, y in _pairs(answers, y, x, over, low, high)
+    ]
+
+
+def laminar(make: Callable[..., Measure], *arguments: object) -> Measure:
+    """Return a measure of swimmers in the laminar range of Gazzola et al. 2014."""
+    return make(*arguments, low=_LARVAE, high=_TURBULENT)
+
+
+def turbulent(make: Callable[..., Measure], *arguments: object) -> Measure:
+    """Return a measure of swimmers in the turbulent range of Gazzola et al. 2014."""
+    return make(*arguments, low=_TURBULENT, high=math.inf)
+
+
+def _pairs(
+    answers: Sequence[Answer], y: str, x: str, over: str, low: float, high: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    found = []
+    for answer in answers:
+        for value in dict.fromkeys(row[over] for row in answer.rows):
+            pairs = [
+                (row.get(x, math.nan), row.get(y, math.nan))
+                for row in answer.rows
+                if row[over] == value and (not low or low <= row.get("reynolds", 0.0) < high)
+            ]
+            own = np.array([pair for pair in pairs if min(pair) > 0], float).reshape(-1, 2)
+            found.append((own[:, 0], own[:, 1]))
+    return found
+
+
+def _law(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Return exponent and prefactor of a power law, or NaN with fewer than three points."""
+    if len(x) < 3:
+        return math.nan, math.nan
+    power, start = np.polyfit(np.log(x), np.log(y), 1)
+    return float(power), float(np.exp(start))
+
+
+def change(key: str, knob: str, before: float, after: float) -> Measure:
+    """Return a measure: change of a quantity in percent, between two values of a knob.
+
+    Args:
+        key: quantity, or ``curvature`` for the root mean square of all joint angles.
+        knob: knob.
+        before: first value.
+        after: second value.
+    """
+    return lambda answers: [
+        100.0 * (_value(one, j, key) / _value(one, i, key) - 1.0)
+        for one in answers
+        for i, j in _partners(one, knob, before, after)
+    ]
+
+
+def ratio(key: str, knob: str, before: object, after: object, scale: float = 1.0) -> Measure:
+    """Return a measure: quantity after a change of a knob over the one before, times a scale."""
+    return lambda answers: [
+        scale * _value(one, j, key) / _value(one, i, key)
+        for one in answers
+        for i, j in _partners(one, knob, before, after)
+    ]
+
+
+def _partners(answer: Answer, knob: str, before: object, after: object) -> list[tuple[int, int]]:
+    """Return the numbers of two settings that differ only in one knob, for all other values."""
+    places = {
+        tuple(sorted(setting.items(), key=str)): i for i, setting in enumerate(answer.settings)
+    }
+    return [
+        (i, places[tuple(sorted({**setting, knob: after}.items(), key=str))])
+        for i, setting in enumerate(answer.settings)
+        if setting[knob] == before
+    ]
+
+
+def _value(answer: Answer, number: int, key: str) -> float:
+    if key != "curvature":
+        found = answer.rows[number].get(key, math.nan)
+        return found if found else math.nan
+    angle = np.asarray(answer.recordings[number].joint_angle, float)
+    angle = angle[round(len(angle) * _LAST) :]
+    return float(np.sqrt(np.square(angle - angle.mean(0)).mean()))
+
+
+def _phases(recording: Recording, row: Setting, signal: str) -> Float[np.ndarray, " d"]:
+    """Return the phase of a signal of each joint in the second half of a trial, cycles."""
+    values = np.asarray(getattr(recording, signal), float)
+    values = values[round(len(values) * _LAST) :]
+    step = float(recording.time[1] - recording.time[0])
+    frequency = row.get("stride_frequency", math.nan)
+    if not frequency > 0:
+        return np.full(values.shape[1], np.nan)
+    return np.unwrap(np.angle(fourier_component(values, step, frequency))) / (2 * np.pi)
+
+
+def outrunning(answers: Sequence[Answer]) -> list[float]:
+    """Return the speed of the wave of muscle activity over the speed of the wave of bending."""
+    found = []
+    for answer in answers:
+        for row, recording in zip(answer.rows, answer.recordings, strict=True):
+            place = np.arange(recording.joint_angle.shape[1])
+            lags = [
+                np.polyfit(place, phase, 1)[0] if np.isfinite(phase).all() else math.nan
+                for phase in (
+                    _phases(recording, row, name) for name in ("joint_angle", "cpg_output")
+                )
+            ]
+            found.append(lags[0] / lags[1])
+    return found
+
+
+def activity_speed(answers: Sequence[Answer]) -> list[float]:
+    """Return the speed of the wave of muscle activity, body lengths in a cycle."""
+    found = []
+    for answer in answers:
+        for row, recording in zip(answer.rows, answer.recordings, strict=True):
+            phase = _phases(recording, row, "cpg_output")
+            place = np.arange(len(phase)) / len(phase)
+            lag = np.polyfit(place, phase, 1)[0] if np.isfinite(phase).all() else math.nan
+            found.append(-1.0 / lag if lag else math.nan)
+    return found
+
+
+def lead_grows(answers: Sequence[Answer]) -> list[float]:
+    """Return by how much more activity leads bending in the last third than in the first, cycles."""
+    found = []
+    for answer in answers:
+        for row, recording in zip(answer.rows, answer.recordings, strict=True):
+            lead = _phases(recording, row, "cpg_output") - _phases(recording, row, "joint_angle")
+            third = max(1, len(lead) // 3)
+            found.append(float(lead[-third:].mean() - lead[:third].mean()))
+    return found
+
+
+def burst(place: float) -> Measure:
+    """Return a measure: part of the cycle with activity on one side, percent.
+
+    Args:
+        place: place along the body, 0 to 1.
+    """
+
+    def found(answers: Sequence[Answer]) -> list[float]:
+        values = []
+        for answer in answers:
+            for recording in answer.recordings:
+                output = np.asarray(recording.cpg_output, float)
+                own = output[round(len(output) * _LAST) :, round(place * (output.shape[1] - 1))]
+                top = own.max()
+                values.append(100.0 * float((own > _BURST * top).mean()) if top > 0 else math.nan)
+        return values
+
+    return found
+
+
+def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
+    """Return a measure: cycles until the lag across a cut has returned to the intact animal's.
+
+    The lag is that of the bending at the cut's joint on the joint before it. It has returned when
+    it stays within 0.1 cycle of the mean lag of the intact animal. Without a return, the value is
+    the number of cycles of the whole trial.
+
+    Args:
+        joint: joint in front of which the cord is cut.
+        intact: knobs of the intact animal.
+        cut: knobs of the animal with the cut.
+    """
+
+    def found(answers: Sequence[Answer]) -> list[float]:
+        values = []
+        for answer in answers:
+            whole, parted = _where(answer, intact), _where(answer, cut)
+            for one, other in zip(whole.recordings, parted.recordings, strict=True):
+                usual = _lags(one, joint)
+                usual = usual[len(usual) // 2 :]
+                mean = np.angle(np.exp(2j * np.pi * usual).mean()) / (2 * np.pi)
+                apart = _lags(other, joint) - mean
+                apart = np.abs(apart - np.round(apart))
+                late = np.flatnonzero(~(apart < _RETURNED))
+                values.append(float(late[-1] + 1) if len(late) else 0.0)
+        return values
+
+    return found
+
+
+def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
+    """Return the lag of a joint on the joint before it, in each cycle of the latter, cycles."""
+    k = recording.dof_names.index(joint)
+    before, behind = np.asarray(recording.joint_angle, float)[:, [k - 1, k]].T
+    starts = _upward(before)
+    own = _upward(behind)
+    lags = []
+    for start, end in itertools.pairwise(starts):
+        later = own[own >= start]
+        lags.append((later[0] - start) / (end - start) if len(later) else math.nan)
+    return np.array(lags)
+
+
+def _upward(signal: Float[np.ndarray, " t"]) -> Float[np.ndarray, " c"]:
+    """Return the instants at which a signal crosses 0 upwards, samples, linearly interpolated."""
+    k = np.flatnonzero((signal[:-1] < 0) & (signal[1:] >= 0))
+    return k + signal[k] / (signal[k] - signal[k + 1])
+
+
+# Mechanical work over metabolic energy of whole animals (secondary source).
+_EFFICIENCY = 0.25
+
+
+def size(measured: Measure) -> Measure:
+    """Return a measure: the magnitude of another one."""
+    return lambda answers: [abs(value) for value in measured(answers)]
+
+
+def cost_over_allometry(answers: Sequence[Answer]) -> list[float]:
+    """Return the metabolic cost of transport over that of running animals of its mass and speed."""
+    return [
+        row["cost_of_transport"] / _EFFICIENCY / float(running_cost(row["mass"], row["speed"]))
+        if row.get("speed", 0.0) > 0
+        else math.nan
+        for answer in answers
+        for row in answer.rows
+    ]
