@@ -49,10 +49,12 @@ def subject_of(animal: Path, number: int | None = None) -> Subject:
         number: number of one of several runs in the folder, or None for the best.
 
     Raises:
-        LabError: the folder has no such run, or its champion diverged.
+        LabError: there is no such run, or its champion diverged.
     """
     use_cores()
     if not animal.is_dir():
+        if number is not None:
+            raise LabError(f"run {number}: {animal} is a configuration, not a run folder")
         return Subject(load_config(animal), animal)
     opened = open_run(animal)
     opened.require_configured()

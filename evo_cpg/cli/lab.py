@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.completion import complete_config
-from evo_cpg.cli.options import Number, find_config_or_folder
+from evo_cpg.cli.options import Number, Overwrite, find_config_or_folder
 
 
 def lab(
@@ -24,7 +24,10 @@ def lab(
         list[str] | None,
         typer.Argument(
             metavar="[KNOB=VALUES]...",
-            help="What to vary: a list such as u=0.2,0.6 or u=0.2:1:9 (START:STOP:COUNT).",
+            help="What to vary: a list such as u=0.2,0.6 or u=0.2:1:9 (START:STOP:COUNT). Knobs: "
+            "u (drive), b (adaptation), turn, cut, behind, undriven, feedback, silence, passive, "
+            "stiffness, size, viscosity, gravity, current, tow, bend, degrees, ratio, and keys of "
+            "the configuration such as world.water.density.",
         ),
     ] = None,
     seconds: Annotated[
@@ -38,10 +41,13 @@ def lab(
     number: Number = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Folder for the files (default: lab/NAME)."),
+        typer.Option(
+            "--out", "-o", help="Folder for the files (default: lab/NAME, lab/NAME_2...)."
+        ),
     ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Ask an animal a question without evolution."""
     from evo_cpg.cli.answers import ask_animal
 
-    ask_animal(animal, knobs or [], seconds, number, out)
+    ask_animal(animal, knobs or [], seconds, number, out, overwrite)

@@ -43,7 +43,7 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     elif isinstance(place, float):
         return place
     elif isinstance(place, int) and not isinstance(place, bool):
-        problem = f"is a whole number ({place}) and has no derivative"
+        problem = f"is a whole number ({place}), and only real numbers can vary"
     elif isinstance(place, (dict, list)):
         problem = f"is a section or a list, not a number: {_hint(config, key)}"
     else:

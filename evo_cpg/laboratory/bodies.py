@@ -60,6 +60,15 @@ class Bodies(NamedTuple):
         whole = isinstance(self.simulation, BatchedSimulation)
         return self.simulation[number] if whole else self.simulation  # pyright: ignore
 
+    def at(self, numbers: Sequence[int]) -> "Bodies":
+        """Return the animals of some settings, which may repeat."""
+        creatures = [self.creatures[number] for number in numbers]
+        simulation = self.simulation
+        if isinstance(simulation, BatchedSimulation):
+            values = tuple(each[..., np.asarray(numbers)] for each in simulation.values)
+            simulation = simulation._replace(values=values)
+        return Bodies(simulation, creatures, self.common)
+
 
 def build_bodies(
     config: ExperimentConfig,
@@ -91,7 +100,10 @@ def build_bodies(
         return prepared(simulation)
 
     common = edit(first.simulation, -1)
-    joints = any(name in setting for setting in settings for name in ("passive", "stiffness"))
+    joints = any(
+        setting.get("passive", NOTHING) != NOTHING or setting.get("stiffness", 0.0) != 0
+        for setting in settings
+    )
     if not joints and all(each == config for each in configs):
         return Bodies(common, [first.creature] * len(settings), common)
     same = [
@@ -119,17 +131,18 @@ def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> Exper
         config = check_config(data, source)
     numbers = {key: float(value) for key, value in setting.items() if "." in key}
     water = config.world.water
-    if "viscosity" in setting:
-        if water is None or water.viscosity is None:
+    wet = [name for name in ("viscosity", "current", "tow") if name in setting]
+    if water is None and wet:
+        raise LabError(f"{', '.join(wet)}: there is no water")
+    if water is not None and "viscosity" in setting:
+        if water.viscosity is None:
             raise LabError("viscosity: the water has none. Set world.water.viscosity")
         numbers["world.water.viscosity"] = water.viscosity * setting["viscosity"]
     if "gravity" in setting:
         numbers["world.gravity"] = config.world.gravity * setting["gravity"]
     # A body that is towed in still water feels what a held body feels in a current.
     current = -setting.get("current", 0.0) - setting.get("tow", 0.0)
-    if current:
-        if water is None:
-            raise LabError("current, tow: there is no water")
+    if current and water is not None:
         heading = math.radians(config.simulation.start_heading_deg)
         along = current * math.cos(heading), current * math.sin(heading)
         for axis, value in enumerate(along):

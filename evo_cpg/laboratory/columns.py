@@ -12,11 +12,15 @@ class Column(NamedTuple):
         key: name of the measure in the rows.
         head: head of the column, at most 9 characters.
         label: name with unit.
+        decades: whether values often span decades, so that a picture needs a logarithmic axis.
+        cycle: length of a cycle, for a phase, or 0.
     """
 
     key: str
     head: str
     label: str
+    decades: bool = False
+    cycle: float = 0.0
 
 
 SWIMMING = (
@@ -25,14 +29,23 @@ SWIMMING = (
     Column("strouhal", "St", "Strouhal number"),
     Column("wave_slip", "U/V", "slip U/V"),
     Column("froude_efficiency", "eta", "Froude efficiency"),
-    Column("cost_of_transport", "CoT", "cost of transport"),
-    Column("power", "P W", "mean power of the motors (W)"),
+    Column("cost_of_transport", "CoT", "cost of transport", decades=True),
+    Column("power", "P W", "mean power of the motors (W)", decades=True),
     Column("tail_excursion", "A m", "tail, peak to peak (m)"),
     Column("travelling_index", "travel", "travelling index"),
     Column("duty_factor", "duty", "duty factor"),
 )
 
 FLUME = (Column("ground_speed", "ground m/s", "speed over ground (m/s)"), *SWIMMING)
+
+CUT = (
+    SWIMMING[0],
+    Column("front_frequency", "f1 Hz", "frequency in front of the cut (Hz)"),
+    Column("behind_frequency", "f2 Hz", "frequency behind the cut (Hz)"),
+    Column("cut_lag", "lag deg", "lag at the cut (degrees)", cycle=360.0),
+    Column("cut_scatter", "scatter", "scatter of the lag (cycles)"),
+    *SWIMMING[1:],
+)
 
 TOWED = (
     Column("holding_force", "F N", "mean force that holds it, forwards (N)"),
@@ -48,8 +61,8 @@ TOWED = (
 CORD = (
     Column("rest_frequency", "f0 Hz", "frequency without bending (Hz)"),
     Column("frequency", "f Hz", "frequency (Hz)"),
-    Column("followed", "f/fb", "frequency of the cord / frequency of the bending"),
-    Column("phase", "phase", "phase behind the bending (cycles)"),
+    Column("followed", "f/fb", "frequency: cord / bending"),
+    Column("phase", "phase", "phase behind the bending (cycles)", cycle=1.0),
     Column("scatter", "scatter", "scatter of the phase (cycles)"),
     Column("entrained", "1:1", "entrained 1:1 (1 or 0)"),
 )
@@ -58,7 +71,7 @@ CORD = (
 def shown_columns(rows: Sequence[Mapping[str, Any]]) -> list[Column]:
     """Return the measures that exist under at least one setting, the most important first."""
     names = {name for row in rows for name in row}
-    kinds = {"entrained": CORD, "holding_force": TOWED, "current": FLUME}
+    kinds = {"entrained": CORD, "holding_force": TOWED, "current": FLUME, "cut_lag": CUT}
     kind = next((kind for name, kind in kinds.items() if name in names), SWIMMING)
     return [
         column

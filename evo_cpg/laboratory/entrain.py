@@ -25,8 +25,10 @@ from jaxtyping import Array, Float
 
 from evo_cpg.control import matsuoka
 from evo_cpg.control.controller import Observation
-from evo_cpg.control.preparation import Preparation
 from evo_cpg.fusion.fuse import fuse
+from evo_cpg.laboratory.bodies import Bodies
+from evo_cpg.simulation.batched import BatchedSimulation
+from evo_cpg.simulation.simulation import Simulation
 
 # Cycles of bending, and how many of the last are measured.
 CYCLES, MEASURED = 20, 10
@@ -34,6 +36,8 @@ CYCLES, MEASURED = 20, 10
 _REST, _MEASURED_REST = 15.0, 10.0
 # Largest relative error of the frequency, and largest scatter of the phase, cycles.
 SAME_FREQUENCY, LARGEST_SCATTER = 0.01, 0.05
+# Largest scatter of a phase that has a mean, cycles.
+LARGEST_PHASE_SCATTER = 0.2
 
 
 class Locking(NamedTuple):
@@ -42,7 +46,8 @@ class Locking(NamedTuple):
     Attributes:
         frequency: frequency of the first bent oscillator, Hz, or NaN without a rhythm.
         followed: frequency of the oscillator that is farthest from the bending, over the bending's.
-        phase: phase of the first bent oscillator behind the bending, cycles, -0.5 to 0.5.
+        phase: phase of the first bent oscillator behind the bending, cycles, -0.5 to 0.5, or NaN
+            if it scatters by more than `LARGEST_PHASE_SCATTER`.
         scatter: circular standard deviation of the phase, cycles.
         entrained: whether the cord is entrained 1:1.
     """
@@ -55,27 +60,26 @@ class Locking(NamedTuple):
 
 
 def bend(
-    controller: Preparation,
+    bodies: Bodies,
     genes: Float[np.ndarray, "g n"],
     bent: Float[np.ndarray, "d n"],
     frequency: Float[np.ndarray, " n"],
     steps: int,
-    body_count: int,
 ) -> Float[np.ndarray, "t d n"]:
     """Return the outputs of the oscillators of bent cords, one sample for each control step.
 
     Args:
-        controller: the nervous system.
+        bodies: the animal of each cord, with its nervous system.
         genes: genes of each cord.
         bent: amplitude of each joint, rad.
         frequency: frequency of the bending, Hz.
         steps: number of control steps.
-        body_count: number of bodies of the animal, which carry no load here.
     """
-    h = controller.animal.control_step
+    h = 1 / bodies.common.control_rate
     rest = round(_REST / h)
 
-    def run(genes: Array, bent: Array, frequency: Array) -> Array:
+    def run(simulation: Simulation, genes: Array, bent: Array, frequency: Array) -> Array:
+        controller, body_count = simulation.controller, simulation.world.tree.body_count
         decoded = controller.decode(genes)
         start = controller.initial_state(genes.shape[1:], genes.dtype)
 
@@ -87,18 +91,29 @@ def bend(
             rate = moves * bent * (turn * jnp.cos(turn * time))[None]
 
             def step(decoded: Any, state: Any, angle: Array, rate: Array) -> Any:
-                none = angle[:0]
+                none = angle[:0]  # No senses of the brain, and bodies without a load.
                 load = jnp.zeros((body_count, *angle.shape[1:]), angle.dtype)
                 observation = Observation(none, none, none, none, angle, rate, none, load=load)
                 return controller.act(decoded, state, observation)[0]
 
-            state = fuse(step, decoded, state, angle, rate, batch_ndim=1, name="a bent cord")
+            given, ndim = (decoded, state, angle, rate), genes.ndim - 1
+            state = fuse(step, *given, batch_ndim=ndim, name="a bent cord")
             return state, matsuoka.output(state)
 
         return jax.lax.scan(advance, start, jnp.arange(steps))[1]
 
-    given = (jnp.asarray(x, jnp.float32) for x in (genes, bent, frequency))
-    return np.asarray(jax.jit(run)(*given), float)
+    given = [jnp.asarray(x, jnp.float32) for x in (genes, bent, frequency)]
+    if not isinstance(bodies.simulation, BatchedSimulation):
+        simulation = bodies.simulation
+        return np.asarray(jax.jit(lambda *given: run(simulation, *given))(*given), float)
+    common, inputs, values = bodies.simulation
+
+    def alone(values: list[Array], genes: Array, bent: Array, frequency: Array) -> Array:
+        return run(inputs.put(common, values), genes, bent, frequency)
+
+    own = [jnp.asarray(value, jnp.float32) for value in values]
+    each = jax.jit(jax.vmap(alone, in_axes=-1, out_axes=-1))
+    return np.asarray(each(own, *given), float)
 
 
 def steps_of(frequency: Float[np.ndarray, " n"], h: float) -> int:
@@ -109,7 +124,7 @@ def steps_of(frequency: Float[np.ndarray, " n"], h: float) -> int:
 def rest_frequency(outputs: Float[np.ndarray, " t"], h: float) -> float:
     """Return the frequency of an oscillator before the bending, Hz, NaN without a rhythm."""
     first, last = round((_REST - _MEASURED_REST) / h), round(_REST / h)
-    return _frequency(crossings(outputs[first:last], h))
+    return frequency_of(crossings(outputs[first:last], h))
 
 
 def locking(
@@ -128,15 +143,15 @@ def locking(
     window = slice(math.floor(begin / h), math.ceil((_REST + CYCLES / frequency) / h) + 1)
     start = (window.start + 1) * h - _REST
     times = [crossings(one, h) + start for one in outputs[window].T]
-    own = _frequency(times[first])
-    ratios = np.array([_frequency(each) for each in times]) / frequency
+    own = frequency_of(times[first])
+    ratios = np.array([frequency_of(each) for each in times]) / frequency
     if not np.isfinite(ratios).all():
         return Locking(own, math.nan, math.nan, math.nan, False)
     followed = float(ratios[np.abs(ratios - 1).argmax()])
     turns = np.exp(2j * np.pi * frequency * times[first])
     mean = turns.mean()
-    phase = float(np.angle(mean) / (2 * np.pi))
     scatter = math.sqrt(max(0.0, -2 * math.log(max(abs(mean), 1e-12)))) / (2 * math.pi)
+    phase = float(np.angle(mean) / (2 * np.pi)) if scatter <= LARGEST_PHASE_SCATTER else math.nan
     entrained = abs(followed - 1) < SAME_FREQUENCY and scatter < LARGEST_SCATTER
     return Locking(own, followed, phase, scatter, bool(entrained))
 
@@ -171,7 +186,8 @@ def entrained_range(
     return float(given[low]), float(given[high])
 
 
-def _frequency(times: Float[np.ndarray, " k"]) -> float:
+def frequency_of(times: Float[np.ndarray, " k"]) -> float:
+    """Return the frequency of a rhythm whose cycles begin at some times, Hz, or NaN."""
     if len(times) < 3:
         return math.nan
     return float((len(times) - 1) / (times[-1] - times[0]))

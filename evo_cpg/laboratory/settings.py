@@ -6,6 +6,7 @@ configuration is a knob, too, under its key.
 """
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -30,7 +31,7 @@ class Knob(NamedTuple):
         meaning: meaning of the values, with their unit.
         least: smallest value, or None for names instead of numbers.
         most: largest value.
-        unit: unit, empty for a pure number.
+        unit: unit, or what a pure number counts, for pictures.
     """
 
     meaning: str
@@ -43,23 +44,27 @@ _ANY = -float("inf")
 
 # Knobs that replace the brain's signals.
 OPEN_LOOP = {
-    "u": Knob("tonic input of all oscillators, as a fraction of the largest", 0.0, 1.0),
-    "b": Knob("adaptation gain of all oscillators", 0.0),
+    "u": Knob(
+        "tonic input of all oscillators, as a fraction of the largest", 0.0, 1.0, "tonic input"
+    ),
+    "b": Knob("adaptation gain of all oscillators", 0.0, unit="adaptation gain"),
     "turn": Knob("relative difference between extensor and flexor drive", -1.0, 1.0),
 }
 
 NERVES = OPEN_LOOP | {
     "cut": Knob("body in front of whose joint the spinal cord is cut"),
-    "behind": Knob("tonic input behind the cut, as a fraction of the largest", 0.0, 1.0),
+    "behind": Knob(
+        "tonic input behind the cut, as a fraction of the largest", 0.0, 1.0, "tonic input"
+    ),
     "undriven": Knob("bodies whose oscillators have no drive, as names or patterns"),
-    "feedback": Knob("factor of what the spinal cord senses", 0.0),
+    "feedback": Knob("factor of what the spinal cord senses", 0.0, unit="factor"),
     "silence": Knob(f"silenced sense: {', '.join(SENSES)} or all"),
 }
 
 BODY = {
-    "size": Knob("factor of all lengths", 1e-6),
-    "viscosity": Knob("factor of the water's viscosity", 1e-12),
-    "gravity": Knob("factor of gravity", 0.0),
+    "size": Knob("factor of all lengths", 1e-6, unit="factor"),
+    "viscosity": Knob("factor of the water's viscosity", 1e-12, unit="factor"),
+    "gravity": Knob("factor of gravity", 0.0, unit="factor"),
     "tow": Knob(
         "speed at which the animal is towed along its heading with its root held, m/s",
         _ANY,
@@ -77,11 +82,15 @@ BODY = {
 # Knobs of an isolated cord that a motor bends.
 CORD = {
     "bend": Knob("bodies whose joints a motor bends, as names or patterns"),
-    "degrees": Knob("amplitude of the bending, degrees", 0.0, 180.0, "degrees"),
-    "ratio": Knob("frequency of the bending, as a multiple of the cord's own", 1e-3),
+    "degrees": Knob("amplitude of the bending, degrees", 1e-3, 180.0, "degrees"),
+    "ratio": Knob(
+        "frequency of the bending, as a multiple of the cord's own", 1e-3, unit="bending / cord"
+    ),
 }
 
 KNOBS = NERVES | BODY | CORD
+
+_SECONDS = Knob("duration of each trial, s", 0.1, 1e5, "s")
 
 
 def combinations(values: Mapping[str, Sequence[Any]], most: int = 10_000) -> list[Setting]:
@@ -101,12 +110,18 @@ def combinations(values: Mapping[str, Sequence[Any]], most: int = 10_000) -> lis
     return [dict(zip(values, row, strict=True)) for row in itertools.product(*values.values())]
 
 
-def require_values(values: Mapping[str, Sequence[Any]]) -> None:
+def require_values(values: Mapping[str, Sequence[Any]], seconds: float | None) -> None:
     """Check the names of knobs, and the range of their values. Keys of a configuration pass.
+
+    Args:
+        values: values of each knob.
+        seconds: duration of each trial, s, or None.
 
     Raises:
         LabError: a knob is unknown, or a value is not allowed.
     """
+    if seconds is not None:
+        _require("seconds", _SECONDS, seconds)
     for name, each in values.items():
         knob = KNOBS.get(name)
         if knob is None:
@@ -130,10 +145,12 @@ def _require(name: str, knob: Knob, value: Any) -> None:
         return
     if not is_number:
         raise LabError(f"{name}={value}: expected a number ({knob.meaning})")
-    if not knob.least <= value <= knob.most:
+    if not (knob.least <= value <= knob.most and math.isfinite(value)):
         allowed = f"from {knob.least:g} to {knob.most:g}"
         if knob.most == float("inf"):
-            allowed = f"at least {knob.least:g}"
+            allowed = f"at least {knob.least:g}, finite"
+        if knob.least == _ANY:
+            allowed = "a finite number"
         raise LabError(f"{name}={value:g}: {knob.meaning}. Allowed: {allowed}")
 
 

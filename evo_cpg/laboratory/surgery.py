@@ -1,7 +1,5 @@
 """The nervous system of each setting, as genes of a `Preparation`."""
 
-from typing import Any
-
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -14,13 +12,14 @@ from evo_cpg.laboratory.bodies import joints_of
 from evo_cpg.laboratory.settings import NERVES, NOTHING, OPEN_LOOP, LabError, Setting
 
 
-def prepare(controller: Controller, settings: list[Setting], brain: bool) -> Controller:
+def prepare(controller: Controller, settings: list[Setting], brain: bool, kind: str) -> Controller:
     """Return the controller that runs all settings.
 
     Args:
         controller: controller of the animal.
         settings: the settings.
         brain: whether the animal has a trained brain.
+        kind: type of the controller in the configuration, for messages.
 
     Raises:
         LabError: the settings need a spinal cord, or a brain, that the animal lacks.
@@ -29,10 +28,10 @@ def prepare(controller: Controller, settings: list[Setting], brain: bool) -> Con
     if not isinstance(controller, BrainCpg):
         wrong = sorted(names & set(NERVES))
         if wrong or not brain:
-            needs = ", ".join(wrong) or "a creature without a champion"
-            raise LabError(
-                f"{needs}: needs the controller brain_cpg, not {type(controller).__name__}"
-            )
+            needs = ", ".join(wrong)
+            if not wrong:
+                needs = "an animal without a champion (ask a run folder)"
+            raise LabError(f"{needs}: needs the controller brain_cpg, not {kind}")
         return controller
     feedback = controller.feedback
     if feedback is not None and feedback.gene_count and not brain:
@@ -122,10 +121,20 @@ def _carried(tree: Tree, body: int) -> list[int]:
     return found
 
 
-def _heard(silence: Any) -> Float[np.ndarray, " s"]:
-    """Return a factor for each sense: 0 if it is silenced."""
-    silenced = set(SENSES) if silence == "all" else set(silence.split("+")) - {NOTHING}
+def silenced_by(silence: str) -> set[str]:
+    """Return the senses that a value of the knob ``silence`` silences.
+
+    Raises:
+        LabError: there is no such sense.
+    """
+    silenced: set[str] = {*SENSES} if silence == "all" else {*silence.split("+")} - {NOTHING}
     for name in sorted(silenced):
         if name not in SENSES:
             raise LabError(f"silence={silence}: {nearest(name, [*SENSES, 'all', NOTHING])}")
+    return silenced
+
+
+def _heard(silence: str) -> Float[np.ndarray, " s"]:
+    """Return a factor for each sense: 0 if it is silenced."""
+    silenced = silenced_by(silence)
     return np.array([0.0 if name in silenced else 1.0 for name in SENSES])

@@ -10,10 +10,10 @@ SWIM = Question(
     "salamander_swim", {"u": (0.25, 0.5, 0.75), "b": (2.8, 4.0, 5.5), "undriven": (_LIMBS,)}, 10.0
 )
 INSECT = Question("tripod", {}, 10.0)
-_NEWT = "Ashley-Ross, Lundin, Johnson 2009, J. Exp. Zool. A 311, 240 (secondary source)"
+_NEWT = "Ashley-Ross, Lundin, Johnson 2009, J. Exp. Zool. A 311, 240, secondary source"
 _SALAMANDER = "Frolich and Biewener 1992, J. Exp. Biol. 162, 107"
-_EEL = "Gillis 1998, J. Exp. Biol. (secondary source)"
-_COST = "Taylor, Heglund, Maloiy 1982, J. Exp. Biol. (secondary source)"
+_EEL = "Gillis 1998, J. Exp. Biol., secondary source"
+_COST = "Taylor, Heglund, Maloiy 1982, J. Exp. Biol., secondary source"
 _SEEDS = "3 seeds"
 
 WALKERS = [
@@ -76,7 +76,7 @@ WALKERS = [
         WALK,
         m.size(m.each("bending_lag", 100.0)),
         _SEEDS,
-        "the eel has no counterpart on land",
+        "the trunk of ours sways against its bending, half a cycle apart",
         1,
     ),
     Row(
@@ -148,6 +148,6 @@ ABSENT = [
         "Caenorhabditis elegans, crawling",
         "drag across over drag along: 10",
         "arXiv 1112.1118",
-        "the ratio belongs to the agar's film. Our water gives slender bodies at most 2",
+        "the ratio is that of the agar. Our worm swims, with a ratio of 1.5",
     ),
 ]

@@ -89,7 +89,18 @@ def slope(y: str, x: str, over: str, low: float = 0.0, high: float = math.inf) -
         low: least Reynolds number, 0 for any.
         high: largest Reynolds number.
     """
-    return lambda answers: [_law(x, y)[0] for x, y in _pairs(answers, y, x, over, low, high)]
+    return lambda answers: [_law(x, y) for x, y in _pairs(answers, y, x, over, low, high)]
+
+
+def slope_at_best(y: str, x: str, best: str, over: str) -> Measure:
+    """Return a measure: exponent of y ~ x^n over the settings of `at_best`."""
+
+    def found(answers: Sequence[Answer]) -> list[float]:
+        pairs = zip(at_best(x, best, over)(answers), at_best(y, best, over)(answers), strict=True)
+        known = np.array([pair for pair in pairs if min(pair) > 0], float).reshape(-1, 2)
+        return [_law(known[:, 0], known[:, 1])]
+
+    return found
 
 
 def prefactor(y: str, x: str, over: str, power: float, low: float, high: float) -> Measure:
@@ -126,12 +137,9 @@ def _pairs(
     return found
 
 
-def _law(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return exponent and prefactor of a power law, or NaN with fewer than three points."""
-    if len(x) < 3:
-        return math.nan, math.nan
-    power, start = np.polyfit(np.log(x), np.log(y), 1)
-    return float(power), float(np.exp(start))
+def _law(x: np.ndarray, y: np.ndarray) -> float:
+    """Return the exponent of a power law, or NaN with fewer than three points."""
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0]) if len(x) >= 3 else math.nan
 
 
 def change(key: str, knob: str, before: float, after: float) -> Measure:
@@ -220,7 +228,7 @@ def activity_speed(answers: Sequence[Answer]) -> list[float]:
 
 
 def lead_grows(answers: Sequence[Answer]) -> list[float]:
-    """Return by how much more activity leads bending in the last third than in the first, cycles."""
+    """Return the growth of the lead of activity on bending, last third less first, cycles."""
     found = []
     for answer in answers:
         for row, recording in zip(answer.rows, answer.recordings, strict=True):
@@ -244,7 +252,8 @@ def burst(place: float) -> Measure:
                 output = np.asarray(recording.cpg_output, float)
                 own = output[round(len(output) * _LAST) :, round(place * (output.shape[1] - 1))]
                 top = own.max()
-                values.append(100.0 * float((own > _BURST * top).mean()) if top > 0 else math.nan)
+                part = 100.0 * float((own > _BURST * top).mean())
+                values.append(part if top > 0 else math.nan)
         return values
 
     return found
@@ -253,7 +262,7 @@ def burst(place: float) -> Measure:
 def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
     """Return a measure: cycles until the lag across a cut has returned to the intact animal's.
 
-    The lag is that of the bending at the cut's joint on the joint before it. It has returned when
+    The lag is that of the oscillator at the cut on the oscillator before it. It has returned when
     it stays within 0.1 cycle of the mean lag of the intact animal. Without a return, the value is
     the number of cycles of the whole trial.
 
@@ -281,15 +290,17 @@ def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
 
 
 def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
-    """Return the lag of a joint on the joint before it, in each cycle of the latter, cycles."""
+    """Return the lag of an oscillator on the one before it, in each cycle of the latter, cycles."""
     k = recording.dof_names.index(joint)
-    before, behind = np.asarray(recording.joint_angle, float)[:, [k - 1, k]].T
+    before, behind = np.asarray(recording.cpg_output, float)[:, [k - 1, k]].T
     starts = _upward(before)
     own = _upward(behind)
     lags = []
     for start, end in itertools.pairwise(starts):
         later = own[own >= start]
-        lags.append((later[0] - start) / (end - start) if len(later) else math.nan)
+        # Without a later crossing, the trial ends first.
+        if len(later):
+            lags.append((later[0] - start) / (end - start))
     return np.array(lags)
 
 

@@ -6,7 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from evo_cpg.view.figure import PALETTE, framed, new_figure
 from evo_cpg.view.legible import legible
@@ -23,10 +25,14 @@ class Panel(NamedTuple):
     Attributes:
         label: name of the measure with its unit.
         values: its value under each setting, NaN if it does not exist.
+        decades: whether the axis is logarithmic if positive values span decades.
+        cycle: length of a cycle, for a phase, or 0. Lines break where a phase wraps around.
     """
 
     label: str
     values: Sequence[float]
+    decades: bool = False
+    cycle: float = 0.0
 
 
 @framed
@@ -59,7 +65,8 @@ def lab_figure(
     if 1 < len(lines) <= _NAMED:
         handles = grid[0].get_legend_handles_labels()
         others = legible(", ".join(knobs[1:]))
-        figure.legend(*handles, title=others, loc="outside lower center", ncols=min(len(lines), 5))
+        across = -(-len(lines) // -(-len(lines) // 5))
+        figure.legend(*handles, title=others, loc="outside lower center", ncols=across)
     return figure
 
 
@@ -80,6 +87,9 @@ def _draw(
             x = x + 0.5 * (number - 0.5 * (len(lines) - 1)) / max(len(lines), 2)
         else:
             x = np.array([first[place] for place in places], float)
+        if panel.cycle:
+            wraps = np.flatnonzero(np.abs(np.diff(y)) > 0.5 * panel.cycle) + 1
+            x, y = np.insert(x, wraps, np.nan), np.insert(y, wraps, np.nan)
         label = legible(", ".join(map(cell, values)))
         style = "o" if named else "o-"
         axes.plot(x, y, style, color=color, label=label, lw=1.6, ms=4.5)
@@ -90,10 +100,21 @@ def _draw(
             axes.tick_params(axis="x", rotation=40)
     elif _spans_decades(first):
         axes.set_xscale("log")
+        _write_plainly(axes.xaxis)
+    known = [value for value in panel.values if math.isfinite(value)]
+    if panel.decades and known and _spans_decades(known):
+        axes.set_yscale("log")
+        _write_plainly(axes.yaxis)
     if knobs:
         axes.set_xlabel(legible(knobs[0]))
     axes.set_title(legible(panel.label))
     axes.grid()
+
+
+def _write_plainly(axis: Axis) -> None:
+    """Write numbers on a logarithmic axis without mathematics, which our pictures never have."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _spans_decades(values: Sequence[float]) -> bool:
@@ -107,4 +128,4 @@ def cell(value: Any) -> str:
         return value
     if value is None or not math.isfinite(value):
         return "-"
-    return f"{value:.3g}"
+    return f"{value:.0f}" if 1000 <= abs(value) < 1e5 else f"{value:.3g}"

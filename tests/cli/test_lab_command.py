@@ -5,6 +5,7 @@ import csv
 import pytest
 import yaml
 
+from evo_cpg.cli.answers import short_heads
 from pictures import ink
 from tiny_run import PAIR
 
@@ -35,6 +36,27 @@ def test_lab_prints_a_table_and_its_files(animal, cli, tmp_path):
     assert 0.01 < ink(tmp_path / "lab.png") < 0.5
 
 
+def test_answers_are_kept(animal, cli, tmp_path, monkeypatch):
+    """The default folder is a free one, and --out replaces an answer only with --overwrite."""
+    monkeypatch.chdir(tmp_path)
+    name = yaml.safe_load(animal.read_text())["name"]
+    (tmp_path / "lab" / name).mkdir(parents=True)
+    (tmp_path / "lab" / name / "lab.csv").touch()
+    code, out, err = cli("lab", animal, *TINY)
+    assert code == 0, err
+    assert out.splitlines()[-1] == f"lab/{name}_2/lab.png"
+    code, _, err = cli("lab", animal, *TINY, "--out", f"lab/{name}")
+    assert code == 2
+    assert f"lab/{name}/lab.csv exists. Choose another name, or replace it with" in err
+    code, _, err = cli("lab", animal, *TINY, "--out", f"lab/{name}", "--overwrite")
+    assert code == 0, err
+
+
+def test_heads_of_a_table_are_the_last_parts_of_keys():
+    assert short_heads(["u", "world.water.density"]) == ["u", "density"]
+    assert short_heads(["a.b.0", "a.c.0", "x.c.0"]) == ["b.0", "a.c.0", "x.c.0"]
+
+
 @pytest.mark.slow
 def test_champion_of_a_run_keeps_its_brain(finished_run, cli, tmp_path):
     code, out, err = cli("lab", finished_run, "silence=none,light", "--out", tmp_path)
@@ -50,9 +72,12 @@ def test_champion_of_a_run_keeps_its_brain(finished_run, cli, tmp_path):
         (("u=0:1",), "u=0:1: expected START:STOP:COUNT"),
         (("u=0:1:3:lin",), "u=0:1:3:lin: expected START:STOP:COUNT"),
         (("tow=0.1", "w=3"), "'w' is no knob"),
+        (("u=1", "--run", "1"), "is a configuration, not a run folder"),
+        (("u=1", "--out", "{animal}"), "tiny.yaml is a file. --out is a folder"),
+        (("u=1", "simulation.steps=9"), "is a whole number (60), and only real numbers can vary"),
     ],
 )
 def test_wrong_words_have_one_clear_line(animal, cli, words, message):
-    code, _, err = cli("lab", animal, *words)
+    code, _, err = cli("lab", animal, *(word.format(animal=animal) for word in words))
     assert code == 2
     assert message in err and len(err.strip().splitlines()) == 1

@@ -581,7 +581,7 @@ def test_numbers_may_be_written_with_an_exponent(tmp_path, text):
         ("creature.bodies.2=x", "creature.bodies has no 2. Its entries are numbered from 0 to 1"),
         ("name.first=x", "name.first: name has no first"),
         ("world.watter=null", "world.watter: unknown key: did you mean 'water'?"),
-        ("creature=fish.yaml", "fish.yaml: no such file"),
+        ("creature=nobody.yaml", "nobody.yaml: no such file"),
     ],
 )
 def test_invalid_overrides_are_rejected(override, expected):

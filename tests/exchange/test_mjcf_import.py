@@ -13,7 +13,7 @@ from creatures import STRUCTURES, quick_jit, random_creature
 from evo_cpg.config.build import build_creature
 from evo_cpg.config.load import dump_creature, load_config
 from evo_cpg.config.schema.creature import CreatureConfig
-from evo_cpg.creature.creature import NO_LIMIT, Actuator, Creature, TorqueMotor
+from evo_cpg.creature.creature import NO_LIMIT, Actuator, Creature, Muscle, TorqueMotor
 from evo_cpg.creature.shapes import Capsule
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
@@ -132,9 +132,20 @@ def test_export_and_import_preserve_a_creature(read, number):
     assert (found.name, left_out) == ("random", ())
 
 
+def with_servos(creature: Creature) -> Creature:
+    """Replace muscles by servos: MJCF has no muscles like ours."""
+    bodies = [
+        dataclasses.replace(body, joint=dataclasses.replace(body.joint, actuator=Actuator(1.0)))
+        if body.joint and isinstance(body.joint.actuator, Muscle)
+        else body
+        for body in creature.bodies
+    ]
+    return dataclasses.replace(creature, bodies=tuple(bodies))
+
+
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_export_and_import_preserve_shipped_animals(read, path):
-    creature = build_creature(load_config(path), path)
+    creature = with_servos(build_creature(load_config(path), path))
     water = Water(1000.0)
     found, left_out = read(mjcf_text(mjcf_model(creature, GRAVITY, water=water)))
     assert_same(as_written(found), creature)

@@ -54,8 +54,8 @@ SWIMMER = {
 FORWARDS = {"u": [1.0], "b": [2.0], "feedback": [0.0]}
 
 
-def subject(folder: Path) -> Subject:
+def subject(folder: Path, config: dict = SWIMMER) -> Subject:
     """Return the swimmer, with its configuration in a folder."""
     path = folder / "ribbon.yaml"
-    path.write_text(yaml.safe_dump(SWIMMER))
+    path.write_text(yaml.safe_dump(config))
     return Subject(load_config(path), path)

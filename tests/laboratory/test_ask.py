@@ -1,11 +1,12 @@
 """Questions to a small swimmer, each against a closed form or a conservation law."""
 
+import copy
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from swimmer import FORWARDS, subject
+from swimmer import FORWARDS, SWIMMER, subject
 
 import evo_cpg as evo
 from evo_cpg.config.errors import ConfigError
@@ -93,14 +94,47 @@ def test_cord_is_entrained_by_bending(ribbon):
     knobs = {"bend": ["tail*"], "u": [0.5], "feedback": [0.0, 1.0], "ratio": [0.8, 1.0, 1.2]}
     answer = ask(ribbon, knobs)
     assert [row["entrained"] for row in answer.rows] == [0, 1, 0, 1, 1, 1]
-    assert answer.notes[1].endswith("from 0.8 to 1.2 of f_0 = 1.54 Hz")
+    assert answer.notes[0].endswith("at no other ratio than 1 (f0 = 1.54 Hz)")
+    assert answer.notes[1].endswith("at ratios from 0.8 to 1.2 (f0 = 1.54 Hz)")
     phases = [row["phase"] for row in answer.rows[3:]]
     assert np.diff(phases).min() > 0
+
+
+def test_weight_of_the_feedback_is_a_knob_of_a_bent_cord(ribbon):
+    """A weight of 4 is a weight of 2 with the factor 2."""
+    knobs = {"bend": ["tail*"], "u": [0.5], "ratio": [0.9]}
+    key = "controller.cpg.feedback.stretch.0.angle_weight"
+    once, twice = (row["phase"] for row in ask(ribbon, knobs | {"feedback": [1.0, 2.0]}).rows)
+    same, more = (row["phase"] for row in ask(ribbon, knobs | {key: [2.0, 4.0]}).rows)
+    assert same == pytest.approx(once, abs=1e-4) and more == pytest.approx(twice, abs=1e-4)
+    assert abs(more - same) > 0.01
+
+
+def test_largest_drive_of_the_configuration_is_the_unit_of_the_drive(ribbon):
+    """Outputs are proportional to the drive: u = 0.5 of 2 is u = 1 of 1."""
+    once = ask(ribbon, {"u": [1.0], "feedback": [0.0]}, seconds=6.0).recordings[0]
+    key = "controller.cpg.max_tonic_input"
+    twice = ask(ribbon, {key: [2.0], "u": [0.5], "feedback": [0.0]}, seconds=6.0).recordings[0]
+    largest = (np.abs(each.cpg_output[180:]).max(0) for each in (once, twice))
+    np.testing.assert_allclose(*largest, rtol=0.05)
+
+
+def test_joints_without_a_change_are_those_of_the_animal(ribbon):
+    plain = ask(ribbon, {"u": [0.5]}, seconds=0.5).rows
+    same = ask(ribbon, {"u": [0.5], "passive": ["none"], "stiffness": [0.0]}, seconds=0.5).rows
+    assert same[0]["path_speed"] == plain[0]["path_speed"]
 
 
 @pytest.mark.parametrize(
     ("knobs", "message"),
     [
+        ({"u": [float("nan")]}, "u=nan: tonic input .* Allowed: from 0 to 1"),
+        ({"current": [float("inf")]}, "current=inf: .* Allowed: a finite number"),
+        ({"behind": [0.5]}, "behind: needs cut=BODY"),
+        ({"silence": ["light"]}, "silence=light: no effect, because no brain drives"),
+        ({"bend": ["tail1"], "tow": [1.0]}, "tow: no effect with bend"),
+        ({"bend": ["tail1"], "world.water.density": [1.0]}, "world.water.density: no effect"),
+        ({"bend": ["tail1"], "degrees": [0.0]}, "degrees=0: amplitude"),
         ({"v": [1.0]}, "'v' is no knob: "),
         ({"u": [1.5]}, r"u=1.5: tonic input .* Allowed: from 0 to 1"),
         ({"b": [-1.0]}, "b=-1: adaptation gain .* Allowed: at least 0"),
@@ -119,6 +153,27 @@ def test_wrong_question_has_one_clear_line(ribbon, knobs, message):
     with pytest.raises(LabError, match=message) as raised:
         ask(ribbon, knobs)
     assert "\n" not in str(raised.value)
+
+
+def test_animal_without_feedback_cannot_be_entrained(tmp_path):
+    unfeeling = copy.deepcopy(SWIMMER)
+    del unfeeling["controller"]["cpg"]["feedback"]
+    animal = subject(tmp_path, unfeeling)
+    with pytest.raises(LabError, match="bend=tail1: the spinal cord does not feel these joints"):
+        ask(animal, {"bend": ["tail1"]})
+    with pytest.raises(LabError, match=r"feedback: the spinal cord senses nothing. Set controller"):
+        ask(animal, {"feedback": [2.0]})
+
+
+@pytest.mark.parametrize("seconds", [0.0, float("nan"), float("inf"), 1e9])
+def test_wrong_duration_has_one_clear_line(ribbon, seconds):
+    with pytest.raises(LabError, match=r"seconds=.* Allowed: from 0.1 to 100000"):
+        ask(ribbon, {"u": [0.5]}, seconds)
+
+
+def test_question_larger_than_the_memory_is_refused(ribbon):
+    with pytest.raises(LabError, match=r"10 settings of 100000 s need .* GB of memory"):
+        ask(ribbon, {"u": np.linspace(0.1, 1, 10).tolist()}, seconds=1e5)
 
 
 def test_wrong_key_of_the_configuration_is_named(ribbon):

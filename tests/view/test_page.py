@@ -85,7 +85,7 @@ def test_a_chart_has_the_colours_of_the_page_and_its_time_range():
     touched[30:60, 0] = touched[120:180, 1] = True
     none = np.full(2, np.nan)
     feet = Feet(("<left>", "$right$"), touched, touched, none, Phases(None, none, none), none,
-                ~touched.any(1))  # fmt: skip
+                none, np.nan, 1.0)  # fmt: skip
     made = chart(footfall_figure(feet, 0.01, (0.5, 2.5)), "a < b", timed=True)
     assert "#000000" not in made and "#ffffff" not in made and "currentColor" in made
     assert "&lt;left&gt;" in made and "$right$" in made and "a &lt; b" in made
