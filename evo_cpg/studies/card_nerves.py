@@ -27,9 +27,9 @@ _LEECH = "2011, J. Exp. Biol. 214, 561"
 _MACKEREL = "1995, J. Exp. Biol. 198, 1575"
 
 
-def _syrup(quantity: str, key: str, felt: bool, percent: float, who: str) -> Row:
+def _in_viscous_water(quantity: str, key: str, felt: bool, percent: float, animal: str) -> Row:
     return Row(
-        f"{who}, water 10 times as viscous: {quantity}, percent",
+        f"{animal}, water 10 times as viscous: {quantity}, percent",
         f"{percent:+g}",
         _LAMPREY,
         points(percent),
@@ -42,12 +42,14 @@ def _syrup(quantity: str, key: str, felt: bool, percent: float, who: str) -> Row
 
 
 VISCOSITY = [
-    _syrup("speed", "path_speed", True, -44, "lamprey"),
-    _syrup("excursion of the tail", "tail_excursion", True, -4, "lamprey"),
-    _syrup("curvature", "curvature", True, 7, "lamprey"),
-    _syrup("speed", "path_speed", False, -52, "model without feedback"),
-    _syrup("excursion of the tail", "tail_excursion", False, -39, "model without feedback"),
-    _syrup("curvature", "curvature", False, 31, "model without feedback"),
+    _in_viscous_water("speed", "path_speed", True, -44, "lamprey"),
+    _in_viscous_water("excursion of the tail", "tail_excursion", True, -4, "lamprey"),
+    _in_viscous_water("curvature", "curvature", True, 7, "lamprey"),
+    _in_viscous_water("speed", "path_speed", False, -52, "model without feedback"),
+    _in_viscous_water(
+        "excursion of the tail", "tail_excursion", False, -39, "model without feedback"
+    ),
+    _in_viscous_water("curvature", "curvature", False, 31, "model without feedback"),
 ]
 
 SENSES = [
