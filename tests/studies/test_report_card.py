@@ -76,7 +76,7 @@ def test_commands_have_the_values_of_their_questions():
         words = row.question.command("eel").split()
         assert words[:3] == ["evo-cpg", "lab", "eel"] and words[-2] == "--seconds"
         values = values_of(words[3:-2])
-        require_values(values)
+        require_values(values, float(words[-1]))
         assert set(values) == set(row.question.knobs)
         for name, own in row.question.knobs.items():
             if isinstance(own[0], str):
