@@ -64,8 +64,9 @@ MUSCLE = "{type: muscle, area: 2e-4, arm: 0.02, fibre_length: 0.05, bend_deg: 40
 def test_torque_motors_agree_in_both_programs():
     """Our steps are 1/960 s here, and MuJoCo's 1/2000 s."""
     own_motor = "creature.bodies.1.joint.actuator={type: torque, gear: 1, torque_limit: 0.5}"
+    free = "creature.bodies.1.joint.limits_deg=null"
     long = "simulation.steps=60", "simulation.substeps=16"
-    experiment, genes, steps = trial(CONFIG, *PAIR, own_motor, *long)
+    experiment, genes, steps = trial(CONFIG, *PAIR, own_motor, free, *long)
     simulation = experiment.simulation
     own = own_opinion(simulation, steps)
     assert np.abs(own.joint_angle).max() > 0.1
