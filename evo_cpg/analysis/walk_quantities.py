@@ -21,6 +21,10 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
 _NO_LIMB = "no limb ever touches the ground"
+_LIMB_DUTY = (
+    "fraction of the time on the ground of each limb that ever touches it, without trunk and tail "
+    "(Alexander and Jayes 1983)"
+)
 
 
 def ground_quantities(
@@ -81,16 +85,15 @@ def _of_limbs(
     limbs = limb_contacts(creature, feet, step, frequency)
     if limbs is None:
         return [
-            Quantity("limb_duty_factor", "duty factor of the limbs", math.nan, "",
-                     "fraction of the time on the ground of each limb that ever touches it, "
-                     "without trunk and tail", _NO_LIMB)
-        ]  # fmt: skip
+            Quantity(
+                "limb_duty_factor", "duty factor of the limbs", math.nan, "", _LIMB_DUTY, _NO_LIMB
+            )
+        ]
     gravity = float(simulation.world.gravity)
     hips = _hip_height(simulation, creature, recording, limbs, first)
     found = [
         Quantity("limb_duty_factor", "duty factor of the limbs", float(limbs.duty_factor.mean()),
-                 "", "fraction of the time on the ground of each limb that ever touches it, "
-                 "without trunk and tail (Alexander and Jayes 1983)"),
+                 "", _LIMB_DUTY),
         Quantity("foot_slip", "foot slip / speed", float(relative_slip(limbs.slip, speed)), "",
                  "slip of the limbs / path speed",
                  no_speed or "no limb presses on the ground"),

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import driven
 from creatures import box_chain, in_water
 from evo_cpg.analysis.energy import ledger
 from evo_cpg.creature.creature import Actuator, Muscle
@@ -37,20 +38,10 @@ def pair(muscle: Muscle, bodies: int = 2) -> World:
 
 
 def moved(world: World, activation, angle, count: int, h: float = H):
-    """Return angles, rates and torques of a motion with constant activation, steps first."""
+    """Return angles, rates, torques and energies under constant activation, steps first."""
     rest = jnp.zeros(world.tree.dof_count)
     command = MotorCommand(rest, activation=None if activation is None else jnp.array(activation))
-
-    @quick_jit
-    def motion(state):
-        def advance(s, _):
-            s, effort = step(world, s, command, h)
-            return s, (s.q, s.qd, effort.torque, effort.energy)
-
-        return jax.lax.scan(advance, state, None, count)[1]
-
-    start = resting_state(world.tree, (), jnp.float64, angles=jnp.full_like(rest, angle))
-    return jax.tree.map(np.asarray, motion(start))
+    return driven.moved(world, command, count, h, angle=angle)
 
 
 @pytest.mark.parametrize("both", [(1.0, 0.0), (0.2, 0.7), (0.6, 0.6)])

@@ -1,12 +1,11 @@
 """Torque motors against closed forms: speed, limit, work, and a joint that stays free."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import driven
 from creatures import box_chain
 from evo_cpg.creature.creature import (
     NO_LIMIT,
@@ -19,7 +18,6 @@ from evo_cpg.creature.creature import (
 )
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
@@ -48,18 +46,7 @@ def moved(world: World, torque, count: int, rate: float = 0.0):
     """Return angles, rates, torques and energies under a constant command, steps first."""
     rest = jnp.zeros(world.tree.dof_count)
     command = MotorCommand(rest, torque=None if torque is None else jnp.asarray(torque))
-
-    @quick_jit
-    def motion(state):
-        def advance(s, _):
-            s, effort = step(world, s, command, H)
-            return s, (s.q, s.qd, effort.torque, effort.energy)
-
-        return jax.lax.scan(advance, state, None, count)[1]
-
-    start = resting_state(world.tree, (), jnp.float64)
-    start = dataclasses.replace(start, qd=jnp.full_like(rest, rate))
-    return jax.tree.map(np.asarray, motion(start))
+    return driven.moved(world, command, count, H, rate=rate)
 
 
 @pytest.mark.parametrize(("limit", "expected"), [(np.inf, -0.7), (0.3, -0.3)])
