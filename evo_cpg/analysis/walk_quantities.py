@@ -96,12 +96,12 @@ def _of_limbs(
                  "", _LIMB_DUTY),
         Quantity("foot_slip", "foot slip / speed", float(relative_slip(limbs.slip, speed)), "",
                  "slip of the limbs / path speed",
-                 no_speed or "no limb presses on the ground"),
+                 no_speed if math.isnan(speed) else "no limb presses on the ground"),
         Quantity("hip_height", "hip height", hips, "m",
                  "mean height of the limbs' first joints above the floor in the second half"),
         Quantity("froude_number", "Froude number", float(froude_number(speed, gravity, hips)), "",
                  "path speed^2 / (gravity x hip height) (Alexander and Jayes 1983)",
-                 no_speed or "its hips are not above the floor"),
+                 no_speed if math.isnan(speed) else "its hips are not above the floor"),
     ]  # fmt: skip
     swapped = _recovery(float(creature.mass), gravity, middle, step, frequency)
     if frequency > 0:

@@ -48,6 +48,7 @@ from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task, term_names
+from evo_cpg.simulation.walk import Walk
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.system import resolved, with_working_folder
@@ -188,6 +189,11 @@ def build_simulation(
     with using(engine):
         situations = build_situations(config, creature, world)
     task = _build_task(config, creature, situations[0].light)
+    priced = isinstance(task, Walk) and task.cost_weight is not None
+    if priced and not chosen(lambda: world.gravity > 0):
+        raise KeyProblem(
+            ("task", "cost_weight"), "the cost is undefined without gravity (world.gravity)"
+        )
     simulation = Simulation(
         world=world,
         sensors=place_sensors(creature, tree),

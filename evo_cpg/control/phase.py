@@ -13,7 +13,8 @@ from harmonic balance: let x_e - x_f be D over a gain k. Then eqs. 4 and 5 witho
     (1 + i omega T_r) (1 + w i) = k (a (1 + w i) - b),
     k = (T_r + T_a) / (a T_a),    w^2 = ((T_r + T_a) b - T_r a) / (T_r a).                (2)
 
-Here a is the sum of all inhibitions of the oscillator, as if all swung in phase.
+Here a is the sum of all inhibitions of the oscillator. Each neighbour swings as its coupling
+demands: in phase if it inhibits the other side, and in antiphase if it inhibits the same side.
 
 *Tegotae* (Owaki and Ishiguro 2017) lets the load N of a limb hold the oscillator in the stance:
 

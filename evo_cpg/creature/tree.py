@@ -11,6 +11,7 @@ working frame is at its joint (the root's at its centre), with the axes of the b
 | I_i | ``inertia``: 6x6 spatial inertia about the working frame's origin, angular part first |
 """
 
+import dataclasses
 import functools
 import itertools
 from typing import NamedTuple
@@ -136,11 +137,27 @@ class Tree(eqx.Module):
         """Number of joint axes, without the free root's six degrees of freedom."""
         return len(self.dof_names)
 
-    def torque_limit_without(self, axes: Bool[np.ndarray, " d"]) -> Float[Numbers, " d"]:
-        """Return the torque limits, with 0 for the torque motors of some axes, N m."""
-        if self.torque_motors is None:
-            return self.torque_limit
-        return xp.where(np.array(self.torque_motors.driven) & axes, 0.0, self.torque_limit)
+    def without_motors(self, axes: Bool[np.ndarray, " d"]) -> "Tree":
+        """Return the tree with idle motors about some axes, and muscles without active fibres.
+
+        Idle motors and muscles have no torque and cost no energy. The springs and dampers of
+        relaxed muscles stay.
+        """
+        others = ~axes
+        limit, muscles = self.torque_limit, self.muscles
+        if self.torque_motors is not None:
+            limit = xp.where(np.array(self.torque_motors.driven) & axes, 0.0, limit)
+        if muscles is not None:
+            active = ("strength", "stiffening", "power")
+            none = {name: getattr(muscles, name) * others for name in active}
+            muscles = dataclasses.replace(muscles, **none)
+        return dataclasses.replace(
+            self,
+            servo_gain=self.servo_gain * others,
+            servo_stiffness=self.servo_stiffness * others,
+            torque_limit=limit,
+            muscles=muscles,
+        )
 
 
 def build_tree(creature: Creature) -> Tree:

@@ -157,6 +157,7 @@ def _ask_animal(
 
 def _ask_cord(subject: Subject, values: Mapping[str, Sequence[Any]]) -> Answer:
     """Bend an isolated spinal cord (`evo_cpg.laboratory.entrain`)."""
+    combinations(values)  # Ratios count among the settings.
     settings = combinations({name: each for name, each in values.items() if name != "ratio"})
     bodies = _prepared(subject, settings, None, False)
     controller, tree = bodies.common.controller, bodies.common.world.tree

@@ -35,6 +35,8 @@ _POWERS = {
     "arm": _LENGTH,
     "area": _AREA,
     "gain": _INERTIA,
+    "gear": _INERTIA,
+    "friction_loss": _INERTIA,
     "torque_limit": _INERTIA,
     "stiffness": _INERTIA,
     "damping": _INERTIA,
@@ -171,18 +173,8 @@ def with_joints(simulation: Simulation, setting: Setting) -> Simulation:
     tree = world.tree
     passive = setting.get("passive", NOTHING)
     if passive != NOTHING:
-        moved = ~np.isin(tree.dof_bodies, list(joints_of(tree, "passive", passive)))
-        tree = dataclasses.replace(
-            tree,
-            servo_gain=tree.servo_gain * moved,
-            servo_stiffness=tree.servo_stiffness * moved,
-            torque_limit=tree.torque_limit_without(~moved),
-        )
-        muscles = tree.muscles
-        if muscles is not None:
-            strength, stiffening = muscles.strength * moved, muscles.stiffening * moved
-            muscles = dataclasses.replace(muscles, strength=strength, stiffening=stiffening)
-            tree = dataclasses.replace(tree, muscles=muscles)
+        idle = np.isin(tree.dof_bodies, list(joints_of(tree, "passive", passive)))
+        tree = tree.without_motors(idle)
     added = setting.get("stiffness", 0.0)
     tree = dataclasses.replace(tree, stiffness=tree.stiffness + float(added))
     return dataclasses.replace(simulation, world=dataclasses.replace(world, tree=tree))

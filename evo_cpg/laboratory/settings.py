@@ -84,7 +84,7 @@ CORD = {
     "bend": Knob("bodies whose joints a motor bends, as names or patterns"),
     "degrees": Knob("amplitude of the bending, degrees", 1e-3, 180.0, "degrees"),
     "ratio": Knob(
-        "frequency of the bending, as a multiple of the cord's own", 1e-3, unit="bending / cord"
+        "frequency of the bending, as a multiple of the cord's own", 0.05, unit="bending / cord"
     ),
 }
 

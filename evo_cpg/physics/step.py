@@ -112,6 +112,8 @@ def _step(
     if friction_scale is not None:
         world = world.with_friction(friction_scale)
     if needs_iteration(world):
+        if world.held:
+            raise ValueError("only a step without iteration can hold the root still")
         found = solve_step(world, h, state, command, warmstart)
         return _finish(world.tree, h, state, command, found)
     equations = prepare(world, h, state, command)
@@ -124,7 +126,11 @@ def _step(
     solution = StepSolution(found.root, found.qdd, motor)
     new_state, effort = _finish(world.tree, h, state, command, solution)
     if world.held:
-        effort = effort._replace(holding=holding_wrench(world.tree, *equations[1:4], found))
+        effort = effort._replace(
+            holding=holding_wrench(
+                world.tree, equations.kin, equations.inertia, equations.bias, found
+            )
+        )
     return new_state, effort
 
 

@@ -1,6 +1,6 @@
 """Study of real animals: a report card of figures of animals beside ours.
 
-Evolution never sees the card, and no number of an animal was chosen for it.
+Evolution never sees the card. A row says so if the animal was tuned for its number.
 """
 
 from collections.abc import Sequence

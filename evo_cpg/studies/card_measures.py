@@ -283,7 +283,8 @@ def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
                 apart = _lags(other, joint) - mean
                 apart = np.abs(apart - np.round(apart))
                 late = np.flatnonzero(~(apart < _RETURNED))
-                values.append(float(late[-1] + 1) if len(late) else 0.0)
+                back = float(late[-1] + 1) if len(late) else 0.0
+                values.append(back if len(apart) else math.nan)
         return values
 
     return found

@@ -143,17 +143,8 @@ def shaken(simulation: Simulation, angle: float) -> Simulation:
 
 def limp(simulation: Simulation) -> Simulation:
     """Return the simulation with motors that exert no torque, and relaxed muscles."""
-    tree, muscles = simulation.world.tree, simulation.world.tree.muscles
-    if muscles is not None:
-        none = np.zeros_like(muscles.strength)
-        muscles = dataclasses.replace(muscles, strength=none, stiffening=none)
-    weak = dataclasses.replace(
-        tree,
-        servo_gain=np.zeros_like(tree.servo_gain),
-        servo_stiffness=np.zeros_like(tree.servo_stiffness),
-        torque_limit=tree.torque_limit_without(np.ones(tree.dof_count, bool)),
-        muscles=muscles,
-    )
+    tree = simulation.world.tree
+    weak = tree.without_motors(np.ones(tree.dof_count, bool))
     return eqx.tree_at(lambda s: s.world.tree, simulation, weak)
 
 

@@ -799,3 +799,10 @@ def test_own_class_options_equal_those_of_a_resumed_run(tmp_path):
     ):
         with pytest.raises(ConfigError, match=re.escape(f"options: {words}")):
             read(wrong)
+
+
+def test_a_cost_needs_gravity():
+    path = REPOSITORY / "configs/hexapod_tripod.yaml"
+    config = load_config(path, ["world.gravity=0"])
+    with pytest.raises(ConfigError, match="cost_weight: the cost is undefined without gravity"):
+        build_experiment(config, path)

@@ -161,6 +161,9 @@ def test_metabolic_rate_gives_the_published_values():
 
 def test_an_isometric_contraction_costs_energy_without_work():
     _, _, _, energy = moved(pair(EKEBERG), [[0.5], [0.5]], 0.0, 3)
+    world = pair(EKEBERG)
+    idle = dataclasses.replace(world, tree=world.tree.without_motors(np.ones(1, bool)))
+    np.testing.assert_array_equal(moved(idle, [[0.5], [0.5]], 0.0, 3)[3], 0.0)
     power = 1e-3 * 2e5 * 5.0 * 0.1
     assert energy[-1] == pytest.approx(H * power * 0.054, rel=1e-9)
 

@@ -102,5 +102,7 @@ def test_a_limit_holds_the_full_torque_of_its_motor():
 
 def test_a_tree_loses_the_torque_of_some_axes():
     tree = wheels(TorqueMotor(1.0), Actuator(5.0, 0.2), None)[0].tree
-    np.testing.assert_array_equal(tree.torque_limit_without(np.ones(3, bool)), [0.0, 0.2, 0.0])
-    np.testing.assert_array_equal(tree.torque_limit_without(np.zeros(3, bool)), tree.torque_limit)
+    idle = tree.without_motors(np.ones(3, bool))
+    np.testing.assert_array_equal(idle.torque_limit, [0.0, 0.2, 0.0])
+    same = tree.without_motors(np.zeros(3, bool))
+    np.testing.assert_array_equal(same.torque_limit, tree.torque_limit)
