@@ -84,8 +84,8 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> Path:
 
 
 def count_in_whole_numbers(axes: Axes) -> None:
-    """Put the ticks of the x axis at whole numbers, such as generations."""
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    """Put the ticks of the x axis at round whole numbers, such as every 20 generations."""
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
 
 
 def right_axis(axes: Axes) -> Axes:
