@@ -265,7 +265,7 @@ def _cost_of_animals(mass: float, speed: float, swims: bool) -> tuple[Animals, .
         source = "Taylor et al. 1982"
     else:
         return ()
-    return (Animals("cost_of_transport", float(low), float(high), animal, source, True),)
+    return (Animals("cost_of_transport", float(low), float(high), animal, source),)
 
 
 def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, ...]:
