@@ -3,7 +3,7 @@
 | here | in MJCF |
 |---|---|
 | box, sphere, ellipsoid | ``geom`` of the same ``type``, with half sizes |
-| capsule, along x | ``geom`` of the same ``type``, along z |
+| capsule and cylinder, along x | ``geom`` of the same ``type``, along z |
 | mesh | ``mesh`` asset with the body's name, which holds its vertices and faces |
 | density | ``density``. MuJoCo's mass and inertia must belong to a uniform shape |
 """
@@ -17,6 +17,7 @@ import numpy as np
 from evo_cpg.config.schema.shape import (
     BoxConfig,
     CapsuleConfig,
+    CylinderConfig,
     EllipsoidConfig,
     MeshConfig,
     ShapeConfig,
@@ -24,7 +25,7 @@ from evo_cpg.config.schema.shape import (
 )
 from evo_cpg.creature.creature import Body, Creature
 from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.creature.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_vector
 from evo_cpg.exchange.mjcf_ground import number_text
 from evo_cpg.exchange.refusals import ExchangeError
@@ -75,14 +76,15 @@ def shape_attributes(body: Body) -> dict[str, str]:
         return {"type": "sphere", "size": number_text(shape.radius)}
     if isinstance(shape, Ellipsoid):
         return {"type": "ellipsoid", "size": number_text(*shape.half_extents)}
-    if isinstance(shape, Capsule):
+    if isinstance(shape, Capsule | Cylinder):
+        kind = "capsule" if isinstance(shape, Capsule) else "cylinder"
         size = number_text(shape.radius, shape.length / 2)
-        return {"type": "capsule", "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
+        return {"type": kind, "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
     if isinstance(shape, ConvexMesh):
         return {"type": "mesh", "mesh": body.name}
     raise ExchangeError(
         f"a {type(shape).__name__} cannot be written as MJCF. "
-        "Allowed: Box, Sphere, Ellipsoid, Capsule, ConvexMesh"
+        "Allowed: Box, Sphere, Ellipsoid, Capsule, Cylinder, ConvexMesh"
     )
 
 
@@ -110,11 +112,14 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
     if kind == kinds.mjGEOM_SPHERE:
         values = {"type": "sphere", "radius": tidy(size[0])}
         shape, turn = item.section(SphereConfig, values), np.eye(3)
-    elif kind == kinds.mjGEOM_CAPSULE:
-        # MuJoCo's capsules lie along z, ours along x. Either end may be the front.
+    elif kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
+        # MuJoCo's capsules and cylinders lie along z, ours along x. Either end may be the front.
         turn = _shortest_turn(turn[:, 2] if turn[0, 2] >= 0 else -turn[:, 2])
-        values = {"type": "capsule", "radius": tidy(size[0]), "length": tidy(2 * size[1])}
-        shape = item.section(CapsuleConfig, values)
+        values = {"radius": tidy(size[0]), "length": tidy(2 * size[1])}
+        if kind == kinds.mjGEOM_CAPSULE:
+            shape = item.section(CapsuleConfig, {"type": "capsule", **values})
+        else:
+            shape = item.section(CylinderConfig, {"type": "cylinder", **values})
     elif kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
         best = max(_TURNS, key=lambda own: np.trace(turn @ own))
         turn, size = turn @ best, np.abs(best.T @ size)
@@ -129,11 +134,11 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
         shape, turn = _read_mesh(compiled, geom, turn), np.eye(3)
     else:
         word = str(kinds(kind).name).removeprefix("mjGEOM_").lower()
-        raise item.refusal(f"it is a {word}", "box, sphere, ellipsoid, capsule, mesh")
+        raise item.refusal(f"it is a {word}", "box, sphere, ellipsoid, capsule, cylinder, mesh")
     if is_root and not np.allclose(turn, np.eye(3), rtol=0, atol=TOLERANCE):
         raise item.refusal(
             f"the root's {shape.type} is rotated in the world",
-            "edges and axes along x, y and z, a capsule's along x",
+            "edges and axes along x, y and z, a capsule's or cylinder's along x",
         )
     return Placed(shape, np.array(model.geom_pos[geom]), outer.T @ turn)
 
