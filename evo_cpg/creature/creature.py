@@ -187,7 +187,7 @@ class DegreeOfFreedom(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Joint:
-    """A joint of 1 to 3 rotational axes between a body and its parent.
+    """A joint of up to 3 rotational axes between a body and its parent, or a weld without any.
 
     The axes turn in order, usually x, y and z. Each axis is fixed in the frame that the axes before
     it have turned. The angle of the second of three axes must therefore keep clear of 90 degrees.

@@ -11,6 +11,7 @@ working frame is at its joint (the root's at its centre), with the axes of the b
 | I_i | ``inertia``: 6x6 spatial inertia about the working frame's origin, angular part first |
 """
 
+import bisect
 import dataclasses
 import functools
 import itertools
@@ -314,7 +315,7 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
     for _, run in itertools.groupby(range(1, len(bodies)), lambda i: (depth[i], build[i])):
         members = list(run)
         start, axes = members[0], len(bodies[members[0]].joint.dofs)
-        first_dof = dof_bodies.index(start)
+        first_dof = bisect.bisect_left(dof_bodies, start)
         groups.append(
             Group(
                 bodies=slice(start, members[-1] + 1),
