@@ -23,7 +23,7 @@ import numpy as np
 
 from evo_cpg.creature.creature import Body, Creature
 from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.creature.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
 from evo_cpg.exchange.compiled import Compiled, tidy, tidy_vector
 from evo_cpg.exchange.mjcf_ground import number_text
 from evo_cpg.exchange.refusals import ExchangeError
@@ -123,14 +123,15 @@ def shape_attributes(body: Body) -> dict[str, str]:
         return {"type": "sphere", "size": number_text(shape.radius)}
     if isinstance(shape, Ellipsoid):
         return {"type": "ellipsoid", "size": number_text(*shape.half_extents)}
-    if isinstance(shape, Capsule):
+    if isinstance(shape, Capsule | Cylinder):
+        kind = "capsule" if isinstance(shape, Capsule) else "cylinder"
         size = number_text(shape.radius, shape.length / 2)
-        return {"type": "capsule", "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
+        return {"type": kind, "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
     if isinstance(shape, ConvexMesh):
         return {"type": "mesh", "mesh": body.name}
     raise ExchangeError(
         f"a {type(shape).__name__} cannot be written as MJCF. "
-        "Allowed: Box, Sphere, Ellipsoid, Capsule, ConvexMesh"
+        "Allowed: Box, Sphere, Ellipsoid, Capsule, Cylinder, ConvexMesh"
     )
 
 
