@@ -143,6 +143,9 @@ class Muscle:
         return self.area * self.stress * self.max_speed * self.fibre_length
 
 
+# Name of the fixed world, the parent of a root that hangs on it.
+WORLD = "world"
+
 # A motor or muscles about an axis.
 Motor = Actuator | TorqueMotor | Muscle
 
@@ -263,13 +266,13 @@ def _driven(
 
 @dataclasses.dataclass(frozen=True)
 class Body:
-    """A rigid body. The body without a joint is the root of the tree.
+    """A rigid body. The body without a joint to another body is the root of the tree.
 
     Attributes:
         name: name of the body, unique in the creature.
         shape: shape, centred on the body's frame.
         material: density and contact properties.
-        joint: joint to the parent, or None for the root.
+        joint: joint to the parent, or None for the root (`Creature.root_joint`).
         color: color of the body in pictures, as ``#rrggbb``, or None for a default color.
     """
 
@@ -327,6 +330,8 @@ class Creature:
         light_sensors: eyes.
         pressure_sensors: names of the bodies that sense solid contact.
         depth_sensors: depth gauges.
+        root_joint: joint between the fixed world and the root, or None for a free root. Without
+            axes it holds the root still.
     """
 
     name: str
@@ -334,9 +339,10 @@ class Creature:
     light_sensors: tuple[LightSensor, ...] = ()
     pressure_sensors: tuple[str, ...] = ()
     depth_sensors: tuple[DepthSensor, ...] = ()
+    root_joint: Joint | None = None
 
     def __repr__(self) -> str:
-        joints = [body.joint for body in self.bodies if body.joint is not None]
+        joints = [joint for body in self.bodies if (joint := self.joint_of(body)) is not None]
         axes = sum(len(joint.dofs) for joint in joints)
         return (
             f"Creature({self.name!r}, bodies={len(self.bodies)}, joints={len(joints)}, "
@@ -352,6 +358,10 @@ class Creature:
         """Index in ``bodies`` of the body without a joint."""
         return next(i for i, body in enumerate(self.bodies) if body.joint is None)
 
+    def joint_of(self, body: Body) -> Joint | None:
+        """Return the joint of a body. The joint of the root is `root_joint`."""
+        return self.root_joint if body.joint is None else body.joint
+
     def bodies_of(self, names: Sequence[str]) -> list[Body]:
         """Return the bodies with some names, in the order of the names."""
         return [self.bodies[self.body_index(name)] for name in names]
@@ -365,19 +375,22 @@ class Creature:
 def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:
     """Return the pose of all bodies with every joint at zero and the root at the origin.
 
+    A root that hangs on the world is where its joint holds it.
+
     Returns:
         Centres ``(bodies, 3)`` in m and rotation matrices ``(bodies, 3, 3)``, in the order of
         ``creature.bodies``.
     """
-    frames: dict[str, tuple[Numbers, Numbers]] = {}
+    frames: dict[str, tuple[Numbers, Numbers]] = {WORLD: (np.zeros(3), np.eye(3))}
     for body in (creature.bodies[i] for i in topological_order(creature)):
-        if body.joint is None:
+        joint = creature.joint_of(body)
+        if joint is None:
             frames[body.name] = np.zeros(3), np.eye(3)
             continue
-        parent_centre, parent_rotation = frames[body.joint.parent]
-        rotation = parent_rotation @ xp.array(body.joint.orientation)
-        anchor = parent_centre + parent_rotation @ xp.array(body.joint.parent_anchor)
-        frames[body.name] = anchor - rotation @ xp.array(body.joint.child_anchor), rotation
+        parent_centre, parent_rotation = frames[joint.parent]
+        rotation = parent_rotation @ xp.array(joint.orientation)
+        anchor = parent_centre + parent_rotation @ xp.array(joint.parent_anchor)
+        frames[body.name] = anchor - rotation @ xp.array(joint.child_anchor), rotation
     centres, rotations = zip(*(frames[body.name] for body in creature.bodies), strict=True)
     return xp.array(centres), xp.array(rotations)
 
@@ -435,13 +448,17 @@ def topological_order(creature: Creature) -> list[int]:
         raise CreatureError("a creature needs at least one body", ("bodies",))
     names = [body.name for body in bodies]
     for i, name in enumerate(names):
+        if name == WORLD:
+            raise CreatureError(
+                f"{WORLD!r} is the name of the fixed world. Rename the body", ("bodies", i, "name")
+            )
         if name in names[:i]:
             raise CreatureError(f"two bodies are called {name!r}", ("bodies", i, "name"))
     roots = [i for i, body in enumerate(bodies) if body.joint is None]
     if len(roots) > 1:
         raise CreatureError(
-            f"bodies {names[roots[0]]!r} and {names[roots[1]]!r} both have no joint. "
-            "Allowed: one body without a joint, the root",
+            f"bodies {names[roots[0]]!r} and {names[roots[1]]!r} are both roots. Allowed: one body "
+            f"without a joint, or with a joint whose parent is {WORLD!r}",
             ("bodies", roots[1], "joint"),
         )
     for i, body in enumerate(bodies):

@@ -2,7 +2,7 @@
 
 Bodies are ordered by depth in the tree (see `topological_order`). Adjacent bodies of one depth with
 limbs of the same build form a `Group`, which the recursions treat at once. The origin of a body's
-working frame is at its joint (the root's at its centre), with the axes of the body's own frame.
+working frame is at its joint (a free root's at its centre), with the axes of the body's own frame.
 
 | symbol | name |
 |---|---|
@@ -70,20 +70,25 @@ class DryFriction(eqx.Module):
 
 
 class Tree(eqx.Module):
-    """A free-floating tree of rigid bodies in the order of the recursions.
+    """A tree of rigid bodies in the order of the recursions.
+
+    The root floats freely, or hangs on the fixed world (`evo_cpg.physics.hanging`). The joint of a
+    root that hangs comes first among the degrees of freedom.
 
     Attributes:
         names: body names.
         parents: index of each body's parent, -1 for the root.
         groups: all bodies except the root, in groups that the recursions treat together.
+        hanging: the root as a group, if it hangs on the world, or None for a free root.
         dof_names: names of the degrees of freedom, ``body.axis``.
         dof_bodies: index of the body that each degree of freedom moves.
-        joint_offset: joint position in the parent's frame, m.
+        joint_offset: joint position in the parent's frame (a root's in the world's), m.
         joint_orientation: rotation from child frame to parent frame in the neutral pose.
         joint_axes: unit vectors in the child's neutral frame.
         mass: mass of each body, kg.
         volume: volume of each body, m^3.
         com: centre of mass (and of volume) in the working frame, m.
+        root_centre: origin of the root's own frame in its working frame, m.
         inertia: spatial inertia in the working frame, kg m^2, kg m and kg.
         stiffness: stiffness of the passive springs, N m/rad.
         rest: angles at which these springs are relaxed, rad, or None if all are 0.
@@ -104,6 +109,7 @@ class Tree(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     parents: tuple[int, ...] = eqx.field(static=True)
     groups: tuple[Group, ...] = eqx.field(static=True)
+    hanging: Group | None = eqx.field(static=True)
     dof_names: tuple[str, ...] = eqx.field(static=True)
     dof_bodies: tuple[int, ...] = eqx.field(static=True)
     joint_offset: Float[Numbers, "3 b"]
@@ -112,6 +118,7 @@ class Tree(eqx.Module):
     mass: Float[Numbers, " b"]
     volume: Float[Numbers, " b"]
     com: Float[Numbers, "3 b"]
+    root_centre: Float[Numbers, "3"]
     inertia: Float[Numbers, "6 6 b"]
     stiffness: Float[Numbers, " d"]
     rest: Float[Numbers, " d"] | None
@@ -171,18 +178,19 @@ def build_tree(creature: Creature) -> Tree:
     bodies = [creature.bodies[i] for i in order]
     names = [body.name for body in bodies]
     parents = [names.index(body.joint.parent) if body.joint else -1 for body in bodies]
+    own = [creature.joint_of(body) for body in bodies]
     child_anchor = xp.array(
-        [body.joint.child_anchor if body.joint else (0.0, 0.0, 0.0) for body in bodies], float
+        [joint.child_anchor if joint else (0.0, 0.0, 0.0) for joint in own], float
     )
     # `parent_anchor` is in the parent's geometric frame. The origin of that frame is at
     # -child_anchor in the parent's working frame.
     parent_anchor = xp.array(
-        [body.joint.parent_anchor if body.joint else (0.0, 0.0, 0.0) for body in bodies], float
+        [joint.parent_anchor if joint else (0.0, 0.0, 0.0) for joint in own], float
     )
     jointed = np.array([[float(parent >= 0)] for parent in parents])
     offset = parent_anchor - jointed * child_anchor[np.array(parents)]
     orientation = xp.stack(
-        [xp.array(body.joint.orientation) if body.joint else np.eye(3) for body in bodies], axis=-1
+        [xp.array(joint.orientation) if joint else np.eye(3) for joint in own], axis=-1
     )
     mass = xp.array([body.mass for body in bodies])
     com = -child_anchor
@@ -193,9 +201,8 @@ def build_tree(creature: Creature) -> Tree:
         ],
         axis=-1,
     )
-    joints = [body.joint for body in bodies if body.joint]
-    dofs = [dof for joint in joints for dof in joint.dofs]
-    dof_bodies = [i for i, body in enumerate(bodies) if body.joint for _ in body.joint.dofs]
+    dofs = [dof for joint in own if joint for dof in joint.dofs]
+    dof_bodies = [i for i, joint in enumerate(own) if joint for _ in joint.dofs]
     limit_rate = 2 * np.pi * LIMIT_FREQUENCY
     leverage = _effective_inertia(creature, order)
 
@@ -220,6 +227,7 @@ def build_tree(creature: Creature) -> Tree:
         names=tuple(names),
         parents=tuple(parents),
         groups=_groups(bodies, parents, dof_bodies),
+        hanging=_hanging(creature),
         dof_names=tuple(
             f"{bodies[i].name}.{chosen(functools.partial(_axis_name, dof.axis))}"
             for i, dof in zip(dof_bodies, dofs, strict=True)
@@ -231,6 +239,7 @@ def build_tree(creature: Creature) -> Tree:
         mass=mass,
         volume=xp.maximum(xp.array([body.shape.volume for body in bodies]), _LEAST_VOLUME),
         com=com.T,
+        root_centre=-child_anchor[0],
         inertia=inertia,
         stiffness=each("stiffness"),
         rest=rest if sprung else None,
@@ -271,11 +280,14 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     """Return the effective inertia ``(d,)`` of each axis in the neutral pose, kg m^2.
 
     The two halves of the creature on either side of the joint turn against each other. The
-    effective inertia is the product of their inertias about the axis, divided by the sum.
+    effective inertia is the product of their inertias about the axis, divided by the sum. Against
+    the fixed world, it is the inertia of the half that moves.
     """
     centres, rotations = neutral_pose(creature)
     names = [body.name for body in creature.bodies]
-    jointed = [(i, joint) for i in order if (joint := creature.bodies[i].joint) is not None]
+    jointed = [
+        (i, joint) for i in order if (joint := creature.joint_of(creature.bodies[i])) is not None
+    ]
     distal = []
     for i, joint in jointed:
         beyond = {names[i]}
@@ -300,7 +312,11 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     )
     beyond = np.array(distal, bool).reshape(len(moved), len(names))
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
-    return outer * inner / (outer + inner)
+    if creature.root_joint is None:
+        return outer * inner / (outer + inner)
+    is_fixed = not creature.root_joint.dofs
+    against_world = np.array([is_fixed or root for root in beyond.all(1)], bool)
+    return xp.where(against_world, outer, outer * inner / (outer + inner))
 
 
 def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Group, ...]:
@@ -325,6 +341,14 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
             )
         )
     return tuple(groups)
+
+
+def _hanging(creature: Creature) -> Group | None:
+    """Return the root as a group, or None for a free root."""
+    if creature.root_joint is None:
+        return None
+    axes = len(creature.root_joint.dofs)
+    return Group(bodies=slice(0, 1), dofs=slice(0, axes), axes=axes, parents=(-1,))
 
 
 def _axis_name(axis: Triple) -> str:

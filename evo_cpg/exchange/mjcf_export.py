@@ -5,6 +5,7 @@
 | body, in its working frame at the joint | ``body``; the root's stands at its centre | |
 | shape and density | one ``geom``, centred at ``-child_anchor`` | `mjcf_shapes` |
 | joint | ``hinge``s | `mjcf_joints` |
+| root | a ``freejoint``; a root that hangs on the world has its own joints, or none | |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
 | ground | ``geom``s of the world | `mjcf_ground` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
@@ -33,9 +34,7 @@ from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
-
-# Name of the immovable body that every MuJoCo model has.
-_WORLD = "world"
+from evo_cpg.spatial.rotation import euler_to_matrix
 
 # Name of the keyframe that holds the initial pose.
 _START = "start"
@@ -60,24 +59,20 @@ def mjcf_model(
         gravity: gravity along -z, m/s^2.
         ground: ground that every body may touch.
         water: water whose buoyancy carries the bodies, unless it has a surface.
-        start: initial place of the root's centre, m.
-        heading: initial turn of the root about z, rad.
+        start: initial place of the root's centre, m, or of the frame on which the root hangs.
+        heading: initial turn of the root or that frame about z, rad.
         time_step: time step, s, or None for MuJoCo's own.
         pairs: names of bodies that push each other apart, without friction.
-        orientation: initial orientation of the root, unit quaternion (w, x, y, z), if the initial
-            pose is not the neutral one.
+        orientation: initial orientation of a free root, unit quaternion (w, x, y, z), if the
+            initial pose is not the neutral one.
         angles: angles of the joints in that pose, rad, in the order of the creature's `Tree`.
 
     Raises:
         CreatureError: the bodies do not form one tree.
-        ExchangeError: MJCF cannot hold a body's name, a shape or a part of the ground.
+        ExchangeError: MJCF cannot hold a shape or a part of the ground.
     """
     order = topological_order(creature)
     names = [body.name for body in creature.bodies]
-    if _WORLD in names:
-        raise ExchangeError(
-            f"body {_WORLD!r}: MuJoCo reserves this name for the fixed world. Rename the body"
-        )
     root = Element("mujoco", model=creature.name)
     SubElement(root, "compiler", angle="radian")
     # The servos are too stiff for MuJoCo's other integrators at our steps.
@@ -106,17 +101,20 @@ def mjcf_model(
         SubElement(contact, "pair", geom1=first, geom2=second, condim="1")
     actuator = SubElement(root, "actuator")
     for body in creature.bodies:
-        motors = body.joint.motors if body.joint else ()
-        for name, motor in zip(joint_names(body), motors, strict=True):
+        joint = creature.joint_of(body)
+        motors = joint.motors if joint else ()
+        for name, motor in zip(joint_names(body, joint), motors, strict=True):
             if motor:
                 add_motor(actuator, name, motor)
-    if orientation is not None and angles is not None:
-        hinges = [name for i in order for name in joint_names(creature.bodies[i])]
+    if angles is not None:
+        own = [(creature.bodies[i], creature.joint_of(creature.bodies[i])) for i in order]
+        hinges = [name for body, joint in own for name in joint_names(body, joint)]
         pose = dict(zip(hinges, angles, strict=True))
         # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.
         bends = [pose[joint.get("name", "")] for joint in place.iter("joint")]
+        free = () if orientation is None else (*start, *orientation)
         keyframe = SubElement(root, "keyframe")
-        SubElement(keyframe, "key", name=_START, qpos=number_text(*start, *orientation, *bends))
+        SubElement(keyframe, "key", name=_START, qpos=number_text(*free, *bends))
     return root
 
 
@@ -139,7 +137,7 @@ def _add_bodies(
 
     def add(outer: Element, body: Body, parent_anchor: tuple[float, float, float]) -> None:
         """Add a body in its parent's MJCF frame, whose origin is ``parent_anchor`` in our frame."""
-        joint = body.joint
+        joint = creature.joint_of(body)
         own_anchor = joint.child_anchor if joint else (0.0, 0.0, 0.0)
         element = SubElement(outer, "body", name=body.name)
         if joint is None:
@@ -147,8 +145,11 @@ def _add_bodies(
             if heading:
                 element.set("euler", number_text(0.0, 0.0, heading))
         else:
-            element.set("pos", place_text(np.subtract(joint.parent_anchor, parent_anchor)))
-            turn = np.array(joint.orientation)
+            at, turn = np.subtract(joint.parent_anchor, parent_anchor), np.array(joint.orientation)
+            if body.joint is None:
+                ahead = euler_to_matrix(0.0, 0.0, heading)
+                at, turn = start + ahead @ at, ahead @ turn
+            element.set("pos", place_text(at))
             if not np.array_equal(turn, np.eye(3)):
                 element.set("xyaxes", place_text(turn[:, :2].T.ravel()))
         if water is not None and water.surface is None:

@@ -28,15 +28,15 @@ from evo_cpg.spatial.rotation import matrix_to_euler
 _AT_PLACE = 1e-12
 
 
-def joint_names(body: Body) -> list[str]:
-    """Return the names of a body's hinges, in the order of its axes."""
-    count = len(body.joint.dofs) if body.joint else 0
+def joint_names(body: Body, joint: Joint | None) -> list[str]:
+    """Return the names of the hinges of a body's joint, in the order of its axes."""
+    count = len(joint.dofs) if joint else 0
     return [f"{body.name}.{i + 1}" for i in range(count)]
 
 
 def add_hinges(element: Element, body: Body, joint: Joint) -> None:
     """Add the joint of a body to its element."""
-    for name, dof in zip(joint_names(body), joint.dofs, strict=True):
+    for name, dof in zip(joint_names(body, joint), joint.dofs, strict=True):
         direction = place_text(np.array(dof.axis))
         hinge = SubElement(element, "joint", name=name, type="hinge", axis=direction)
         limited = dof.upper < NO_LIMIT

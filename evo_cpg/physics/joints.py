@@ -73,7 +73,7 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
     alike: dict[tuple[bytes | int, bytes | int], list[int]] = {}
     first_dof = {body: i for i, body in reversed(list(enumerate(tree.dof_bodies)))}
     axis_count = np.bincount(tree.dof_bodies, minlength=tree.body_count)
-    for body in range(1, tree.body_count):
+    for body in range(0 if tree.hanging else 1, tree.body_count):
         dof = first_dof.get(body, 0)
         axes = tree.joint_axes[:, dof : dof + axis_count[body]]
         orientation = tree.joint_orientation[:, :, body]
@@ -93,8 +93,8 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
         shape = (3, len(bodies), *q.shape[1:])
         packed = jnp.stack([jnp.broadcast_to(c, shape) for c in columns + directions], 1)
         frames.update(zip(bodies, jnp.unstack(packed, axis=2), strict=True))
-    # The root has no joint, so its frame is not used.
-    values: list[Any] = [None, *(frames[body] for body in range(1, tree.body_count))]
+    # A free root has no joint, so its frame is not used.
+    values: list[Any] = [frames.get(0), *(frames[body] for body in range(1, tree.body_count))]
     return PerBody(values, q.ndim - 1)
 
 

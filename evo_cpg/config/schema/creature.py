@@ -17,6 +17,7 @@ from evo_cpg.config.schema.sensor import DepthSensorConfig, LightSensorConfig, S
 from evo_cpg.config.schema.shape import ShapeConfig
 from evo_cpg.config.schema.typical import SOLID
 from evo_cpg.creature.creature import (
+    WORLD,
     Body,
     Creature,
     DepthSensor,
@@ -76,7 +77,8 @@ class BodyConfig(Section):
             (see "Limbs that are written once" in the guide).
         shape: shape, centred on the body's frame (a mesh keeps the frame of its file).
         material: name of one of the creature's materials.
-        joint: joint to the parent (the root has none).
+        joint: joint to the parent. The root has none, or one with the parent ``world``, which is
+            fixed: without axes the root does not move.
         repeat: number of equal bodies in a row, counted from 1 by ``{i}``: the first hangs on
             the joint's ``parent``, every other body on its predecessor.
         radial: number of such rows, at equal angles about the parent's vertical axis, which
@@ -110,9 +112,14 @@ class BodyConfig(Section):
         return self
 
     @property
+    def hangs(self) -> bool:
+        """Whether the body is a root that hangs on the fixed world."""
+        return self.joint is not None and self.joint.parent == WORLD
+
+    @property
     def entry(self) -> Entry:
         """The part of this entry that determines its copies."""
-        parent = self.joint.parent if self.joint else None
+        parent = self.joint.parent if self.joint and not self.hangs else None
         return Entry(self.name, parent, self.repeat, self.radial, self.mirror)
 
 
@@ -137,7 +144,8 @@ class CreatureConfig(Section):
     Attributes:
         name: name of the creature.
         materials: materials of its bodies, by a name of your own.
-        bodies: bodies in any order, of which exactly one, the root, has no joint.
+        bodies: bodies in any order, of which exactly one, the root, has no joint or the parent
+            ``world``.
         light_sensors: eyes.
         pressure_sensors: ``all`` bodies, or a list of names.
         depth_sensors: depth gauges.
@@ -168,11 +176,13 @@ class CreatureConfig(Section):
         """
         everything = self.copies()
         centres = {copy.name: self._shape(copy).centre for copy in everything}
-        bodies = []
+        bodies, root_joint = [], None
         for copy in everything:
             entry = self.bodies[copy.entry]
             joint = None
-            if entry.joint and copy.parent is not None:
+            if entry.joint and entry.hangs:
+                root_joint = entry.joint.build(WORLD, np.zeros(3), centres[copy.name])
+            elif entry.joint and copy.parent is not None:
                 given = entry.joint.turned(copy.turn_deg)
                 if copy.mirror:
                     given = given.mirrored(copy.mirror)
@@ -208,6 +218,7 @@ class CreatureConfig(Section):
                 for gauge in self.depth_sensors
                 for copy in copies_named(gauge.body, everything)
             ),
+            root_joint=root_joint,
         )
         topological_order(creature)
         return creature
@@ -264,6 +275,8 @@ class CreatureConfig(Section):
             # A name with placeholders stands for bodies, and is in no list of names.
             if name in valid or (key[-1] != "material" and copies_named(name, everything)):
                 continue
+            if key[-1] == "parent":
+                valid = [*valid, WORLD]
             problem = f"{name!r} does not exist: {nearest(name, valid)}"
             if "*" in name:
                 problem = f"{problem}. A name here may contain placeholders such as {{i}}, but no *"
@@ -273,7 +286,7 @@ class CreatureConfig(Section):
         """Yield the names of bodies and materials that the creature refers to, with their keys."""
         for i, entry in enumerate(self.bodies):
             yield ("bodies", i, "material"), entry.material
-            if entry.joint:
+            if entry.joint and not entry.hangs:
                 yield ("bodies", i, "joint", "parent"), entry.joint.parent
         for kind in ("light_sensors", "depth_sensors", "sensors"):
             for i, sensor in enumerate(getattr(self, kind)):
