@@ -47,7 +47,8 @@ class Film:
         sheet: columns and rows of moments in one picture, each with all animals. They run evenly
             from the first moment of the film to the last. Moments of a shorter recording lie closer
             together. A sheet of several animals has a column with a heading for each moment: its
-            time or, if the recordings differ in length, its number. None for a film or a still.
+            time or, if the recordings differ in length, its part of each film. None for a film or a
+            still.
         columns: columns of animals. If None: 1, 2, 3 and 2 columns for one to four animals, and for
             more the square root of their number, rounded up. On a sheet of several animals, 1.
     """
@@ -152,8 +153,11 @@ class Frames:
             f"{clip.time[own[number]] - clip.time[0]:.1f} s"
             for clip, own in zip(self._clips, self._instants, strict=True)
         }
+        if len(instants) == 1:
+            return instants.pop()
         # Recordings of different lengths have no common time.
-        return instants.pop() if len(instants) == 1 else f"moment {number + 1}"
+        last = self.count - 1
+        return "end" if number == last else f"{number / last:.0%} of each film"
 
     @contextlib.contextmanager
     def _panel(self, panel: Panel, clip: Clip) -> Iterator[Callable[[int], np.ndarray]]:

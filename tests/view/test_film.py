@@ -21,7 +21,7 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.view import frame_processes, output
 from evo_cpg.view.camera import follow, project, smooth
 from evo_cpg.view.captions import fitted, heading
-from evo_cpg.view.clip import sample
+from evo_cpg.view.clip import mean_speed, sample
 from evo_cpg.view.film import side_by_side
 from evo_cpg.view.frame_processes import DrawingError
 from evo_cpg.view.frames import Film
@@ -335,6 +335,16 @@ def test_sampling_interpolates_between_steps(recording):
     assert sample(recording, 30).speed.mean() == pytest.approx(7.7 / 33, rel=0.1)
 
 
+def test_an_animal_that_starts_from_rest_shows_no_speed_at_first():
+    """It accelerates by 1 m/s^2, so the mean of a second is its speed half a second before."""
+    time = np.arange(0, 4, 1 / 30)
+    path = np.stack([0.5 * time**2, 0 * time, 0 * time], 1)
+    speed = mean_speed(path, 30.0)
+    assert speed[0] == 0
+    assert np.allclose(speed[:31], time[:31] / 2)
+    assert np.allclose(speed[30:], time[30:] - 0.5)
+
+
 @pytest.mark.parametrize("kind", ["gif", "webp"])
 def test_a_small_film_is_animated(creature, recording, tmp_path, kind):
     path = film(creature, recording, tmp_path / f"swim.{kind}", size=SMALL, fps=10, seconds=0.2)
@@ -361,7 +371,7 @@ def test_a_sheet_shows_moments_from_the_first_to_the_last(creature, recording, t
 def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
     creature, recording, tmp_path, monkeypatch
 ):
-    """A column has a heading: the time, or the number of the moment if lengths differ."""
+    """A column has a heading: the time, or the part of each film if lengths differ."""
     said = []
 
     def heard(text: str, width: int, height: int) -> np.ndarray:
@@ -389,7 +399,7 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
     said.clear()
     unequal = [Panel(creature, recording, ""), Panel(creature, beginning(recording, 601), "")]
     side_by_side(unequal, tmp_path / "u.png", Film(**settings))
-    assert said == ["0.0 s", "moment 2"]
+    assert said == ["0.0 s", "end"]
 
 
 def test_every_frame_gets_a_picture_of_its_own(creature, recording, tmp_path):

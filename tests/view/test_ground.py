@@ -162,6 +162,8 @@ def test_the_numbers_stand_beside_the_path(creature, recording, stills):
     )
     near = inked[int(low) : int(high), int(left) : int(right)]
     assert near.sum() > 60
+    # The captions begin at four fifths of the height.
+    assert not inked[int(0.82 * len(inked)) :].any()
 
 
 def test_a_picture_has_sky_sun_and_contrast(stills):
