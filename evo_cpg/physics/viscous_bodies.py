@@ -109,6 +109,9 @@ def make_viscous_drag(
         own = wetted[bodies[0]]
         if layout == "merged" and not surfacing:
             normal, area = merge_alike(own.normal, own.form)
+            if len(own.dip) > 1:
+                _, dip = merge_alike(own.normal, own.form * own.dip)
+                own = own._replace(dip=dip / xp.maximum(area, _TINY**2))
             own = own._replace(normal=normal, form=area)
         forward, backward = xp.stack([runs_along[body] for body in bodies], -1)
         patches.append(
@@ -145,7 +148,7 @@ def _form_points(
     """
     normals = [surface.normals @ turn for surface, turn in zip(surfaces, shape.axes, strict=True)]
     every, areas = xp.concatenate(normals), xp.concatenate([s.areas for s in surfaces])
-    coefficients = form_drag_coefficients(shape.sizes, shape.sharpness)
+    coefficients = form_drag_coefficients(shape.sizes, shape.sharpness, shape.bluntness)
     fronts = xp.stack([0.5 * s.areas @ xp.abs(n) for s, n in zip(surfaces, normals, strict=True)])
     total = fronts.sum(0)
     if len(surfaces) == 1:
@@ -243,6 +246,10 @@ def _wetted(
     turning = xp.array([[0.0 if j == k else spread[3 - j - k] for k in range(3)] for j in range(3)])
     # The inertia of an ellipsoid of these sizes.
     inertia = xp.concatenate([0.2 * mass * (square.sum() - square), xp.stack([mass] * 3)])
+    dip = xp.array([_DIP * (1 - shape.sharpness)])
+    if shape.blunt[i]:
+        # The flow leaves flat ends at their edge, at any speed.
+        dip = dip * (1 - xp.square(placed.normals[:, 0]))
     return Wetted(
         normal=normal,
         form=form,
@@ -255,5 +262,5 @@ def _wetted(
         fade=xp.array([_CREEPING * xp.sqrt(inverse[1] * inverse[2])]),
         transition=xp.array([_TRANSITION if len(shape.axes) > 1 else _TRANSITION / _ALONE]),
         diameter=xp.array([2 * xp.sqrt(half[1] * half[2])]),
-        dip=xp.array([_DIP * (1 - shape.sharpness)]),
+        dip=dip,
     )

@@ -10,7 +10,7 @@ from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.joint import MuscleConfig, TorqueMotorConfig
 from evo_cpg.config.schema.typical import ROUNDING, TURN
 from evo_cpg.creature.creature import Body, Muscle, TorqueMotor
-from evo_cpg.creature.shapes import Capsule, Shape
+from evo_cpg.creature.shapes import Capsule, Cylinder, Shape
 from evo_cpg.spatial.numerics import Triple
 
 # Range of the longest edge of a body, from the limb of a small insect to a whale, m.
@@ -251,8 +251,9 @@ def far_places(case: Case) -> Iterator[LintWarning]:
         (x, y, z), gap = body.shape.half_extents, _gap(body.shape, place)
         most = max(x, y, z)
         likely = "Positions count from the body's centre, so half its size reaches its surface"
-        if isinstance(body.shape, Capsule):
-            likely += ". A capsule lies along its own x. To turn a leg sideways, use rotation_deg"
+        if isinstance(body.shape, Capsule | Cylinder):
+            kind = type(body.shape).__name__.lower()
+            likely += f". A {kind} lies along its own x. To turn a leg sideways, use rotation_deg"
         if gap > 100 * most:
             likely = "Positions are in m. Is this in mm?"
         if gap > _OUT * most:
