@@ -1,8 +1,12 @@
-"""Collect refused elements while a file is read, and report all of them at once."""
+"""Collect refused elements while a file is read, and report all of them at once.
+
+The caller may accept the loss of refused elements (``drop``). They are then listed, not refused.
+Faults without which nothing is left, such as a file without a moving body, are always refused.
+"""
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,11 +27,13 @@ class Refusal(NamedTuple):
         element: name of the element in messages.
         problem: fault of the element, and allowed values.
         line: line of the element in the file, or None if unknown.
+        vital: whether the model is useless without the element, so that it cannot be dropped.
     """
 
     element: str
     problem: str
     line: int | None = None
+    vital: bool = False
 
 
 class RefusedError(ExchangeError):
@@ -44,16 +50,24 @@ class Refusals:
 
     Attributes:
         source: the file.
+        drop: whether the user accepts the loss of refused elements.
         found: faults in the order of their discovery.
+        left_out: phrases about elements that are left out without harm.
     """
 
     source: Path
+    drop: bool = False
     found: list[Refusal] = dataclasses.field(default_factory=list)
+    left_out: list[str] = dataclasses.field(default_factory=list)
 
     def add(self, refusal: Refusal) -> None:
         """Record a fault, once."""
         if refusal not in self.found:
             self.found.append(refusal)
+
+    def leave_out(self, *phrases: str) -> None:
+        """Record elements that are left out without harm, each once."""
+        self.left_out += [phrase for phrase in phrases if phrase not in self.left_out]
 
     @contextlib.contextmanager
     def collecting(self) -> Iterator[None]:
@@ -63,25 +77,37 @@ class Refusals:
         except RefusedError as error:
             self.add(error.refusal)
 
+    @property
+    def dropped(self) -> list[str]:
+        """Sentences about the elements whose loss the user accepts."""
+        return _sentences([refusal for refusal in self.found if not refusal.vital])
+
     def check(self) -> None:
-        """Report all faults.
+        """Report all faults, except those that the user accepts.
 
         Raises:
             ExchangeError: there are faults.
         """
-        if not self.found:
+        vital = [refusal for refusal in self.found if refusal.vital]
+        said = _sentences(vital if self.drop else self.found)
+        if not said:
             return
-        groups: dict[tuple[str, str], list[Refusal]] = {}
-        for refusal in self.found:
-            kind = refusal.element.removeprefix("unnamed ").partition(" ")[0]
-            groups.setdefault((kind, refusal.problem), []).append(refusal)
-        said = [_words(group) for group in groups.values()]
+        hint = "" if vital else "\nThe option --drop imports the model without them."
         if len(said) == 1:
-            raise ExchangeError(f"{self.source}: {said[0]}")
+            raise ExchangeError(f"{self.source}: {said[0]}{hint}")
         lines = "".join(f"\n  {words}" for words in said)
         raise ExchangeError(
-            f"{self.source}: a creature cannot have these {len(said)} things:{lines}"
+            f"{self.source}: a creature cannot have these {len(said)} things:{lines}{hint}"
         )
+
+
+def _sentences(refusals: Sequence[Refusal]) -> list[str]:
+    """Return a sentence for each fault, about all elements of a kind that share it."""
+    groups: dict[tuple[str, str], list[Refusal]] = {}
+    for refusal in refusals:
+        kind = refusal.element.removeprefix("unnamed ").partition(" ")[0]
+        groups.setdefault((kind, refusal.problem), []).append(refusal)
+    return [_words(group) for group in groups.values()]
 
 
 def _words(group: list[Refusal]) -> str:
