@@ -4,7 +4,7 @@
 |---|---|---|
 | body, in its working frame at the joint | ``body``; the root's stands at its centre | |
 | shape and density | one ``geom``, centred at ``-child_anchor`` | `mjcf_shapes` |
-| joint | ``hinge``s | `mjcf_joints` |
+| joint | ``hinge``s, ``slide``s or a ``ball`` | `mjcf_joints` |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
 | ground | ``geom``s of the world | `mjcf_ground` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
@@ -27,9 +27,10 @@ import numpy as np
 
 from evo_cpg.creature.creature import Body, Creature, topological_order
 from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
-from evo_cpg.exchange.mjcf_joints import add_hinges, joint_names
+from evo_cpg.exchange.mjcf_joints import add_joints, joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
+from evo_cpg.exchange.mujoco_state import ball_quaternion
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
@@ -106,18 +107,39 @@ def mjcf_model(
         SubElement(contact, "pair", geom1=first, geom2=second, condim="1")
     actuator = SubElement(root, "actuator")
     for body in creature.bodies:
-        motors = body.joint.motors if body.joint else ()
-        for name, motor in zip(joint_names(body), motors, strict=True):
+        joint = body.joint
+        if joint is None:
+            continue
+        for name, motor, dof in zip(joint_names(body), joint.motors, joint.dofs, strict=True):
             if motor:
-                add_motor(actuator, name, motor)
+                add_motor(actuator, name, motor, dof.axis if dof.kind == "ball" else None)
     if orientation is not None and angles is not None:
-        hinges = [name for i in order for name in joint_names(creature.bodies[i])]
-        pose = dict(zip(hinges, angles, strict=True))
+        pose = _positions([creature.bodies[i] for i in order], angles)
         # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.
-        bends = [pose[joint.get("name", "")] for joint in place.iter("joint")]
+        bends = [x for joint in place.iter("joint") for x in pose[joint.get("name", "")]]
         keyframe = SubElement(root, "keyframe")
         SubElement(keyframe, "key", name=_START, qpos=number_text(*start, *orientation, *bends))
     return root
+
+
+def _positions(bodies: Sequence[Body], q: Sequence[float]) -> dict[str, list[float]]:
+    """Return MuJoCo's position of each joint, by its name.
+
+    Args:
+        bodies: bodies in the order of the tree.
+        q: coordinates in that order.
+    """
+    found: dict[str, list[float]] = {}
+    values = iter(q)
+    for body in bodies:
+        names, dofs = joint_names(body), body.joint.dofs if body.joint else ()
+        own = [next(values) for _ in dofs]
+        if body.joint and body.joint.kind == "ball":
+            axes = np.array([dof.axis for dof in dofs], float).T
+            found[names[0]] = ball_quaternion(axes, np.array(own)).tolist()
+        else:
+            found |= {name: [x] for name, x in zip(names, own, strict=True)}
+    return found
 
 
 def mjcf_text(model: Element) -> str:
@@ -156,7 +178,7 @@ def _add_bodies(
         if joint is None:
             SubElement(element, "freejoint")
         else:
-            add_hinges(element, body, joint)
+            add_joints(element, body, joint)
         _add_geom(element, body, own_anchor)
         for child in children.get(body.name, []):
             add(element, child, own_anchor)

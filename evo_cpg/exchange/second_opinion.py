@@ -36,7 +36,13 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.muscles import Muscles
 from evo_cpg.exchange.carried_inertia import CarriedInertia, step_with_inertia
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
+from evo_cpg.exchange.mujoco_state import (
+    dof_order,
+    joint_state,
+    load_state,
+    motor_order,
+    root_rotation,
+)
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.fusion.engine import using
 from evo_cpg.installation import command_for
@@ -75,7 +81,7 @@ class Opinion(NamedTuple):
         airborne: fraction of the time in which nothing touches the ground and no body's centre is
             under water. None without ground or with water everywhere, because it has no meaning
             then.
-        joint_angle: angles, rad, in our order of degrees of freedom.
+        joint_angle: angles, rad, and displacements, m, in our order of degrees of freedom.
     """
 
     program: str
@@ -212,7 +218,7 @@ def second_opinion(
         poses[:3],
         _upright_fraction(poses[3:7, 1:]),
         _airborne(world, np.array(held)),
-        poses[7 + player.dofs, 1:],
+        np.stack([player.joints(pose) for pose in poses[:, 1:].T], 1),
     )
 
 
@@ -348,6 +354,10 @@ class _Player:
                 borne[self.model.geom_bodyid[mine]] += force[0]
         return borne[self._bodies]
 
+    def joints(self, qpos: Float[np.ndarray, " p"]) -> Float[np.ndarray, " d"]:
+        """Return the coordinates of our joints in a pose of MuJoCo."""
+        return joint_state(self.model, self.tree, qpos, np.zeros(self.model.nv))[0]
+
     def state(self) -> State:
         """Return the animal's state in our form."""
         data = self.data
@@ -356,8 +366,7 @@ class _Player:
             data.qpos[:3].copy(),
             data.qpos[3:7].copy(),
             np.concatenate([spin, data.qvel[:3]]),
-            data.qpos[7 + self.dofs],
-            data.qvel[6 + self.dofs],
+            *joint_state(self.model, self.tree, data.qpos, data.qvel),
         )
         # Double precision, as in states from `jax.device_get`.
         return jax.tree.unflatten(self._structure, parts)

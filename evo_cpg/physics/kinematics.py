@@ -8,7 +8,7 @@ the body's joint, so the shift from parent to child is a pure translation by ``o
 |---|---|
 | R_i | ``rotation``: body to world |
 | p_i, d_i | ``origin``; ``offset`` from the parent's origin |
-| S_i | ``axes``: world unit vectors of the joint axes |
+| S_i | ``axes``: motion of the body per rate of each degree of freedom |
 | w_i, v_i | ``angular``, ``linear`` velocity at the origin |
 | A0_i | ``bias_angular``, ``bias_linear``: acceleration at constant velocities of the tree |
 
@@ -23,10 +23,10 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics import joints, root
-from evo_cpg.physics.per_body import PerBody, in_dof_order, of_joints
+from evo_cpg.physics.joints import Subspace
+from evo_cpg.physics.per_body import PerBody, of_joints
 from evo_cpg.physics.spatial_algebra import BodyMotion
 from evo_cpg.physics.state import State
-from evo_cpg.spatial.linear import expand_dims_like, matvec
 
 
 class Kinematics(NamedTuple):
@@ -35,7 +35,7 @@ class Kinematics(NamedTuple):
     rotation: Float[Array, "3 3 b *n"]
     origin: Float[Array, "3 b *n"]
     offset: Float[Array, "3 b *n"]
-    axes: Float[Array, "3 d *n"]
+    axes: Subspace
     angular: Float[Array, "3 b *n"]
     linear: Float[Array, "3 b *n"]
     bias_angular: Float[Array, "3 b *n"]
@@ -62,20 +62,17 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
     rest, rotation = jnp.zeros_like(state.position), root.rotation(state.orientation)
     first = _Body(rotation, state.position, *root.motion(state.velocity))
     bodies, local = PerBody([first], batch_ndim), joints.local_frames(tree, state.q)
-    offsets, axes = [rest[:, None]], [jnp.zeros((3, 0, *rest.shape[1:]), rest.dtype)]
+    offsets, axes = [rest[:, None]], []
     for i in tree.groups:
         parent = bodies[i.parents]
-        offset = matvec(
-            parent.rotation, expand_dims_like(tree.joint_offset[:, i.bodies], parent.origin)
-        )
-        rotation, S = joints.world_frames(parent.rotation, local[i.bodies])
+        rotation, offset, S = joints.placed(tree, i, parent.rotation, local[i.bodies])
         motion = joints.carried(parent, offset, S, of_joints(state.qd, i, batch_ndim))
         bodies = bodies.followed_by(_Body(rotation, parent.origin + offset, *motion))
         offsets.append(offset)
-        axes.append(in_dof_order(S, batch_ndim))
+        axes.append(S)
     rotation, origin, *motion = bodies.stacked()
     return Kinematics(
-        rotation, origin, jnp.concatenate(offsets, 1), jnp.concatenate(axes, 1), *motion
+        rotation, origin, jnp.concatenate(offsets, 1), joints.subspace(axes, rest), *motion
     )
 
 
@@ -94,6 +91,6 @@ def motion_of_bodies(
     bodies = PerBody([root.motion(velocity)], batch_ndim)
     for i in tree.groups:
         parent, offset = bodies[i.parents], kin.offset[:, i.bodies]
-        S, rates = (of_joints(x, i, batch_ndim) for x in (kin.axes, qd))
+        S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
         bodies = bodies.followed_by(joints.carried(parent, offset, S, rates))
     return bodies.stacked()

@@ -25,8 +25,9 @@ class State(eqx.Module):
         orientation: unit quaternion (w, x, y, z), root to world.
         velocity: velocity of the root in the world: angular (rad/s), then linear at its centre
             (m/s).
-        q: joint angles, rad.
-        qd: joint rates, rad/s.
+        q: joint angles, rad, displacements of slides, m, and rotation vectors of balls, rad.
+        qd: their rates. A ball's are the angular velocity relative to the parent, along the axes
+            of the ball that the child carries, rad/s.
     """
 
     position: Float[Array, "3 *n"]
@@ -50,38 +51,43 @@ class State(eqx.Module):
         """Velocities of the root and the joints as one generalized vector."""
         return jnp.concatenate([self.velocity, self.qd])
 
-    def moved(self, h: float) -> "State":
+    def moved(self, tree: Tree, h: float) -> "State":
         """Return the state after h seconds (negative: before) at constant velocities."""
         return State(
             *root.moved(self.position, self.orientation, self.velocity, h),
             self.velocity,
-            joints.moved(self.q, self.qd, h),
+            joints.moved(tree, self.q, self.qd, h),
             self.qd,
         )
 
-    def displaced(self, x: Float[Array, " v"]) -> "State":
+    def displaced(self, tree: Tree, x: Float[Array, " v"]) -> "State":
         """Return the state at static coordinates from this pose (`evo_cpg.physics.statics`)."""
         return State(
             *root.displaced(self.position, self.orientation, x),
             self.velocity,
-            joints.displaced(self.q, root.joint_part(x)),
+            joints.displaced(tree, self.q, root.joint_part(x)),
             self.qd,
         )
 
 
 def integrate(
-    state: State, acceleration: Float[Array, "6 *n"], qdd: Float[Array, "d *n"], h: float
+    tree: Tree,
+    state: State,
+    acceleration: Float[Array, "6 *n"],
+    qdd: Float[Array, "d *n"],
+    h: float,
 ) -> State:
     """Take a semi-implicit Euler step: the new velocities move the positions.
 
     Args:
+        tree: the creature.
         state: state at the start of the step.
         acceleration: acceleration of the root, rad/s^2 and m/s^2.
         qdd: joint accelerations, rad/s^2.
         h: step, s.
     """
     velocity, qd = state.velocity + h * acceleration, state.qd + h * qdd
-    return dataclasses.replace(state, velocity=velocity, qd=qd).moved(h)
+    return dataclasses.replace(state, velocity=velocity, qd=qd).moved(tree, h)
 
 
 def resting_state(

@@ -344,7 +344,7 @@ class _Search:
             if world.contact_model is not None:
                 friction = next_friction(world.contact_model, h, friction, touch)
             x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
-            return base.displaced(x), friction
+            return base.displaced(world.tree, x), friction
 
         def chord(given: tuple, base: State, friction: FrictionState, give: Array) -> Array:
             return optimistix.fixed_point(
@@ -391,7 +391,8 @@ def settled(
         base, friction = _carried(base, friction, displacement, turn)
         still = jnp.zeros(len(found.give), displacement.dtype)
         force, _ = static_forces(world, h, base, friction, still)
-        state = base.displaced(jnp.asarray(found.give, displacement.dtype) @ force)
+        x = jnp.asarray(found.give, displacement.dtype) @ force
+        state = base.displaced(world.tree, x)
         if alike_everywhere:
             state, _ = _put_back(base, state, friction)
     position, orientation, angles = (
