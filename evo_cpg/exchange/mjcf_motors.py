@@ -27,15 +27,29 @@ from evo_cpg.creature.creature import Actuator, Muscle, TorqueMotor
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 from evo_cpg.exchange.mjcf_fields import counted
 from evo_cpg.exchange.mjcf_ground import number_text
+from evo_cpg.spatial.numerics import Triple
 
 # Number of actuator groups that MuJoCo can disable.
 _GROUPS = 31
 
 
-def add_motor(actuator: Element, joint: str, motor: Actuator | TorqueMotor | Muscle) -> None:
-    """Add the motor or the muscles of a hinge."""
+def add_motor(
+    actuator: Element,
+    joint: str,
+    motor: Actuator | TorqueMotor | Muscle,
+    axis: Triple | None = None,
+) -> None:
+    """Add the motor or the muscles of an axis.
+
+    Args:
+        actuator: element of the actuators.
+        joint: name of the MJCF joint.
+        motor: the motor or muscles.
+        axis: axis of a ball that the motor turns, or None for a joint of one axis.
+    """
+    name = joint if axis is None else f"{joint}.{'xyz'[int(np.abs(axis).argmax())]}"
     if isinstance(motor, Muscle):
-        element = SubElement(actuator, "motor", name=joint, joint=joint)
+        element = SubElement(actuator, "motor", name=name, joint=joint)
         element.set("gear", number_text(motor.strength))
         element.set("ctrlrange", number_text(-1.0, 1.0))
         return
@@ -43,14 +57,17 @@ def add_motor(actuator: Element, joint: str, motor: Actuator | TorqueMotor | Mus
     if isinstance(motor, TorqueMotor):
         # MuJoCo limits the force before the gear.
         limit = limit / abs(motor.gear)
-        element = SubElement(actuator, "motor", name=joint, joint=joint)
+        element = SubElement(actuator, "motor", name=name, joint=joint)
         element.set("gear", number_text(motor.gear))
     else:
         kind = "position" if motor.stiffness else "velocity"
-        element = SubElement(actuator, kind, name=joint, joint=joint)
+        element = SubElement(actuator, kind, name=name, joint=joint)
         if motor.stiffness:
             element.set("kp", number_text(motor.stiffness))
         element.set("kv", number_text(motor.gain))
+    if axis is not None:
+        gear = motor.gear if isinstance(motor, TorqueMotor) else 1.0
+        element.set("gear", number_text(*(gear * x for x in axis)))
     if np.isfinite(limit):
         element.set("forcerange", number_text(-limit, limit))
 
@@ -151,7 +168,8 @@ def _require_simple(compiled: Compiled, number: int, affine: bool) -> None:
     )
     if not simple:
         raise compiled.item("actuator", number).refusal(
-            "its law is not linear", "motor, position, velocity, intvelocity, or general with fixed gain and affine bias"
+            "its law is not linear",
+            "motor, position, velocity, intvelocity, or general with fixed gain and affine bias",
         )
 
 
