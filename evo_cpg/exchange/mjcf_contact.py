@@ -67,11 +67,9 @@ def read_ground(
         floor["downhill_deg"] = tidy(float(np.rad2deg(np.arctan2(normal[1], normal[0]))))
     if floor:
         keys["floor"] = {"type": "plane", **floor}
-    untouched = [g for g in own if not _meet(compiled, geom, g)]
-    if untouched:
-        what = compiled.item("geom", untouched[0]) if len(untouched) == 1 else None
-        words = what or f"{len(untouched)} geoms"
-        compiled.refusals.leave_out(f"that {words} cannot touch the ground")
+    above = [str(compiled.item("geom", g)) for g in own if not _meet(compiled, geom, g)]
+    if above:
+        compiled.refusals.leave_out("passage through the ground", *above)
     return keys, [g for g in fixed if g != geom]
 
 
@@ -97,7 +95,7 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
         meet = _meet(compiled, geom, other) and not _excluded(compiled, placed[i], placed[j])
         paired = _paired(compiled, geom, other)
         neighbours = frozenset((i, j)) in joined
-        meeting += meet and not neighbours or paired
+        meeting += (meet and not neighbours) or paired
         if paired and neighbours:
             added.append([first, second])
         if not (meet or paired) and not neighbours:
@@ -166,5 +164,3 @@ def _shortened(pairs: list[list[str]], names: list[str]) -> list[list[str]]:
     return [[name, "all"] for name in alone] + [
         pair for pair in pairs if not set(pair) & set(alone)
     ]
-
-

@@ -14,11 +14,12 @@ covers every field of the installed MuJoCo, so a new field is noticed. Fields th
 lack are skipped. The page "Bring your own model" prints these tables.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from evo_cpg.exchange.compiled import TOLERANCE, Compiled
+from evo_cpg.exchange.compiled import TOLERANCE, Compiled, Item
 
 
 class Source(NamedTuple):
@@ -40,9 +41,13 @@ READ = {
     "body_quat": Source("body", "quat, euler, axisangle, xyaxes, zaxis", "`joint.rotation_deg`"),
     "body_gravcomp": Source("body", "gravcomp", "buoyancy or gravity, if equal for all bodies"),
     "geom_pos": Source("geom", "pos, fromto", "origin of the body's frame, or `at` of a part"),
-    "geom_quat": Source("geom", "quat, euler, ...", "axes of the body, or `rotation_deg` of a part"),
+    "geom_quat": Source(
+        "geom", "quat, euler, ...", "axes of the body, or `rotation_deg` of a part"
+    ),
     "geom_size": Source("geom", "size", "`shape`"),
-    "geom_friction": Source("geom", "friction (first number)", "`static_friction`, `dynamic_friction`"),
+    "geom_friction": Source(
+        "geom", "friction (first number)", "`static_friction`, `dynamic_friction`"
+    ),
     "geom_rgba": Source("geom", "rgba, material", "`color`"),
     "jnt_pos": Source("joint", "pos", "`joint.child_at`, or `at` of an axis"),
     "jnt_axis": Source("joint", "axis", "`joint.axes`"),
@@ -196,29 +201,25 @@ def require_numbers(compiled: Compiled) -> None:
 
 def refuse_fields(compiled: Compiled) -> None:
     """Refuse elements of the animal with a field that has another value than in `REFUSED`."""
-    for word, item, _ in _unusual(compiled, REFUSED):
+    for word, item in _unusual(compiled, REFUSED):
         item.refuse(f"it has {word}", f"no {word}")
 
 
 def leave_out_fields(compiled: Compiled) -> None:
     """Name fields of contacts and limits with other values than in `LEFT_OUT`."""
-    counts: dict[tuple[str, str], list[str]] = {}
-    for word, item, _ in _unusual(compiled, LEFT_OUT):
-        found = counts.setdefault((item.kind, word), [])
-        found += [str(item)] * (str(item) not in found)
-    for (kind, word), items in counts.items():
-        whom = items[0] if len(items) == 1 else f"{len(items)} {kind}s"
-        compiled.refusals.leave_out(f"{word} of {whom}")
+    for word, item in _unusual(compiled, LEFT_OUT):
+        compiled.refusals.leave_out(word, str(item))
 
 
-def _unusual(compiled: Compiled, table: dict[str, Neutral]):
+def _unusual(compiled: Compiled, table: dict[str, Neutral]) -> Iterator[tuple[str, Item]]:
+    """Yield the attribute and the element of each value with an effect."""
     for field, (kind, word, values) in table.items():
         found = getattr(compiled.model, field, None)
         if found is None or not len(found):
             continue
         wrong = ~np.isclose(found, values, rtol=TOLERANCE, atol=0)
-        for item, place in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
-            yield word, item, place
+        for item, _ in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
+            yield word, item
 
 
 def refuse_elements(compiled: Compiled) -> None:
@@ -245,7 +246,8 @@ def leave_out_elements(compiled: Compiled) -> None:
         if value[0] not in allowed:
             compiled.refusals.leave_out(f"option {name}")
     for count, kind in COUNTS.items():
-        compiled.refusals.leave_out(*counted(int(getattr(compiled.model, count, 0)), kind))
+        for phrase in counted(int(getattr(compiled.model, count, 0)), kind):
+            compiled.refusals.leave_out(phrase)
 
 
 def counted(number: int, kind: str) -> list[str]:

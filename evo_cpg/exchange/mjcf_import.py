@@ -20,7 +20,7 @@ loss.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -50,7 +50,6 @@ from evo_cpg.exchange.mjcf_custom import (
     root_axes,
 )
 from evo_cpg.exchange.mjcf_fields import (
-    counted,
     leave_out_elements,
     leave_out_fields,
     refuse_elements,
@@ -75,9 +74,6 @@ _ANY_MASS = 1.0
 # describes both. Files have this many digits after rounding in the compiler.
 _UNIFORM, _MESH_UNIFORM = 1e-11, 1e-5
 
-# Largest number of fixed geoms that are named. More are counted.
-_NAMED = 4
-
 _SHAPE = TypeAdapter(ShapeConfig)
 
 # Keys and values of a material.
@@ -93,6 +89,7 @@ class Imported(NamedTuple):
         dropped: sentences about refused parts whose loss the user accepted.
         joints: MuJoCo's numbers of the joints of each body, by its name, in the order of its axes.
         exported: whether the file is our own export, whose meshes are exact.
+        warnings: sentences about what a user may have to change before training.
     """
 
     experiment: dict[str, Any]
@@ -100,6 +97,7 @@ class Imported(NamedTuple):
     dropped: tuple[str, ...]
     joints: dict[str, tuple[int, ...]]
     exported: bool
+    warnings: tuple[str, ...]
 
 
 def read_model(
@@ -171,8 +169,22 @@ def read_model(
         bool(placed[0].rigid.joints) or placed[0].rigid.free,
     )
     return Imported(
-        data, tuple(refusals.left_out), tuple(refusals.dropped), joints, bool(custom)
+        data,
+        tuple(refusals.left_out),
+        tuple(refusals.dropped),
+        joints,
+        bool(custom),
+        tuple(_warnings(compiled, placed[0], bool(motors or tendon_motors))),
     )
+
+
+def _warnings(compiled: Compiled, root: Placed, driven: bool) -> Iterator[str]:
+    """Yield sentences about what a user may have to change before training."""
+    if not driven:
+        yield "no joint has a motor. Give joints an actuator before training"
+    if not (root.rigid.joints or root.rigid.free):
+        hint = ". The option --free releases the first body" if compiled.urdf else ""
+        yield f"the root {root.name!r} does not move, so use a task of your own{hint}"
 
 
 def _body_names(compiled: Compiled, rigids: Sequence[Rigid]) -> dict[int, str]:
@@ -316,14 +328,14 @@ def _set_senses(creature: dict[str, Any], custom: Custom, on_ground: bool) -> No
 
 
 def _leave_out_scenery(compiled: Compiled, geoms: Sequence[int], placed: Sequence[Placed]) -> None:
-    """Name the fixed geoms that are left out, and count drawings of the animal."""
-    named = [str(compiled.item("geom", geom)) for geom in geoms]
-    words = named if len(named) <= _NAMED else [f"{len(named)} geoms of the scenery"]
-    compiled.refusals.leave_out(*words)
+    """Name the fixed geoms, and the geoms that only draw the animal."""
+    for geom in geoms:
+        compiled.refusals.leave_out("scenery", str(compiled.item("geom", geom)))
     members = {member for body in placed for member in body.rigid.members}
-    own = sum(int(body) in members for body in compiled.model.geom_bodyid)
-    drawings = own - sum(len(body.solids) for body in placed)
-    compiled.refusals.leave_out(*counted(drawings, "geom that only draws the animal"))
+    shown = {solid.geom for body in placed for solid in body.solids}
+    for geom, owner in enumerate(compiled.model.geom_bodyid.tolist()):
+        if owner in members and geom not in shown:
+            compiled.refusals.leave_out("drawing", str(compiled.item("geom", geom)))
 
 
 def _checked_creature(compiled: Compiled, keys: Mapping[str, Any]) -> CreatureConfig:

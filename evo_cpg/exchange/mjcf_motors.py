@@ -62,7 +62,8 @@ def read_motors(
     of_joints: dict[int, dict[str, Any]] = {}
     of_tendons: dict[int, dict[str, Any]] = {}
     if compiled.disabled("actuation"):
-        compiled.refusals.leave_out(*counted(len(compiled.model.actuator_trnid), "actuator"))
+        for phrase in counted(len(compiled.model.actuator_trnid), "actuator"):
+            compiled.refusals.leave_out(phrase)
         return of_joints, of_tendons
     for number in range(len(compiled.model.actuator_trnid)):
         with compiled.refusals.collecting():
@@ -118,10 +119,10 @@ def _read_motor(
         raise item.refusal("it has a constant force", "a bias of 0, or a stiffness")
     limit = _torque_limit(compiled, number, kind, target, servo, gear * strength)
     if int(model.actuator_dyntype[number]) != mujoco.mjtDyn.mjDYN_NONE:
-        compiled.refusals.leave_out(f"the time constant of {item}")
+        compiled.refusals.leave_out("time constant", str(item))
     if servo:
         if _limits_commands(compiled, number):
-            compiled.refusals.leave_out(f"the ctrlrange of {item}")
+            compiled.refusals.leave_out("ctrlrange", str(item))
         # The square of the gear could overflow.
         gain, spring = (gear * (gear * value) for value in (damping, stiffness))
         keys: dict[str, Any] = {"gain": tidy(gain), "torque_limit": limit}
@@ -151,7 +152,8 @@ def _require_simple(compiled: Compiled, number: int, affine: bool) -> None:
     )
     if not simple:
         raise compiled.item("actuator", number).refusal(
-            "its law is not linear", "motor, position, velocity, intvelocity, or general with fixed gain and affine bias"
+            "its law is not linear",
+            "motor, position, velocity, intvelocity, or general with fixed gain and affine bias",
         )
 
 
@@ -175,9 +177,7 @@ def _torque_limit(
             continue
         lower, upper = sorted(map(float, torque))
         if not np.isclose(-lower, upper, rtol=TOLERANCE):
-            compiled.refusals.leave_out(
-                f"the smaller one of the limits {lower:g} and {upper:g} of {item}"
-            )
+            compiled.refusals.leave_out("smaller one of two force limits", str(item))
         largest.append(max(abs(lower), abs(upper)))
     if not largest:
         return None

@@ -34,7 +34,9 @@ def read_tendons(
         if number in motors:
             law["actuator"] = motors[number]
         if not law:
-            compiled.refusals.leave_out(f"{compiled.item('tendon', number)}, without effect")
+            compiled.refusals.leave_out(
+                "tendon without effect", str(compiled.item("tendon", number))
+            )
             continue
         with compiled.refusals.collecting():
             tendons.append(_read_tendon(compiled, number, names, law))
