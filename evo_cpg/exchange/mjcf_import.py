@@ -167,6 +167,7 @@ def read_model(
         world,
         _clearance(built, placed[0], world),
         bool(placed[0].rigid.joints) or placed[0].rigid.free,
+        any("stiffness" in motor for motor in (*motors.values(), *tendon_motors.values())),
     )
     return Imported(
         data,
