@@ -37,6 +37,9 @@ _EQUALLY = 0.99
 # Least length of a centreline, m. A body without size has no direction.
 _LEAST_LENGTH = 1e-12
 
+# Least number of bodies of a chain that bends as a wave. One or two rigid bodies cannot.
+LEAST_BODIES = 3
+
 # Cosine of the largest angle between a chain and +x at which its front end is the nose.
 _FORWARD = 0.5
 

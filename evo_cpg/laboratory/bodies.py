@@ -30,6 +30,7 @@ _POWERS = {
     "at": _LENGTH,
     "child_at": _LENGTH,
     "position": _LENGTH,
+    "distance": _LENGTH,
     "full_scale": _LENGTH,
     "fibre_length": _LENGTH,
     "arm": _LENGTH,
@@ -130,6 +131,11 @@ def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> Exper
     if size != 1:
         data = config.model_dump(mode="json")
         data["creature"] = _scaled(data["creature"], float(size))
+        # The animal sees a light from as many of its lengths as before.
+        trials = data["simulation"]["trials"]
+        for place in (data["task"], *(trials if isinstance(trials, list) else ())):
+            if place.get("light"):
+                place["light"] = _scaled(place["light"], float(size))
         config = check_config(data, source)
     numbers = {key: float(value) for key, value in setting.items() if "." in key}
     water = config.world.water

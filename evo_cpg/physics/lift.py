@@ -47,12 +47,11 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.creature.slender import slender_chains
+from evo_cpg.creature.slender import LEAST_BODIES, slender_chains
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
 from evo_cpg.physics.per_body import spread, take
-from evo_cpg.physics.reactive_thrust import LEAST_BODIES
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
 from evo_cpg.spatial.numerics import Number, Numbers, xp

@@ -115,7 +115,7 @@ def body_loads(world: World, force: Float[Array, "3 p *n"]) -> Float[Array, "b *
         return jnp.stack([none] * count)
     owners = np.array(world.contact_model.bodies)
     upward = [np.flatnonzero(owners == body) for body in range(count)]
-    weight = jnp.asarray(world.tree.mass, force.dtype).sum() * world.gravity
+    weight = jnp.asarray(world.weight, force.dtype)
     of_bodies = [take(force[2], own, 0).sum(0) if len(own) else none for own in upward]
     heavy = weight > 0
     return jnp.where(heavy, jnp.maximum(jnp.stack(of_bodies), 0.0), 0.0) / jnp.where(

@@ -16,6 +16,7 @@ from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import SettingError, oversampling
+from evo_cpg.view.pointer import pointer
 from evo_cpg.view.scene import Panel, scene_of
 from evo_cpg.view.signals import FRACTION, LOWEST, Strip
 from evo_cpg.view.stage import Stage, camera_path
@@ -174,12 +175,17 @@ class Frames:
         note = "; ".join(filter(None, [panel.note, f"grid {scene.grid:g} m{pace}"]))
         caption = captions(scene.look, title, scene.measured, note, (width, above), scale)
         with canvas((round(width * scale), round(height * scale) - strip_height)) as plotter:
-            stage = Stage(plotter, scene, camera_path(scene, film.camera, width / above), scale)
+            camera = camera_path(scene, film.camera, width / above)
+            stage = Stage(plotter, scene, camera, scale)
+            point = pointer(
+                camera, scene.goal, scene.look, (round(width * scale), round(above * scale))
+            )
             bodies = add_bodies(plotter, panel.creature, scene.look.ambient)
             show = set_scene(stage, bodies)
 
             def draw(instant: int) -> np.ndarray:
                 seen, time = show(instant), clip.time[instant]
+                point(seen, instant)
                 caption(seen, time - clip.time[0], clip.distance[instant], clip.speed[instant])
                 return seen if strip is None else np.concatenate([strip.at(time), seen])
 

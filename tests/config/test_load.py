@@ -128,14 +128,24 @@ def test_shipped_configs_are_read_back_unchanged(path, tmp_path):
         (
             "evolution",
             {"type": "random", "population": 8, "islands": {"count": 2}},
-            "evolution.islands: unknown key: valid here: axes, generations, population, type",
+            "evolution.islands: unknown key: 'islands' is a key of type ",
         ),
         (
             "evolution__sigm",
             0.5,
-            "evolution.sigm: unknown key: valid here: axes, "
-            "crossover_probability, elites, gene_bound, generations, islands, learning, "
-            "mutation_rate, mutation_sigma, parent_fraction, population, selection, type",
+            "evolution.sigm: unknown key: 'sigma' is a key of type pyribs and evosax. "
+            "Valid here: axes, crossover_probability, elites, gene_bound, generations, islands, "
+            "learning, mutation_rate, mutation_sigma, parent_fraction, population, selection, type",
+        ),
+        (
+            "task__slip_wieght",
+            1.0,
+            "task.slip_wieght: unknown key: 'slip_weight' is a key of type walk. Valid here: dist",
+        ),
+        (
+            "task__nonsense",
+            1.0,
+            "task.nonsense: unknown key: valid here: distance_weight, energy_max, energy_weight, ",
         ),
         (
             "controller__cpg__time_scal",
