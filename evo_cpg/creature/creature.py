@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
+from evo_cpg.spatial.numerics import Number, Numbers, Triple, is_traced, xp
 
 
 class CreatureError(ValueError):
@@ -264,9 +264,27 @@ def _driven(
     return 0.0, 0.0, 0.0, None, None
 
 
+class Inertial(NamedTuple):
+    """Mass and inertia of a body in numbers.
+
+    Attributes:
+        mass: mass, kg.
+        centre: centre of mass in the body's frame, m.
+        inertia: rotational inertia ``(3, 3)`` about the centre of mass, axes of the body, kg m^2.
+    """
+
+    mass: Number
+    centre: Numbers
+    inertia: Numbers
+
+
+# Inertial of a part whose mass is in the numbers of its body.
+NO_MASS = Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
+
+
 @dataclasses.dataclass(frozen=True)
 class Body:
-    """A rigid body. The body without a joint to another body is the root of the tree.
+    """A rigid body, or a part of one. The body without a joint to another body is the root of the tree.
 
     Attributes:
         name: name of the body, unique in the creature.
@@ -274,6 +292,8 @@ class Body:
         material: density and contact properties.
         joint: joint to the parent, or None for the root (`Creature.root_joint`).
         color: color of the body in pictures, as ``#rrggbb``, or None for a default color.
+        inertial: mass and inertia in numbers, or None for those of a shape of uniform density.
+        whole: name of the body of which this body is a further part, welded to it, or None.
     """
 
     name: str
@@ -281,11 +301,22 @@ class Body:
     material: Material
     joint: Joint | None = None
     color: str | None = None
+    inertial: Inertial | None = None
+    whole: str | None = None
 
     @property
     def mass(self) -> Number:
         """Mass, kg."""
+        if self.inertial is not None:
+            return self.inertial.mass
         return self.shape.volume * self.material.density
+
+    @property
+    def inertia(self) -> Numbers:
+        """Rotational inertia ``(3, 3)`` about the centre of mass, axes of the body, kg m^2."""
+        if self.inertial is not None:
+            return self.inertial.inertia
+        return self.shape.inertia_tensor(self.mass)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -372,6 +403,29 @@ class Creature:
         return sum(body.mass for body in self.bodies)
 
 
+def require_masses(creature: Creature) -> None:
+    """Check that every body that moves has a mass, or is welded to one that has.
+
+    Raises:
+        CreatureError: a body that moves has no mass.
+    """
+    bodies = [creature.bodies[i] for i in topological_order(creature)]
+    owners: dict[str, str] = {}
+    masses: dict[str, Number] = {}
+    for body in bodies:
+        welded = body.joint is not None and not body.joint.dofs
+        owner = owners.get(body.joint.parent, body.name) if welded and body.joint else body.name
+        owners[body.name] = owner
+        masses[owner] = masses.get(owner, 0.0) + body.mass
+    for i, body in enumerate(creature.bodies):
+        moves = body.joint is None or bool(body.joint.dofs)
+        if moves and not is_traced(masses[body.name]) and not masses[body.name] > 0:
+            raise CreatureError(
+                f"body {body.name!r} moves, but neither it nor a body welded to it has a mass",
+                ("bodies", i, "mass"),
+            )
+
+
 def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:
     """Return the pose of all bodies with every joint at zero and the root at the origin.
 
@@ -422,6 +476,7 @@ def lowest_along(
     heights = [
         up @ centre + (up @ rotation) @ body.shape.support(-rotation.T @ up)
         for body, centre, rotation in zip(creature.bodies, centres, rotations, strict=True)
+        if body.shape.exists
     ]
     return xp.min(xp.array(heights))
 

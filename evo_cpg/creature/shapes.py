@@ -160,9 +160,11 @@ class Shape(abc.ABC):
     """A convex rigid shape, centred on its own frame.
 
     Attributes:
+        exists: False only for `NoShape`.
         blunt: whether it is round about its x axis, with flat ends.
     """
 
+    exists: ClassVar[bool] = True
     blunt: ClassVar[bool] = False
 
     @property
@@ -722,6 +724,7 @@ class Cylinder(Shape):
     @override
     def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
         """Return a capsule, or the ellipsoid in a disc, so that a wheel rolls over obstacles."""
+
         def is_disc() -> Condition:
             return self.length < 2 * self.radius
 
@@ -742,7 +745,7 @@ class Cylinder(Shape):
 
     @override
     def skin(self) -> Skin:
-        """Return the side and both ends, with separate points at the rims, whose edges are sharp."""
+        """Return the side and both ends, with points of their own, so that the rims are sharp."""
         angles = 2 * np.pi * np.arange(_ROUND_RIM) / _ROUND_RIM
         around = np.column_stack([np.cos(angles), np.sin(angles)])
         here, ahead = np.arange(_ROUND_RIM), np.roll(np.arange(_ROUND_RIM), -1)
@@ -764,6 +767,61 @@ class Cylinder(Shape):
             np.column_stack([here, back + ahead, ahead]),
         ]
         return Skin(np.concatenate(points), np.concatenate(normals), np.concatenate(faces))
+
+
+@dataclasses.dataclass(frozen=True)
+class NoShape(Shape):
+    """Shape of a body that has none: a point that nothing touches, wets or draws."""
+
+    exists: ClassVar[bool] = False
+
+    @property
+    @override
+    def volume(self) -> Number:
+        return 0.0
+
+    @property
+    @override
+    def half_extents(self) -> Numbers:
+        return np.zeros(3)
+
+    @override
+    def inertia(self, mass: Number) -> Numbers:
+        return 0.0 * mass * np.ones(3)
+
+    @override
+    def distance(self, points: Numbers) -> Numbers:
+        return xp.linalg.norm(points, axis=-1)
+
+    @override
+    def support(self, direction: Numbers) -> Numbers:
+        return 0.0 * direction
+
+    @override
+    def surface(self, resolution: int) -> Surface:
+        return Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+
+    @override
+    def cells(self) -> tuple[Cell, ...]:
+        return ()
+
+    @override
+    def floor_parts(self) -> tuple[FloorPart, ...]:
+        return ()
+
+    @override
+    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
+        return ()
+
+    @property
+    @override
+    def corners(self) -> Numbers:
+        return np.zeros((1, 3))
+
+    @override
+    def skin(self) -> Skin:
+        """Return one triangle without area, because pictures cannot draw nothing."""
+        return Skin(np.zeros((3, 3)), np.tile([1.0, 0.0, 0.0], (3, 1)), np.array([[0, 1, 2]]))
 
 
 def _nearest_first(direction: Numbers) -> np.ndarray:

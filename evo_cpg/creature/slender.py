@@ -8,7 +8,8 @@ on to the other centre turns by at most 45 degrees, and if neither body is four 
 other. A body has at most two links, on opposite sides. Of several candidates it takes those whose
 widths are most alike its own. So a trunk continues in its tail and not in a fin. Equally alike
 candidates on the same side, such as the two lobes of a fluke, are a fork, which ends the chain.
-Every body belongs to exactly one chain, which may have one body only.
+Every body belongs to exactly one chain, which may have one body only. A further part of a body is a
+chain of its own.
 
 The nose is the end that points forward, along +x. In a chain that stands across, such as a leg, it
 is the end nearer to the root.
@@ -110,7 +111,7 @@ def _joints(creature: Creature) -> list[_Link]:
     return [
         _Link(creature.body_index(body.joint.parent), i)
         for i, body in enumerate(creature.bodies)
-        if body.joint is not None
+        if body.joint is not None and body.whole is None
     ]
 
 

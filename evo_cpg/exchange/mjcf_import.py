@@ -31,7 +31,7 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import check_config
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.shape import ShapeConfig
-from evo_cpg.creature.creature import lowest_height
+from evo_cpg.creature.creature import CreatureError, lowest_height
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.compiled import WORLD, Compiled, compile_model, tidy, tidy_vector
@@ -66,9 +66,6 @@ from evo_cpg.exchange.rigid import Rigid, rigid_bodies, scenery
 
 # Density of bodies whose mass is given in numbers, kg/m^3. It has no effect.
 _ANY_DENSITY = 1000.0
-
-# Mass of a fixed root that has none in the file, kg. It has no effect.
-_ANY_MASS = 1.0
 
 # Relative difference of mass and moments from those of a uniform shape, within which the density
 # describes both. Files have this many digits after rounding in the compiler.
@@ -259,8 +256,15 @@ def _substance(
         made = restored_material(custom, name, made, density is not None)
         key = tuple(made.items())
         named.append(materials.setdefault(key, f"material{len(materials) + 1}"))
+    if not named:
+        key = (("density", _ANY_DENSITY),)
+        named.append(materials.setdefault(key, f"material{len(materials) + 1}"))
     colors = [read_color(compiled, solid.geom) for solid in own.solids]
     keys = body_keys(own, named, colors)
+    if not mass:
+        # Only a fixed root has no mass in MuJoCo. Any mass does.
+        any_mass = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]}
+        return keys if shapes else keys | any_mass
     if density is None:
         keys["mass"] = tidy(mass)
         keys["centre_of_mass"] = tidy_vector(centre)
@@ -275,7 +279,7 @@ def _mass_properties(compiled: Compiled, own: Placed) -> tuple[float, np.ndarray
     masses = np.array(model.body_mass[members], float)
     mass = float(masses.sum())
     if not mass:
-        return _ANY_MASS, np.zeros(3), np.eye(3)
+        return 0.0, np.zeros(3), np.zeros((3, 3))
     places = np.array(data.xipos[members]).reshape(-1, 3)
     centre = masses @ places / mass
     inertia = np.zeros((3, 3))
@@ -292,7 +296,7 @@ def _is_uniform(
 ) -> bool:
     """Return whether a uniform density of the shape gives the mass properties."""
     mass, centre, inertia = found
-    if not alike or not shape.volume:
+    if not alike or not mass or not shape.volume:
         return False
     expected = np.asarray(shape.inertia_tensor(mass), float)
     middle = _SHAPE.validate_python(solid.shape).centre
@@ -347,9 +351,13 @@ def _checked_creature(compiled: Compiled, keys: Mapping[str, Any]) -> CreatureCo
     """
     data = {"name": "imported", "creature": keys}
     try:
-        return check_config(data, compiled.source).creature
+        config = check_config(data, compiled.source).creature
+        config.build()
     except ConfigError as error:
         raise ExchangeError(str(error)) from None
+    except CreatureError as error:
+        raise ExchangeError(f"{compiled.source}: {error}") from None
+    return config
 
 
 def _dof_names(config: CreatureConfig, joints: Mapping[str, tuple[int, ...]]) -> dict[int, str]:

@@ -117,8 +117,8 @@ def added_inertia(creature: Creature, tree: Tree, density: Number) -> Float[Numb
     """
     shapes = {body.name: body.shape for body in creature.bodies}
     inertias = []
-    for name, com in zip(tree.names, tree.com.T, strict=True):
-        x, y, z = com
+    for name, centre in zip(tree.names, tree.centre.T, strict=True):
+        x, y, z = centre
         shift = xp.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
         to_centre = xp.block([[np.eye(3), np.zeros((3, 3))], [shift, np.eye(3)]])
         turn = np.kron(np.eye(2), shapes[name].stretch[1])

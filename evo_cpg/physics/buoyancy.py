@@ -72,8 +72,6 @@ _DENSITIES = {
 }
 
 
-
-
 def _integrated(coefficients: tuple[float, ...]) -> tuple[float, ...]:
     """Return the integral from -1 of a polynomial of rising powers."""
     rising = [0.0, *(c / (k + 1) for k, c in enumerate(coefficients))]
@@ -156,8 +154,7 @@ def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
             Cells(
                 profile,
                 bodies,
-                # The geometric centre is the centre of mass: densities are uniform.
-                xp.array([cell.centre for _, cell in alike]).T + tree.com[:, np.array(bodies)],
+                xp.array([cell.centre for _, cell in alike]).T + tree.centre[:, np.array(bodies)],
                 xp.maximum(xp.array([cell.half_axes for _, cell in alike]).T, _LEAST),
                 xp.array([cell.volume for _, cell in alike]),
                 alike[0][1].triangles,

@@ -201,7 +201,7 @@ def make_contact_model(creature: Creature, tree: Tree, ground: Ground) -> Contac
     every = creature.bodies_of(tree.names)
     for i, body in enumerate(every):
         for part in body.shape.floor_parts():
-            centre = tree.com[:, i]
+            centre = tree.centre[:, i]
             place = centre if part.centre is None else centre + part.centre
             found[part.kind].append((i, place, part.size))
     boxes, meshes, cylinders, balls, ellipsoids = found.values()
@@ -235,7 +235,7 @@ def make_contact_model(creature: Creature, tree: Tree, ground: Ground) -> Contac
         pairs(ground.restitution_rule, "restitution"),
         pairs(ground.friction_rule, "static_friction"),
         pairs(ground.friction_rule, "dynamic_friction"),
-        STIFFNESS * xp.sqrt(tree.mass.sum() * tree.mass[np.array(bodies)]),
+        STIFFNESS * xp.sqrt(tree.mass.sum() * tree.rigid_mass[np.array(bodies)]),
     )
 
 
@@ -263,7 +263,7 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
         axes = [np.eye(3) if part.axes is None else part.axes for _, part in found]
         return Parts(
             bodies,
-            tree.com[:, np.array(bodies, int)] + centre,
+            tree.centre[:, np.array(bodies, int)] + centre,
             np.stack(axes, -1) if turned else None,
             xp.array([part.half_extents for _, part in found], float).reshape(-1, 3).T,
             xp.array([part.radius for _, part in found], float),

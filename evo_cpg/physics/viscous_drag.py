@@ -140,6 +140,10 @@ class ViscousDrag(ForceLaw):
             for run in runs(patch.bodies):
                 part = [x[:, run] for x in inputs]
                 pieces.append((run.start, *self._patch(bodies, patch, run, *part)))
+        batch, dtype = velocity.shape[2:], velocity.dtype
+        none = jnp.zeros((6, 1, *batch), dtype), jnp.zeros((3, 3, 3, 1, *batch), dtype)
+        wet = {body for patch in self.patches for body in patch.bodies}
+        pieces += [(body, *none) for body in range(velocity.shape[1]) if body not in wet]
         _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
         derivative = jnp.concatenate(derivatives, 3)
         return (Part(jnp.concatenate(wrenches, 1), bodies.h * derivative),)

@@ -95,7 +95,7 @@ def starting_pose(
     order = [tree.names.index(name) for name in names]
     kin = kinematics(tree, starting_state((situation,), None, tree, (), jnp.dtype(jnp.float32)))
     rotation = np.moveaxis(np.asarray(kin.rotation, float), -1, 0)
-    centre = np.asarray(kin.origin, float).T + np.einsum("bij,jb->bi", rotation, tree.com)
+    centre = np.asarray(kin.origin, float).T + np.einsum("bij,jb->bi", rotation, tree.centre)
     return centre[order], rotation[order]
 
 

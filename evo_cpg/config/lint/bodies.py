@@ -40,10 +40,11 @@ _CURLS = 45.0
 @rule
 def body_size(case: Case) -> Iterator[LintWarning]:
     """Warn of bodies that are very large, very small, or unlike the median of all bodies."""
-    edges = [2 * float(body.shape.half_extents.max()) for body in case.creature.bodies]
-    middle = float(np.median(edges))
+    shaped = [each for each in case.bodies() if each[1].shape is not None]
+    edges = [2 * float(body.shape.half_extents.max()) for *_, body in shaped]
+    middle = float(np.median(edges)) if edges else 0.0
     low, high = _BODIES
-    for (key, entry, _), edge in zip(case.bodies(), edges, strict=True):
+    for (key, entry, _), edge in zip(shaped, edges, strict=True):
         if not low <= edge <= high:
             likely = f"In mm it would be {edge / 1000:g} m, in cm {edge / 100:g} m"
             if edge < low:
@@ -57,7 +58,7 @@ def body_size(case: Case) -> Iterator[LintWarning]:
         else:
             continue
         # A mesh has no key for its size.
-        size = entry.shape.size_key
+        size = entry.shape.size_key if entry.shape else None
         place = (*key, "shape", size) if size else (*key, "shape")
         yield case.warning(place, problem, None if size else "mesh")
 

@@ -34,7 +34,7 @@ class SolidConfig(Section):
 
     @property
     def centre(self) -> np.ndarray:
-        """Centre of mass ``(3,)`` in the body's frame, m, nonzero only for a mesh."""
+        """Centre of the shape ``(3,)`` in the body's frame, m, nonzero only for a mesh."""
         return np.zeros(3)
 
     def mirrored(self: _Solid, axis: MirrorAxis) -> _Solid:
