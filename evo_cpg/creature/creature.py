@@ -284,7 +284,7 @@ NO_MASS = Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
 
 @dataclasses.dataclass(frozen=True)
 class Body:
-    """A rigid body, or a part of one. The body without a joint to another body is the root of the tree.
+    """A rigid body, or a part of one. The one without a joint to another body is the root.
 
     Attributes:
         name: name of the body, unique in the creature.
