@@ -87,6 +87,7 @@ class Imported(NamedTuple):
         joints: MuJoCo's numbers of the joints of each body, by its name, in the order of its axes.
         exported: whether the file is our own export, whose meshes are exact.
         warnings: sentences about what a user may have to change before training.
+        place: origin of the root's frame in the file's neutral pose, m.
     """
 
     experiment: dict[str, Any]
@@ -95,6 +96,7 @@ class Imported(NamedTuple):
     joints: dict[str, tuple[int, ...]]
     exported: bool
     warnings: tuple[str, ...]
+    place: tuple[float, float, float]
 
 
 def read_model(
@@ -173,6 +175,7 @@ def read_model(
         joints,
         bool(custom),
         tuple(_warnings(compiled, placed[0], bool(motors or tendon_motors))),
+        tuple(placed[0].centre.tolist()),
     )
 
 
@@ -186,13 +189,15 @@ def _warnings(compiled: Compiled, root: Placed, driven: bool) -> Iterator[str]:
 
 
 def _body_names(compiled: Compiled, rigids: Sequence[Rigid]) -> dict[int, str]:
-    """Return a unique name for each rigid body. Missing names are made from MuJoCo's numbers."""
+    """Return a unique name for each rigid body. A body without a name has that of its joint."""
     mujoco, model = compiled.mujoco, compiled.model
     names: dict[int, str] = {}
     for rigid in rigids:
         given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, rigid.lead)
         if rigid.lead == WORLD:
             given = "base"
+        elif not given and rigid.joints:
+            given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, rigid.joints[0])
         # Braces stand for numbers in our names, and these two words for all bodies and no body.
         name = re.sub(r"[{}*]", "_", given or f"body{rigid.lead}")
         name = f"{name}_" if name in ("all", "world") else name
