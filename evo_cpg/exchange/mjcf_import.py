@@ -359,7 +359,12 @@ def _checked_creature(compiled: Compiled, keys: Mapping[str, Any]) -> CreatureCo
         config = check_config(data, compiled.source).creature
         config.build()
     except ConfigError as error:
-        raise ExchangeError(str(error)) from None
+        where = [str(part) for part in error.key[1:]]
+        owner = keys["name"]
+        if len(where) > 1 and where[0] == "bodies" and where[1].isdigit():
+            owner, where = keys["bodies"][int(where[1])]["name"], where[2:]
+        key = f"{'.'.join(where)}: " if where else ""
+        raise ExchangeError(f"{compiled.source}: {owner!r}: {key}{error.problem}") from None
     except CreatureError as error:
         raise ExchangeError(f"{compiled.source}: {error}") from None
     return config
