@@ -62,6 +62,7 @@ READ = {
     "actuator_biasprm": Source("actuator", "kp, kv, bias, biasprm", "`actuator`"),
     "tendon_stiffness": Source("tendon", "stiffness", "`tendons.stiffness`"),
     "tendon_damping": Source("tendon", "damping", "`tendons.damping`"),
+    "tendon_armature": Source("tendon", "armature", "`tendons.armature`"),
     "tendon_frictionloss": Source("tendon", "frictionloss", "`tendons.friction_loss`"),
     "tendon_range": Source("tendon", "range", "`tendons.limits`"),
     "tendon_lengthspring": Source("tendon", "springlength", "`tendons.rest`"),
@@ -109,7 +110,6 @@ REFUSED = {
     "actuator_damping": Neutral("actuator", "damping"),
     "actuator_dampingpoly": Neutral("actuator", "damping polynomial"),
     "actuator_armature": Neutral("actuator", "armature"),
-    "tendon_armature": Neutral("tendon", "armature"),
     "tendon_stiffnesspoly": Neutral("tendon", "stiffness polynomial"),
     "tendon_dampingpoly": Neutral("tendon", "damping polynomial"),
     "tendon_springyield": Neutral("tendon", "springyield"),
@@ -190,7 +190,7 @@ def require_numbers(compiled: Compiled) -> None:
         for field, (kind, word, _) in fields.items():
             if kind == "wrap" or field == "qpos_spring":
                 continue
-            values = np.asarray(getattr(compiled.model, field))
+            values = np.asarray(getattr(compiled.model, field, np.zeros(0)))
             limits = field in READ_LIMITS
             wrong = np.isnan(values) if limits else ~np.isfinite(values)
             allowed = "numbers" if limits else "finite numbers"

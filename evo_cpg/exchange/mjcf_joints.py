@@ -145,7 +145,7 @@ def _limits(compiled: Compiled, joint: int) -> list[float] | None:
         return None
     lower, upper = map(float, model.jnt_range[joint])
     if int(model.jnt_type[joint]) == compiled.mujoco.mjtJoint.mjJNT_BALL:
-        return [-upper, upper]
+        return None if upper >= np.pi else [0.0, upper]
     neutral = float(model.qpos0[model.jnt_qposadr[joint]])
     return [lower - neutral, upper - neutral]
 

@@ -15,6 +15,8 @@ motor has no effect and is left out.
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from evo_cpg.exchange.compiled import Compiled, tidy
 
 
@@ -57,6 +59,9 @@ def _read_tendon(
             raise item.refusal("it acts on a joint that is not part of the animal", "its joints")
         old = coefficients.get(names[joint], 0.0)
         coefficients[names[joint]] = tidy(old + float(model.wrap_prm[wrap]))
+    coefficients = {name: value for name, value in coefficients.items() if value}
+    if not coefficients:
+        raise item.refusal("all its coefficients are 0", "one that is not 0")
     return {"name": _name(compiled, number), "joints": coefficients, **law}
 
 
@@ -68,15 +73,14 @@ def _law(compiled: Compiled, number: int) -> dict[str, Any]:
     stiffness, damping = float(model.tendon_stiffness[number]), float(model.tendon_damping[number])
     if stiffness and not (compiled.disabled("spring") or compiled.disabled("passive")):
         law["stiffness"] = tidy(stiffness)
-        lower, upper = map(float, model.tendon_lengthspring[number])
-        if lower != upper:
-            compiled.item("tendon", number).refuse(
-                "its spring is slack between two lengths", "one springlength"
-            )
-        if tidy(lower - neutral):
-            law["rest"] = tidy(lower - neutral)
+        rest = [tidy(float(x) - neutral) for x in model.tendon_lengthspring[number]]
+        if any(rest):
+            law["rest"] = rest[0] if rest[0] == rest[1] else rest
     if damping and not (compiled.disabled("damper") or compiled.disabled("passive")):
         law["damping"] = tidy(damping)
+    armature = float(getattr(model, "tendon_armature", np.zeros(model.ntendon))[number])
+    if armature:
+        law["armature"] = tidy(armature)
     constrained = not compiled.disabled("constraint")
     loss = float(model.tendon_frictionloss[number])
     if loss and constrained and not compiled.disabled("frictionloss"):
