@@ -6,6 +6,7 @@
 | shape and density | one ``geom``, centred at ``-child_anchor`` | `mjcf_shapes` |
 | joint | ``hinge``s | `mjcf_joints` |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
+| tendon | ``fixed`` tendon | `mjcf_tendons` |
 | ground | ``geom``s of the world | `mjcf_ground` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
 | friction of a body on the ground | a ``pair`` of the two geoms | |
@@ -30,6 +31,7 @@ from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.exchange.mjcf_joints import add_hinges, joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
+from evo_cpg.exchange.mjcf_tendons import add_tendons
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
@@ -110,6 +112,7 @@ def mjcf_model(
         for name, motor in zip(joint_names(body), motors, strict=True):
             if motor:
                 add_motor(actuator, name, motor)
+    add_tendons(root, actuator, creature)
     if orientation is not None and angles is not None:
         hinges = [name for i in order for name in joint_names(creature.bodies[i])]
         pose = dict(zip(hinges, angles, strict=True))
