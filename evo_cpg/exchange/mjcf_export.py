@@ -7,10 +7,12 @@
 | joint | ``hinge``s, ``slide``s or a ``ball`` | `mjcf_joints` |
 | root | a ``freejoint``; a root that hangs on the world has its own joints, or none | |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
+| tendon | ``fixed`` tendon | `mjcf_tendons` |
 | ground | ``geom``s of the world | `mjcf_ground` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
 | friction of a body on the ground | a ``pair`` of the two geoms | |
 | pair of bodies that push each other apart | a ``pair`` without friction (``condim`` 1) | |
+| eyes, restitution, muscles and other numbers of ours | a ``text`` for the import | `mjcf_custom` |
 | a start in another pose than the neutral one | a ``key`` named ``start`` | |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are equal on both sides.
@@ -20,17 +22,20 @@ softness of MuJoCo's defaults.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from evo_cpg.creature.creature import Body, Creature, topological_order
+from evo_cpg.exchange.mjcf_custom import add_custom
 from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.exchange.mjcf_joints import add_joints, joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
+from evo_cpg.exchange.mjcf_tendons import add_tendons
 from evo_cpg.exchange.mujoco_state import ball_quaternion
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
@@ -51,6 +56,7 @@ def mjcf_model(
     pairs: Sequence[tuple[str, str]] = (),
     orientation: Sequence[float] | None = None,
     angles: Sequence[float] | None = None,
+    sensors: Sequence[Mapping[str, Any]] = (),
 ) -> Element:
     """Return the ``mujoco`` element of a creature in its world.
 
@@ -66,6 +72,7 @@ def mjcf_model(
         orientation: initial orientation of a free root, unit quaternion (w, x, y, z), if the
             initial pose is not the neutral one.
         angles: angles of the joints in that pose, rad, in the order of the creature's `Tree`.
+        sensors: keys of the animal's sensors that are neither eyes, gauges nor pressure sensors.
 
     Raises:
         CreatureError: the bodies do not form one tree.
@@ -84,6 +91,7 @@ def mjcf_model(
     # pairs.
     default = SubElement(root, "default")
     SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
+    add_custom(root, creature, heading, sensors)
     add_meshes(root, creature)
     place = SubElement(root, "worldbody")
     parts = add_ground(root, place, ground, names) if ground else []
@@ -107,7 +115,8 @@ def mjcf_model(
         names = joint_names(body, joint)
         for name, motor, dof in zip(names, joint.motors, joint.dofs, strict=True):
             if motor:
-                add_motor(actuator, name, motor, dof.axis if dof.kind == "ball" else None)
+                add_motor(actuator, name, motor, axis=dof.axis if dof.kind == "ball" else None)
+    add_tendons(root, actuator, creature)
     if angles is not None:
         pose = _positions(creature, angles)
         # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.

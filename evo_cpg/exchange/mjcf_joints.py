@@ -34,12 +34,13 @@ _AT_PLACE = 1e-12
 _TYPES = {"turn": "hinge", "slide": "slide", "ball": "ball"}
 
 
-def joint_names(body: Body, joint: Joint) -> list[str]:
+def joint_names(body: Body, joint: Joint | None) -> list[str]:
     """Return the name of the MJCF joint of each axis of a body's joint, in their order.
 
     All axes of a ball have the same name.
     """
-    return [f"{body.name}.{1 if dof.kind == 'ball' else i + 1}" for i, dof in enumerate(joint.dofs)]
+    dofs = joint.dofs if joint else ()
+    return [f"{body.name}.{1 if dof.kind == 'ball' else i + 1}" for i, dof in enumerate(dofs)]
 
 
 def add_joints(element: Element, body: Body, joint: Joint) -> None:
@@ -158,7 +159,7 @@ def _limits(compiled: Compiled, joint: int) -> list[float] | None:
         return None
     lower, upper = map(float, model.jnt_range[joint])
     if int(model.jnt_type[joint]) == compiled.mujoco.mjtJoint.mjJNT_BALL:
-        return [-upper, upper]
+        return None if upper >= np.pi else [0.0, upper]
     neutral = float(model.qpos0[model.jnt_qposadr[joint]])
     return [lower - neutral, upper - neutral]
 

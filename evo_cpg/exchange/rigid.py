@@ -59,7 +59,7 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
     bodies = []
     root: int | None = None
     if len(kept) > 1 or fixed:
-        root = min(fixed) if len(carriers) == 1 else WORLD
+        root = min(fixed) if fixed and len(carriers) == 1 else WORLD
         bodies.append(Rigid(root, fixed, None, ()))
     for lead in leads:
         parent = int(model.body_weldid[model.body_parentid[lead]])
