@@ -186,7 +186,12 @@ def _quantities(
     tree = simulation.world.tree
     order = [tree.names.index(body.name) for body in creature.bodies]
     weights = np.asarray(tree.mass, float)[order]
-    middle = np.average(place, axis=1, weights=weights)[numbers.first :]
+    masses = place
+    if tree.centre_of_volume is not None:
+        # The place of a body is the centre of its shape.
+        off = np.asarray(tree.com - tree.centre, float)[:, order]
+        masses = place + np.einsum("tbij,jb->tbi", np.asarray(recording.rotation, float), off)
+    middle = np.average(masses, axis=1, weights=weights)[numbers.first :]
     along = stride.path_speed(middle, step, frequency)
     gravity = float(simulation.world.gravity)
     energy = float(numbers.power.sum() * step)

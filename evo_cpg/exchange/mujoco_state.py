@@ -11,36 +11,45 @@ from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.root import ROOT_DOFS
 from evo_cpg.physics.state import State
 
 
 def dof_order(model: Any, tree: Tree) -> Int[np.ndarray, " d"]:
-    """Return MuJoCo's index of each degree of freedom of the tree, counted after the root's six."""
-    order = []
+    """Return MuJoCo's index of each degree of freedom of the tree, after those of a free root."""
+    order, first = [], root_dofs(tree)
     for name in dict.fromkeys(tree.names[i] for i in tree.dof_bodies):
         body = model.body(name)
-        order.extend(range(body.dofadr[0] - 6, body.dofadr[0] - 6 + body.dofnum[0]))
+        order.extend(range(body.dofadr[0] - first, body.dofadr[0] - first + body.dofnum[0]))
     return np.array(order, int)
+
+
+def root_dofs(tree: Tree) -> int:
+    """Return the number of MuJoCo's degrees of freedom of a free root, or 0 without one."""
+    return ROOT_DOFS if tree.hanging is None else 0
 
 
 def motor_order(model: Any, tree: Tree) -> Int[np.ndarray, " motors"]:
     """Return the index of the tree's degree of freedom that each of MuJoCo's motors drives."""
     # The gear of a motor on a ball is a vector along its axis.
     component = np.abs(model.actuator_gear[:, :3]).argmax(1)
-    driven = model.jnt_dofadr[model.actuator_trnid[:, 0]] - 6 + component
+    driven = model.jnt_dofadr[model.actuator_trnid[:, 0]] - root_dofs(tree) + component
     return np.argsort(dof_order(model, tree))[driven]
 
 
 def load_state(model: Any, data: Any, tree: Tree, state: State) -> Float[np.ndarray, "3 3"]:
     """Put one individual's pose and velocities into MuJoCo's data.
 
+    The frame on which a root hangs is part of MuJoCo's model.
+
     Returns:
         The root's rotation matrix: MuJoCo has the root's angular velocity in the root's axes.
     """
-    order = 6 + dof_order(model, tree)
+    order = root_dofs(tree) + dof_order(model, tree)
     rotation = root_rotation(np.asarray(state.orientation, float))
-    data.qpos[:3], data.qpos[3:7] = state.position, state.orientation
-    data.qvel[:3], data.qvel[3:6] = state.linear_velocity, rotation.T @ state.angular_velocity
+    if tree.hanging is None:
+        data.qpos[:3], data.qpos[3:7] = state.position, state.orientation
+        data.qvel[:3], data.qvel[3:6] = state.linear_velocity, rotation.T @ state.angular_velocity
     plain, balls = _kinds_of(tree)
     q, qd = np.array(state.q, float), np.array(state.qd, float)
     data.qpos[model.jnt_qposadr[model.dof_jntid[order[plain]]]] = q[plain]
@@ -57,7 +66,7 @@ def joint_state(
     model: Any, tree: Tree, qpos: Float[np.ndarray, " p"], qvel: Float[np.ndarray, " v"]
 ) -> tuple[Float[np.ndarray, " d"], Float[np.ndarray, " d"]]:
     """Return the coordinates of the tree's joints and their rates from MuJoCo's vectors."""
-    order = 6 + dof_order(model, tree)
+    order = root_dofs(tree) + dof_order(model, tree)
     plain, balls = _kinds_of(tree)
     q, qd = np.zeros(tree.dof_count), qvel[order]
     q[plain] = qpos[model.jnt_qposadr[model.dof_jntid[order[plain]]]]

@@ -97,7 +97,8 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
     """
     sine, cosine = jnp.sin(q), jnp.cos(q)
     alike: dict[tuple[Any, ...], list[int]] = {}
-    group_of = {i: group for group in tree.groups for i in _range(group.bodies)}
+    own_groups = (tree.hanging, *tree.groups) if tree.hanging else tree.groups
+    group_of = {i: group for group in own_groups for i in _range(group.bodies)}
     for body, group in sorted(group_of.items()):
         dofs, key = _dofs(group, body), [_key(tree.joint_orientation[:, :, body], body)]
         fixed = [tree.joint_axes[:, dofs]]
@@ -130,7 +131,7 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
         shape = (3, len(bodies), *q.shape[1:])
         packed = jnp.stack([jnp.broadcast_to(c, shape) for c in found], 1)
         frames.update(zip(bodies, jnp.unstack(packed, axis=2), strict=True))
-    # The root has no joint, so its frame is not used.
+    # A free root has no joint, so its frame is not used.
     values: list[Any] = [frames.get(body) for body in range(tree.body_count)]
     return PerBody(values, q.ndim - 1)
 

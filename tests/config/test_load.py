@@ -494,7 +494,7 @@ def test_invalid_couplings_are_reported_with_their_key():
 def test_bodies_must_form_one_tree():
     data = small()
     del data["creature"]["bodies"][1]["joint"]
-    assert "'head' and 'tail' both have no joint. Allowed: one body" in problem(data)
+    assert "'head' and 'tail' are both roots. Allowed: one body" in problem(data)
     data = small()
     data["creature"]["bodies"][0]["joint"] = data["creature"]["bodies"][1]["joint"] | {
         "parent": "tail"
