@@ -7,6 +7,7 @@
 | joint | ``hinge``s, ``slide``s or a ``ball`` | `mjcf_joints` |
 | root | a ``freejoint``; a root that hangs on the world has its own joints, or none | |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
+| tendon | ``fixed`` tendon | `mjcf_tendons` |
 | ground | ``geom``s of the world | `mjcf_ground` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
 | friction of a body on the ground | a ``pair`` of the two geoms | |
@@ -34,6 +35,7 @@ from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.exchange.mjcf_joints import add_joints, joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
+from evo_cpg.exchange.mjcf_tendons import add_tendons
 from evo_cpg.exchange.mujoco_state import ball_quaternion
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
@@ -113,7 +115,9 @@ def mjcf_model(
         names = joint_names(body, joint)
         for name, motor, dof in zip(names, joint.motors, joint.dofs, strict=True):
             if motor:
-                add_motor(actuator, name, motor, dof.axis if dof.kind == "ball" else None)
+                axis = dof.axis if dof.kind == "ball" else None
+                add_motor(actuator, name, motor, axis=axis)
+    add_tendons(root, actuator, creature)
     if angles is not None:
         pose = _positions(creature, order, angles)
         # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.

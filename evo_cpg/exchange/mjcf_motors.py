@@ -35,21 +35,24 @@ _GROUPS = 31
 
 def add_motor(
     actuator: Element,
-    joint: str,
+    name: str,
     motor: Actuator | TorqueMotor | Muscle,
+    of: str = "joint",
     axis: Triple | None = None,
 ) -> None:
-    """Add the motor or the muscles of an axis.
+    """Add the motor or the muscles of an axis, or the motor of a tendon.
 
     Args:
-        actuator: element of the actuators.
-        joint: name of the MJCF joint.
-        motor: the motor or muscles.
-        axis: axis of a ball that the motor turns, or None for a joint of one axis.
+        actuator: the section of actuators.
+        name: name of the MJCF joint or the tendon.
+        motor: motor or muscles.
+        of: kind of the driven part, ``joint`` or ``tendon``.
+        axis: axis of a ball that the motor turns, or None for a part with one coordinate.
     """
-    name = joint if axis is None else f"{joint}.{'xyz'[int(np.abs(axis).argmax())]}"
+    own = name if axis is None else f"{name}.{'xyz'[int(np.abs(axis).argmax())]}"
+    driven = {"name": own, of: name}
     if isinstance(motor, Muscle):
-        element = SubElement(actuator, "motor", name=name, joint=joint)
+        element = SubElement(actuator, "motor", driven)
         element.set("gear", number_text(motor.strength))
         element.set("ctrlrange", number_text(-1.0, 1.0))
         return
@@ -57,11 +60,11 @@ def add_motor(
     if isinstance(motor, TorqueMotor):
         # MuJoCo limits the force before the gear.
         limit = limit / abs(motor.gear)
-        element = SubElement(actuator, "motor", name=name, joint=joint)
+        element = SubElement(actuator, "motor", driven)
         element.set("gear", number_text(motor.gear))
     else:
         kind = "position" if motor.stiffness else "velocity"
-        element = SubElement(actuator, kind, name=name, joint=joint)
+        element = SubElement(actuator, kind, driven)
         if motor.stiffness:
             element.set("kp", number_text(motor.stiffness))
         element.set("kv", number_text(motor.gain))

@@ -156,6 +156,11 @@ def plus_torque(force: Float[Array, "v *n"], torque: Float[Array, "d *n"]) -> Fl
     return force.at[JOINTS].add(torque)
 
 
+def joint_block(matrix: Float[Array, "v v *n"]) -> Float[Array, "d d *n"]:
+    """Return the joints' part of a generalized matrix."""
+    return matrix[JOINTS, JOINTS]
+
+
 def plus_joint_block(
     matrix: Float[Array, "v v *n"], block: Float[Array, "d d *n"]
 ) -> Float[Array, "v v *n"]:
