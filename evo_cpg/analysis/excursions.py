@@ -215,7 +215,7 @@ def _deepest_overlap(
 def _poses(world: World, steps: PhysicsSteps) -> tuple[Array, Array]:
     """Return centres and rotations of all bodies after every step, in the world."""
     kin = kinematics(world.tree, steps.after)
-    return kin.origin + matvec(kin.rotation, expand_dims_like(world.tree.com, kin.origin)), (
+    return kin.origin + matvec(kin.rotation, expand_dims_like(world.tree.centre, kin.origin)), (
         kin.rotation
     )
 

@@ -24,6 +24,7 @@ from evo_cpg.creature.creature import Creature, CreatureError, length_of
 from evo_cpg.creature.limbs import limbs
 from evo_cpg.creature.self_collision import PlanPairs, SelfCollision
 from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.slender import LEAST_BODIES
 from evo_cpg.creature.surface import PointLayout, outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.evolution.islands import Islands
@@ -38,7 +39,7 @@ from evo_cpg.physics.fluid import Drag, make_patches
 from evo_cpg.physics.force_law import ForceLaw
 from evo_cpg.physics.lift import make_plate_lift
 from evo_cpg.physics.pairs import make_pairs
-from evo_cpg.physics.reactive_thrust import LEAST_BODIES, reactive_water
+from evo_cpg.physics.reactive_thrust import reactive_water
 from evo_cpg.physics.viscous_bodies import make_viscous_drag
 from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.physics.world import World

@@ -191,18 +191,23 @@ def _read_meshes(data: dict[str, Any], path: Path) -> None:
 
 
 def _mesh_entries(data: dict[str, Any]) -> Iterator[tuple[Key, dict[str, Any]]]:
-    """Yield the bodies whose shape is a mesh file, with the keys of their shapes.
+    """Yield the bodies and parts whose shape is a mesh file, with the keys of their shapes.
 
     A mesh with neither vertices nor faces counts as a mesh file.
     """
     creature = data.get("creature")
     bodies = creature.get("bodies") if isinstance(creature, dict) else None
     for i, entry in enumerate(bodies if isinstance(bodies, list) else []):
-        shape = entry.get("shape") if isinstance(entry, dict) else None
-        if not isinstance(shape, dict) or shape.get("type") != "mesh":
-            continue
-        if "file" in shape or not {"vertices", "faces"} & set(shape):
-            yield ("creature", "bodies", i, "shape"), entry
+        parts = entry.get("parts") if isinstance(entry, dict) else None
+        owners: list[tuple[Key, Any]] = [(("creature", "bodies", i), entry)]
+        for k, part in enumerate(parts if isinstance(parts, list) else []):
+            owners.append((("creature", "bodies", i, "parts", k), part))
+        for key, owner in owners:
+            shape = owner.get("shape") if isinstance(owner, dict) else None
+            if not isinstance(shape, dict) or shape.get("type") != "mesh":
+                continue
+            if "file" in shape or not {"vertices", "faces"} & set(shape):
+                yield (*key, "shape"), owner
 
 
 def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
+from evo_cpg.spatial.numerics import Number, Numbers, Triple, is_traced, xp
 
 
 class CreatureError(ValueError):
@@ -143,6 +143,9 @@ class Muscle:
         return self.area * self.stress * self.max_speed * self.fibre_length
 
 
+# Name of the fixed world, the parent of a root that hangs on it.
+WORLD = "world"
+
 # A motor or muscles about an axis.
 Motor = Actuator | TorqueMotor | Muscle
 
@@ -187,7 +190,7 @@ class DegreeOfFreedom(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Joint:
-    """A joint of 1 to 3 rotational axes between a body and its parent.
+    """A joint of up to 3 rotational axes between a body and its parent, or a weld without any.
 
     The axes turn in order, usually x, y and z. Each axis is fixed in the frame that the axes before
     it have turned. The angle of the second of three axes must therefore keep clear of 90 degrees.
@@ -261,16 +264,36 @@ def driven_by(
     return 0.0, 0.0, 0.0, None, None
 
 
+class Inertial(NamedTuple):
+    """Mass and inertia of a body in numbers.
+
+    Attributes:
+        mass: mass, kg.
+        centre: centre of mass in the body's frame, m.
+        inertia: rotational inertia ``(3, 3)`` about the centre of mass, axes of the body, kg m^2.
+    """
+
+    mass: Number
+    centre: Numbers
+    inertia: Numbers
+
+
+# Inertial of a part whose mass is in the numbers of its body.
+NO_MASS = Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
+
+
 @dataclasses.dataclass(frozen=True)
 class Body:
-    """A rigid body. The body without a joint is the root of the tree.
+    """A rigid body, or a part of one. The one without a joint to another body is the root.
 
     Attributes:
         name: name of the body, unique in the creature.
         shape: shape, centred on the body's frame.
         material: density and contact properties.
-        joint: joint to the parent, or None for the root.
+        joint: joint to the parent, or None for the root (`Creature.root_joint`).
         color: color of the body in pictures, as ``#rrggbb``, or None for a default color.
+        inertial: mass and inertia in numbers, or None for those of a shape of uniform density.
+        whole: name of the body of which this body is a further part, welded to it, or None.
     """
 
     name: str
@@ -278,11 +301,22 @@ class Body:
     material: Material
     joint: Joint | None = None
     color: str | None = None
+    inertial: Inertial | None = None
+    whole: str | None = None
 
     @property
     def mass(self) -> Number:
         """Mass, kg."""
+        if self.inertial is not None:
+            return self.inertial.mass
         return self.shape.volume * self.material.density
+
+    @property
+    def inertia(self) -> Numbers:
+        """Rotational inertia ``(3, 3)`` about the centre of mass, axes of the body, kg m^2."""
+        if self.inertial is not None:
+            return self.inertial.inertia
+        return self.shape.inertia_tensor(self.mass)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -360,6 +394,8 @@ class Creature:
         light_sensors: eyes.
         pressure_sensors: names of the bodies that sense solid contact.
         depth_sensors: depth gauges.
+        root_joint: joint between the fixed world and the root, or None for a free root. Without
+            axes it holds the root still.
         tendons: fixed tendons.
     """
 
@@ -368,10 +404,11 @@ class Creature:
     light_sensors: tuple[LightSensor, ...] = ()
     pressure_sensors: tuple[str, ...] = ()
     depth_sensors: tuple[DepthSensor, ...] = ()
+    root_joint: Joint | None = None
     tendons: tuple[Tendon, ...] = ()
 
     def __repr__(self) -> str:
-        joints = [body.joint for body in self.bodies if body.joint is not None]
+        joints = [joint for body in self.bodies if (joint := self.joint_of(body)) is not None]
         axes = sum(len(joint.dofs) for joint in joints)
         return (
             f"Creature({self.name!r}, bodies={len(self.bodies)}, joints={len(joints)}, "
@@ -387,6 +424,10 @@ class Creature:
         """Index in ``bodies`` of the body without a joint."""
         return next(i for i, body in enumerate(self.bodies) if body.joint is None)
 
+    def joint_of(self, body: Body) -> Joint | None:
+        """Return the joint of a body. The joint of the root is `root_joint`."""
+        return self.root_joint if body.joint is None else body.joint
+
     def bodies_of(self, names: Sequence[str]) -> list[Body]:
         """Return the bodies with some names, in the order of the names."""
         return [self.bodies[self.body_index(name)] for name in names]
@@ -397,22 +438,48 @@ class Creature:
         return sum(body.mass for body in self.bodies)
 
 
+def require_masses(creature: Creature) -> None:
+    """Check that every body that moves has a mass, or is welded to one that has.
+
+    Raises:
+        CreatureError: a body that moves has no mass.
+    """
+    bodies = [creature.bodies[i] for i in topological_order(creature)]
+    owners: dict[str, str] = {}
+    masses: dict[str, Number] = {}
+    for body in bodies:
+        welded = body.joint is not None and not body.joint.dofs
+        owner = owners.get(body.joint.parent, body.name) if welded and body.joint else body.name
+        owners[body.name] = owner
+        masses[owner] = masses.get(owner, 0.0) + body.mass
+    for i, body in enumerate(creature.bodies):
+        moves = body.joint is None or bool(body.joint.dofs)
+        if moves and not is_traced(masses[body.name]) and not masses[body.name] > 0:
+            raise CreatureError(
+                f"body {body.name!r} moves, but neither it nor a body welded to it has a mass",
+                ("bodies", i, "mass"),
+            )
+
+
 def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:
     """Return the pose of all bodies with every joint at zero and the root at the origin.
+
+    A root that hangs on the world is where its joint holds it.
 
     Returns:
         Centres ``(bodies, 3)`` in m and rotation matrices ``(bodies, 3, 3)``, in the order of
         ``creature.bodies``.
     """
-    frames: dict[str, tuple[Numbers, Numbers]] = {}
+    frames: dict[str, tuple[Numbers, Numbers]] = {WORLD: (np.zeros(3), np.eye(3))}
     for body in (creature.bodies[i] for i in topological_order(creature)):
-        if body.joint is None:
+        joint = creature.joint_of(body)
+        if joint is None:
             frames[body.name] = np.zeros(3), np.eye(3)
             continue
-        parent_centre, parent_rotation = frames[body.joint.parent]
-        rotation = parent_rotation @ xp.array(body.joint.orientation)
-        anchor = parent_centre + parent_rotation @ xp.array(body.joint.parent_anchor)
-        frames[body.name] = anchor - rotation @ xp.array(body.joint.child_anchor), rotation
+        parent_centre, parent_rotation = frames[joint.parent]
+        rotation = parent_rotation @ xp.array(joint.orientation)
+        anchor = parent_centre + parent_rotation @ xp.array(joint.parent_anchor)
+        frames[body.name] = anchor - rotation @ xp.array(joint.child_anchor), rotation
     centres, rotations = zip(*(frames[body.name] for body in creature.bodies), strict=True)
     return xp.array(centres), xp.array(rotations)
 
@@ -444,6 +511,7 @@ def lowest_along(
     heights = [
         up @ centre + (up @ rotation) @ body.shape.support(-rotation.T @ up)
         for body, centre, rotation in zip(creature.bodies, centres, rotations, strict=True)
+        if body.shape.exists
     ]
     return xp.min(xp.array(heights))
 
@@ -470,13 +538,17 @@ def topological_order(creature: Creature) -> list[int]:
         raise CreatureError("a creature needs at least one body", ("bodies",))
     names = [body.name for body in bodies]
     for i, name in enumerate(names):
+        if name == WORLD:
+            raise CreatureError(
+                f"{WORLD!r} is the name of the fixed world. Rename the body", ("bodies", i, "name")
+            )
         if name in names[:i]:
             raise CreatureError(f"two bodies are called {name!r}", ("bodies", i, "name"))
     roots = [i for i, body in enumerate(bodies) if body.joint is None]
     if len(roots) > 1:
         raise CreatureError(
-            f"bodies {names[roots[0]]!r} and {names[roots[1]]!r} both have no joint. "
-            "Allowed: one body without a joint, the root",
+            f"bodies {names[roots[0]]!r} and {names[roots[1]]!r} are both roots. Allowed: one body "
+            f"without a joint, or with a joint whose parent is {WORLD!r}",
             ("bodies", roots[1], "joint"),
         )
     for i, body in enumerate(bodies):

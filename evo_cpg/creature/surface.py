@@ -303,9 +303,11 @@ def _largest_gap(creature: Creature, pose: tuple[Numbers, Numbers]) -> Number:
     centres, rotations = pose
     gaps = [0.0]
     for i, body in enumerate(creature.bodies):
-        if body.joint is None:
+        if body.joint is None or body.whole is not None:
             continue
         parent = creature.body_index(body.joint.parent)
+        if not (body.shape.exists and creature.bodies[parent].shape.exists):
+            continue
         world = body.shape.surface(8).points @ rotations[i].T + centres[i]
         local = (world - centres[parent]) @ rotations[parent]
         gaps.append(creature.bodies[parent].shape.distance(local).min())

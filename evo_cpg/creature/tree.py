@@ -2,7 +2,7 @@
 
 Bodies are ordered by depth in the tree (see `topological_order`). Adjacent bodies of one depth with
 limbs of the same build form a `Group`, which the recursions treat at once. The origin of a body's
-working frame is at its joint (the root's at its centre), with the axes of the body's own frame.
+working frame is at its joint (a free root's at its centre), with the axes of the body's own frame.
 
 | symbol | name |
 |---|---|
@@ -11,17 +11,18 @@ working frame is at its joint (the root's at its centre), with the axes of the b
 | I_i | ``inertia``: 6x6 spatial inertia about the working frame's origin, angular part first |
 """
 
+import bisect
 import dataclasses
 import functools
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
 from evo_cpg.creature.axis_laws import DryFriction, push_of, soft_limits
-from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
+from evo_cpg.creature.creature import Body, Creature, neutral_pose, topological_order
 from evo_cpg.creature.muscles import Muscles, muscles_of
 from evo_cpg.creature.tendons import Tendons, tendons_of
 from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
@@ -53,20 +54,30 @@ class Group(NamedTuple):
 
 
 class Tree(eqx.Module):
-    """A free-floating tree of rigid bodies in the order of the recursions.
+    """A tree of rigid bodies in the order of the recursions.
+
+    The root floats freely, or hangs on the fixed world (`evo_cpg.physics.hanging`). The joint of a
+    root that hangs comes first among the degrees of freedom.
 
     Attributes:
         names: body names.
         parents: index of each body's parent, -1 for the root.
         groups: all bodies except the root, in groups that the recursions treat together.
+        hanging: the root as a group, if it hangs on the world, or None for a free root.
         dof_names: names of the degrees of freedom, ``body.axis``.
         dof_bodies: index of the body that each degree of freedom moves.
-        joint_offset: joint position in the parent's frame, m.
+        owners: index of the body that each body is rigidly joined to, directly or by others: the
+            first one of a rigid group, often the body itself.
+        wholes: index of the body that each body is a part of, usually the body itself.
+        joint_offset: joint position in the parent's frame (a root's in the world's), m.
         joint_orientation: rotation from child frame to parent frame in the neutral pose.
         joint_axes: unit vectors in the child's neutral frame.
-        mass: mass of each body, kg.
+        mass: mass of each body, kg. A welded body has none: its owner has the mass of all bodies
+            that are welded together.
         volume: volume of each body, m^3.
-        com: centre of mass (and of volume) in the working frame, m.
+        com: centre of mass in the working frame, m.
+        root_centre: origin of the root's own frame in its working frame, m.
+        centre_of_volume: centre of the shape in the working frame, m, or None if it is ``com``.
         inertia: spatial inertia in the working frame, kg m^2, kg m and kg.
         stiffness: stiffness of the passive springs, N m/rad.
         rest: angles at which these springs are relaxed, rad, or None if all are 0.
@@ -88,14 +99,19 @@ class Tree(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     parents: tuple[int, ...] = eqx.field(static=True)
     groups: tuple[Group, ...] = eqx.field(static=True)
+    hanging: Group | None = eqx.field(static=True)
     dof_names: tuple[str, ...] = eqx.field(static=True)
     dof_bodies: tuple[int, ...] = eqx.field(static=True)
+    owners: tuple[int, ...] = eqx.field(static=True)
+    wholes: tuple[int, ...] = eqx.field(static=True)
     joint_offset: Float[Numbers, "3 b"]
     joint_orientation: Float[Numbers, "3 3 b"]
     joint_axes: Float[Numbers, "3 d"]
     mass: Float[Numbers, " b"]
     volume: Float[Numbers, " b"]
     com: Float[Numbers, "3 b"]
+    root_centre: Float[Numbers, "3"]
+    centre_of_volume: Float[Numbers, "3 b"] | None
     inertia: Float[Numbers, "6 6 b"]
     stiffness: Float[Numbers, " d"]
     rest: Float[Numbers, " d"] | None
@@ -122,6 +138,18 @@ class Tree(eqx.Module):
     def dof_count(self) -> int:
         """Number of joint axes, without the free root's six degrees of freedom."""
         return len(self.dof_names)
+
+    @property
+    def centre(self) -> Float[Numbers, "3 b"]:
+        """Centre of each body's shape, the centre of its volume, in the working frame, m."""
+        return self.com if self.centre_of_volume is None else self.centre_of_volume
+
+    @property
+    def rigid_mass(self) -> Float[Numbers, " b"]:
+        """Mass of all bodies that each body is welded to, and of the body itself, kg."""
+        if self.owners == tuple(range(len(self.names))):
+            return self.mass
+        return self.mass[np.array(self.owners)]
 
     def without_motors(self, axes: Bool[np.ndarray, " d"]) -> "Tree":
         """Return the tree with idle motors about some axes, and muscles without active fibres.
@@ -158,31 +186,45 @@ def build_tree(creature: Creature) -> Tree:
     bodies = [creature.bodies[i] for i in order]
     names = [body.name for body in bodies]
     parents = [names.index(body.joint.parent) if body.joint else -1 for body in bodies]
+    own = [creature.joint_of(body) for body in bodies]
     child_anchor = xp.array(
-        [body.joint.child_anchor if body.joint else (0.0, 0.0, 0.0) for body in bodies], float
+        [joint.child_anchor if joint else (0.0, 0.0, 0.0) for joint in own], float
     )
     # `parent_anchor` is in the parent's geometric frame. The origin of that frame is at
     # -child_anchor in the parent's working frame.
     parent_anchor = xp.array(
-        [body.joint.parent_anchor if body.joint else (0.0, 0.0, 0.0) for body in bodies], float
+        [joint.parent_anchor if joint else (0.0, 0.0, 0.0) for joint in own], float
     )
     jointed = np.array([[float(parent >= 0)] for parent in parents])
     offset = parent_anchor - jointed * child_anchor[np.array(parents)]
     orientation = xp.stack(
-        [xp.array(body.joint.orientation) if body.joint else np.eye(3) for body in bodies], axis=-1
+        [xp.array(joint.orientation) if joint else np.eye(3) for joint in own], axis=-1
     )
     mass = xp.array([body.mass for body in bodies])
-    com = -child_anchor
-    inertia = xp.stack(
-        [
-            spatial_inertia(m, c, body.shape.inertia_tensor(m))
-            for m, c, body in zip(mass, com, bodies, strict=True)
-        ],
-        axis=-1,
-    )
-    joints = [body.joint for body in bodies if body.joint]
-    dofs = [dof for joint in joints for dof in joint.dofs]
-    dof_bodies = [i for i, body in enumerate(bodies) if body.joint for _ in body.joint.dofs]
+    com = centre = -child_anchor
+    if any(body.inertial is not None for body in bodies):
+        com = centre + xp.array(
+            [np.zeros(3) if body.inertial is None else body.inertial.centre for body in bodies]
+        )
+    about = [
+        body.inertia if body.inertial else body.shape.inertia_tensor(m)
+        for m, body in zip(mass, bodies, strict=True)
+    ]
+    inertias = [spatial_inertia(*own) for own in zip(mass, com, about, strict=True)]
+    owners = _owners(bodies, parents)
+    if owners != list(range(len(bodies))):
+        places = _places_in_owner(owners, parents, offset, orientation)
+        inertias = [
+            own if i == owner else spatial_inertia(m, p + turn @ c, turn @ tensor @ turn.T)
+            for i, (owner, own, m, c, tensor, (p, turn)) in enumerate(
+                zip(owners, inertias, mass, com, about, places, strict=True)
+            )
+        ]
+        within = [p + turn @ c for c, (p, turn) in zip(com, places, strict=True)]
+        mass, com, inertias = _merged(owners, mass, within, inertias, centre)
+    inertia = xp.stack(inertias, axis=-1)
+    dofs = [dof for joint in own if joint for dof in joint.dofs]
+    dof_bodies = [i for i, joint in enumerate(own) if joint for _ in joint.dofs]
     leverage = _effective_inertia(creature, order)
 
     def each(name: str) -> Float[Numbers, "d *rest"]:
@@ -204,19 +246,26 @@ def build_tree(creature: Creature) -> Tree:
         f"{bodies[i].name}.{chosen(functools.partial(_axis_name, dof.axis))}"
         for i, dof in zip(dof_bodies, dofs, strict=True)
     )
-    idle = tuple(motor is None for joint in joints for motor in joint.motors)
+    idle = tuple(motor is None for joint in own if joint for motor in joint.motors)
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
         groups=_groups(bodies, parents, dof_bodies),
+        hanging=_hanging(creature),
         dof_names=dof_names,
         dof_bodies=tuple(dof_bodies),
+        owners=tuple(owners),
+        wholes=tuple(
+            i if body.whole is None else names.index(body.whole) for i, body in enumerate(bodies)
+        ),
         joint_offset=offset.T,
         joint_orientation=orientation,
         joint_axes=each("axis").reshape(-1, 3).T,
         mass=mass,
         volume=xp.maximum(xp.array([body.shape.volume for body in bodies]), _LEAST_VOLUME),
         com=com.T,
+        root_centre=-child_anchor[0],
+        centre_of_volume=None if com is centre else centre.T,
         inertia=inertia,
         stiffness=each("stiffness"),
         rest=rest if sprung else None,
@@ -234,6 +283,59 @@ def build_tree(creature: Creature) -> Tree:
         limit_damping=limit_damping,
         tendons=tendons_of(creature.tendons, dof_names, idle, leverage + armature),
     )
+
+
+def _owners(bodies: list[Body], parents: list[int]) -> list[int]:
+    """Return the index of the first body of the rigid group of each body."""
+    owners: list[int] = []
+    for i, (body, parent) in enumerate(zip(bodies, parents, strict=True)):
+        welded = body.joint is not None and parent >= 0 and not body.joint.dofs
+        owners.append(owners[parent] if welded else i)
+    return owners
+
+
+def _places_in_owner(
+    owners: list[int], parents: list[int], offset: Numbers, orientation: Numbers
+) -> list[tuple[Numbers, Numbers]]:
+    """Return the origin (m) and rotation of each body in the working frame of its owner."""
+    places: list[tuple[Numbers, Numbers]] = []
+    for i, owner in enumerate(owners):
+        if owner == i:
+            places.append((np.zeros(3), np.eye(3)))
+        else:
+            place, turn = places[parents[i]]
+            places.append((place + turn @ offset[i], turn @ orientation[..., i]))
+    return places
+
+
+def _merged(
+    owners: list[int],
+    mass: Numbers,
+    within: list[Numbers],
+    inertias: list[Numbers],
+    centre: Numbers,
+) -> tuple[Numbers, Numbers, list[Numbers]]:
+    """Return masses, centres of mass and inertias in which welded bodies have given theirs away.
+
+    Args:
+        owners: owner of each body.
+        mass: mass of each body, kg.
+        within: centre of mass of each body in the working frame of its owner, m.
+        inertias: spatial inertia of each body in the working frame of its owner.
+        centre: centre of each shape in its body's working frame, m.
+    """
+    total: list[Any] = [0.0] * len(owners)
+    moment: list[Any] = [np.zeros(3)] * len(owners)
+    tensor: list[Any] = [np.zeros((6, 6))] * len(owners)
+    for owner, m, place, own in zip(owners, mass, within, inertias, strict=True):
+        total[owner] = total[owner] + m
+        moment[owner] = moment[owner] + m * place
+        tensor[owner] = tensor[owner] + own
+    com = [
+        xp.where(m > 0, c / xp.where(m > 0, m, 1.0), own)
+        for m, c, own in zip(total, moment, centre, strict=True)
+    ]
+    return xp.array(total), xp.stack(com), tensor
 
 
 def spatial_inertia(mass: Number, com: Numbers, inertia: Numbers) -> Float[Numbers, "6 6"]:
@@ -258,11 +360,14 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     """Return the effective inertia ``(d,)`` of each axis in the neutral pose, kg m^2.
 
     The two halves of the creature on either side of the joint turn against each other. The
-    effective inertia is the product of their inertias about the axis, divided by the sum.
+    effective inertia is the product of their inertias about the axis, divided by the sum. Against
+    the fixed world, it is the inertia of the half that moves.
     """
     centres, rotations = neutral_pose(creature)
     names = [body.name for body in creature.bodies]
-    jointed = [(i, joint) for i in order if (joint := creature.bodies[i].joint) is not None]
+    jointed = [
+        (i, joint) for i in order if (joint := creature.joint_of(creature.bodies[i])) is not None
+    ]
     distal = []
     for i, joint in jointed:
         beyond = {names[i]}
@@ -278,16 +383,26 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     places = centres[moved] + xp.einsum("dij,dj->di", rotations[moved], anchors.reshape(-1, 3))
     mass = xp.array([body.mass for body in creature.bodies])
     own = xp.stack(
-        [body.shape.inertia_tensor(m) for m, body in zip(mass, creature.bodies, strict=True)]
+        [
+            body.inertia if body.inertial else body.shape.inertia_tensor(m)
+            for m, body in zip(mass, creature.bodies, strict=True)
+        ]
     )
     spin = rotations @ own @ xp.swapaxes(rotations, 1, 2)
+    if any(body.inertial is not None for body in creature.bodies):
+        within = [np.zeros(3) if x.inertial is None else x.inertial.centre for x in creature.bodies]
+        centres = centres + xp.einsum("bij,bj->bi", rotations, xp.array(within))
     lever = xp.cross(directions[:, None], centres[None] - places[:, None])
     about = xp.einsum("di,bij,dj->db", directions, spin, directions) + mass * (lever * lever).sum(
         -1
     )
     beyond = np.array(distal, bool).reshape(len(moved), len(names))
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
-    return outer * inner / (outer + inner)
+    if creature.root_joint is None:
+        return outer * inner / (outer + inner)
+    is_fixed = not creature.root_joint.dofs
+    against_world = np.array([is_fixed or root for root in beyond.all(1)], bool)
+    return xp.where(against_world, outer, outer * inner / (outer + inner))
 
 
 def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Group, ...]:
@@ -302,7 +417,7 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
     for _, run in itertools.groupby(range(1, len(bodies)), lambda i: (depth[i], build[i])):
         members = list(run)
         start, axes = members[0], len(bodies[members[0]].joint.dofs)
-        first_dof = dof_bodies.index(start)
+        first_dof = bisect.bisect_left(dof_bodies, start)
         groups.append(
             Group(
                 bodies=slice(start, members[-1] + 1),
@@ -312,6 +427,14 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
             )
         )
     return tuple(groups)
+
+
+def _hanging(creature: Creature) -> Group | None:
+    """Return the root as a group, or None for a free root."""
+    if creature.root_joint is None:
+        return None
+    axes = len(creature.root_joint.dofs)
+    return Group(bodies=slice(0, 1), dofs=slice(0, axes), axes=axes, parents=(-1,))
 
 
 def _axis_name(axis: Triple) -> str:

@@ -5,12 +5,14 @@
 | body, in its working frame at the joint | ``body``; the root's stands at its centre | |
 | shape and density | one ``geom``, centred at ``-child_anchor`` | `mjcf_shapes` |
 | joint | ``hinge``s | `mjcf_joints` |
+| root | a ``freejoint``; a root that hangs on the world has its own joints, or none | |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
 | tendon | ``fixed`` tendon | `mjcf_tendons` |
 | ground | ``geom``s of the world | `mjcf_ground` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
 | friction of a body on the ground | a ``pair`` of the two geoms | |
 | pair of bodies that push each other apart | a ``pair`` without friction (``condim`` 1) | |
+| eyes, restitution, muscles and other numbers of ours | a ``text`` for the import | `mjcf_custom` |
 | a start in another pose than the neutral one | a ``key`` named ``start`` | |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are equal on both sides.
@@ -20,24 +22,23 @@ softness of MuJoCo's defaults.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from evo_cpg.creature.creature import Body, Creature, topological_order
+from evo_cpg.exchange.mjcf_custom import add_custom
 from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.exchange.mjcf_joints import add_hinges, joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
 from evo_cpg.exchange.mjcf_tendons import add_tendons
-from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
-
-# Name of the immovable body that every MuJoCo model has.
-_WORLD = "world"
+from evo_cpg.spatial.rotation import euler_to_matrix
 
 # Name of the keyframe that holds the initial pose.
 _START = "start"
@@ -54,6 +55,7 @@ def mjcf_model(
     pairs: Sequence[tuple[str, str]] = (),
     orientation: Sequence[float] | None = None,
     angles: Sequence[float] | None = None,
+    sensors: Sequence[Mapping[str, Any]] = (),
 ) -> Element:
     """Return the ``mujoco`` element of a creature in its world.
 
@@ -62,24 +64,21 @@ def mjcf_model(
         gravity: gravity along -z, m/s^2.
         ground: ground that every body may touch.
         water: water whose buoyancy carries the bodies, unless it has a surface.
-        start: initial place of the root's centre, m.
-        heading: initial turn of the root about z, rad.
+        start: initial place of the root's centre, m, or of the frame on which the root hangs.
+        heading: initial turn of the root or that frame about z, rad.
         time_step: time step, s, or None for MuJoCo's own.
         pairs: names of bodies that push each other apart, without friction.
-        orientation: initial orientation of the root, unit quaternion (w, x, y, z), if the initial
-            pose is not the neutral one.
+        orientation: initial orientation of a free root, unit quaternion (w, x, y, z), if the
+            initial pose is not the neutral one.
         angles: angles of the joints in that pose, rad, in the order of the creature's `Tree`.
+        sensors: keys of the animal's sensors that are neither eyes, gauges nor pressure sensors.
 
     Raises:
         CreatureError: the bodies do not form one tree.
-        ExchangeError: MJCF cannot hold a body's name, a shape or a part of the ground.
+        ExchangeError: MJCF cannot hold a shape or a part of the ground.
     """
     order = topological_order(creature)
     names = [body.name for body in creature.bodies]
-    if _WORLD in names:
-        raise ExchangeError(
-            f"body {_WORLD!r}: MuJoCo reserves this name for the fixed world. Rename the body"
-        )
     root = Element("mujoco", model=creature.name)
     SubElement(root, "compiler", angle="radian")
     # The servos are too stiff for MuJoCo's other integrators at our steps.
@@ -91,6 +90,7 @@ def mjcf_model(
     # pairs.
     default = SubElement(root, "default")
     SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
+    add_custom(root, creature, heading, sensors)
     add_meshes(root, creature)
     place = SubElement(root, "worldbody")
     parts = add_ground(root, place, ground, names) if ground else []
@@ -108,18 +108,21 @@ def mjcf_model(
         SubElement(contact, "pair", geom1=first, geom2=second, condim="1")
     actuator = SubElement(root, "actuator")
     for body in creature.bodies:
-        motors = body.joint.motors if body.joint else ()
-        for name, motor in zip(joint_names(body), motors, strict=True):
+        joint = creature.joint_of(body)
+        motors = joint.motors if joint else ()
+        for name, motor in zip(joint_names(body, joint), motors, strict=True):
             if motor:
                 add_motor(actuator, name, motor)
     add_tendons(root, actuator, creature)
-    if orientation is not None and angles is not None:
-        hinges = [name for i in order for name in joint_names(creature.bodies[i])]
+    if angles is not None:
+        own = [(creature.bodies[i], creature.joint_of(creature.bodies[i])) for i in order]
+        hinges = [name for body, joint in own for name in joint_names(body, joint)]
         pose = dict(zip(hinges, angles, strict=True))
         # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.
         bends = [pose[joint.get("name", "")] for joint in place.iter("joint")]
+        free = () if orientation is None else (*start, *orientation)
         keyframe = SubElement(root, "keyframe")
-        SubElement(keyframe, "key", name=_START, qpos=number_text(*start, *orientation, *bends))
+        SubElement(keyframe, "key", name=_START, qpos=number_text(*free, *bends))
     return root
 
 
@@ -142,7 +145,7 @@ def _add_bodies(
 
     def add(outer: Element, body: Body, parent_anchor: tuple[float, float, float]) -> None:
         """Add a body in its parent's MJCF frame, whose origin is ``parent_anchor`` in our frame."""
-        joint = body.joint
+        joint = creature.joint_of(body)
         own_anchor = joint.child_anchor if joint else (0.0, 0.0, 0.0)
         element = SubElement(outer, "body", name=body.name)
         if joint is None:
@@ -150,8 +153,11 @@ def _add_bodies(
             if heading:
                 element.set("euler", number_text(0.0, 0.0, heading))
         else:
-            element.set("pos", place_text(np.subtract(joint.parent_anchor, parent_anchor)))
-            turn = np.array(joint.orientation)
+            at, turn = np.subtract(joint.parent_anchor, parent_anchor), np.array(joint.orientation)
+            if body.joint is None:
+                ahead = euler_to_matrix(0.0, 0.0, heading)
+                at, turn = start + ahead @ at, ahead @ turn
+            element.set("pos", place_text(at))
             if not np.array_equal(turn, np.eye(3)):
                 element.set("xyaxes", place_text(turn[:, :2].T.ravel()))
         if water is not None and water.surface is None:

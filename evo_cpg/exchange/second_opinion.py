@@ -19,6 +19,7 @@ Both programs solve the same equations of motion. They differ in these points:
 - If friction differs from trial to trial, MuJoCo uses the friction of the configuration.
 """
 
+import dataclasses
 import functools
 import importlib
 import operator
@@ -36,11 +37,20 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.muscles import Muscles
 from evo_cpg.exchange.carried_inertia import CarriedInertia, step_with_inertia
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
+from evo_cpg.exchange.mujoco_state import (
+    dof_order,
+    load_state,
+    motor_order,
+    root_coordinates,
+    root_dofs,
+    root_rotation,
+)
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.fusion.engine import using
 from evo_cpg.installation import command_for
+from evo_cpg.physics import root
 from evo_cpg.physics.force_law import in_body_axes
+from evo_cpg.physics.hanging import Base
 from evo_cpg.physics.joint_torque import Laws, MotorCommand
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.muscle import Pull, pull_of
@@ -181,16 +191,17 @@ def second_opinion(
         ExchangeError: MuJoCo is missing or refuses the model, MJCF cannot hold the world, or
             MuJoCo's animal diverged.
     """
-    mujoco, model, finer = _compile(simulation, creature, hard)
+    before = jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before)
+    mujoco, model, finer = _compile(simulation, creature, before.base, hard)
     world, substeps = simulation.world, simulation.substeps
     player = _Player(mujoco, model, world, simulation.step_length)
-    player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
+    player.begin(before)
     pushes = _pushes(steps)
     recorded = steps.target_rate, steps.target_angle, steps.activation, steps.commanded_torque
     commands, active = player.commands(MotorCommand(*recorded))
-    poses, held = [player.data.qpos.copy()], []
+    states, held = [before], []
     for index in range(steps.torque.shape[-1]):
-        player.data.qvel[:3] += pushes[:, index]
+        player.push(pushes[:, index])
         if brain is not None and index % substeps == 0:
             own = player.commands(brain.think(player.state(), player.weight_borne()))
             commands[index : index + substeps], active[index : index + substeps] = own
@@ -198,19 +209,21 @@ def second_opinion(
         if not np.isfinite(player.data.qpos).all():
             raise ExchangeError("MuJoCo's animal diverged")
         if (index + 1) % substeps == 0:
-            poses.append(player.data.qpos.copy())
+            states.append(player.state())
             held.append(player.is_held())
-    poses = np.array(poses).T
+    poses = jax.tree.map(lambda *each: np.stack(each, -1), *states)
     return Opinion(
         "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None),
-        poses[:3],
-        _upright_fraction(poses[3:7, 1:]),
+        poses.position,
+        _upright_fraction(poses.orientation[:, 1:]),
         _airborne(world, np.array(held)),
-        poses[7 + player.dofs, 1:],
+        poses.q[:, 1:],
     )
 
 
-def _compile(simulation: Simulation, creature: Creature, hard: bool) -> tuple[Any, Any, int]:
+def _compile(
+    simulation: Simulation, creature: Creature, base: Base | None, hard: bool
+) -> tuple[Any, Any, int]:
     """Return MuJoCo, its model of the animal and world, and its number of steps in one of ours."""
     try:
         mujoco = importlib.import_module("mujoco")
@@ -223,8 +236,12 @@ def _compile(simulation: Simulation, creature: Creature, hard: bool) -> tuple[An
     if _applied(world) or world.tree.muscles is not None:
         longest = min(longest, _LAW_STEP)
     finer = int(np.ceil(h / longest - 1e-9))
+    place: dict[str, Any] = {}
+    if base is not None:
+        w, _, _, z = base.orientation
+        place = {"start": base.position, "heading": 2 * np.arctan2(z, w)}
     element = mjcf_model(
-        creature, world.gravity, world.ground, time_step=h / finer, pairs=world.pair_names
+        creature, world.gravity, world.ground, time_step=h / finer, pairs=world.pair_names, **place
     )
     try:
         model = mujoco.MjModel.from_xml_string(mjcf_text(element))
@@ -258,9 +275,12 @@ class _Player:
         self._laws = _law_forces(world, h) if _applied(world) else None
         self._pull = None if world.tree.muscles is None else _pull_forces(world.tree.muscles)
         self._surface = world.water_level
+        self._start = resting_state(world.tree)
+        self._placed = jax.jit(lambda state: state.placed(world.tree))
 
     def begin(self, state: State) -> None:
         """Set MuJoCo's animal to the initial state of ours."""
+        self._start = state
         load_state(self.model, self.data, self.tree, state)
         self.mujoco.mj_forward(self.model, self.data)
 
@@ -306,12 +326,18 @@ class _Player:
         """Set strength, stiffness and damping of the muscles' hinges and motors."""
         tree, model, muscles = self.tree, self.model, self.tree.muscles
         assert muscles is not None
-        hinges = 6 + self.dofs
+        hinges = root_dofs(tree) + self.dofs
         model.jnt_stiffness[model.dof_jntid[hinges]] = tree.stiffness + pull.stiffness
         model.dof_damping[hinges] = tree.damping + pull.damping
         (own,) = np.nonzero(np.isin(self._motors, np.flatnonzero(muscles.driven)))
         share = pull.drive / np.where(muscles.driven, muscles.strength, 1.0)
         self.data.ctrl[own] = share[self._motors[own]]
+
+    def push(self, change: Float[np.ndarray, " v"]) -> None:
+        """Change the velocities, given as for `State.rates`."""
+        if self.tree.hanging is None:
+            self.data.qvel[:3] += root.linear(root.root_part(change))
+        self.data.qvel[root_dofs(self.tree) + self.dofs] += root.joint_part(change)
 
     def is_held(self) -> bool:
         """Return whether the animal touches something other than itself, or swims.
@@ -336,14 +362,20 @@ class _Player:
 
     def state(self) -> State:
         """Return the animal's state in our form."""
-        data = self.data
+        data, tree = self.data, self.tree
+        q = data.qpos[root_coordinates(tree) + self.dofs]
+        qd = data.qvel[root_dofs(tree) + self.dofs]
+        if tree.hanging is not None:
+            with jax.enable_x64(True):
+                moved = dataclasses.replace(self._start, q=q, qd=qd)
+                return jax.device_get(self._placed(moved))
         spin = root_rotation(data.qpos[3:7]) @ data.qvel[3:6]
         parts: tuple[Any, ...] = (
             data.qpos[:3].copy(),
             data.qpos[3:7].copy(),
             np.concatenate([spin, data.qvel[:3]]),
-            data.qpos[7 + self.dofs],
-            data.qvel[6 + self.dofs],
+            q,
+            qd,
         )
         # Double precision, as in states from `jax.device_get`.
         return jax.tree.unflatten(self._structure, parts)
@@ -419,13 +451,11 @@ def _law_forces(
     return compute
 
 
-def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
-    """Return the random change of the root's velocity before each step, m/s."""
-    linear = np.asarray(steps.before.linear_velocity, float)
-    came = np.concatenate(
-        [linear[:, :1], np.asarray(steps.after.linear_velocity[:, :-1], float)], 1
-    )
-    return linear - came
+def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "v t"]:
+    """Return the random change of the velocities before each step, as for `State.rates`."""
+    rates = np.asarray(steps.before.rates, float)
+    came = np.concatenate([rates[:, :1], np.asarray(steps.after.rates[:, :-1], float)], 1)
+    return rates - came
 
 
 def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.analysis.cycles import last_cycles
 from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
 from evo_cpg.laboratory.settings import LabError
 from evo_cpg.physics.kinematics import kinematics
@@ -36,6 +37,8 @@ def held(world: World) -> World:
     Raises:
         LabError: a step of the world needs iteration, which holds no root.
     """
+    if world.tree.hanging is not None:
+        raise LabError("tow: needs a free root, but this root hangs on the world")
     if world.contact_model is not None:
         raise LabError("tow: an animal on the ground cannot be towed. Leave out world.ground")
     if world.pairs is not None:
@@ -63,7 +66,8 @@ def tow_numbers(
         speed: U, m/s.
         drag: D, drag of the straight body, N.
     """
-    last = whole_cycles(len(frames["energy"]) - 1, numbers)
+    count = len(frames["energy"]) - 1
+    last = last_cycles(numbers.first, count, numbers.step, numbers.frequency)
     ahead, aside = directions(simulation)
     holding = frames["holding"][:-1][last, :, 0]
     force, side, yaw = holding[:, 3:] @ ahead, holding[:, 3:] @ aside, holding[:, 2]
@@ -88,16 +92,6 @@ def tow_numbers(
         Quantity("efficiency", "efficiency", efficiency, "",
                  "thrust x speed / net power", "the animal is not towed forwards or does no work"),
     ]  # fmt: skip
-
-
-def whole_cycles(count: int, numbers: GaitNumbers) -> slice:
-    """Return the last samples that hold whole cycles of the second half of a trial."""
-    first = numbers.first
-    if numbers.frequency > 0:
-        cycles = math.floor((count - first) * numbers.step * numbers.frequency + 1e-6)
-        if cycles:
-            first = count - round(cycles / (numbers.frequency * numbers.step))
-    return slice(first, count)
 
 
 def straight_drag(simulation: Simulation) -> float:

@@ -1,8 +1,8 @@
 """Joints of a tree: frames across them, their motion subspace, and their elimination.
 
-A joint has one to three degrees of freedom. Each one turns about an axis through the origin of the
-joint's body, in the frame after the preceding turns. So its world axis defines a degree of freedom,
-and S, the motion per rate, has no linear part.
+A joint has up to three degrees of freedom, and a weld has none. Each one turns about an axis
+through the origin of the joint's body, in the frame after the preceding turns. So its world axis
+defines a degree of freedom, and S, the motion per rate, has no linear part.
 
 Every recursion over a tree (`kinematics`, `articulated`, `generalized`, `statics`, contacts between
 limbs) uses joints through these functions. Torques are in `evo_cpg.physics.joint_torque`.
@@ -31,6 +31,7 @@ from evo_cpg.physics.spatial_algebra import (
     Motion,
     Wrench,
     make_inertia,
+    motion_at_child,
 )
 from evo_cpg.spatial.linear import (
     cross,
@@ -72,13 +73,14 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
     alike: dict[tuple[bytes | int, bytes | int], list[int]] = {}
     first_dof = {body: i for i, body in reversed(list(enumerate(tree.dof_bodies)))}
     axis_count = np.bincount(tree.dof_bodies, minlength=tree.body_count)
-    for body, dof in sorted(first_dof.items()):
+    for body in range(0 if tree.hanging else 1, tree.body_count):
+        dof = first_dof.get(body, 0)
         axes = tree.joint_axes[:, dof : dof + axis_count[body]]
         orientation = tree.joint_orientation[:, :, body]
         alike.setdefault((_key(axes, body), _key(orientation, body)), []).append(body)
     frames = {}
     for bodies in alike.values():
-        dof, count = first_dof[bodies[0]], axis_count[bodies[0]]
+        dof, count = first_dof.get(bodies[0], 0), axis_count[bodies[0]]
         orientation = expand_dims_like(tree.joint_orientation[:, :, bodies[0]], q, q.ndim + 2)
         columns = [orientation[:, j] for j in range(3)]
         directions = []
@@ -91,8 +93,8 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
         shape = (3, len(bodies), *q.shape[1:])
         packed = jnp.stack([jnp.broadcast_to(c, shape) for c in columns + directions], 1)
         frames.update(zip(bodies, jnp.unstack(packed, axis=2), strict=True))
-    # The root has no joint, so its frame is not used.
-    values: list[Any] = [None, *(frames[body] for body in range(1, tree.body_count))]
+    # A free root has no joint, so its frame is not used.
+    values: list[Any] = [frames.get(0), *(frames[body] for body in range(1, tree.body_count))]
     return PerBody(values, q.ndim - 1)
 
 
@@ -118,6 +120,12 @@ def carried(
         axes: S, world axes of the degrees of freedom.
         rates: rates of the k degrees of freedom of each of b bodies, ``(k, b, *n)``, rad/s.
     """
+    if not axes.shape[1]:
+        bias = Motion(parent.bias_angular, parent.bias_linear)
+        return BodyMotion(
+            *motion_at_child(Motion(parent.angular, parent.linear), offset),
+            *motion_at_child(bias, offset),
+        )
     spin, spin_rate = _across(axes * rates[None])
     linear = parent.linear + cross(parent.angular, offset)
     return BodyMotion(
@@ -260,6 +268,8 @@ class Joints(NamedTuple):
             inertia: I^A of the bodies.
             bias: p^A of the bodies.
         """
+        if not self.axes.shape[1]:
+            return Condensed(inertia, bias, Motion(self.axes, self.axes), self.torque)
         U = momentum(inertia, self.axes)
         G_inverse = inverse_symmetric(t_matmul(self.axes, U.moment) + self.derivative)
         u = self.torque - torque_of(self.axes, bias)
@@ -284,6 +294,8 @@ class Joints(NamedTuple):
             condensed: result of the elimination.
             motion: accelerations of the bodies with locked joints.
         """
+        if not self.axes.shape[1]:
+            return motion, condensed.free
         K = condensed.yielding
         x = condensed.free - matvec(K.angular, motion.angular) - matvec(K.linear, motion.linear)
         moved = accelerated(motion, self.axes, x)

@@ -10,7 +10,7 @@ F and M are the sums of forces and of moments about the root's centre. M_outward
 moments on all bodies beyond a joint. The forces are weight, buoyancy, the ground, and all force
 laws except the water's. Springs, soft limits and motors exert the torques. The motors hold their
 joints at the neutral angle. Muscles are relaxed. Q vanishes at an equilibrium, and -dQ/dx is its
-stiffness.
+stiffness. The joint of a root that hangs on the world bears F and M, which then are zero.
 
 The ground has the stiffness of a resting contact in a step of the simulation
 (`resting_stiffness`). The simulation therefore finds no motion in an equilibrium found here.
@@ -104,7 +104,7 @@ def static_forces(
     Returns:
         Forces (N) and torques (N m), and the state of the contact points.
     """
-    tree, state = world.tree, base.displaced(x)
+    tree, state = world.tree, base.displaced(world.tree, x)
     kin = kinematics(tree, state)
     bodies = world.bodies(kin, h)
     wrench = weight(bodies)
@@ -128,6 +128,8 @@ def static_forces(
     on_joints = joints.torque_on_each(kin.axes, beyond)
     total, turning = force.sum(1), about.sum(1)
     on_root = total, turning - cross(state.position, total)
+    if tree.hanging is not None:
+        on_root = jnp.zeros_like(total), jnp.zeros_like(turning)
     return jnp.concatenate([*on_root, on_joints + joint_torque(tree, state.q)]), touch
 
 

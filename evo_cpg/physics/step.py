@@ -147,7 +147,7 @@ def _finish(
 ) -> tuple[State, Effort]:
     """Return the state after the step, and the forces."""
     with jax.named_scope("integrate"):
-        new_state = integrate(state, solution.root, solution.qdd, h)
+        new_state = integrate(tree, state, solution.root, solution.qdd, h)
     power = jnp.abs(solution.torque * 0.5 * (state.qd + new_state.qd))
     if tree.muscles is not None:
         driven = expand_dims_like(np.array(tree.muscles.driven), power).astype(bool)

@@ -35,6 +35,25 @@ def quaternion_to_matrix(q: Float[Array, "4 *rest"]) -> Float[Array, "3 3 *rest"
     ).reshape(3, 3, *q.shape[1:])
 
 
+def matrix_to_quaternion(r: Float[Array, "3 3 *rest"]) -> Float[Array, "4 *rest"]:
+    """Return the unit quaternion ``(w, x, y, z)`` of a rotation matrix.
+
+    The rows of ``4 q q^T`` are sums of the matrix's elements. The row with the largest diagonal
+    element is normalised, so no digits are lost at any angle (Shepperd 1978).
+    """
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    a, b, c = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    d, e, f = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
+    x, y, z = (1.0 + 2.0 * r[i, i] - trace for i in range(3))
+    best = jnp.stack([1.0 + trace, a, b, c])
+    largest = best[0]
+    for diagonal, row in ((x, (a, x, d, e)), (y, (b, d, y, f)), (z, (c, e, f, z))):
+        better = diagonal > largest
+        best = jnp.where(better[None], jnp.stack(row), best)
+        largest = jnp.where(better, diagonal, largest)
+    return best / jnp.sqrt((best * best).sum(0, keepdims=True))
+
+
 def quaternion_product(
     a: Float[Array, "4 *rest"], b: Float[Array, "4 *rest"]
 ) -> Float[Array, "4 *rest"]:

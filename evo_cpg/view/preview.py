@@ -249,7 +249,8 @@ def _posed(scene: Scene) -> Iterator[tuple[Body, np.ndarray, np.ndarray]]:
 
 def _thickness(scene: Scene) -> float:
     """Return half the thickness of a typical body, m."""
-    return float(np.median(scene.half_extents.min(1)))
+    thin = scene.half_extents.min(1)
+    return float(np.median(thin[thin > 0]))
 
 
 def _add_arrow(

@@ -10,7 +10,7 @@ from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.joint import MuscleConfig, TorqueMotorConfig
 from evo_cpg.config.schema.typical import ROUNDING, TURN
 from evo_cpg.creature.creature import Body, Muscle, TorqueMotor
-from evo_cpg.creature.shapes import Capsule, Shape
+from evo_cpg.creature.shapes import Capsule, Cylinder, Shape
 from evo_cpg.spatial.numerics import Triple
 
 # Range of the longest edge of a body, from the limb of a small insect to a whale, m.
@@ -40,10 +40,11 @@ _CURLS = 45.0
 @rule
 def body_size(case: Case) -> Iterator[LintWarning]:
     """Warn of bodies that are very large, very small, or unlike the median of all bodies."""
-    edges = [2 * float(body.shape.half_extents.max()) for body in case.creature.bodies]
-    middle = float(np.median(edges))
+    shaped = [each for each in case.bodies() if each[1].shape is not None]
+    edges = [2 * float(body.shape.half_extents.max()) for *_, body in shaped]
+    middle = float(np.median(edges)) if edges else 0.0
     low, high = _BODIES
-    for (key, entry, _), edge in zip(case.bodies(), edges, strict=True):
+    for (key, entry, _), edge in zip(shaped, edges, strict=True):
         if not low <= edge <= high:
             likely = f"In mm it would be {edge / 1000:g} m, in cm {edge / 100:g} m"
             if edge < low:
@@ -57,7 +58,7 @@ def body_size(case: Case) -> Iterator[LintWarning]:
         else:
             continue
         # A mesh has no key for its size.
-        size = entry.shape.size_key
+        size = entry.shape.size_key if entry.shape else None
         place = (*key, "shape", size) if size else (*key, "shape")
         yield case.warning(place, problem, None if size else "mesh")
 
@@ -251,8 +252,9 @@ def far_places(case: Case) -> Iterator[LintWarning]:
         (x, y, z), gap = body.shape.half_extents, _gap(body.shape, place)
         most = max(x, y, z)
         likely = "Positions count from the body's centre, so half its size reaches its surface"
-        if isinstance(body.shape, Capsule):
-            likely += ". A capsule lies along its own x. To turn a leg sideways, use rotation_deg"
+        if isinstance(body.shape, Capsule | Cylinder):
+            kind = type(body.shape).__name__.lower()
+            likely += f". A {kind} lies along its own x. To turn a leg sideways, use rotation_deg"
         if gap > 100 * most:
             likely = "Positions are in m. Is this in mm?"
         if gap > _OUT * most:

@@ -33,7 +33,9 @@ def step_length(case: Case) -> Iterator[LintWarning]:
     world, simulation = case.config.world, case.config.simulation
     if world.ground is None and (world.water is None or world.water.surface is None):
         return
-    half, name = min((float(b.shape.half_extents.min()), b.name) for b in case.creature.bodies)
+    half, name = min(
+        (float(b.shape.half_extents.min()), b.name) for b in case.creature.bodies if b.shape.exists
+    )
     h = 1.0 / (simulation.control_rate_hz * simulation.substeps)
     if world.gravity * h * h > _SINK * half:
         enough = np.sqrt(world.gravity / (_SINK * half)) / simulation.control_rate_hz

@@ -59,7 +59,7 @@ class Entry(NamedTuple):
             if copied and not there:
                 return f"name: a {adjective} body needs {{{mark}}} in its name, got {self.name!r}"
             if copied and self.parent is None:
-                return f"{key}: the root, which has no joint, cannot be {adjective}"
+                return f"{key}: the root cannot be {adjective}"
             if copied and mark in inherited:
                 return (
                     f"{key}: leave it out, because the body is copied with its parent "

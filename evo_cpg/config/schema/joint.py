@@ -36,16 +36,22 @@ class ActuatorConfig(Section):
 
     Attributes:
         type: servo.
-        gain: torque per velocity error, N m s/rad.
+        gain: torque per velocity error, N m s/rad; 0 only with a stiffness.
         torque_limit: largest torque, N m, unlimited if left out.
         stiffness: torque per angle error, N m/rad; 0 for a pure velocity servo.
     """
 
     # Run folders of version 1.0 have no such key.
     type: Literal["servo"] = Field("servo", exclude=True)
-    gain: Positive
+    gain: NotNegative
     torque_limit: Positive | None = None
     stiffness: NotNegative = 0.0
+
+    @model_validator(mode="after")
+    def _check(self) -> "ActuatorConfig":
+        if self.gain == 0 and self.stiffness == 0:
+            raise ValueError("gain: must be greater than 0 without a stiffness, got 0")
+        return self
 
     def build(self) -> Actuator:
         """Build the motor."""
@@ -169,8 +175,8 @@ class JointConfig(Section):
         parent: name of the parent body.
         at: position of the joint in the parent's frame, m.
         child_at: position of the joint in this body's frame, m.
-        axes: 1 to 3 axes in this body's own frame, which turn in this order: x, y, z, -x, -y, -z
-            or a vector.
+        axes: up to 3 axes in this body's own frame, which turn in this order: x, y, z, -x, -y, -z
+            or a vector. An empty list welds the body to its parent.
         limits_deg: lower and upper limit, for all axes or one pair for each, degrees; the middle
             one of three axes at right angles turns by at most 85; null for no limits.
         rotation_deg: roll, pitch and yaw of this body relative to its parent at rest, degrees,
@@ -188,7 +194,7 @@ class JointConfig(Section):
     parent: str
     at: Vector
     child_at: Vector
-    axes: Annotated[list[AxisName | Vector], Field(min_length=1, max_length=3)]
+    axes: Annotated[list[AxisName | Vector], Field(max_length=3)]
     limits_deg: tuple[Finite, Finite] | list[tuple[Finite, Finite] | None] | None = (-60.0, 60.0)
     rotation_deg: Annotated[Vector, Direction()] = (0.0, 0.0, 0.0)
     stiffness: NotNegative | list[NotNegative] = 0.0
@@ -226,7 +232,7 @@ class JointConfig(Section):
             if not lower < upper:
                 raise ValueError(f"limits_deg: {lower:g} is not below {upper:g}")
         directions = np.array(self.directions)
-        if np.linalg.matrix_rank(directions, tol=1e-6) < len(directions):
+        if len(directions) and np.linalg.matrix_rank(directions, tol=1e-6) < len(directions):
             raise ValueError("axes: must be linearly independent and not zero")
         if len(self.axes) == 3:
             _require_regular(directions, *limits[1] or (-180.0, 180.0))
@@ -301,7 +307,7 @@ class JointConfig(Section):
             damping=_as_tuple(self.damping),
             armature=_as_tuple(self.armature),
             friction_loss=_as_tuple(self.friction_loss),
-            actuator=motors if each else motors[0],
+            actuator=motors if each or not motors else motors[0],
             rest=_as_tuple(
                 [xp.deg2rad(x) for x in self.rest_deg]
                 if isinstance(self.rest_deg, list)
