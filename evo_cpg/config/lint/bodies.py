@@ -164,8 +164,10 @@ def postures(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def no_motor(case: Case) -> Iterator[LintWarning]:
-    """Warn if no joint has a motor."""
+    """Warn if no joint and no tendon has a motor."""
     joints = list(case.joints())
+    if any(tendon.actuator for tendon in case.config.creature.tendons):
+        return
     if joints and all(motor is None for joint in joints for motor in joint.given.motors):
         yield case.warning(
             (*joints[0].key, "actuator"),
