@@ -97,7 +97,7 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
         meet = _meet(compiled, geom, other) and not _excluded(compiled, placed[i], placed[j])
         paired = _paired(compiled, geom, other)
         neighbours = frozenset((i, j)) in joined
-        meeting += meet and not neighbours or paired
+        meeting += (meet and not neighbours) or paired
         if paired and neighbours:
             added.append([first, second])
         if not (meet or paired) and not neighbours:
@@ -166,5 +166,3 @@ def _shortened(pairs: list[list[str]], names: list[str]) -> list[list[str]]:
     return [[name, "all"] for name in alone] + [
         pair for pair in pairs if not set(pair) & set(alone)
     ]
-
-

@@ -40,9 +40,13 @@ READ = {
     "body_quat": Source("body", "quat, euler, axisangle, xyaxes, zaxis", "`joint.rotation_deg`"),
     "body_gravcomp": Source("body", "gravcomp", "buoyancy or gravity, if equal for all bodies"),
     "geom_pos": Source("geom", "pos, fromto", "origin of the body's frame, or `at` of a part"),
-    "geom_quat": Source("geom", "quat, euler, ...", "axes of the body, or `rotation_deg` of a part"),
+    "geom_quat": Source(
+        "geom", "quat, euler, ...", "axes of the body, or `rotation_deg` of a part"
+    ),
     "geom_size": Source("geom", "size", "`shape`"),
-    "geom_friction": Source("geom", "friction (first number)", "`static_friction`, `dynamic_friction`"),
+    "geom_friction": Source(
+        "geom", "friction (first number)", "`static_friction`, `dynamic_friction`"
+    ),
     "geom_rgba": Source("geom", "rgba, material", "`color`"),
     "jnt_pos": Source("joint", "pos", "`joint.child_at`, or `at` of an axis"),
     "jnt_axis": Source("joint", "axis", "`joint.axes`"),

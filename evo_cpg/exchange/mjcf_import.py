@@ -170,9 +170,7 @@ def read_model(
         _clearance(built, placed[0], world),
         bool(placed[0].rigid.joints) or placed[0].rigid.free,
     )
-    return Imported(
-        data, tuple(refusals.left_out), tuple(refusals.dropped), joints, bool(custom)
-    )
+    return Imported(data, tuple(refusals.left_out), tuple(refusals.dropped), joints, bool(custom))
 
 
 def _body_names(compiled: Compiled, rigids: Sequence[Rigid]) -> dict[int, str]:

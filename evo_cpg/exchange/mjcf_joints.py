@@ -134,9 +134,7 @@ def _passive(compiled: Compiled, joints: Iterable[int], rests: list[float]) -> d
         "armature": model.dof_armature[dofs],
         "friction_loss": model.dof_frictionloss[dofs] * rubbed,
     }
-    return {
-        name: _one_or_each(map(tidy, value)) for name, value in values.items() if np.any(value)
-    }
+    return {name: _one_or_each(map(tidy, value)) for name, value in values.items() if np.any(value)}
 
 
 def _limits(compiled: Compiled, joint: int) -> list[float] | None:

@@ -151,7 +151,8 @@ def _require_simple(compiled: Compiled, number: int, affine: bool) -> None:
     )
     if not simple:
         raise compiled.item("actuator", number).refusal(
-            "its law is not linear", "motor, position, velocity, intvelocity, or general with fixed gain and affine bias"
+            "its law is not linear",
+            "motor, position, velocity, intvelocity, or general with fixed gain and affine bias",
         )
 
 
