@@ -200,15 +200,16 @@ def test_height_equals_the_support(shape):
 def test_skin_approximates_the_shape(shape):
     """Points lie in the shape, triangles look outwards, and little volume is missing.
 
-    The default skin of a shape passes the test too.
+    The default skin of a shape without edges passes the test too.
     """
-    for points, normals, faces in (shape.skin(), Shape.skin(shape)):
+    skins = [shape.skin()] if shape.blunt else [shape.skin(), Shape.skin(shape)]
+    for points, normals, faces in skins:
         assert shape.distance(points).max() < 1e-12
         a, b, c = points[faces].swapaxes(0, 1)
         volume = np.linalg.det(np.stack([a, b, c], 1)).sum() / 6
         assert 0.85 * shape.volume < volume < 1.001 * shape.volume
         across = np.cross(b - a, c - a)
-        assert ((normals[faces].sum(1) * across).sum(1) >= -1e-12).all()
+        assert ((normals[faces].sum(1) * across).sum(1) >= -1e-15).all()
 
 
 def test_a_shape_without_contact_points_raises():
