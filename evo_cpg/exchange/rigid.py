@@ -96,7 +96,9 @@ def _none_moves(compiled: Compiled):
         return compiled.item("body", WORLD).refusal(
             "the worldbody holds no body", "at least one", vital=True
         )
-    return compiled.item("body", 1).refusal("no body of the file moves", "joints", vital=True)
+    return compiled.item("body", 1).refusal(
+        "no body of the file moves", "joints, or the option --free", vital=True
+    )
 
 
 def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[int]:
