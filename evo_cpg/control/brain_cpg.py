@@ -519,9 +519,7 @@ def _follows_angles(tree: Tree, settings: BrainCpgSettings) -> tuple[bool, ...]:
     )
 
 
-def _angle_range(
-    tree: Tree, settings: BrainCpgSettings, follows: tuple[bool, ...]
-) -> AngleRange:
+def _angle_range(tree: Tree, settings: BrainCpgSettings, follows: tuple[bool, ...]) -> AngleRange:
     full = xp.where(np.array(follows), xp.deg2rad(settings.angle_range_deg), 0.0)
     return AngleRange(full, tree.lower, tree.upper)
 

@@ -236,7 +236,7 @@ class Joint:
         alike = self.stiffness, self.rest, self.damping, self.armature, self.friction_loss
         columns = self.lower, self.upper, *map(self._each, alike), self.motors
         return tuple(
-            DegreeOfFreedom._make((*passive, *_driven(motor)))
+            DegreeOfFreedom._make((*passive, *driven_by(motor)))
             for *passive, motor in zip(self.axes, *columns, strict=True)
         )
 
@@ -250,10 +250,10 @@ class Joint:
         return value if isinstance(value, tuple) else (value,) * len(self.axes)
 
 
-def _driven(
+def driven_by(
     motor: Motor | None,
 ) -> tuple[Number, Number, Number, TorqueMotor | None, Muscle | None]:
-    """Return the fields of `DegreeOfFreedom` about a motor."""
+    """Return gain, stiffness, largest torque, torque motor and muscles of a motor."""
     match motor:
         case Muscle():
             return 0.0, 0.0, float("inf"), None, motor
@@ -352,6 +352,39 @@ class DepthSensor:
 
 
 @dataclasses.dataclass(frozen=True)
+class Tendon:
+    """A fixed tendon: force laws on its length, a weighted sum of joint angles.
+
+    The length is 0 in the neutral pose. With pure numbers as coefficients it is in rad, and the
+    force is a torque, N m. With lever arms (m) as coefficients it is in m, and the force is in N.
+    The torque on a joint is the force times the joint's coefficient.
+
+    Attributes:
+        name: name of the tendon, unique among the tendons.
+        joints: name of each degree of freedom that it spans, with the coefficient of its angle.
+        stiffness: stiffness of the spring, force per length.
+        rest: shortest and longest length at which the spring is slack.
+        damping: damping, force per rate of length.
+        armature: inertia that the rate of length moves, kg m^2 or kg.
+        friction_loss: force of dry friction.
+        lower: lower limit of the length, or ``-NO_LIMIT``.
+        upper: upper limit of the length, or ``NO_LIMIT``.
+        actuator: servo or torque motor that pulls, or None.
+    """
+
+    name: str
+    joints: tuple[tuple[str, Number], ...]
+    stiffness: Number = 0.0
+    rest: tuple[Number, Number] = (0.0, 0.0)
+    damping: Number = 0.0
+    armature: Number = 0.0
+    friction_loss: Number = 0.0
+    lower: Number = -NO_LIMIT
+    upper: Number = NO_LIMIT
+    actuator: Actuator | TorqueMotor | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class Creature:
     """A tree of rigid bodies with sensors.
 
@@ -363,6 +396,7 @@ class Creature:
         depth_sensors: depth gauges.
         root_joint: joint between the fixed world and the root, or None for a free root. Without
             axes it holds the root still.
+        tendons: fixed tendons.
     """
 
     name: str
@@ -371,6 +405,7 @@ class Creature:
     pressure_sensors: tuple[str, ...] = ()
     depth_sensors: tuple[DepthSensor, ...] = ()
     root_joint: Joint | None = None
+    tendons: tuple[Tendon, ...] = ()
 
     def __repr__(self) -> str:
         joints = [joint for body in self.bodies if (joint := self.joint_of(body)) is not None]

@@ -21,17 +21,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from evo_cpg.creature.axis_laws import DryFriction, push_of, soft_limits
 from evo_cpg.creature.creature import Body, Creature, neutral_pose, topological_order
 from evo_cpg.creature.muscles import Muscles, muscles_of
+from evo_cpg.creature.tendons import Tendons, tendons_of
 from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
-
-# A soft limit is a critically damped spring on the effective inertia of the joint. A step of
-# 1/120 s resolves it. The spring also balances the joint's own motor, which would otherwise push
-# through. A motor that commands 1 rad/s, or 1 rad beyond the limit, gets 0.016 rad beyond it.
-LIMIT_FREQUENCY = 10.0
-LIMIT_DAMPING_RATIO = 1.0
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
 _LEAST_VOLUME = 1e-30
@@ -55,18 +51,6 @@ class Group(NamedTuple):
     dofs: slice
     axes: int
     parents: tuple[int, ...]
-
-
-class DryFriction(eqx.Module):
-    """Dry friction of the joint axes.
-
-    Attributes:
-        loss: largest torque, N m.
-        inertia: effective inertia of each axis in the neutral pose, with its rotor, kg m^2.
-    """
-
-    loss: Float[Numbers, " d"]
-    inertia: Float[Numbers, " d"]
 
 
 class Tree(eqx.Module):
@@ -109,6 +93,7 @@ class Tree(eqx.Module):
         muscles: muscles about the axes, or None if there are none.
         limit_stiffness: stiffness of the soft limits, N m/rad.
         limit_damping: damping of the soft limits, N m s/rad.
+        tendons: fixed tendons, or None if there are none.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -142,6 +127,7 @@ class Tree(eqx.Module):
     muscles: Muscles | None
     limit_stiffness: Float[Numbers, " d"]
     limit_damping: Float[Numbers, " d"]
+    tendons: Tendons | None = None
 
     @property
     def body_count(self) -> int:
@@ -169,7 +155,7 @@ class Tree(eqx.Module):
         """Return the tree with idle motors about some axes, and muscles without active fibres.
 
         Idle motors and muscles have no torque and cost no energy. The springs and dampers of
-        relaxed muscles stay.
+        relaxed muscles stay. The motor of a tendon is idle if any of the tendon's joints is.
         """
         others = ~axes
         limit, muscles = self.torque_limit, self.muscles
@@ -185,6 +171,7 @@ class Tree(eqx.Module):
             servo_stiffness=self.servo_stiffness * others,
             torque_limit=limit,
             muscles=muscles,
+            tendons=None if self.tendons is None else self.tendons.without_motors(axes),
         )
 
 
@@ -192,7 +179,8 @@ def build_tree(creature: Creature) -> Tree:
     """Arrange a creature's bodies for the recursions.
 
     Raises:
-        CreatureError: the bodies do not form one tree (see `topological_order`).
+        CreatureError: the bodies do not form one tree (see `topological_order`), or a tendon spans
+            no joints (see `tendons_of`).
     """
     order = topological_order(creature)
     bodies = [creature.bodies[i] for i in order]
@@ -237,7 +225,6 @@ def build_tree(creature: Creature) -> Tree:
     inertia = xp.stack(inertias, axis=-1)
     dofs = [dof for joint in own if joint for dof in joint.dofs]
     dof_bodies = [i for i, joint in enumerate(own) if joint for _ in joint.dofs]
-    limit_rate = 2 * np.pi * LIMIT_FREQUENCY
     leverage = _effective_inertia(creature, order)
 
     def each(name: str) -> Float[Numbers, "d *rest"]:
@@ -252,20 +239,20 @@ def build_tree(creature: Creature) -> Tree:
         torque_motors_of([dof.torque_motor for dof in dofs]),
         each("torque_limit"),
     )
-    # A limit balances muscles and torque motors like a servo of that torque at 1 rad/s.
     push = gain + spring if muscles is None else gain + spring + muscles.strength
-    if torque_motors is not None:
-        full = xp.minimum(xp.abs(torque_motors.gear), torque_limit)
-        push = push + xp.where(np.array(torque_motors.driven), full, 0.0)
+    push = push_of(push, torque_limit, torque_motors)
+    limit_stiffness, limit_damping = soft_limits(leverage, push)
+    dof_names = tuple(
+        f"{bodies[i].name}.{chosen(functools.partial(_axis_name, dof.axis))}"
+        for i, dof in zip(dof_bodies, dofs, strict=True)
+    )
+    idle = tuple(motor is None for joint in own if joint for motor in joint.motors)
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
         groups=_groups(bodies, parents, dof_bodies),
         hanging=_hanging(creature),
-        dof_names=tuple(
-            f"{bodies[i].name}.{chosen(functools.partial(_axis_name, dof.axis))}"
-            for i, dof in zip(dof_bodies, dofs, strict=True)
-        ),
+        dof_names=dof_names,
         dof_bodies=tuple(dof_bodies),
         owners=tuple(owners),
         wholes=tuple(
@@ -292,8 +279,9 @@ def build_tree(creature: Creature) -> Tree:
         torque_limit=torque_limit,
         torque_motors=torque_motors,
         muscles=muscles,
-        limit_stiffness=leverage * limit_rate**2 + push * limit_rate,
-        limit_damping=2 * LIMIT_DAMPING_RATIO * leverage * limit_rate,
+        limit_stiffness=limit_stiffness,
+        limit_damping=limit_damping,
+        tendons=tendons_of(creature.tendons, dof_names, idle, leverage + armature),
     )
 
 

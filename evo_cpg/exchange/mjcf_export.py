@@ -7,6 +7,7 @@
 | joint | ``hinge``s | `mjcf_joints` |
 | root | a ``freejoint``; a root that hangs on the world has its own joints, or none | |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
+| tendon | ``fixed`` tendon | `mjcf_tendons` |
 | ground | ``geom``s of the world | `mjcf_ground` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
 | friction of a body on the ground | a ``pair`` of the two geoms | |
@@ -34,6 +35,7 @@ from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.exchange.mjcf_joints import add_hinges, joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
+from evo_cpg.exchange.mjcf_tendons import add_tendons
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
 from evo_cpg.spatial.rotation import euler_to_matrix
@@ -111,6 +113,7 @@ def mjcf_model(
         for name, motor in zip(joint_names(body, joint), motors, strict=True):
             if motor:
                 add_motor(actuator, name, motor)
+    add_tendons(root, actuator, creature)
     if angles is not None:
         own = [(creature.bodies[i], creature.joint_of(creature.bodies[i])) for i in order]
         hinges = [name for body, joint in own for name in joint_names(body, joint)]

@@ -32,10 +32,20 @@ from evo_cpg.exchange.mjcf_ground import number_text
 _GROUPS = 31
 
 
-def add_motor(actuator: Element, joint: str, motor: Actuator | TorqueMotor | Muscle) -> None:
-    """Add the motor or the muscles of a hinge."""
+def add_motor(
+    actuator: Element, name: str, motor: Actuator | TorqueMotor | Muscle, of: str = "joint"
+) -> None:
+    """Add the motor or the muscles of a hinge, or the motor of a tendon.
+
+    Args:
+        actuator: the section of actuators.
+        name: name of the hinge or the tendon.
+        motor: motor or muscles.
+        of: kind of the driven part, ``joint`` or ``tendon``.
+    """
+    driven = {"name": name, of: name}
     if isinstance(motor, Muscle):
-        element = SubElement(actuator, "motor", name=joint, joint=joint)
+        element = SubElement(actuator, "motor", driven)
         element.set("gear", number_text(motor.strength))
         element.set("ctrlrange", number_text(-1.0, 1.0))
         return
@@ -43,11 +53,11 @@ def add_motor(actuator: Element, joint: str, motor: Actuator | TorqueMotor | Mus
     if isinstance(motor, TorqueMotor):
         # MuJoCo limits the force before the gear.
         limit = limit / abs(motor.gear)
-        element = SubElement(actuator, "motor", name=joint, joint=joint)
+        element = SubElement(actuator, "motor", driven)
         element.set("gear", number_text(motor.gear))
     else:
         kind = "position" if motor.stiffness else "velocity"
-        element = SubElement(actuator, kind, name=joint, joint=joint)
+        element = SubElement(actuator, kind, driven)
         if motor.stiffness:
             element.set("kp", number_text(motor.stiffness))
         element.set("kv", number_text(motor.gain))

@@ -14,6 +14,9 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.root import ROOT_DOFS
 from evo_cpg.physics.state import State
 
+# MuJoCo's number of the transmission by a tendon.
+_TENDON = 3
+
 
 def dof_order(model: Any, tree: Tree) -> Int[np.ndarray, " d"]:
     """Return MuJoCo's index of each degree of freedom of the tree, after those of a free root."""
@@ -30,9 +33,18 @@ def root_dofs(tree: Tree) -> int:
 
 
 def motor_order(model: Any, tree: Tree) -> Int[np.ndarray, " motors"]:
-    """Return the index of the tree's degree of freedom that each of MuJoCo's motors drives."""
-    driven = model.jnt_dofadr[model.actuator_trnid[:, 0]] - root_dofs(tree)
-    return np.argsort(dof_order(model, tree))[driven]
+    """Return the index of the degree of freedom or the tendon that each of MuJoCo's motors drives.
+
+    Tendons are counted after all degrees of freedom of the tree.
+    """
+    own = np.argsort(dof_order(model, tree))
+    names, order = () if tree.tendons is None else tree.tendons.names, []
+    for kind, (driven, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
+        if kind == _TENDON:
+            order.append(tree.dof_count + names.index(model.tendon(driven).name))
+        else:
+            order.append(own[model.jnt_dofadr[driven] - root_dofs(tree)])
+    return np.array(order, int)
 
 
 def load_state(model: Any, data: Any, tree: Tree, state: State) -> Float[np.ndarray, "3 3"]:

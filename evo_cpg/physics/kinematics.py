@@ -12,8 +12,8 @@ the body's joint, so the shift from parent to child is a pure translation by ``o
 | w_i, v_i | ``angular``, ``linear`` velocity at the origin |
 | A0_i | ``bias_angular``, ``bias_linear``: acceleration at constant velocities of the tree |
 
-A0_i is a spatial acceleration. A material point has the acceleration A0 plus ``w x v``. The root's
-A0 is ``-w x v`` if the root is free. A root that hangs on the world is carried by it as by a parent.
+A0_i is a spatial acceleration. A material point has the acceleration A0 plus ``w x v``. A free
+root's A0 is ``-w x v``. A root that hangs on the world is carried by it as by a parent.
 """
 
 from typing import NamedTuple
