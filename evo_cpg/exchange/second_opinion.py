@@ -39,9 +39,9 @@ from evo_cpg.exchange.carried_inertia import CarriedInertia, step_with_inertia
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import (
     dof_order,
+    joint_state,
     load_state,
     motor_order,
-    root_coordinates,
     root_dofs,
     root_rotation,
 )
@@ -85,7 +85,7 @@ class Opinion(NamedTuple):
         airborne: fraction of the time in which nothing touches the ground and no body's centre is
             under water. None without ground or with water everywhere, because it has no meaning
             then.
-        joint_angle: angles, rad, in our order of degrees of freedom.
+        joint_angle: angles, rad, and displacements, m, in our order of degrees of freedom.
     """
 
     program: str
@@ -363,8 +363,7 @@ class _Player:
     def state(self) -> State:
         """Return the animal's state in our form."""
         data, tree = self.data, self.tree
-        q = data.qpos[root_coordinates(tree) + self.dofs]
-        qd = data.qvel[root_dofs(tree) + self.dofs]
+        q, qd = joint_state(self.model, tree, data.qpos, data.qvel)
         if tree.hanging is not None:
             with jax.enable_x64(True):
                 moved = dataclasses.replace(self._start, q=q, qd=qd)

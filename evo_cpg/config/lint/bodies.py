@@ -32,6 +32,9 @@ _LEAST_TURN = 1.0
 # Joints have gaps between bodies, and eyes stand on stalks.
 _OUT = 0.3
 
+# Number of axes that span all rotations.
+_SPANNING = 3
+
 # Smallest angle between successive bodies of a row, degrees, for a warning. The row curls up into a
 # ring.
 _CURLS = 45.0
@@ -115,6 +118,23 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
                 continue
             yield case.warning((*joint.key, "limits_deg"), problem)
             break
+
+
+@rule
+def axes_in_a_plane(case: Case) -> Iterator[LintWarning]:
+    """Warn of three axes at one place that reach a common plane, without a rotor among them."""
+    for joint in case.joints():
+        built = joint.built
+        at_one_place = not any(built.kinds or ()) and not any(built.places or ())
+        if len(built.axes) != _SPANNING or not at_one_place or built.kind == "turns":
+            continue
+        if not any(dof.armature for dof in built.dofs):
+            yield case.warning(
+                (*joint.key, "axes"),
+                "the middle axis can turn until the three axes lie within 5 degrees of one plane. "
+                "Near it the joint spins up under any torque. Give it an armature, narrower limits "
+                "for the middle axis, or axes: ball",
+            )
 
 
 @rule
