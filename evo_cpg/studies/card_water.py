@@ -35,6 +35,7 @@ WIDE = Question(
     },
     8.0,
 )
+SLOW = Question("eel", {"u": (0.8, 0.9, 1.0), "b": (3.0, 3.25, 3.5), "feedback": (0.25,)}, 10.0)
 _BEST = "at its best efficiency"
 _GAZZOLA = "Gazzola, Argentina, Mahadevan 2014, Nat. Phys., secondary source"
 _AMPLITUDE = "Sw takes the excursion of the tail from side to side"
@@ -139,6 +140,17 @@ SHAPE = [
         m.at_best("bending_lag", "froude_efficiency", "b", 100.0),
         "7 adaptation gains",
         "",
+        1,
+    ),
+    Row(
+        "eel in water: displacement lags bending, percent of a cycle. Ours: slow, wide beats",
+        "10 to 15",
+        "Gillis 1998, J. Exp. Biol., secondary source",
+        within(10.0, 15.0),
+        SLOW,
+        m.each("bending_lag", 100.0),
+        "9 drives",
+        "the drives were chosen for this row",
         1,
     ),
     Row(
