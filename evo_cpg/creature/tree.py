@@ -27,6 +27,7 @@ from evo_cpg.creature.creature import (
     Body,
     Creature,
     DegreeOfFreedom,
+    Joint,
     JointKind,
     neutral_pose,
     topological_order,

@@ -83,7 +83,7 @@ def mjcf_model(
         CreatureError: the bodies do not form one tree.
         ExchangeError: MJCF cannot hold a shape or a part of the ground.
     """
-    order = topological_order(creature)
+    topological_order(creature)
     names = [body.name for body in creature.bodies]
     root = Element("mujoco", model=creature.name)
     SubElement(root, "compiler", angle="radian")

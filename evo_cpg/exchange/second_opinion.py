@@ -368,18 +368,17 @@ class _Player:
     def state(self) -> State:
         """Return the animal's state in our form."""
         data, tree = self.data, self.tree
-        q, qd = joint_state(self.model, tree, data.qpos, data.qvel)
+        joints = joint_state(self.model, tree, data.qpos, data.qvel)
         if tree.hanging is not None:
             with jax.enable_x64(True):
-                moved = dataclasses.replace(self._start, q=q, qd=qd)
+                moved = dataclasses.replace(self._start, q=joints[0], qd=joints[1])
                 return jax.device_get(self._placed(moved))
         spin = root_rotation(data.qpos[3:7]) @ data.qvel[3:6]
         parts: tuple[Any, ...] = (
             data.qpos[:3].copy(),
             data.qpos[3:7].copy(),
             np.concatenate([spin, data.qvel[:3]]),
-            q,
-            qd,
+            *joints,
         )
         # Double precision, as in states from `jax.device_get`.
         return jax.tree.unflatten(self._structure, parts)
