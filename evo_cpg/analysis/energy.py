@@ -124,7 +124,7 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
     tree, before, after = world.tree, steps.before, steps.after
     # Velocities are half a step behind the poses, so move the poses back by half a step.
     earlier, first, last = (
-        Snapshot(world, h, state.moved(tree, -0.5 * h)) for state in (previous, before, after)
+        Snapshot(world, h, state.moved(world.tree, -0.5 * h)) for state in (previous, before, after)
     )
     rate = (before.qd + after.qd) / 2
     velocity = (before.velocity + after.velocity) / 2

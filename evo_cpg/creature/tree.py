@@ -169,6 +169,37 @@ class Tree(eqx.Module):
             return self.mass
         return self.mass[np.array(self.owners)]
 
+    @property
+    def torque_driven(self) -> tuple[bool, ...]:
+        """Whether a torque motor, of the axis or of a tendon, follows each command."""
+        own = (False,) * self.dof_count if self.torque_motors is None else self.torque_motors.driven
+        if self.tendons is None:
+            return own
+        pulling = self.tendons.torque_gears
+        return tuple(driven or dof in pulling for dof, driven in enumerate(own))
+
+    @property
+    def gears(self) -> Float[Numbers, " d"] | None:
+        """Torque or force per unit of each command, 0 without a torque motor, None without any."""
+        if self.tendons is None or not self.tendons.torque_gears:
+            return None if self.torque_motors is None else self.torque_motors.gear
+        own = [0.0] * self.dof_count if self.torque_motors is None else self.torque_motors.gear
+        pulling = self.tendons.torque_gears
+        return xp.array([pulling.get(dof, gear) for dof, gear in enumerate(own)], float)
+
+    def of_commands(self, name: str) -> Float[Numbers, " d"]:
+        """Return a number of the law that each command acts on: of its axis or of its tendon.
+
+        Args:
+            name: field of axes and tendons, such as ``servo_stiffness`` or ``upper``.
+        """
+        own = getattr(self, name)
+        if self.tendons is None:
+            return own
+        each = zip(self.tendons.channels, getattr(self.tendons, name), strict=True)
+        pulling = dict(each)
+        return xp.array([pulling.get(dof, number) for dof, number in enumerate(own)], float)
+
     def without_motors(self, axes: Bool[np.ndarray, " d"]) -> "Tree":
         """Return the tree with idle motors about some axes, and muscles without active fibres.
 
@@ -249,8 +280,7 @@ def build_tree(creature: Creature) -> Tree:
         return xp.array([getattr(dof, name) for dof in dofs], float)
 
     kinds = tuple(dof.kind for dof in dofs)
-    groups, hanging = _groups(bodies, parents, dof_bodies), _hanging(creature.root_joint)
-    recursed = groups if hanging is None else (hanging, *groups)
+    groups, hanging = _groups(bodies, parents, dof_bodies), _hanging(creature)
     rest, armature, loss = each("rest"), each("armature"), each("friction_loss")
     rubs = chosen(lambda: bool((loss != 0).any()), lambda made: made | ~(loss != 0).any())
     sprung = chosen(lambda: bool((rest != 0).any()), lambda made: made | ~(rest != 0).any())
@@ -281,7 +311,9 @@ def build_tree(creature: Creature) -> Tree:
         joint_orientation=orientation,
         joint_axes=each("axis").reshape(-1, 3).T,
         joint_places=(
-            each("place").reshape(-1, 3).T if any(i.kind == "chain" for i in recursed) else None
+            each("place").reshape(-1, 3).T
+            if any(group.kind == "chain" for group in (*groups, hanging) if group)
+            else None
         ),
         mass=mass,
         volume=xp.maximum(xp.array([body.shape.volume for body in bodies]), _LEAST_VOLUME),
@@ -383,7 +415,7 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
 
     The two halves of the creature on either side of the joint turn against each other. The
     effective inertia is the product of their inertias about the axis, divided by the sum. Against
-    the fixed world, it is the inertia of the half that moves. The masses, kg, count for a slide.
+    the fixed world, it is the inertia of the half that moves. Masses, kg, count for a slide.
     """
     centres, rotations = neutral_pose(creature)
     names = [body.name for body in creature.bodies]
@@ -465,15 +497,6 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
     return tuple(groups)
 
 
-def _hanging(joint: Joint | None) -> Group | None:
-    """Return the root as a group, or None for a free root."""
-    if joint is None:
-        return None
-    axes = len(joint.dofs)
-    kinds = tuple(dof.kind for dof in joint.dofs)
-    return Group(slice(0, 1), slice(0, axes), axes, (-1,), joint.kind, kinds)
-
-
 def _dof_names(bodies: list[str], dofs: list[DegreeOfFreedom]) -> tuple[str, ...]:
     """Return the names of degrees of freedom, unique in each body."""
     names: list[str] = []
@@ -483,6 +506,15 @@ def _dof_names(bodies: list[str], dofs: list[DegreeOfFreedom]) -> tuple[str, ...
         again = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
         names.append(next(free for free in again if free not in names))
     return tuple(names)
+
+
+def _hanging(creature: Creature) -> Group | None:
+    """Return the root as a group, or None for a free root."""
+    joint = creature.root_joint
+    if joint is None:
+        return None
+    kinds = tuple(dof.kind for dof in joint.dofs)
+    return Group(slice(0, 1), slice(0, len(kinds)), len(kinds), (-1,), joint.kind, kinds)
 
 
 def _axis_name(axis: Triple) -> str:

@@ -27,6 +27,9 @@ from evo_cpg.exchange.mjcf_ground import number_text, place_text
 from evo_cpg.exchange.mjcf_shapes import Placed
 from evo_cpg.spatial.rotation import matrix_to_euler
 
+# Limits (rad or m) from which on a joint counts as unlimited.
+_UNLIMITED = 1e4
+
 # Largest distance of an axis from the joint's place, m, at which it counts as through it.
 _AT_PLACE = 1e-12
 
@@ -160,8 +163,10 @@ def _limits(compiled: Compiled, joint: int) -> list[float] | None:
     lower, upper = map(float, model.jnt_range[joint])
     if int(model.jnt_type[joint]) == compiled.mujoco.mjtJoint.mjJNT_BALL:
         return None if upper >= np.pi else [0.0, upper]
+    if lower <= -_UNLIMITED and upper >= _UNLIMITED:
+        return None
     neutral = float(model.qpos0[model.jnt_qposadr[joint]])
-    return [lower - neutral, upper - neutral]
+    return [max(lower, -_UNLIMITED) - neutral, min(upper, _UNLIMITED) - neutral]
 
 
 def _rest(compiled: Compiled, joint: int) -> float:

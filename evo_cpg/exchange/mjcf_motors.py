@@ -47,7 +47,7 @@ def add_motor(
         name: name of the MJCF joint or the tendon.
         motor: motor or muscles.
         of: kind of the driven part, ``joint`` or ``tendon``.
-        axis: axis of a ball that the motor turns, or None for a joint of one axis.
+        axis: axis of a ball that the motor turns, or None for a part with one coordinate.
     """
     own = name if axis is None else f"{name}.{'xyz'[int(np.abs(axis).argmax())]}"
     driven = {"name": own, of: name}

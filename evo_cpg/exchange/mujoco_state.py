@@ -39,13 +39,13 @@ def motor_order(model: Any, tree: Tree) -> Int[np.ndarray, " motors"]:
     """
     own = np.argsort(dof_order(model, tree))
     names, order = () if tree.tendons is None else tree.tendons.names, []
-    # The gear of a motor on a ball is a vector along its axis.
-    components = np.abs(model.actuator_gear[:, :3]).argmax(1)
-    kinds = zip(model.actuator_trntype, model.actuator_trnid, components, strict=True)
-    for kind, (driven, _), component in kinds:
+    kinds, parts = model.actuator_trntype, model.actuator_trnid
+    for kind, (driven, _), gear in zip(kinds, parts, model.actuator_gear, strict=True):
         if kind == _TENDON:
             order.append(tree.dof_count + names.index(model.tendon(driven).name))
         else:
+            # The gear of a motor on a ball is a vector along its axis.
+            component = np.abs(gear[:3]).argmax()
             order.append(own[model.jnt_dofadr[driven] - root_dofs(tree) + component])
     return np.array(order, int)
 

@@ -42,7 +42,8 @@ def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> 
     a = PerBody([root.acceleration(y)], batch_ndim)
     if tree.hanging is not None:
         still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
-        S, x = kin.axes.of(tree.hanging, batch_ndim), of_joints(qdd, tree.hanging, batch_ndim)
+        i = tree.hanging
+        S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
         a = PerBody.of(joints.accelerated(still, S, x), batch_ndim)
     for i in tree.groups:
         a_i = motion_at_child(a[i.parents], kin.offset[:, i.bodies])

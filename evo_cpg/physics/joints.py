@@ -97,8 +97,8 @@ def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3
     """
     sine, cosine = jnp.sin(q), jnp.cos(q)
     alike: dict[tuple[Any, ...], list[int]] = {}
-    groups = tree.groups if tree.hanging is None else (tree.hanging, *tree.groups)
-    group_of = {i: group for group in groups for i in _range(group.bodies)}
+    own_groups = (tree.hanging, *tree.groups) if tree.hanging else tree.groups
+    group_of = {i: group for group in own_groups for i in _range(group.bodies)}
     for body, group in sorted(group_of.items()):
         dofs, key = _dofs(group, body), [_key(tree.joint_orientation[:, :, body], body)]
         fixed = [tree.joint_axes[:, dofs]]

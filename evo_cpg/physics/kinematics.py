@@ -12,8 +12,8 @@ the body's joint, so the shift from parent to child is a pure translation by ``o
 | w_i, v_i | ``angular``, ``linear`` velocity at the origin |
 | A0_i | ``bias_angular``, ``bias_linear``: acceleration at constant velocities of the tree |
 
-A0_i is a spatial acceleration. A material point has the acceleration A0 plus ``w x v``. The root's
-A0 is ``-w x v`` if the root is free. The fixed world carries a root that hangs on it like a parent.
+A0_i is a spatial acceleration. A material point has the acceleration A0 plus ``w x v``. A free
+root's A0 is ``-w x v``. A root that hangs on the world is carried by it as by a parent.
 """
 
 from typing import NamedTuple
@@ -53,19 +53,26 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
     if tree.hanging is None:
         rest, rotation = jnp.zeros_like(state.position), root.rotation(state.orientation)
         first = Link(rotation, state.position, *root.motion(state.velocity))
-        bodies, offsets, axes = PerBody([first], batch_ndim), [rest[:, None]], []
+        bodies = PerBody([first], batch_ndim)
+        offsets, axes = [rest[:, None]], []
     else:
         i, world = tree.hanging, hanging.fixed_link(hanging.base_of(state.base))
         first, offset, S = linked(tree, i, world, local[i.bodies], state.qd)
-        bodies, offsets, axes = PerBody.of(first, batch_ndim), [offset], [S]
+        bodies = PerBody[Link]([], batch_ndim).followed_by(first)
+        offsets, axes = [offset], [S]
     for i in tree.groups:
         body, offset, S = linked(tree, i, bodies[i.parents], local[i.bodies], state.qd)
         bodies = bodies.followed_by(body)
         offsets.append(offset)
         axes.append(S)
     rotation, origin, *motion = bodies.stacked()
-    S = joints.subspace(axes, state.position)
-    return Kinematics(rotation, origin, jnp.concatenate(offsets, 1), S, *motion)
+    return Kinematics(
+        rotation,
+        origin,
+        jnp.concatenate(offsets, 1),
+        joints.subspace(axes, state.position),
+        *motion,
+    )
 
 
 def motion_of_bodies(
@@ -86,7 +93,8 @@ def motion_of_bodies(
         i, offset = tree.hanging, kin.offset[:, :1]
         still = BodyMotion(*(jnp.zeros_like(offset) for _ in range(4)))
         S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
-        bodies = PerBody.of(joints.carried(still, offset, S, rates), batch_ndim)
+        first = joints.carried(still, offset, S, rates)
+        bodies = PerBody[BodyMotion]([], batch_ndim).followed_by(first)
     for i in tree.groups:
         parent, offset = bodies[i.parents], kin.offset[:, i.bodies]
         S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)

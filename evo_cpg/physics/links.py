@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Group, Tree
 from evo_cpg.physics import joints
+from evo_cpg.physics.joints import Subspace
 from evo_cpg.physics.per_body import of_joints
 
 
@@ -29,8 +30,8 @@ def linked(
     parent: Link,
     local: Any,
     qd: Float[Array, "d *n"],
-) -> tuple[Link, Float[Array, "3 b *n"], joints.Subspace]:
-    """Return the bodies of a group, their offsets from their parents (m), and S of their joints.
+) -> tuple[Link, Float[Array, "3 b *n"], Subspace]:
+    """Return the bodies of a group, their offsets from their parents (m), and S.
 
     Args:
         tree: the creature.

@@ -5,8 +5,8 @@ velocity is angular (rad/s), then linear at its centre (m/s), in
 world axes. Its pose is the position of its centre (m) and a unit quaternion (w, x, y, z).
 
 A generalized vector ``(v, *n)`` holds the root's `ROOT_DOFS` components, then the joints' in the
-tree's order. The first components of the joints move a root that hangs. Its own components are then
-zero, with a mass matrix of 1. Other modules rely only on the root coming first and, in static
+tree's order. A root that hangs moves by the first of the joints' components: its own components
+are zero, with a mass matrix of 1. Other modules rely only on the root coming first and, in static
 coordinates, on displacement before rotation (`evo_cpg.physics.statics`).
 """
 

@@ -104,8 +104,7 @@ def static_forces(
     Returns:
         Forces (N) and torques (N m), and the state of the contact points.
     """
-    tree = world.tree
-    state = base.displaced(tree, x)
+    tree, state = world.tree, base.displaced(world.tree, x)
     kin = kinematics(tree, state)
     bodies = world.bodies(kin, h)
     wrench = weight(bodies)

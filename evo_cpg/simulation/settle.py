@@ -400,8 +400,7 @@ def settled(
             base = dataclasses.replace(base, base=moved).placed(world.tree)
         still = jnp.zeros(len(found.give), displacement.dtype)
         force, _ = static_forces(world, h, base, friction, still)
-        x = jnp.asarray(found.give, displacement.dtype) @ force
-        state = base.displaced(world.tree, x)
+        state = base.displaced(world.tree, jnp.asarray(found.give, displacement.dtype) @ force)
         if alike_everywhere and world.tree.hanging is None:
             state, _ = _put_back(base, state, friction)
     position, orientation, angles = (
