@@ -27,7 +27,6 @@ from evo_cpg.creature.creature import (
     Body,
     Creature,
     DegreeOfFreedom,
-    Joint,
     JointKind,
     neutral_pose,
     topological_order,
@@ -199,6 +198,12 @@ class Tree(eqx.Module):
         each = zip(self.tendons.channels, getattr(self.tendons, name), strict=True)
         pulling = dict(each)
         return xp.array([pulling.get(dof, number) for dof, number in enumerate(own)], float)
+
+    @property
+    def root_slides(self) -> tuple[int, ...]:
+        """Degrees of freedom of the slides on which the root hangs."""
+        kinds = () if self.hanging is None else self.hanging.kinds
+        return tuple(i for i, kind in enumerate(kinds) if kind == "slide")
 
     def without_motors(self, axes: Bool[np.ndarray, " d"]) -> "Tree":
         """Return the tree with idle motors about some axes, and muscles without active fibres.
