@@ -67,46 +67,37 @@ def read_ground(
         floor["downhill_deg"] = tidy(float(np.rad2deg(np.arctan2(normal[1], normal[0]))))
     if floor:
         keys["floor"] = {"type": "plane", **floor}
-    untouched = [g for g in own if not _meet(compiled, geom, g)]
-    if untouched:
-        what = compiled.item("geom", untouched[0]) if len(untouched) == 1 else None
-        words = what or f"{len(untouched)} geoms"
-        compiled.refusals.leave_out(f"that {words} cannot touch the ground")
+    above = [str(compiled.item("geom", g)) for g in own if not _meet(compiled, geom, g)]
+    if above:
+        compiled.refusals.leave_out("passage through the ground", *above)
     return keys, [g for g in fixed if g != geom]
 
 
 def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
-    """Return which bodies touch: False, True, or keys of exceptions."""
+    """Return which bodies touch: False, True, or keys of exceptions.
+
+    Bodies touch with all their shapes if any of the shapes touch.
+    """
     if touches_nothing(compiled):
         return False
-    solids = [
-        (number, name, solid.geom)
-        for number, body in enumerate(placed)
-        for name, solid in zip(body.shape_names, body.solids, strict=True)
-    ]
-    joined = {
-        frozenset((i, j))
-        for i, body in enumerate(placed)
-        for j, other in enumerate(placed)
-        if other.rigid.parent == body.rigid.lead and other is not body
-    }
-    meeting, apart, added = 0, [], []
-    for (i, first, geom), (j, second, other) in itertools.combinations(solids, 2):
-        if i == j:
-            continue
-        meet = _meet(compiled, geom, other) and not _excluded(compiled, placed[i], placed[j])
-        paired = _paired(compiled, geom, other)
-        neighbours = frozenset((i, j)) in joined
-        meeting += (meet and not neighbours) or paired
-        if paired and neighbours:
-            added.append([first, second])
-        if not (meet or paired) and not neighbours:
-            apart.append([first, second])
+    meeting, apart, added = False, [], []
+    for first, second in itertools.combinations(placed, 2):
+        pairs = [(a.geom, b.geom) for a in first.solids for b in second.solids]
+        paired = any(_paired(compiled, *pair) for pair in pairs)
+        by_type = any(_meet(compiled, *pair) for pair in pairs)
+        meet = paired or (by_type and not _excluded(compiled, first, second))
+        joined = first.rigid.lead == second.rigid.parent or second.rigid.lead == first.rigid.parent
+        names = [first.name, second.name]
+        meeting = meeting or paired or (meet and not joined)
+        if joined and paired:
+            added.append(names)
+        if pairs and not joined and not meet:
+            apart.append(names)
     if not meeting:
         return False
-    keys = {"exclude": _shortened(apart, [name for _, name, _ in solids]), "include": added}
-    keys = {name: pairs for name, pairs in keys.items() if pairs}
-    return keys or True
+    bodies = [body.name for body in placed if body.solids]
+    keys = {"exclude": _shortened(apart, bodies), "include": added}
+    return {name: pairs for name, pairs in keys.items() if pairs} or True
 
 
 def read_material(compiled: Compiled, geom: int, density: float) -> dict[str, float]:
@@ -160,9 +151,7 @@ def _excluded(compiled: Compiled, first: Placed, second: Placed) -> bool:
 
 
 def _shortened(pairs: list[list[str]], names: list[str]) -> list[list[str]]:
-    """Return pairs, with ``all`` for a shape that is apart from every other one."""
-    counts = {name: sum(name in pair for pair in pairs) for name in names}
-    alone = [name for name, count in counts.items() if count >= len(names) - 1]
-    return [[name, "all"] for name in alone] + [
-        pair for pair in pairs if not set(pair) & set(alone)
-    ]
+    """Return pairs, with ``all`` for a body that touches no other one."""
+    alone = [name for name in names if sum(name in pair for pair in pairs) >= len(names) - 1 > 1]
+    others = [pair for pair in pairs if not set(pair) & set(alone)]
+    return [[name, "all"] for name in alone] + others

@@ -6,13 +6,15 @@
 | shape and density | one ``geom``, centred at ``-child_anchor`` | `mjcf_shapes` |
 | further part of a body, and welded body | a ``body`` without a joint | |
 | mass and inertia in numbers | ``inertial`` | |
-| joint | ``hinge``s | `mjcf_joints` |
+| joint | ``hinge``s, ``slide``s or a ``ball`` | `mjcf_joints` |
 | root | a ``freejoint``; a root that hangs on the world has its own joints, or none | |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
+| tendon | ``fixed`` tendon | `mjcf_tendons` |
 | ground | ``geom``s of the world | `mjcf_ground` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
 | friction of a body on the ground | a ``pair`` of the two geoms | |
 | pair of bodies that push each other apart | a ``pair`` without friction (``condim`` 1) | |
+| eyes, restitution, muscles and other numbers of ours | a ``text`` for the import | `mjcf_custom` |
 | a start in another pose than the neutral one | a ``key`` named ``start`` | |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are equal on both sides.
@@ -22,18 +24,21 @@ softness of MuJoCo's defaults.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from evo_cpg.creature.creature import Body, Creature, Inertial, topological_order
+from evo_cpg.exchange.mjcf_custom import add_custom
 from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
-from evo_cpg.exchange.mjcf_joints import add_hinges, joint_names
+from evo_cpg.exchange.mjcf_joints import add_joints, joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
-from evo_cpg.exchange.refusals import ExchangeError
+from evo_cpg.exchange.mjcf_tendons import add_tendons
+from evo_cpg.exchange.mujoco_state import ball_quaternion
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
 from evo_cpg.spatial.rotation import euler_to_matrix
@@ -56,6 +61,7 @@ def mjcf_model(
     pairs: Sequence[tuple[str, str]] = (),
     orientation: Sequence[float] | None = None,
     angles: Sequence[float] | None = None,
+    sensors: Sequence[Mapping[str, Any]] = (),
 ) -> Element:
     """Return the ``mujoco`` element of a creature in its world.
 
@@ -71,12 +77,13 @@ def mjcf_model(
         orientation: initial orientation of a free root, unit quaternion (w, x, y, z), if the
             initial pose is not the neutral one.
         angles: angles of the joints in that pose, rad, in the order of the creature's `Tree`.
+        sensors: keys of the animal's sensors that are neither eyes, gauges nor pressure sensors.
 
     Raises:
         CreatureError: the bodies do not form one tree.
         ExchangeError: MJCF cannot hold a shape or a part of the ground.
     """
-    order = topological_order(creature)
+    topological_order(creature)
     names = [body.name for body in creature.bodies]
     root = Element("mujoco", model=creature.name)
     SubElement(root, "compiler", angle="radian")
@@ -89,6 +96,7 @@ def mjcf_model(
     # pairs.
     default = SubElement(root, "default")
     SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
+    add_custom(root, creature, heading, sensors)
     add_meshes(root, creature)
     place = SubElement(root, "worldbody")
     parts = add_ground(root, place, ground, names) if ground else []
@@ -108,20 +116,46 @@ def mjcf_model(
     actuator = SubElement(root, "actuator")
     for body in creature.bodies:
         joint = creature.joint_of(body)
-        motors = joint.motors if joint else ()
-        for name, motor in zip(joint_names(body, joint), motors, strict=True):
+        if joint is None:
+            continue
+        names = joint_names(body, joint)
+        for name, motor, dof in zip(names, joint.motors, joint.dofs, strict=True):
             if motor:
-                add_motor(actuator, name, motor)
+                axis = dof.axis if dof.kind == "ball" else None
+                add_motor(actuator, name, motor, axis=axis)
+    add_tendons(root, actuator, creature)
     if angles is not None:
-        own = [(creature.bodies[i], creature.joint_of(creature.bodies[i])) for i in order]
-        hinges = [name for body, joint in own for name in joint_names(body, joint)]
-        pose = dict(zip(hinges, angles, strict=True))
+        pose = _positions(creature, order, angles)
         # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.
-        bends = [pose[joint.get("name", "")] for joint in place.iter("joint")]
+        bends = [x for joint in place.iter("joint") for x in pose[joint.get("name", "")]]
         free = () if orientation is None else (*start, *orientation)
         keyframe = SubElement(root, "keyframe")
         SubElement(keyframe, "key", name=_START, qpos=number_text(*free, *bends))
     return root
+
+
+def _positions(
+    creature: Creature, order: Sequence[int], q: Sequence[float]
+) -> dict[str, list[float]]:
+    """Return MuJoCo's position of each joint, by its name.
+
+    Args:
+        creature: the creature.
+        order: indices of its bodies in the order of its `Tree`.
+        q: coordinates of its joints, in that order.
+    """
+    found: dict[str, list[float]] = {}
+    values = iter(q)
+    for body in (creature.bodies[i] for i in order):
+        joint = creature.joint_of(body)
+        if joint is None:
+            continue
+        names, own = joint_names(body, joint), [next(values) for _ in joint.dofs]
+        if joint.kind == "ball":
+            found[names[0]] = ball_quaternion(np.array(joint.axes, float).T, own).tolist()
+        else:
+            found |= {name: [x] for name, x in zip(names, own, strict=True)}
+    return found
 
 
 def mjcf_text(model: Element) -> str:
@@ -165,7 +199,7 @@ def _add_bodies(
         if joint is None:
             SubElement(element, "freejoint")
         else:
-            add_hinges(element, body, joint)
+            add_joints(element, body, joint)
         if body.inertial is not None and body.inertial.mass:
             _add_inertial(element, body.inertial, own_anchor)
         if body.shape.exists:

@@ -14,11 +14,12 @@ covers every field of the installed MuJoCo, so a new field is noticed. Fields th
 lack are skipped. The page "Bring your own model" prints these tables.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from evo_cpg.exchange.compiled import TOLERANCE, Compiled
+from evo_cpg.exchange.compiled import TOLERANCE, Compiled, Item
 
 
 class Source(NamedTuple):
@@ -61,6 +62,7 @@ READ = {
     "actuator_biasprm": Source("actuator", "kp, kv, bias, biasprm", "`actuator`"),
     "tendon_stiffness": Source("tendon", "stiffness", "`tendons.stiffness`"),
     "tendon_damping": Source("tendon", "damping", "`tendons.damping`"),
+    "tendon_armature": Source("tendon", "armature", "`tendons.armature`"),
     "tendon_frictionloss": Source("tendon", "frictionloss", "`tendons.friction_loss`"),
     "tendon_range": Source("tendon", "range", "`tendons.limits`"),
     "tendon_lengthspring": Source("tendon", "springlength", "`tendons.rest`"),
@@ -108,7 +110,6 @@ REFUSED = {
     "actuator_damping": Neutral("actuator", "damping"),
     "actuator_dampingpoly": Neutral("actuator", "damping polynomial"),
     "actuator_armature": Neutral("actuator", "armature"),
-    "tendon_armature": Neutral("tendon", "armature"),
     "tendon_stiffnesspoly": Neutral("tendon", "stiffness polynomial"),
     "tendon_dampingpoly": Neutral("tendon", "damping polynomial"),
     "tendon_springyield": Neutral("tendon", "springyield"),
@@ -189,7 +190,7 @@ def require_numbers(compiled: Compiled) -> None:
         for field, (kind, word, _) in fields.items():
             if kind == "wrap" or field == "qpos_spring":
                 continue
-            values = np.asarray(getattr(compiled.model, field))
+            values = np.asarray(getattr(compiled.model, field, np.zeros(0)))
             limits = field in READ_LIMITS
             wrong = np.isnan(values) if limits else ~np.isfinite(values)
             allowed = "numbers" if limits else "finite numbers"
@@ -200,29 +201,25 @@ def require_numbers(compiled: Compiled) -> None:
 
 def refuse_fields(compiled: Compiled) -> None:
     """Refuse elements of the animal with a field that has another value than in `REFUSED`."""
-    for word, item, _ in _unusual(compiled, REFUSED):
+    for word, item in _unusual(compiled, REFUSED):
         item.refuse(f"it has {word}", f"no {word}")
 
 
 def leave_out_fields(compiled: Compiled) -> None:
     """Name fields of contacts and limits with other values than in `LEFT_OUT`."""
-    counts: dict[tuple[str, str], list[str]] = {}
-    for word, item, _ in _unusual(compiled, LEFT_OUT):
-        found = counts.setdefault((item.kind, word), [])
-        found += [str(item)] * (str(item) not in found)
-    for (kind, word), items in counts.items():
-        whom = items[0] if len(items) == 1 else f"{len(items)} {kind}s"
-        compiled.refusals.leave_out(f"{word} of {whom}")
+    for word, item in _unusual(compiled, LEFT_OUT):
+        compiled.refusals.leave_out(word, str(item))
 
 
-def _unusual(compiled: Compiled, table: dict[str, Neutral]):
+def _unusual(compiled: Compiled, table: dict[str, Neutral]) -> Iterator[tuple[str, Item]]:
+    """Yield the attribute and the element of each value with an effect."""
     for field, (kind, word, values) in table.items():
         found = getattr(compiled.model, field, None)
         if found is None or not len(found):
             continue
         wrong = ~np.isclose(found, values, rtol=TOLERANCE, atol=0)
-        for item, place in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
-            yield word, item, place
+        for item, _ in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
+            yield word, item
 
 
 def refuse_elements(compiled: Compiled) -> None:
@@ -249,7 +246,8 @@ def leave_out_elements(compiled: Compiled) -> None:
         if value[0] not in allowed:
             compiled.refusals.leave_out(f"option {name}")
     for count, kind in COUNTS.items():
-        compiled.refusals.leave_out(*counted(int(getattr(compiled.model, count, 0)), kind))
+        for phrase in counted(int(getattr(compiled.model, count, 0)), kind):
+            compiled.refusals.leave_out(phrase)
 
 
 def counted(number: int, kind: str) -> list[str]:

@@ -20,7 +20,7 @@ loss.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,7 +31,7 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import check_config
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.shape import ShapeConfig
-from evo_cpg.creature.creature import lowest_height
+from evo_cpg.creature.creature import CreatureError, lowest_height
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.compiled import WORLD, Compiled, compile_model, tidy, tidy_vector
@@ -50,7 +50,6 @@ from evo_cpg.exchange.mjcf_custom import (
     root_axes,
 )
 from evo_cpg.exchange.mjcf_fields import (
-    counted,
     leave_out_elements,
     leave_out_fields,
     refuse_elements,
@@ -68,15 +67,9 @@ from evo_cpg.exchange.rigid import Rigid, rigid_bodies, scenery
 # Density of bodies whose mass is given in numbers, kg/m^3. It has no effect.
 _ANY_DENSITY = 1000.0
 
-# Mass of a fixed root that has none in the file, kg. It has no effect.
-_ANY_MASS = 1.0
-
 # Relative difference of mass and moments from those of a uniform shape, within which the density
 # describes both. Files have this many digits after rounding in the compiler.
 _UNIFORM, _MESH_UNIFORM = 1e-11, 1e-5
-
-# Largest number of fixed geoms that are named. More are counted.
-_NAMED = 4
 
 _SHAPE = TypeAdapter(ShapeConfig)
 
@@ -93,6 +86,8 @@ class Imported(NamedTuple):
         dropped: sentences about refused parts whose loss the user accepted.
         joints: MuJoCo's numbers of the joints of each body, by its name, in the order of its axes.
         exported: whether the file is our own export, whose meshes are exact.
+        warnings: sentences about what a user may have to change before training.
+        place: origin of the root's frame in the file's neutral pose, m.
     """
 
     experiment: dict[str, Any]
@@ -100,6 +95,8 @@ class Imported(NamedTuple):
     dropped: tuple[str, ...]
     joints: dict[str, tuple[int, ...]]
     exported: bool
+    warnings: tuple[str, ...]
+    place: tuple[float, float, float]
 
 
 def read_model(
@@ -169,18 +166,38 @@ def read_model(
         world,
         _clearance(built, placed[0], world),
         bool(placed[0].rigid.joints) or placed[0].rigid.free,
+        any("stiffness" in motor for motor in (*motors.values(), *tendon_motors.values())),
     )
-    return Imported(data, tuple(refusals.left_out), tuple(refusals.dropped), joints, bool(custom))
+    return Imported(
+        data,
+        tuple(refusals.left_out),
+        tuple(refusals.dropped),
+        joints,
+        bool(custom),
+        tuple(_warnings(compiled, placed[0], bool(motors or tendon_motors))),
+        tuple(placed[0].centre.tolist()),
+    )
+
+
+def _warnings(compiled: Compiled, root: Placed, driven: bool) -> Iterator[str]:
+    """Yield sentences about what a user may have to change before training."""
+    if not driven:
+        yield "no joint has a motor. Give joints an actuator before training"
+    if not (root.rigid.joints or root.rigid.free):
+        hint = ". The option --free releases the first body" if compiled.urdf else ""
+        yield f"the root {root.name!r} does not move, so use a task of your own{hint}"
 
 
 def _body_names(compiled: Compiled, rigids: Sequence[Rigid]) -> dict[int, str]:
-    """Return a unique name for each rigid body. Missing names are made from MuJoCo's numbers."""
+    """Return a unique name for each rigid body. A body without a name has that of its joint."""
     mujoco, model = compiled.mujoco, compiled.model
     names: dict[int, str] = {}
     for rigid in rigids:
         given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, rigid.lead)
         if rigid.lead == WORLD:
             given = "base"
+        elif not given and rigid.joints:
+            given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, rigid.joints[0])
         # Braces stand for numbers in our names, and these two words for all bodies and no body.
         name = re.sub(r"[{}*]", "_", given or f"body{rigid.lead}")
         name = f"{name}_" if name in ("all", "world") else name
@@ -244,8 +261,15 @@ def _substance(
         made = restored_material(custom, name, made, density is not None)
         key = tuple(made.items())
         named.append(materials.setdefault(key, f"material{len(materials) + 1}"))
+    if not named:
+        key = (("density", _ANY_DENSITY),)
+        named.append(materials.setdefault(key, f"material{len(materials) + 1}"))
     colors = [read_color(compiled, solid.geom) for solid in own.solids]
     keys = body_keys(own, named, colors)
+    if not mass:
+        # Only a fixed root has no mass in MuJoCo. Any mass does.
+        any_mass = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]}
+        return keys if shapes else keys | any_mass
     if density is None:
         keys["mass"] = tidy(mass)
         keys["centre_of_mass"] = tidy_vector(centre)
@@ -260,7 +284,7 @@ def _mass_properties(compiled: Compiled, own: Placed) -> tuple[float, np.ndarray
     masses = np.array(model.body_mass[members], float)
     mass = float(masses.sum())
     if not mass:
-        return _ANY_MASS, np.zeros(3), np.eye(3)
+        return 0.0, np.zeros(3), np.zeros((3, 3))
     places = np.array(data.xipos[members]).reshape(-1, 3)
     centre = masses @ places / mass
     inertia = np.zeros((3, 3))
@@ -277,7 +301,7 @@ def _is_uniform(
 ) -> bool:
     """Return whether a uniform density of the shape gives the mass properties."""
     mass, centre, inertia = found
-    if not alike or not shape.volume:
+    if not alike or not mass or not shape.volume:
         return False
     expected = np.asarray(shape.inertia_tensor(mass), float)
     middle = _SHAPE.validate_python(solid.shape).centre
@@ -314,14 +338,14 @@ def _set_senses(creature: dict[str, Any], custom: Custom, on_ground: bool) -> No
 
 
 def _leave_out_scenery(compiled: Compiled, geoms: Sequence[int], placed: Sequence[Placed]) -> None:
-    """Name the fixed geoms that are left out, and count drawings of the animal."""
-    named = [str(compiled.item("geom", geom)) for geom in geoms]
-    words = named if len(named) <= _NAMED else [f"{len(named)} geoms of the scenery"]
-    compiled.refusals.leave_out(*words)
+    """Name the fixed geoms, and the geoms that only draw the animal."""
+    for geom in geoms:
+        compiled.refusals.leave_out("scenery", str(compiled.item("geom", geom)))
     members = {member for body in placed for member in body.rigid.members}
-    own = sum(int(body) in members for body in compiled.model.geom_bodyid)
-    drawings = own - sum(len(body.solids) for body in placed)
-    compiled.refusals.leave_out(*counted(drawings, "geom that only draws the animal"))
+    shown = {solid.geom for body in placed for solid in body.solids}
+    for geom, owner in enumerate(compiled.model.geom_bodyid.tolist()):
+        if owner in members and geom not in shown and geom not in geoms:
+            compiled.refusals.leave_out("drawing", str(compiled.item("geom", geom)))
 
 
 def _checked_creature(compiled: Compiled, keys: Mapping[str, Any]) -> CreatureConfig:
@@ -332,9 +356,18 @@ def _checked_creature(compiled: Compiled, keys: Mapping[str, Any]) -> CreatureCo
     """
     data = {"name": "imported", "creature": keys}
     try:
-        return check_config(data, compiled.source).creature
+        config = check_config(data, compiled.source).creature
+        config.build()
     except ConfigError as error:
-        raise ExchangeError(str(error)) from None
+        where = [str(part) for part in error.key[1:]]
+        owner = keys["name"]
+        if len(where) > 1 and where[0] == "bodies" and where[1].isdigit():
+            owner, where = keys["bodies"][int(where[1])]["name"], where[2:]
+        key = f"{'.'.join(where)}: " if where else ""
+        raise ExchangeError(f"{compiled.source}: {owner!r}: {key}{error.problem}") from None
+    except CreatureError as error:
+        raise ExchangeError(f"{compiled.source}: {error}") from None
+    return config
 
 
 def _dof_names(config: CreatureConfig, joints: Mapping[str, tuple[int, ...]]) -> dict[int, str]:

@@ -27,15 +27,32 @@ from evo_cpg.creature.creature import Actuator, Muscle, TorqueMotor
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 from evo_cpg.exchange.mjcf_fields import counted
 from evo_cpg.exchange.mjcf_ground import number_text
+from evo_cpg.spatial.numerics import Triple
 
 # Number of actuator groups that MuJoCo can disable.
 _GROUPS = 31
 
 
-def add_motor(actuator: Element, joint: str, motor: Actuator | TorqueMotor | Muscle) -> None:
-    """Add the motor or the muscles of a hinge."""
+def add_motor(
+    actuator: Element,
+    name: str,
+    motor: Actuator | TorqueMotor | Muscle,
+    of: str = "joint",
+    axis: Triple | None = None,
+) -> None:
+    """Add the motor or the muscles of an axis, or the motor of a tendon.
+
+    Args:
+        actuator: the section of actuators.
+        name: name of the MJCF joint or the tendon.
+        motor: motor or muscles.
+        of: kind of the driven part, ``joint`` or ``tendon``.
+        axis: axis of a ball that the motor turns, or None for a part with one coordinate.
+    """
+    own = name if axis is None else f"{name}.{'xyz'[int(np.abs(axis).argmax())]}"
+    driven = {"name": own, of: name}
     if isinstance(motor, Muscle):
-        element = SubElement(actuator, "motor", name=joint, joint=joint)
+        element = SubElement(actuator, "motor", driven)
         element.set("gear", number_text(motor.strength))
         element.set("ctrlrange", number_text(-1.0, 1.0))
         return
@@ -43,14 +60,17 @@ def add_motor(actuator: Element, joint: str, motor: Actuator | TorqueMotor | Mus
     if isinstance(motor, TorqueMotor):
         # MuJoCo limits the force before the gear.
         limit = limit / abs(motor.gear)
-        element = SubElement(actuator, "motor", name=joint, joint=joint)
+        element = SubElement(actuator, "motor", driven)
         element.set("gear", number_text(motor.gear))
     else:
         kind = "position" if motor.stiffness else "velocity"
-        element = SubElement(actuator, kind, name=joint, joint=joint)
+        element = SubElement(actuator, kind, driven)
         if motor.stiffness:
             element.set("kp", number_text(motor.stiffness))
         element.set("kv", number_text(motor.gain))
+    if axis is not None:
+        gear = motor.gear if isinstance(motor, TorqueMotor) else 1.0
+        element.set("gear", number_text(*(gear * x for x in axis)))
     if np.isfinite(limit):
         element.set("forcerange", number_text(-limit, limit))
 
@@ -62,7 +82,8 @@ def read_motors(
     of_joints: dict[int, dict[str, Any]] = {}
     of_tendons: dict[int, dict[str, Any]] = {}
     if compiled.disabled("actuation"):
-        compiled.refusals.leave_out(*counted(len(compiled.model.actuator_trnid), "actuator"))
+        for phrase in counted(len(compiled.model.actuator_trnid), "actuator"):
+            compiled.refusals.leave_out(phrase)
         return of_joints, of_tendons
     for number in range(len(compiled.model.actuator_trnid)):
         with compiled.refusals.collecting():
@@ -118,10 +139,10 @@ def _read_motor(
         raise item.refusal("it has a constant force", "a bias of 0, or a stiffness")
     limit = _torque_limit(compiled, number, kind, target, servo, gear * strength)
     if int(model.actuator_dyntype[number]) != mujoco.mjtDyn.mjDYN_NONE:
-        compiled.refusals.leave_out(f"the time constant of {item}")
+        compiled.refusals.leave_out("time constant", str(item))
     if servo:
         if _limits_commands(compiled, number):
-            compiled.refusals.leave_out(f"the ctrlrange of {item}")
+            compiled.refusals.leave_out("ctrlrange", str(item))
         # The square of the gear could overflow.
         gain, spring = (gear * (gear * value) for value in (damping, stiffness))
         keys: dict[str, Any] = {"gain": tidy(gain), "torque_limit": limit}
@@ -176,9 +197,7 @@ def _torque_limit(
             continue
         lower, upper = sorted(map(float, torque))
         if not np.isclose(-lower, upper, rtol=TOLERANCE):
-            compiled.refusals.leave_out(
-                f"the smaller one of the limits {lower:g} and {upper:g} of {item}"
-            )
+            compiled.refusals.leave_out("smaller one of two force limits", str(item))
         largest.append(max(abs(lower), abs(upper)))
     if not largest:
         return None

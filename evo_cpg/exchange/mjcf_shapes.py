@@ -27,7 +27,7 @@ from evo_cpg.creature.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
 from evo_cpg.exchange.compiled import Compiled, tidy, tidy_vector
 from evo_cpg.exchange.mjcf_ground import number_text
 from evo_cpg.exchange.refusals import ExchangeError
-from evo_cpg.exchange.rigid import Rigid
+from evo_cpg.exchange.rigid import Rigid, is_flat
 from evo_cpg.spatial.rotation import matrix_to_euler
 
 # Most corners of a mesh. Contact and buoyancy use fewer (`evo_cpg.creature.mesh`).
@@ -169,34 +169,36 @@ def place_body(compiled: Compiled, rigid: Rigid, name: str, axes: np.ndarray) ->
     return Placed(rigid, name, centre, turn, tuple(solids), False)
 
 
-def body_keys(placed: Placed, materials: Sequence[str], colors: Sequence[str | None]) -> dict:
+def body_keys(
+    placed: Placed, materials: Sequence[str], colors: Sequence[str | None]
+) -> dict[str, Any]:
     """Return the keys of a body that describe its shapes.
 
     Args:
         placed: the body.
-        materials: name of the material of each shape.
+        materials: name of the material of each shape, or of the body alone without shapes.
         colors: colour of each shape, or None.
     """
-    keys: dict[str, Any] = {"shape": None}
+    keys: dict[str, Any] = {"shape": None, "material": materials[0]}
+    color = colors[0] if colors else None
+    if color:
+        keys["color"] = color
+    if placed.own_shape:
+        keys["shape"] = placed.solids[0].shape
     parts = []
-    for i, (solid, material, color) in enumerate(
-        zip(placed.solids, materials, colors, strict=True)
+    first = int(placed.own_shape)
+    for solid, material, own_color in zip(
+        placed.solids[first:], materials[first:], colors[first:], strict=False
     ):
-        made: dict[str, Any] = {"shape": solid.shape}
-        if placed.own_shape and i == 0:
-            made["material"] = material
-        else:
-            made["at"] = placed.place(solid.centre)
-            angles = np.rad2deg(matrix_to_euler(placed.turn.T @ solid.turn))
-            if np.any(turn := tidy_vector(angles)):
-                made["rotation_deg"] = turn
-            made["material"] = material
-        if color:
-            made["color"] = color
-        if placed.own_shape and i == 0:
-            keys |= made
-        else:
-            parts.append(made)
+        part: dict[str, Any] = {"shape": solid.shape, "at": placed.place(solid.centre)}
+        angles = tidy_vector(np.rad2deg(matrix_to_euler(placed.turn.T @ solid.turn)))
+        if np.any(angles):
+            part["rotation_deg"] = angles
+        if material != materials[0]:
+            part["material"] = material
+        if own_color and own_color != color:
+            part["color"] = own_color
+        parts.append(part)
     return keys | ({"parts": parts} if parts else {})
 
 
@@ -246,7 +248,11 @@ def read_solid(compiled: Compiled, geom: int, outer: np.ndarray, keeps_axes: boo
 def _chosen_geoms(compiled: Compiled, rigid: Rigid) -> list[int]:
     """Return the colliding geoms of a body, or all if none collides."""
     model = compiled.model
-    every = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] in rigid.members]
+    every = [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] in rigid.members and not is_flat(compiled, geom)
+    ]
     paired = {*map(int, model.pair_geom1), *map(int, model.pair_geom2)}
     solid = [
         geom

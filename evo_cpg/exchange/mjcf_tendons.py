@@ -1,10 +1,10 @@
-"""Fixed tendons of MJCF: laws on a weighted sum of joint angles.
+"""Fixed tendons of a creature as tendons of MJCF, and back: laws on a sum of joint angles.
 
 | here | in MJCF |
 |---|---|
 | tendon over degrees of freedom | ``fixed`` tendon over ``joint``s with ``coef`` |
-| stiffness, damping, friction loss | the same attribute |
-| length at which the spring is relaxed | ``springlength``, one number |
+| stiffness, damping, armature, friction loss | the same attribute |
+| lengths at which the spring is relaxed | ``springlength`` |
 | limits of the length | ``range`` |
 | motor | an actuator with ``tendon`` |
 
@@ -14,8 +14,52 @@ motor has no effect and is left out.
 
 from collections.abc import Mapping
 from typing import Any
+from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
+from evo_cpg.creature.creature import NO_LIMIT, Creature, topological_order
+from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.compiled import Compiled, tidy
+from evo_cpg.exchange.mjcf_ground import number_text
+from evo_cpg.exchange.mjcf_joints import joint_names
+from evo_cpg.exchange.mjcf_motors import add_motor
+
+# MuJoCo replaces the spring length -1 by the length in the neutral pose.
+_NEUTRAL = -1.0
+
+
+def add_tendons(root: Element, actuator: Element, creature: Creature) -> None:
+    """Add the tendons and their motors."""
+    if not creature.tendons:
+        return
+    bodies = [creature.bodies[i] for i in topological_order(creature)]
+    hinges = [name for body in bodies for name in joint_names(body, creature.joint_of(body))]
+    hinge_of = dict(zip(build_tree(creature).dof_names, hinges, strict=True))
+    section = SubElement(root, "tendon")
+    for tendon in creature.tendons:
+        element = SubElement(section, "fixed", name=tendon.name)
+        limited = tendon.upper < NO_LIMIT
+        element.set("limited", "true" if limited else "false")
+        if limited:
+            element.set("range", number_text(tendon.lower, tendon.upper))
+        values = {
+            "stiffness": tendon.stiffness,
+            "damping": tendon.damping,
+            "armature": tendon.armature,
+            "frictionloss": tendon.friction_loss,
+        }
+        for key, value in values.items():
+            if value:
+                element.set(key, number_text(value))
+        if tendon.stiffness:
+            rest = [np.nextafter(x, 0.0) if x == _NEUTRAL else x for x in tendon.rest]
+            element.set("springlength", number_text(*rest))
+        for name, coefficient in tendon.joints:
+            joint = SubElement(element, "joint", joint=hinge_of[name])
+            joint.set("coef", number_text(coefficient))
+        if tendon.actuator:
+            add_motor(actuator, tendon.name, tendon.actuator, "tendon")
 
 
 def read_tendons(
@@ -34,7 +78,9 @@ def read_tendons(
         if number in motors:
             law["actuator"] = motors[number]
         if not law:
-            compiled.refusals.leave_out(f"{compiled.item('tendon', number)}, without effect")
+            compiled.refusals.leave_out(
+                "tendon without effect", str(compiled.item("tendon", number))
+            )
             continue
         with compiled.refusals.collecting():
             tendons.append(_read_tendon(compiled, number, names, law))
@@ -55,6 +101,9 @@ def _read_tendon(
             raise item.refusal("it acts on a joint that is not part of the animal", "its joints")
         old = coefficients.get(names[joint], 0.0)
         coefficients[names[joint]] = tidy(old + float(model.wrap_prm[wrap]))
+    coefficients = {name: value for name, value in coefficients.items() if value}
+    if not coefficients:
+        raise item.refusal("all its coefficients are 0", "one that is not 0")
     return {"name": _name(compiled, number), "joints": coefficients, **law}
 
 
@@ -66,15 +115,14 @@ def _law(compiled: Compiled, number: int) -> dict[str, Any]:
     stiffness, damping = float(model.tendon_stiffness[number]), float(model.tendon_damping[number])
     if stiffness and not (compiled.disabled("spring") or compiled.disabled("passive")):
         law["stiffness"] = tidy(stiffness)
-        lower, upper = map(float, model.tendon_lengthspring[number])
-        if lower != upper:
-            compiled.item("tendon", number).refuse(
-                "its spring is slack between two lengths", "one springlength"
-            )
-        if tidy(lower - neutral):
-            law["rest"] = tidy(lower - neutral)
+        rest = [tidy(float(x) - neutral) for x in model.tendon_lengthspring[number]]
+        if any(rest):
+            law["rest"] = rest[0] if rest[0] == rest[1] else rest
     if damping and not (compiled.disabled("damper") or compiled.disabled("passive")):
         law["damping"] = tidy(damping)
+    armature = float(getattr(model, "tendon_armature", np.zeros(model.ntendon))[number])
+    if armature:
+        law["armature"] = tidy(armature)
     constrained = not compiled.disabled("constraint")
     loss = float(model.tendon_frictionloss[number])
     if loss and constrained and not compiled.disabled("frictionloss"):

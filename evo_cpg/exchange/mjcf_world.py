@@ -24,6 +24,9 @@ from evo_cpg.exchange.refusals import Refusal
 # Densities (kg/m^3) above which a medium is a liquid. Drag of thinner ones is left out.
 _LIQUID = 100.0
 
+# Angle that motors with a spring follow at full output, degrees.
+_ANGLE_RANGE = 40.0
+
 # Smallest coefficient of gravity compensation that differs from 0, and tolerance of equal ones.
 _ALIKE = 1e-6
 
@@ -78,7 +81,12 @@ def read_world(
 
 
 def experiment(
-    name: str, creature: dict[str, Any], world: dict[str, Any], clearance: float, displaced: bool
+    name: str,
+    creature: dict[str, Any],
+    world: dict[str, Any],
+    clearance: float,
+    displaced: bool,
+    springs: bool,
 ) -> dict[str, Any]:
     """Return the keys of an experiment with a default controller, task and search.
 
@@ -88,6 +96,7 @@ def experiment(
         world: keys of the world.
         clearance: height of the animal above the ground at the start, m.
         displaced: whether the root can move.
+        springs: whether a motor follows angles.
     """
     simulation: dict[str, Any] = {"control_rate_hz": 60, "substeps": 4, "steps": 600}
     if clearance > _ALIKE:
@@ -96,17 +105,20 @@ def experiment(
     task = {"type": "walk", "heading": "forward"} if walks else {"type": "distance"}
     if not walks and displaced:
         task["heading"] = "forward"
+    controller: dict[str, Any] = {
+        "type": "brain_cpg",
+        "drive": "per_joint",
+        "brain": {"hidden": [8]},
+        "cpg": {"pair_weight": 3.0, "parent_weight": 0.35, "child_weight": 0.1},
+    }
+    if springs:
+        controller["angle_range_deg"] = _ANGLE_RANGE
     return {
         "name": name,
         "creature": creature,
         "world": world,
         "simulation": simulation,
-        "controller": {
-            "type": "brain_cpg",
-            "drive": "per_joint",
-            "brain": {"hidden": [8]},
-            "cpg": {"pair_weight": 3.0, "parent_weight": 0.35, "child_weight": 0.1},
-        },
+        "controller": controller,
         "task": task,
         "evolution": {"generations": 50, "population": 100},
     }

@@ -52,22 +52,29 @@ class Refusals:
         source: the file.
         drop: whether the user accepts the loss of refused elements.
         found: faults in the order of their discovery.
-        left_out: phrases about elements that are left out without harm.
+        lost: elements that lose something without harm, by its name and their kind.
     """
 
     source: Path
     drop: bool = False
     found: list[Refusal] = dataclasses.field(default_factory=list)
-    left_out: list[str] = dataclasses.field(default_factory=list)
+    lost: dict[tuple[str, str], list[str]] = dataclasses.field(default_factory=dict)
 
     def add(self, refusal: Refusal) -> None:
         """Record a fault, once."""
         if refusal not in self.found:
             self.found.append(refusal)
 
-    def leave_out(self, *phrases: str) -> None:
-        """Record elements that are left out without harm, each once."""
-        self.left_out += [phrase for phrase in phrases if phrase not in self.left_out]
+    def leave_out(self, what: str, *elements: str) -> None:
+        """Record something that is left out without harm, of some elements or of the model."""
+        for element in elements or ("",):
+            owners = self.lost.setdefault((what, _kind(element)), [])
+            owners += [element] * bool(element and element not in owners)
+
+    @property
+    def left_out(self) -> list[str]:
+        """Phrases about what is left out without harm, such as ``margin of 3 geoms``."""
+        return [_lost(what, elements) for (what, _), elements in self.lost.items()]
 
     @contextlib.contextmanager
     def collecting(self) -> Iterator[None]:
@@ -105,8 +112,7 @@ def _sentences(refusals: Sequence[Refusal]) -> list[str]:
     """Return a sentence for each fault, about all elements of a kind that share it."""
     groups: dict[tuple[str, str], list[Refusal]] = {}
     for refusal in refusals:
-        kind = refusal.element.removeprefix("unnamed ").partition(" ")[0]
-        groups.setdefault((kind, refusal.problem), []).append(refusal)
+        groups.setdefault((_kind(refusal.element), refusal.problem), []).append(refusal)
     return [_words(group) for group in groups.values()]
 
 
@@ -117,3 +123,15 @@ def _words(group: list[Refusal]) -> str:
     lines = [str(refusal.line) for refusal in group[:_NAMED] if refusal.line]
     where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines)})" if lines else ""
     return f"{named}{more}: {group[0].problem}{where}"
+
+
+def _lost(what: str, elements: list[str]) -> str:
+    """Return a phrase about something that elements lose."""
+    if len(elements) < 2:
+        return " of ".join([what, *elements])
+    return f"{what} of {len(elements)} {_kind(elements[0])}s"
+
+
+def _kind(element: str) -> str:
+    """Return the kind of an element, from its name in messages."""
+    return element.removeprefix("unnamed ").partition(" ")[0]

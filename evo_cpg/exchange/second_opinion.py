@@ -39,9 +39,9 @@ from evo_cpg.exchange.carried_inertia import CarriedInertia, step_with_inertia
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import (
     dof_order,
+    joint_state,
     load_state,
     motor_order,
-    root_coordinates,
     root_dofs,
     root_rotation,
 )
@@ -51,13 +51,13 @@ from evo_cpg.installation import command_for
 from evo_cpg.physics import root
 from evo_cpg.physics.force_law import in_body_axes
 from evo_cpg.physics.hanging import Base
-from evo_cpg.physics.joint_torque import MotorCommand
+from evo_cpg.physics.joint_torque import Laws, MotorCommand
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.muscle import Pull, pull_of
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.weight import buoyancy_alone
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.control_step import act, begin_episode, sense
+from evo_cpg.simulation.control_step import act, begin_episode, motor_command, sense
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
@@ -86,7 +86,7 @@ class Opinion(NamedTuple):
         airborne: fraction of the time in which nothing touches the ground and no body's centre is
             under water. None without ground or with water everywhere, because it has no meaning
             then.
-        joint_angle: angles, rad, in our order of degrees of freedom.
+        joint_angle: angles, rad, and displacements, m, in our order of degrees of freedom.
     """
 
     program: str
@@ -155,13 +155,7 @@ class Brain:
             force[2, point] = borne[body]
         here = jax.tree.map(lambda x: np.asarray(x, np.float32)[..., None], state)
         self._nerves, command = jax.device_get(self._think(here, self._nerves, force))
-        rate, angle, activation = command.target_rate, command.target_angle, command.activation
-        return MotorCommand(
-            rate,
-            np.zeros_like(rate) if angle is None else angle,
-            jnp.zeros((2, *rate.shape)) if activation is None else activation,
-            np.zeros_like(rate) if command.torque is None else command.torque,
-        )
+        return motor_command(command).filled()
 
 
 def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
@@ -302,20 +296,12 @@ class _Player:
 
         The commands give our motors' torques. Those of muscles change within a step, see `advance`.
         """
-        tree, target_rate = self.tree, np.asarray(command.target_rate)
-        target_angle = np.asarray(command.target_angle)
-        gain, stiffness = (
-            np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)
-        )
-        springy = stiffness > 0
-        along = gain / np.where(springy, stiffness, 1.0) * target_rate
-        driven = np.where(springy, target_angle + along, target_rate)
-        if tree.torque_motors is not None:
-            gear = np.asarray(tree.torque_motors.gear, float)[:, None]
-            share = np.asarray(command.torque) / np.where(gear == 0, 1.0, gear)
-            driven = np.where(np.array(tree.torque_motors.driven)[:, None], share, driven)
-        driven = driven[self._motors].T
-        return np.asarray(driven, float), np.moveaxis(np.asarray(command.activation, float), -1, 0)
+        tendons, driven = self.tree.tendons, _shares(self.tree, command)
+        if tendons is not None:
+            own = command.to(np.maximum(tendons.channels, 0))
+            driven = np.concatenate([driven, _shares(tendons, own)])
+        active = np.moveaxis(np.asarray(command.activation, float), -1, 0)
+        return driven[self._motors].T, active
 
     def advance(
         self,
@@ -348,9 +334,9 @@ class _Player:
         hinges = root_dofs(tree) + self.dofs
         model.jnt_stiffness[model.dof_jntid[hinges]] = tree.stiffness + pull.stiffness
         model.dof_damping[hinges] = tree.damping + pull.damping
-        own = np.array(muscles.driven)[self._motors]
+        (own,) = np.nonzero(np.isin(self._motors, np.flatnonzero(muscles.driven)))
         share = pull.drive / np.where(muscles.driven, muscles.strength, 1.0)
-        self.data.ctrl[own] = share[self._motors][own]
+        self.data.ctrl[own] = share[self._motors[own]]
 
     def push(self, change: Float[np.ndarray, " v"]) -> None:
         """Change the velocities, given as for `State.rates`."""
@@ -382,19 +368,17 @@ class _Player:
     def state(self) -> State:
         """Return the animal's state in our form."""
         data, tree = self.data, self.tree
-        q = data.qpos[root_coordinates(tree) + self.dofs]
-        qd = data.qvel[root_dofs(tree) + self.dofs]
+        joints = joint_state(self.model, tree, data.qpos, data.qvel)
         if tree.hanging is not None:
             with jax.enable_x64(True):
-                moved = dataclasses.replace(self._start, q=q, qd=qd)
+                moved = dataclasses.replace(self._start, q=joints[0], qd=joints[1])
                 return jax.device_get(self._placed(moved))
         spin = root_rotation(data.qpos[3:7]) @ data.qvel[3:6]
         parts: tuple[Any, ...] = (
             data.qpos[:3].copy(),
             data.qpos[3:7].copy(),
             np.concatenate([spin, data.qvel[:3]]),
-            q,
-            qd,
+            *joints,
         )
         # Double precision, as in states from `jax.device_get`.
         return jax.tree.unflatten(self._structure, parts)
@@ -403,6 +387,22 @@ class _Player:
 def _applied(world: World) -> bool:
     """Return whether the world has forces that MJCF cannot hold."""
     return world.water is not None or bool(world.forces)
+
+
+def _shares(laws: Laws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
+    """Return MuJoCo's commands that give the force of our motors."""
+    target_rate, target_angle = np.asarray(command.target_rate), np.asarray(command.target_angle)
+    gain, stiffness = (
+        np.asarray(x, float)[:, None] for x in (laws.servo_gain, laws.servo_stiffness)
+    )
+    springy = stiffness > 0
+    along = gain / np.where(springy, stiffness, 1.0) * target_rate
+    driven = np.where(springy, target_angle + along, target_rate)
+    if laws.torque_motors is not None:
+        gear = np.asarray(laws.torque_motors.gear, float)[:, None]
+        share = np.asarray(command.torque) / np.where(gear == 0, 1.0, gear)
+        driven = np.where(np.array(laws.torque_motors.driven)[:, None], share, driven)
+    return np.asarray(driven, float)
 
 
 def _pull_forces(muscles: Muscles) -> Callable[[np.ndarray, State], Pull]:

@@ -44,6 +44,7 @@ from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.tendon import static_force, torque_of
 from evo_cpg.physics.weight import weight
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
@@ -176,11 +177,13 @@ def next_friction(
 
 
 def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
-    """Return the torque of springs, soft limits and motors that hold the neutral angle, N m."""
+    """Return the torque of springs, limits, tendons and motors that hold the neutral pose, N m."""
     zero = jnp.zeros_like(q)
     state = resting_state(tree, (), q.dtype, angles=q)
     motor = clamp_torque(tree, motor_torque(tree, state, MotorCommand(zero), 0.0).start)
-    return passive_torque(tree, state, 0.0)[0] + limit_torque(tree, q, zero, 0.0)[0] + motor
+    own = passive_torque(tree, state, 0.0)[0] + limit_torque(tree, q, zero, 0.0)[0] + motor
+    tendons = tree.tendons
+    return own if tendons is None else own + torque_of(tendons, static_force(tendons, q), len(q))
 
 
 def radius_of_gyration(tree: Tree) -> float:

@@ -32,6 +32,9 @@ _LEAST_TURN = 1.0
 # Joints have gaps between bodies, and eyes stand on stalks.
 _OUT = 0.3
 
+# Number of axes that span all rotations.
+_SPANNING = 3
+
 # Smallest angle between successive bodies of a row, degrees, for a warning. The row curls up into a
 # ring.
 _CURLS = 45.0
@@ -118,6 +121,23 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
 
 
 @rule
+def axes_in_a_plane(case: Case) -> Iterator[LintWarning]:
+    """Warn of three axes at one place that reach a common plane, without a rotor among them."""
+    for joint in case.joints():
+        built = joint.built
+        at_one_place = not any(built.kinds or ()) and not any(built.places or ())
+        if len(built.axes) != _SPANNING or not at_one_place or built.kind == "turns":
+            continue
+        if not any(dof.armature for dof in built.dofs):
+            yield case.warning(
+                (*joint.key, "axes"),
+                "the middle axis can turn until the three axes lie within 5 degrees of one plane. "
+                "Near it the joint spins up under any torque. Give it an armature, narrower limits "
+                "for the middle axis, or axes: ball",
+            )
+
+
+@rule
 def postures(case: Case) -> Iterator[LintWarning]:
     """Warn of posture angles that may be in radians. These keys lack ``_deg`` but are degrees."""
     # Pyright cannot follow a class that is created at import.
@@ -144,8 +164,10 @@ def postures(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def no_motor(case: Case) -> Iterator[LintWarning]:
-    """Warn if no joint has a motor."""
+    """Warn if no joint and no tendon has a motor."""
     joints = list(case.joints())
+    if any(tendon.actuator for tendon in case.config.creature.tendons):
+        return
     if joints and all(motor is None for joint in joints for motor in joint.given.motors):
         yield case.warning(
             (*joints[0].key, "actuator"),

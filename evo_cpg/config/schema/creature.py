@@ -2,17 +2,17 @@
 
 import dataclasses
 import itertools
-import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_serializer, model_validator
+from pydantic import Field, model_serializer, model_validator
 
 from evo_cpg.config.errors import Key, KeyProblem, nearest
 from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
 from evo_cpg.config.schema.frames import moved, opposed, reflected, unit
 from evo_cpg.config.schema.joint import JointConfig
+from evo_cpg.config.schema.names import PrintedName
 from evo_cpg.config.schema.section import (
     Finite,
     Fraction,
@@ -24,6 +24,7 @@ from evo_cpg.config.schema.section import (
 )
 from evo_cpg.config.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
 from evo_cpg.config.schema.shape import ShapeConfig
+from evo_cpg.config.schema.tendon import TendonConfig
 from evo_cpg.config.schema.typical import SOLID, Direction
 from evo_cpg.creature.creature import (
     NO_MASS,
@@ -41,26 +42,6 @@ from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import NoShape
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
-
-# Excludes control characters of ASCII and Latin-1, line separators and direction marks.
-_PRINTED = r"[^\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]"
-
-
-def _require_printed(name: str) -> str:
-    """Return a name, and raise ValueError if it is empty or contains control characters."""
-    if not name:
-        raise ValueError("'': must not be empty")
-    if not re.fullmatch(f"{_PRINTED}+", name):
-        raise ValueError(f"{name!r}: must be on one line, without control characters")
-    return name
-
-
-PrintedName = Annotated[
-    str,
-    AfterValidator(_require_printed),
-    Field(json_schema_extra={"pattern": f"^{_PRINTED}+$"}),
-]
-
 
 Color = Annotated[
     str, *pattern(r"^#[0-9a-fA-F]{6}$", "must be '#' and six hexadecimal digits, such as '#ff8800'")
@@ -242,6 +223,7 @@ class CreatureConfig(Section):
         pressure_sensors: ``all`` bodies, or a list of names.
         depth_sensors: depth gauges.
         sensors: further sensors, whose ``type`` selects the kind.
+        tendons: fixed tendons.
         self_collision: ``true`` to keep its bodies from passing through each other, ``false``, or
             exceptions to the rule; if left out, bodies are kept apart if there is ground.
     """
@@ -253,7 +235,13 @@ class CreatureConfig(Section):
     pressure_sensors: Literal["all"] | list[str] = "all"
     depth_sensors: list[DepthSensorConfig] = Field(default_factory=list)
     sensors: list[SensorConfig] = Field(default_factory=list)
+    tendons: list[TendonConfig] = Field(default_factory=list)
     self_collision: bool | SelfCollisionConfig | None = None
+
+    @model_serializer(mode="wrap")
+    def _leave_out(self, write: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        # Run folders of version 1.0 have no such key.
+        return {name: x for name, x in write(self).items() if name != "tendons" or x}
 
     @model_validator(mode="after")
     def _require_few(self) -> "CreatureConfig":
@@ -309,6 +297,7 @@ class CreatureConfig(Section):
                 for copy in copies_named(gauge.body, everything)
             ),
             root_joint=root_joint,
+            tendons=tuple(each for given in self.tendons for each in given.build(everything)),
         )
         require_masses(creature)
         return creature
@@ -354,6 +343,12 @@ class CreatureConfig(Section):
         counts = [1 + len(self.bodies[copy.entry].parts) for copy in self.copies()]
         return self.copies()[int(np.repeat(range(len(counts)), counts)[body])].entry
 
+    def entry_of_tendon(self, tendon: int) -> int:
+        """Return the index in ``tendons`` of the entry of a tendon, given the tendon's index."""
+        everything = self.copies()
+        counts = [len(given.build(everything)) for given in self.tendons]
+        return int(np.repeat(np.arange(len(counts)), counts)[tendon])
+
     def require_names(self) -> None:
         """Check that the names of bodies are unique, and that every name used exists.
 
@@ -381,6 +376,13 @@ class CreatureConfig(Section):
             if "*" in name:
                 problem = f"{problem}. A name here may contain placeholders such as {{i}}, but no *"
             raise KeyProblem(key, problem)
+        for i, tendon in enumerate(self.tendons):
+            if not tendon.build(everything):
+                raise KeyProblem(
+                    ("tendons", i, "name"),
+                    f"no joint of {tendon.name!r} gives values for its placeholders. A joint's "
+                    "name needs all placeholders of the tendon's name",
+                )
 
     def _references(self) -> Iterator[tuple[Key, str]]:
         """Yield the names of bodies and materials that the creature refers to, with their keys."""
