@@ -29,9 +29,13 @@ from evo_cpg.exchange.mjcf_import import Imported, read_model
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
+from evo_cpg.physics.generalized import generalized_force, mass_matrix
 from evo_cpg.physics.joint_torque import MotorCommand, clamp_torque, motor_torque, passive_torque
 from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.root import ROOT_DOFS
+from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.tendon import TendonForce, tendon_laws
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 
@@ -81,9 +85,21 @@ def _accelerations(world: World, sample: Sample) -> jax.Array:
     passive, derivative = passive_torque(tree, state, 0.0)
     motor = clamp_torque(tree, motor_torque(tree, state, sample.command, 0.0).start)
     rotor = derivative + expand_dims_like(tree.armature, motor)
-    found = solve(tree, kin, inertia, bias, passive + motor, rotor)
-    free = () if tree.hanging is not None else (found.root,)
-    return jnp.concatenate([*free, found.qdd])
+    if tree.tendons is None:
+        found = solve(tree, kin, inertia, bias, passive + motor, rotor)
+        free = () if tree.hanging is not None else (found.root,)
+        return jnp.concatenate([*free, found.qdd])
+    laws = tendon_laws(tree.tendons, state, sample.command, 0.0)
+    assert laws is not None
+    pull = laws.passive + clamp_torque(tree.tendons, laws.motor.start)
+    still = jnp.zeros((ROOT_DOFS, *motor.shape[1:]))
+    own = jnp.concatenate([still, jnp.broadcast_to(rotor, motor.shape)])
+    matrix = mass_matrix(tree, kin, inertia) + jnp.eye(len(own))[..., None] * own[None]
+    force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
+    force = force + jnp.concatenate([still, passive + motor])
+    matrix, force = TendonForce(tree.tendons, pull, laws.derivative).added_to(matrix, force)
+    every = jnp.linalg.solve(jnp.moveaxis(matrix, -1, 0), force.T[..., None])[..., 0].T
+    return every if tree.hanging is None else every[ROOT_DOFS:]
 
 
 def sampled(
@@ -110,7 +126,7 @@ def sampled(
         q, qd, qdd = (np.zeros(tree.dof_count) for _ in range(3))
         for dof in dofs:
             q[dof.ours], qd[dof.ours], qdd[dof.ours] = dof.read(model, data, neutral)
-        command = _command(imported, tree, compiled, data, dofs)
+        command = _command(tree, compiled, data, dofs)
         root, root_acceleration = _root(imported, tree, compiled, data) if free else (rest, [])
         rows.append((dataclasses.replace(root, q=q, qd=qd), command))
         expected.append(np.concatenate([root_acceleration, qdd]))
@@ -172,7 +188,7 @@ def _root(
     mujoco, model = compiled.mujoco, compiled.model
     start = mujoco.MjData(model)
     mujoco.mj_kinematics(model, start)
-    body = _root_body(imported, tree, compiled)
+    body = _root_body(imported, compiled)
     dof = int(model.body_dofadr[body])
     turn = np.array(data.xmat[body]).reshape(3, 3)
     moved = turn @ np.array(start.xmat[body]).reshape(3, 3).T
@@ -187,8 +203,7 @@ def _root(
     return state, np.concatenate([turning, linear])
 
 
-def _root_body(imported: Imported, tree: Tree, compiled: Compiled) -> int:
-    del tree
+def _root_body(imported: Imported, compiled: Compiled) -> int:
     name = imported.experiment["creature"]["bodies"][0]["name"]
     model = compiled.model
     tops = [
@@ -199,31 +214,36 @@ def _root_body(imported: Imported, tree: Tree, compiled: Compiled) -> int:
     return (named or tops)[0]
 
 
-def _command(
-    imported: Imported, tree: Tree, compiled: Compiled, data: Any, dofs: list[Dof]
-) -> MotorCommand:
+def _command(tree: Tree, compiled: Compiled, data: Any, dofs: list[Dof]) -> MotorCommand:
     """Return our commands for MuJoCo's controls."""
-    del imported
-    model = compiled.model
+    mujoco, model = compiled.mujoco, compiled.model
     rate, angle, torque = (np.zeros(tree.dof_count) for _ in range(3))
     ours = {dof.joint: dof.ours.start for dof in dofs}
     for number in range(model.nu):
-        joint = int(model.actuator_trnid[number, 0])
-        if int(model.actuator_trntype[number]) > 1 or joint not in ours:
+        target, laws = int(model.actuator_trnid[number, 0]), tree
+        if int(model.actuator_trntype[number]) == mujoco.mjtTrn.mjTRN_TENDON:
+            name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TENDON, target)
+            if tree.tendons is None or name not in tree.tendons.names:
+                continue
+            laws, i = tree.tendons, tree.tendons.names.index(name)
+            channel, neutral = tree.tendons.channels[i], float(model.tendon_length0[target])
+        elif int(model.actuator_trntype[number]) <= 1 and target in ours:
+            channel = i = ours[target]
+            neutral = float(model.qpos0[model.jnt_qposadr[target]])
+        else:
             continue
-        i, gear = ours[joint], float(model.actuator_gear[number, 0])
-        address = int(model.actuator_actadr[number])
+        gear, address = float(model.actuator_gear[number, 0]), int(model.actuator_actadr[number])
         control = data.ctrl[number] if address < 0 else data.act[address]
         push = gear * float(model.actuator_gainprm[number, 0] * control)
         if int(model.actuator_biastype[number]):
             push += gear * float(model.actuator_biasprm[number, 0])
-        spring, gain = float(tree.servo_stiffness[i]), float(tree.servo_gain[i])
+        spring, gain = float(laws.servo_stiffness[i]), float(laws.servo_gain[i])
         if spring:
-            angle[i] = push / spring - float(model.qpos0[model.jnt_qposadr[joint]])
+            angle[channel] = push / spring - neutral
         elif gain:
-            rate[i] = push / gain
+            rate[channel] = push / gain
         else:
-            torque[i] = push
+            torque[channel] = push
     return MotorCommand(rate, angle, torque=torque)
 
 

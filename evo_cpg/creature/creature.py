@@ -6,12 +6,13 @@ body has a frame at its geometric centre. In the neutral pose z is up and the an
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.spatial.numerics import Number, Numbers, Triple, is_traced, xp
+from evo_cpg.spatial.decisions import Condition, chosen
+from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, is_traced, xp
 
 
 class CreatureError(ValueError):
@@ -154,8 +155,13 @@ Motor = Actuator | TorqueMotor | Muscle
 NO_LIMIT = 1e6
 
 
+# Kinds of degrees of freedom: a rotation about an axis, a displacement along an axis, or one of
+# the three components of a ball's rotation vector.
+AxisKind = Literal["turn", "slide", "ball"]
+
+
 class DegreeOfFreedom(NamedTuple):
-    """One degree of freedom of a joint: a rotation about an axis through the joint's position.
+    """One degree of freedom of a joint. The units of a slide are m, N and kg for rad, N m, kg m^2.
 
     Attributes:
         axis: unit vector in the child's neutral frame.
@@ -171,6 +177,8 @@ class DegreeOfFreedom(NamedTuple):
         torque_limit: largest torque of the motor, N m, 0 without a motor, infinity for muscles.
         torque_motor: motor whose torque the controller commands, or None.
         muscle: muscles about the axis, or None.
+        kind: rotation, displacement, or component of a ball's rotation.
+        place: position of an axis of rotation relative to the joint, in the child's frame, m.
     """
 
     axis: Triple
@@ -186,14 +194,29 @@ class DegreeOfFreedom(NamedTuple):
     torque_limit: Number
     torque_motor: TorqueMotor | None
     muscle: Muscle | None
+    kind: AxisKind = "turn"
+    place: Triple = (0.0, 0.0, 0.0)
+
+
+# Kinds of joints: up to three rotations at one place, of which three stay independent; a ball; and
+# any other axes, whose equations are eliminated one by one.
+JointKind = Literal["turns", "ball", "chain"]
+
+# Number of axes that span all rotations.
+_SPANNING = 3
+
+# Smallest distance (rad) of the middle one of three angles from the angle at which the axes lie in
+# one plane, and rounding errors of angles.
+_PLANE_MARGIN, _ROUNDING = np.radians(5.0), 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
 class Joint:
-    """A joint of up to 3 rotational axes between a body and its parent, or a weld without any.
+    """A joint of up to 6 axes between a body and its parent, a ball joint, or a weld without any.
 
-    The axes turn in order, usually x, y and z. Each axis is fixed in the frame that the axes before
-    it have turned. The angle of the second of three axes must therefore keep clear of 90 degrees.
+    The axes move the body in order. Each axis is fixed in the frame that the axes before it have
+    moved. A ball has three axes at right angles, which stand for the components of one rotation.
+    Its ``upper`` limits are equal, and limit the angle of that rotation.
 
     Attributes:
         parent: name of the parent body.
@@ -210,6 +233,9 @@ class Joint:
         actuator: servo, torque motor or muscles, or None for a passive axis.
         rest: angle at which the passive spring is relaxed, rad.
         friction_loss: torque of dry friction, N m.
+        kinds: kind of each axis, or None if all of them turn.
+        places: position of each axis in the child's frame, m, or None for ``child_anchor``. None
+            for the whole puts all axes there.
     """
 
     parent: str
@@ -229,16 +255,38 @@ class Joint:
     actuator: Motor | tuple[Motor | None, ...] | None = None
     rest: Number | tuple[Number, ...] = 0.0
     friction_loss: Number | tuple[Number, ...] = 0.0
+    kinds: tuple[AxisKind, ...] | None = None
+    places: tuple[Triple | None, ...] | None = None
 
     @property
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
-        """Degrees of freedom, in the order in which they turn."""
+        """Degrees of freedom, in the order in which they move the body."""
         alike = self.stiffness, self.rest, self.damping, self.armature, self.friction_loss
         columns = self.lower, self.upper, *map(self._each, alike), self.motors
+        kinds = self.kinds or ("turn",) * len(self.axes)
+        places = self.places or (None,) * len(self.axes)
         return tuple(
-            DegreeOfFreedom._make((*passive, *driven_by(motor)))
-            for *passive, motor in zip(self.axes, *columns, strict=True)
+            DegreeOfFreedom._make((*passive, *driven_by(motor), kind, self._from_anchor(place)))
+            for *passive, motor, kind, place in zip(self.axes, *columns, kinds, places, strict=True)
         )
+
+    @property
+    def kind(self) -> JointKind:
+        """Kind of the joint."""
+        kinds = set(self.kinds or ())
+        if kinds == {"ball"}:
+            return "ball"
+        if "slide" in kinds or any(self.places or ()):
+            return "chain"
+        if len(self.axes) < _SPANNING:
+            return "turns"
+        if len(self.axes) > _SPANNING:
+            return "chain"
+
+        def spans() -> Condition:
+            return stay_independent(self.axes, self.lower[1], self.upper[1])
+
+        return "turns" if chosen(lambda: bool(spans()), lambda made: spans() == made) else "chain"
 
     @property
     def motors(self) -> tuple[Motor | None, ...]:
@@ -248,6 +296,33 @@ class Joint:
     def _each(self, value: Any) -> tuple[Any, ...]:
         """Return the value of each axis."""
         return value if isinstance(value, tuple) else (value,) * len(self.axes)
+
+    def _from_anchor(self, place: Triple | None) -> Triple:
+        """Return a place in the child's frame relative to the joint."""
+        if place is None:
+            return (0.0, 0.0, 0.0)
+        return as_vector(xp.array(place) - xp.array(self.child_anchor))
+
+
+def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Condition:
+    """Return whether three axes stay clear of a common plane while the middle axis turns.
+
+    The volume that the axes span is a cosine of the angle of the middle axis.
+
+    Args:
+        axes: unit vectors of the three axes.
+        lower: lower limit of the middle axis, rad.
+        upper: upper limit of the middle axis, rad.
+    """
+    first, middle, last = xp.array(axes, float)
+    across = xp.cross(middle, last)
+    cosine, sine = first @ across, first @ xp.cross(middle, across)
+    wide = cosine * cosine + sine * sine >= np.sin(_PLANE_MARGIN) ** 2
+    # First angle of the middle axis, from the margin below its lower limit on, at which the three
+    # axes lie in one plane.
+    plane = xp.arctan2(sine, cosine) + np.pi / 2
+    plane = plane + np.pi * xp.ceil((lower - _PLANE_MARGIN - plane) / np.pi + _ROUNDING)
+    return wide & (plane >= upper + _PLANE_MARGIN - _ROUNDING)
 
 
 def driven_by(

@@ -22,7 +22,16 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from evo_cpg.creature.axis_laws import DryFriction, push_of, soft_limits
-from evo_cpg.creature.creature import Body, Creature, neutral_pose, topological_order
+from evo_cpg.creature.creature import (
+    AxisKind,
+    Body,
+    Creature,
+    DegreeOfFreedom,
+    Joint,
+    JointKind,
+    neutral_pose,
+    topological_order,
+)
 from evo_cpg.creature.muscles import Muscles, muscles_of
 from evo_cpg.creature.tendons import Tendons, tendons_of
 from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
@@ -45,12 +54,16 @@ class Group(NamedTuple):
         dofs: slice of the tree's degrees of freedom.
         axes: number of joint axes of each body.
         parents: index of each body's parent.
+        kind: kind of the joints.
+        kinds: kinds of their axes.
     """
 
     bodies: slice
     dofs: slice
     axes: int
     parents: tuple[int, ...]
+    kind: JointKind = "turns"
+    kinds: tuple[AxisKind, ...] = ()
 
 
 class Tree(eqx.Module):
@@ -66,12 +79,15 @@ class Tree(eqx.Module):
         hanging: the root as a group, if it hangs on the world, or None for a free root.
         dof_names: names of the degrees of freedom, ``body.axis``.
         dof_bodies: index of the body that each degree of freedom moves.
+        dof_kinds: kind of each degree of freedom.
         owners: index of the body that each body is rigidly joined to, directly or by others: the
             first one of a rigid group, often the body itself.
         wholes: index of the body that each body is a part of, usually the body itself.
         joint_offset: joint position in the parent's frame (a root's in the world's), m.
         joint_orientation: rotation from child frame to parent frame in the neutral pose.
         joint_axes: unit vectors in the child's neutral frame.
+        joint_places: positions of the axes in the working frame, m, or None if all joints are of
+            the kinds "turns" and "ball", with axes at the origin.
         mass: mass of each body, kg. A welded body has none: its owner has the mass of all bodies
             that are welded together.
         volume: volume of each body, m^3.
@@ -102,11 +118,13 @@ class Tree(eqx.Module):
     hanging: Group | None = eqx.field(static=True)
     dof_names: tuple[str, ...] = eqx.field(static=True)
     dof_bodies: tuple[int, ...] = eqx.field(static=True)
+    dof_kinds: tuple[AxisKind, ...] = eqx.field(static=True)
     owners: tuple[int, ...] = eqx.field(static=True)
     wholes: tuple[int, ...] = eqx.field(static=True)
     joint_offset: Float[Numbers, "3 b"]
     joint_orientation: Float[Numbers, "3 3 b"]
     joint_axes: Float[Numbers, "3 d"]
+    joint_places: Float[Numbers, "3 d"] | None
     mass: Float[Numbers, " b"]
     volume: Float[Numbers, " b"]
     com: Float[Numbers, "3 b"]
@@ -261,6 +279,8 @@ def build_tree(creature: Creature) -> Tree:
     def each(name: str) -> Float[Numbers, "d *rest"]:
         return xp.array([getattr(dof, name) for dof in dofs], float)
 
+    kinds = tuple(dof.kind for dof in dofs)
+    groups, hanging = _groups(bodies, parents, dof_bodies), _hanging(creature)
     rest, armature, loss = each("rest"), each("armature"), each("friction_loss")
     rubs = chosen(lambda: bool((loss != 0).any()), lambda made: made | ~(loss != 0).any())
     sprung = chosen(lambda: bool((rest != 0).any()), lambda made: made | ~(rest != 0).any())
@@ -273,18 +293,16 @@ def build_tree(creature: Creature) -> Tree:
     push = gain + spring if muscles is None else gain + spring + muscles.strength
     push = push_of(push, torque_limit, torque_motors)
     limit_stiffness, limit_damping = soft_limits(leverage, push)
-    dof_names = tuple(
-        f"{bodies[i].name}.{chosen(functools.partial(_axis_name, dof.axis))}"
-        for i, dof in zip(dof_bodies, dofs, strict=True)
-    )
+    dof_names = _dof_names([names[i] for i in dof_bodies], dofs)
     idle = tuple(motor is None for joint in own if joint for motor in joint.motors)
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
-        groups=_groups(bodies, parents, dof_bodies),
-        hanging=_hanging(creature),
+        groups=groups,
+        hanging=hanging,
         dof_names=dof_names,
         dof_bodies=tuple(dof_bodies),
+        dof_kinds=kinds,
         owners=tuple(owners),
         wholes=tuple(
             i if body.whole is None else names.index(body.whole) for i, body in enumerate(bodies)
@@ -292,6 +310,11 @@ def build_tree(creature: Creature) -> Tree:
         joint_offset=offset.T,
         joint_orientation=orientation,
         joint_axes=each("axis").reshape(-1, 3).T,
+        joint_places=(
+            each("place").reshape(-1, 3).T
+            if any(group.kind == "chain" for group in (*groups, hanging) if group)
+            else None
+        ),
         mass=mass,
         volume=xp.maximum(xp.array([body.shape.volume for body in bodies]), _LEAST_VOLUME),
         com=com.T,
@@ -392,7 +415,7 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
 
     The two halves of the creature on either side of the joint turn against each other. The
     effective inertia is the product of their inertias about the axis, divided by the sum. Against
-    the fixed world, it is the inertia of the half that moves.
+    the fixed world, it is the inertia of the half that moves. Masses, kg, count for a slide.
     """
     centres, rotations = neutral_pose(creature)
     names = [body.name for body in creature.bodies]
@@ -408,8 +431,11 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
                 beyond.add(names[j])
         distal += [[name in beyond for name in names]] * len(joint.dofs)
     moved = np.array([i for i, joint in jointed for _ in joint.dofs], int)
-    axes = xp.array([dof.axis for _, joint in jointed for dof in joint.dofs], float).reshape(-1, 3)
-    anchors = xp.array([joint.child_anchor for _, joint in jointed for _ in joint.dofs], float)
+    dofs = [(joint, dof) for _, joint in jointed for dof in joint.dofs]
+    axes = xp.array([dof.axis for _, dof in dofs], float).reshape(-1, 3)
+    anchors = xp.array([joint.child_anchor for joint, _ in dofs], float)
+    if any(joint.places for joint, _ in dofs):
+        anchors = anchors + xp.array([dof.place for _, dof in dofs], float)
     directions = xp.einsum("dij,dj->di", rotations[moved], axes)
     places = centres[moved] + xp.einsum("dij,dj->di", rotations[moved], anchors.reshape(-1, 3))
     mass = xp.array([body.mass for body in creature.bodies])
@@ -427,6 +453,9 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     about = xp.einsum("di,bij,dj->db", directions, spin, directions) + mass * (lever * lever).sum(
         -1
     )
+    slides = np.array([dof.kind == "slide" for _, dof in dofs], bool)
+    if slides.any():
+        about = xp.where(slides[:, None], mass, about)
     beyond = np.array(distal, bool).reshape(len(moved), len(names))
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
     if creature.root_joint is None:
@@ -440,14 +469,20 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
     depth = [0]
     for parent in parents[1:]:
         depth.append(depth[parent] + 1)
+    kinds: dict[int, tuple[JointKind, tuple[AxisKind, ...]]] = {
+        i: (body.joint.kind, tuple(dof.kind for dof in body.joint.dofs))
+        for i, body in enumerate(bodies)
+        if body.joint
+    }
     build: dict[int, tuple] = {}
     for i in reversed(range(1, len(bodies))):
         limbs = sorted(build[j] for j in range(i + 1, len(bodies)) if parents[j] == i)
-        build[i] = len(bodies[i].joint.dofs), *limbs
+        build[i] = kinds[i], *limbs
     groups: list[Group] = []
     for _, run in itertools.groupby(range(1, len(bodies)), lambda i: (depth[i], build[i])):
         members = list(run)
-        start, axes = members[0], len(bodies[members[0]].joint.dofs)
+        start, (kind, own) = members[0], kinds[members[0]]
+        axes = len(own)
         first_dof = bisect.bisect_left(dof_bodies, start)
         groups.append(
             Group(
@@ -455,17 +490,31 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
                 dofs=slice(first_dof, first_dof + axes * len(members)),
                 axes=axes,
                 parents=tuple(parents[i] for i in members),
+                kind=kind,
+                kinds=own,
             )
         )
     return tuple(groups)
 
 
+def _dof_names(bodies: list[str], dofs: list[DegreeOfFreedom]) -> tuple[str, ...]:
+    """Return the names of degrees of freedom, unique in each body."""
+    names: list[str] = []
+    for body, dof in zip(bodies, dofs, strict=True):
+        axis = chosen(functools.partial(_axis_name, dof.axis))
+        name = f"{body}.{axis}" if dof.kind == "turn" else f"{body}.{dof.kind}_{axis}"
+        again = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
+        names.append(next(free for free in again if free not in names))
+    return tuple(names)
+
+
 def _hanging(creature: Creature) -> Group | None:
     """Return the root as a group, or None for a free root."""
-    if creature.root_joint is None:
+    joint = creature.root_joint
+    if joint is None:
         return None
-    axes = len(creature.root_joint.dofs)
-    return Group(bodies=slice(0, 1), dofs=slice(0, axes), axes=axes, parents=(-1,))
+    kinds = tuple(dof.kind for dof in joint.dofs)
+    return Group(slice(0, 1), slice(0, len(kinds)), len(kinds), (-1,), joint.kind, kinds)
 
 
 def _axis_name(axis: Triple) -> str:

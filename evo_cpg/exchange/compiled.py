@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from evo_cpg.exchange.refusals import ExchangeError, Refusal, Refusals, RefusedError
-from evo_cpg.exchange.urdf import urdf_text
+from evo_cpg.exchange.urdf import read_urdf
 from evo_cpg.installation import command_for
 
 # Largest relative difference of values that count as equal, and number of digits that are written.
@@ -141,7 +141,8 @@ def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compile
             # MuJoCo warns about attributes that it will drop.
             warnings.simplefilter("ignore")
             if urdf:
-                spec = mujoco.MjSpec.from_string(urdf_text(path, refusals))
+                given = read_urdf(path, refusals)
+                spec = mujoco.MjSpec.from_string(given.text, assets=given.meshes)
             else:
                 spec = mujoco.MjSpec.from_file(os.fsdecode(path))
             if free:

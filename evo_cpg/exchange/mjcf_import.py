@@ -344,7 +344,7 @@ def _leave_out_scenery(compiled: Compiled, geoms: Sequence[int], placed: Sequenc
     members = {member for body in placed for member in body.rigid.members}
     shown = {solid.geom for body in placed for solid in body.solids}
     for geom, owner in enumerate(compiled.model.geom_bodyid.tolist()):
-        if owner in members and geom not in shown:
+        if owner in members and geom not in shown and geom not in geoms:
             compiled.refusals.leave_out("drawing", str(compiled.item("geom", geom)))
 
 

@@ -1,10 +1,13 @@
-"""Joints of a creature as hinges of an MJCF body, and back.
+"""Joints of a creature as joints of an MJCF body, and back.
 
 | here | in MJCF |
 |---|---|
-| each axis of a joint | a ``hinge`` at the body's origin, named `body.1`, `body.2`, ... |
+| each turning axis of a joint | a ``hinge`` at its place, named `body.1`, `body.2`, ... |
+| each sliding axis | a ``slide``, named alike |
+| a ball | a ``ball``, `body.1` |
+| a joint without axes | no joint |
 | limits of an axis | ``range``, or none |
-| stiffness, damping, armature, friction loss of an axis | the same attribute of its hinge |
+| stiffness, damping, armature, friction loss of an axis | the same attribute of its joint |
 | angle of the relaxed spring | ``springref`` |
 | passive stiffness and damping of muscles | added to those of every hinge |
 
@@ -24,25 +27,39 @@ from evo_cpg.exchange.mjcf_ground import number_text, place_text
 from evo_cpg.exchange.mjcf_shapes import Placed
 from evo_cpg.spatial.rotation import matrix_to_euler
 
+# Limits (rad or m) from which on a joint counts as unlimited.
+_UNLIMITED = 1e4
+
 # Largest distance of an axis from the joint's place, m, at which it counts as through it.
 _AT_PLACE = 1e-12
 
+# Type of the MJCF joint of each kind of axis.
+_TYPES = {"turn": "hinge", "slide": "slide", "ball": "ball"}
+
 
 def joint_names(body: Body, joint: Joint | None) -> list[str]:
-    """Return the names of the hinges of a body's joint, in the order of its axes."""
-    count = len(joint.dofs) if joint else 0
-    return [f"{body.name}.{i + 1}" for i in range(count)]
+    """Return the name of the MJCF joint of each axis of a body's joint, in their order.
+
+    All axes of a ball have the same name.
+    """
+    dofs = joint.dofs if joint else ()
+    return [f"{body.name}.{1 if dof.kind == 'ball' else i + 1}" for i, dof in enumerate(dofs)]
 
 
-def add_hinges(element: Element, body: Body, joint: Joint) -> None:
+def add_joints(element: Element, body: Body, joint: Joint) -> None:
     """Add the joint of a body to its element."""
-    for name, dof in zip(joint_names(body, joint), joint.dofs, strict=True):
-        direction = place_text(np.array(dof.axis))
-        hinge = SubElement(element, "joint", name=name, type="hinge", axis=direction)
+    # The axes of a ball have the same name and the same values.
+    for name, dof in dict(zip(joint_names(body, joint), joint.dofs, strict=True)).items():
+        hinge = SubElement(element, "joint", name=name, type=_TYPES[dof.kind])
+        if dof.kind != "ball":
+            hinge.set("axis", place_text(np.array(dof.axis)))
+        if any(dof.place):
+            hinge.set("pos", place_text(np.array(dof.place)))
         limited = dof.upper < NO_LIMIT
         hinge.set("limited", "true" if limited else "false")
         if limited:
-            hinge.set("range", number_text(dof.lower, dof.upper))
+            lower = 0.0 if dof.kind == "ball" else dof.lower
+            hinge.set("range", number_text(lower, dof.upper))
         muscle = dof.muscle
         values = {
             "stiffness": dof.stiffness + (muscle.rest_stiffness if muscle else 0.0),
@@ -146,8 +163,10 @@ def _limits(compiled: Compiled, joint: int) -> list[float] | None:
     lower, upper = map(float, model.jnt_range[joint])
     if int(model.jnt_type[joint]) == compiled.mujoco.mjtJoint.mjJNT_BALL:
         return None if upper >= np.pi else [0.0, upper]
+    if lower <= -_UNLIMITED and upper >= _UNLIMITED:
+        return None
     neutral = float(model.qpos0[model.jnt_qposadr[joint]])
-    return [lower - neutral, upper - neutral]
+    return [max(lower, -_UNLIMITED) - neutral, min(upper, _UNLIMITED) - neutral]
 
 
 def _rest(compiled: Compiled, joint: int) -> float:

@@ -27,23 +27,30 @@ from evo_cpg.creature.creature import Actuator, Muscle, TorqueMotor
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 from evo_cpg.exchange.mjcf_fields import counted
 from evo_cpg.exchange.mjcf_ground import number_text
+from evo_cpg.spatial.numerics import Triple
 
 # Number of actuator groups that MuJoCo can disable.
 _GROUPS = 31
 
 
 def add_motor(
-    actuator: Element, name: str, motor: Actuator | TorqueMotor | Muscle, of: str = "joint"
+    actuator: Element,
+    name: str,
+    motor: Actuator | TorqueMotor | Muscle,
+    of: str = "joint",
+    axis: Triple | None = None,
 ) -> None:
-    """Add the motor or the muscles of a hinge, or the motor of a tendon.
+    """Add the motor or the muscles of an axis, or the motor of a tendon.
 
     Args:
         actuator: the section of actuators.
-        name: name of the hinge or the tendon.
+        name: name of the MJCF joint or the tendon.
         motor: motor or muscles.
         of: kind of the driven part, ``joint`` or ``tendon``.
+        axis: axis of a ball that the motor turns, or None for a part with one coordinate.
     """
-    driven = {"name": name, of: name}
+    own = name if axis is None else f"{name}.{'xyz'[int(np.abs(axis).argmax())]}"
+    driven = {"name": own, of: name}
     if isinstance(motor, Muscle):
         element = SubElement(actuator, "motor", driven)
         element.set("gear", number_text(motor.strength))
@@ -61,6 +68,9 @@ def add_motor(
         if motor.stiffness:
             element.set("kp", number_text(motor.stiffness))
         element.set("kv", number_text(motor.gain))
+    if axis is not None:
+        gear = motor.gear if isinstance(motor, TorqueMotor) else 1.0
+        element.set("gear", number_text(*(gear * x for x in axis)))
     if np.isfinite(limit):
         element.set("forcerange", number_text(-limit, limit))
 

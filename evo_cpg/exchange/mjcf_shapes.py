@@ -27,7 +27,7 @@ from evo_cpg.creature.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
 from evo_cpg.exchange.compiled import Compiled, tidy, tidy_vector
 from evo_cpg.exchange.mjcf_ground import number_text
 from evo_cpg.exchange.refusals import ExchangeError
-from evo_cpg.exchange.rigid import Rigid
+from evo_cpg.exchange.rigid import Rigid, is_flat
 from evo_cpg.spatial.rotation import matrix_to_euler
 
 # Most corners of a mesh. Contact and buoyancy use fewer (`evo_cpg.creature.mesh`).
@@ -248,7 +248,11 @@ def read_solid(compiled: Compiled, geom: int, outer: np.ndarray, keeps_axes: boo
 def _chosen_geoms(compiled: Compiled, rigid: Rigid) -> list[int]:
     """Return the colliding geoms of a body, or all if none collides."""
     model = compiled.model
-    every = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] in rigid.members]
+    every = [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] in rigid.members and not is_flat(compiled, geom)
+    ]
     paired = {*map(int, model.pair_geom1), *map(int, model.pair_geom2)}
     solid = [
         geom

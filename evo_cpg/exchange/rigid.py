@@ -87,8 +87,15 @@ def scenery(compiled: Compiled, bodies: list[Rigid]) -> list[int]:
     return [
         geom
         for geom in range(model.ngeom)
-        if owners[geom] not in own and model.body_weldid[owners[geom]] == WORLD
+        if is_flat(compiled, geom)
+        or (owners[geom] not in own and model.body_weldid[owners[geom]] == WORLD)
     ]
+
+
+def is_flat(compiled: Compiled, geom: int) -> bool:
+    """Return whether a geom is a plane or a height field, which only fixed bodies have."""
+    kinds = compiled.mujoco.mjtGeom
+    return int(compiled.model.geom_type[geom]) in (kinds.mjGEOM_PLANE, kinds.mjGEOM_HFIELD)
 
 
 def _none_moves(compiled: Compiled):
@@ -96,7 +103,9 @@ def _none_moves(compiled: Compiled):
         return compiled.item("body", WORLD).refusal(
             "the worldbody holds no body", "at least one", vital=True
         )
-    return compiled.item("body", 1).refusal("no body of the file moves", "joints", vital=True)
+    return compiled.item("body", 1).refusal(
+        "no body of the file moves", "joints, or the option --free", vital=True
+    )
 
 
 def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[int]:

@@ -32,7 +32,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics import root
-from evo_cpg.physics.joints import Joints
+from evo_cpg.physics.joints import joints_of
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import PerBody, in_dof_order
 from evo_cpg.physics.spatial_algebra import (
@@ -80,7 +80,7 @@ def solve(
     """
     batch_ndim = torque.ndim - 1
     I_A, p_A = PerBody.of(inertia, batch_ndim), PerBody.of(bias, batch_ndim)
-    joints = [(i, Joints.of(i, kin.axes, torque, torque_derivative)) for i in tree.groups]
+    joints = [(i, joints_of(i, kin.axes, torque, torque_derivative)) for i in tree.groups]
     eliminated = []
 
     # Second pass, from the tips to the root: articulated-body inertias and bias forces.
@@ -97,7 +97,7 @@ def solve(
         a = PerBody([jax.tree.map(jnp.zeros_like, free) if held else free], batch_ndim)
         of_root = root.vector(a.root())
     else:
-        joint = Joints.of(tree.hanging, kin.axes, torque, torque_derivative)
+        joint = joints_of(tree.hanging, kin.axes, torque, torque_derivative)
         still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
         a_0, x = joint.accelerations(joint.condensed(I_A[:1], p_A[:1]), still)
         a = PerBody.of(a_0, batch_ndim)

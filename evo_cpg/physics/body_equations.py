@@ -150,7 +150,7 @@ def gyroscopic_change(
     matrix, empty = inertia + 0.5 * h * derivative, tree.mass <= 0
     if is_traced(empty) or empty.any():
         # A welded body has no inertia, and no such torque.
-        ones = np.eye(3)[..., None] * xp.where(empty, 1.0, 0.0)
+        ones = np.eye(3)[..., None] * xp.where(empty, 1.0, 0.0)[None, None]
         matrix = matrix + expand_dims_like(ones, angular, angular.ndim + 1)
     change = _solve(matrix, -h * torque)
     return expand_dims_like(0.5 / scale, angular[0])[None] * matvec(derivative, change)

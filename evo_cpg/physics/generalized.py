@@ -42,11 +42,12 @@ def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> 
     a = PerBody([root.acceleration(y)], batch_ndim)
     if tree.hanging is not None:
         still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
-        S, x = (of_joints(value, tree.hanging, batch_ndim) for value in (kin.axes, qdd))
+        i = tree.hanging
+        S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
         a = PerBody.of(joints.accelerated(still, S, x), batch_ndim)
     for i in tree.groups:
         a_i = motion_at_child(a[i.parents], kin.offset[:, i.bodies])
-        S, x = (of_joints(value, i, batch_ndim) for value in (kin.axes, qdd))
+        S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
         a = a.followed_by(joints.accelerated(a_i, S, x))
     return a.stacked()
 
@@ -57,12 +58,12 @@ def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Arra
     f, torques = PerBody.of(wrench, batch_ndim), []
     for i in reversed(tree.groups):
         f_i = f[i.bodies]
-        torque = joints.torque_of(of_joints(kin.axes, i, batch_ndim), f_i)
+        torque = joints.torque_of(kin.axes.of(i, batch_ndim), f_i)
         torques.append(in_dof_order(torque, batch_ndim))
         f = f.plus(i.parents, wrench_at_parent(f_i, kin.offset[:, i.bodies]))
     on_root = f.root()
     if tree.hanging is not None:
-        S = of_joints(kin.axes, tree.hanging, batch_ndim)
+        S = kin.axes.of(tree.hanging, batch_ndim)
         torques.append(in_dof_order(joints.torque_of(S, f[:1]), batch_ndim))
         on_root = jax.tree.map(jnp.zeros_like, on_root)
     return root.vector(on_root, torques[::-1])
@@ -110,7 +111,7 @@ def _joint_elements(
             if owner == body[one] and other <= dof
         ]
         one, other = np.array(met, int).reshape(-1, 2).T
-        values.append(joints.torque_on_each(take(kin.axes, other), f, one))
+        values.append(joints.torque_on_each(kin.axes.take(other), f, one))
         places.append(root.joint_rows(np.stack([dofs[one], other], 1)))
         f, body = wrench_at_parent(f, take(kin.offset, body)), np.array(tree.parents)[body]
         top, below = np.flatnonzero(body == 0), np.flatnonzero(body > 0)

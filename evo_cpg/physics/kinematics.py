@@ -8,7 +8,7 @@ the body's joint, so the shift from parent to child is a pure translation by ``o
 |---|---|
 | R_i | ``rotation``: body to world |
 | p_i, d_i | ``origin``; ``offset`` from the parent's origin |
-| S_i | ``axes``: world unit vectors of the joint axes |
+| S_i | ``axes``: motion of the body per rate of each degree of freedom |
 | w_i, v_i | ``angular``, ``linear`` velocity at the origin |
 | A0_i | ``bias_angular``, ``bias_linear``: acceleration at constant velocities of the tree |
 
@@ -23,8 +23,9 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics import hanging, joints, root
+from evo_cpg.physics.joints import Subspace
 from evo_cpg.physics.links import Link, linked
-from evo_cpg.physics.per_body import PerBody, in_dof_order, of_joints
+from evo_cpg.physics.per_body import PerBody, of_joints
 from evo_cpg.physics.spatial_algebra import BodyMotion
 from evo_cpg.physics.state import State
 
@@ -35,7 +36,7 @@ class Kinematics(NamedTuple):
     rotation: Float[Array, "3 3 b *n"]
     origin: Float[Array, "3 b *n"]
     offset: Float[Array, "3 b *n"]
-    axes: Float[Array, "3 d *n"]
+    axes: Subspace
     angular: Float[Array, "3 b *n"]
     linear: Float[Array, "3 b *n"]
     bias_angular: Float[Array, "3 b *n"]
@@ -53,20 +54,24 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         rest, rotation = jnp.zeros_like(state.position), root.rotation(state.orientation)
         first = Link(rotation, state.position, *root.motion(state.velocity))
         bodies = PerBody([first], batch_ndim)
-        offsets, axes = [rest[:, None]], [jnp.zeros((3, 0, *rest.shape[1:]), rest.dtype)]
+        offsets, axes = [rest[:, None]], []
     else:
         i, world = tree.hanging, hanging.fixed_link(hanging.base_of(state.base))
         first, offset, S = linked(tree, i, world, local[i.bodies], state.qd)
         bodies = PerBody[Link]([], batch_ndim).followed_by(first)
-        offsets, axes = [offset], [in_dof_order(S, batch_ndim)]
+        offsets, axes = [offset], [S]
     for i in tree.groups:
         body, offset, S = linked(tree, i, bodies[i.parents], local[i.bodies], state.qd)
         bodies = bodies.followed_by(body)
         offsets.append(offset)
-        axes.append(in_dof_order(S, batch_ndim))
+        axes.append(S)
     rotation, origin, *motion = bodies.stacked()
     return Kinematics(
-        rotation, origin, jnp.concatenate(offsets, 1), jnp.concatenate(axes, 1), *motion
+        rotation,
+        origin,
+        jnp.concatenate(offsets, 1),
+        joints.subspace(axes, state.position),
+        *motion,
     )
 
 
@@ -87,11 +92,11 @@ def motion_of_bodies(
     else:
         i, offset = tree.hanging, kin.offset[:, :1]
         still = BodyMotion(*(jnp.zeros_like(offset) for _ in range(4)))
-        S, rates = (of_joints(x, i, batch_ndim) for x in (kin.axes, qd))
+        S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
         first = joints.carried(still, offset, S, rates)
         bodies = PerBody[BodyMotion]([], batch_ndim).followed_by(first)
     for i in tree.groups:
         parent, offset = bodies[i.parents], kin.offset[:, i.bodies]
-        S, rates = (of_joints(x, i, batch_ndim) for x in (kin.axes, qd))
+        S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
         bodies = bodies.followed_by(joints.carried(parent, offset, S, rates))
     return bodies.stacked()

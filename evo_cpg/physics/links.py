@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Group, Tree
 from evo_cpg.physics import joints
+from evo_cpg.physics.joints import Subspace
 from evo_cpg.physics.per_body import of_joints
-from evo_cpg.spatial.linear import expand_dims_like, matvec
 
 
 class Link(NamedTuple):
@@ -30,8 +30,8 @@ def linked(
     parent: Link,
     local: Any,
     qd: Float[Array, "d *n"],
-) -> tuple[Link, Float[Array, "3 b *n"], Float[Array, "3 k b *n"]]:
-    """Return the bodies of a group, their offsets from their parents (m), and their axes S.
+) -> tuple[Link, Float[Array, "3 b *n"], Subspace]:
+    """Return the bodies of a group, their offsets from their parents (m), and S.
 
     Args:
         tree: the creature.
@@ -40,8 +40,6 @@ def linked(
         local: their frames from `evo_cpg.physics.joints.local_frames`.
         qd: joint rates of the tree, rad/s.
     """
-    own = expand_dims_like(tree.joint_offset[:, group.bodies], parent.origin)
-    offset = matvec(parent.rotation, own)
-    rotation, axes = joints.world_frames(parent.rotation, local)
-    motion = joints.carried(parent, offset, axes, of_joints(qd, group, qd.ndim - 1))
-    return Link(rotation, parent.origin + offset, *motion), offset, axes
+    rotation, offset, S = joints.placed(tree, group, parent.rotation, local)
+    motion = joints.carried(parent, offset, S, of_joints(qd, group, qd.ndim - 1))
+    return Link(rotation, parent.origin + offset, *motion), offset, S

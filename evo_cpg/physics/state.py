@@ -27,8 +27,9 @@ class State(eqx.Module):
         orientation: unit quaternion (w, x, y, z), root to world.
         velocity: velocity of the root in the world: angular (rad/s), then linear at its centre
             (m/s).
-        q: joint angles, rad.
-        qd: joint rates, rad/s.
+        q: joint angles, rad, displacements of slides, m, and rotation vectors of balls, rad.
+        qd: their rates. A ball's are the angular velocity relative to the parent, along the axes
+            of the ball that the child carries, rad/s.
         base: frame on which the root hangs, or None for a free root.
     """
 
@@ -56,7 +57,7 @@ class State(eqx.Module):
 
     def moved(self, tree: Tree, h: float) -> "State":
         """Return the state after h seconds (negative: before) at constant velocities."""
-        q = joints.moved(self.q, self.qd, h)
+        q = joints.moved(tree, self.q, self.qd, h)
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
         pose = root.moved(self.position, self.orientation, self.velocity, h)
@@ -64,7 +65,7 @@ class State(eqx.Module):
 
     def displaced(self, tree: Tree, x: Float[Array, " v"]) -> "State":
         """Return the state at static coordinates from this pose (`evo_cpg.physics.statics`)."""
-        q = joints.displaced(self.q, root.joint_part(x))
+        q = joints.displaced(tree, self.q, root.joint_part(x))
         if self.base is not None:
             return dataclasses.replace(self, q=q).placed(tree)
         pose = root.displaced(self.position, self.orientation, x)

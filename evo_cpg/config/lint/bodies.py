@@ -10,7 +10,7 @@ from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.joint import MuscleConfig, TorqueMotorConfig
 from evo_cpg.config.schema.typical import ROUNDING, TURN
 from evo_cpg.creature.creature import Body, Muscle, TorqueMotor
-from evo_cpg.creature.shapes import Capsule, Cylinder, Shape
+from evo_cpg.creature.shapes import Capsule, Cylinder
 from evo_cpg.spatial.numerics import Triple
 
 # Range of the longest edge of a body, from the limb of a small insect to a whale, m.
@@ -31,6 +31,9 @@ _LEAST_TURN = 1.0
 # Largest distance of a position outside its body, as a fraction of the body's largest half extent.
 # Joints have gaps between bodies, and eyes stand on stalks.
 _OUT = 0.3
+
+# Number of axes that span all rotations.
+_SPANNING = 3
 
 # Smallest angle between successive bodies of a row, degrees, for a warning. The row curls up into a
 # ring.
@@ -115,6 +118,23 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
                 continue
             yield case.warning((*joint.key, "limits_deg"), problem)
             break
+
+
+@rule
+def axes_in_a_plane(case: Case) -> Iterator[LintWarning]:
+    """Warn of three axes at one place that reach a common plane, without a rotor among them."""
+    for joint in case.joints():
+        built = joint.built
+        at_one_place = not any(built.kinds or ()) and not any(built.places or ())
+        if len(built.axes) != _SPANNING or not at_one_place or built.kind == "turns":
+            continue
+        if not any(dof.armature for dof in built.dofs):
+            yield case.warning(
+                (*joint.key, "axes"),
+                "the middle axis can turn until the three axes lie within 5 degrees of one plane. "
+                "Near it the joint spins up under any torque. Give it an armature, narrower limits "
+                "for the middle axis, or axes: ball",
+            )
 
 
 @rule
@@ -209,7 +229,7 @@ def repeated_place(case: Case) -> Iterator[LintWarning]:
     """Warn of a row whose joint position fits the first body's parent, but not the row's bodies."""
     for joint in case.joints():
         at, parent, body = joint.built.parent_anchor, joint.parent, joint.body
-        fits, gap = _gap(parent.shape, at), _gap(body.shape, at)
+        fits, gap = _gap(case, parent, at), _gap(case, body, at)
         if joint.repeat == 1 or abs(fits) > _OUT * parent.shape.half_extents.max():
             continue
         if abs(gap) > _OUT * body.shape.half_extents.max():
@@ -251,7 +271,7 @@ def far_places(case: Case) -> Iterator[LintWarning]:
             key = "creature", kind, i, "position"
             places.append((key, repr(sensor.body), body, sensor.position))
     for key, whose, body, place in places:
-        (x, y, z), gap = body.shape.half_extents, _gap(body.shape, place)
+        (x, y, z), gap = body.shape.half_extents, _gap(case, body, place)
         most = max(x, y, z)
         likely = "Positions count from the body's centre, so half its size reaches its surface"
         if isinstance(body.shape, Capsule | Cylinder):
@@ -267,6 +287,14 @@ def far_places(case: Case) -> Iterator[LintWarning]:
             )
 
 
-def _gap(shape: Shape, place: Triple) -> float:
-    """Return the distance from a shape's surface to a place in its frame, m; negative inside."""
-    return float(shape.distance(np.array([place]))[0])
+def _gap(case: Case, body: Body, place: Triple) -> float:
+    """Return the distance from a body's shapes to a place in its frame, m, negative inside.
+
+    The distance is 0 for a body without a shape.
+    """
+    gaps = [body.shape.distance(np.array([place]))] if body.shape.exists else []
+    for part in case.creature.bodies:
+        if part.whole == body.name and part.joint is not None:
+            off = np.subtract(place, part.joint.parent_anchor) @ np.array(part.joint.orientation)
+            gaps.append(part.shape.distance(off[None] + part.joint.child_anchor))
+    return float(min(gaps)[0]) if gaps else 0.0
