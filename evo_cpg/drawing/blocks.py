@@ -147,7 +147,7 @@ def _own_eye(eye: Data, body: Copy) -> Data:
     made = copying.deepcopy(eye) | {"body": body.name}
     if body.mirror:
         for key in {"position", "axis"} & set(made):
-            made[key] = tidy(reflected_if(made[key], body.mirror))
+            made[key] = tidy(reflected_if(eye[key], body.mirror))
     return made
 
 

@@ -101,8 +101,11 @@ class Document:
         Raises:
             ConfigError: it cannot be read.
         """
-        original = cls.open(source)
-        return cls(path, Texts(with_data(original.texts.main, original.data)), None)
+        original = cls(source, Texts(""), None)
+        original.texts = original._read()
+        document = cls(path, Texts(with_data(original.texts.main, original.data)), None)
+        document._recover()
+        return document
 
     @property
     def data(self) -> Data:
@@ -220,10 +223,10 @@ class Document:
         self._bytes, self._on_disk = {path: ("", "\n")}, self.texts
 
     def discard(self) -> None:
-        """Return to the texts of the files, as an edit that can be undone."""
-        if self._on_disk is not None:
-            self.accept(Change(self._on_disk, ()))
-        self.recovered = False
+        """Return to the texts before the recovery, as an edit that can be undone."""
+        if self.recovered:
+            self.recovered = False
+            self.accept(Change(self._undo[0], ()))
 
     def _show(self, texts: Texts) -> None:
         self.texts = texts

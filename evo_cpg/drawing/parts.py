@@ -21,7 +21,7 @@ from evo_cpg.drawing.lookup import (
     posed,
     tidy,
 )
-from evo_cpg.drawing.placing import facing, reflected_if
+from evo_cpg.drawing.placing import facing, on_planes, reflected_if
 
 # Size of a new part, relative to the smallest half extent of its parent, and its length over it.
 _SIZE, _SLENDER = 0.5, 5.0
@@ -83,7 +83,9 @@ def add_part(
     if not name or _MARK.search(name):
         raise DrawingError(f"{name!r}: a name has no placeholders. Copies get them by themselves")
     own = free_name(data, f"{side}{name}{number}")
-    form = shape or _fitting(here.creature.bodies[here.creature.body_index(body.name)].shape)
+    carrying = here.creature.bodies[here.creature.body_index(body.name)].shape
+    at = on_planes(at, carrying.half_extents)
+    form = shape or _fitting(carrying)
     rotation, child_at = facing(out, _reach(form))
     material = str(on.get("material"))
     entry: Data = {

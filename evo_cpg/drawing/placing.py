@@ -13,6 +13,8 @@ from evo_cpg.drawing.lookup import Posed, bodies, posed, tidy
 
 # Angle within which a direction counts as one of the parent's axes, degrees.
 _SNAP_DEG = 4.0
+# Distance from a plane of symmetry within which a place is in the plane, in half extents.
+_NEAR = 0.06
 # A part that points backward by more than this cosine keeps its parent's axes, as in a spine.
 _BACKWARD = -0.5
 
@@ -21,6 +23,11 @@ def reflected_if(place: Sequence[float] | np.ndarray, axis: MirrorAxis | None) -
     """Return a position or direction as written in the entry of a body that may be mirrored."""
     x, y, z = map(float, place)
     return np.array(reflected((x, y, z), axis) if axis else (x, y, z))
+
+
+def on_planes(place: np.ndarray, half_extents: np.ndarray) -> np.ndarray:
+    """Return a place on a surface, moved into the body's planes of symmetry if it is close."""
+    return np.where(np.abs(place) < _NEAR * np.asarray(half_extents, float), 0.0, place)
 
 
 def facing(normal: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
@@ -88,9 +95,21 @@ def turn(data: Data, source: Path, part: str, rotation: Sequence[Sequence[float]
     if body.mirror:
         mirror = np.diag(reflected_if(np.ones(3), body.mirror))
         between = mirror @ between @ mirror
-    # About the parent's x, then y, then z.
-    angles = np.round(Rotation.from_matrix(between).as_euler("xyz", degrees=True), 2) + 0.0
-    joint["rotation_deg"] = tidy(angles)
+    joint["rotation_deg"] = tidy(np.round(_angles(between), 2) + 0.0)
+
+
+def _angles(rotation: np.ndarray) -> np.ndarray:
+    """Return roll, pitch and yaw of a rotation about the parent's x, then y, then z, degrees.
+
+    At a pitch of 90 degrees only their sum or difference counts, and roll is 0.
+    """
+    pitch = np.arcsin(np.clip(-rotation[2, 0], -1, 1))
+    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-6:
+        roll, yaw = 0.0, np.arctan2(-rotation[0, 1], rotation[1, 1])
+    else:
+        roll = np.arctan2(rotation[2, 1], rotation[2, 2])
+        yaw = np.arctan2(rotation[1, 0], rotation[0, 0])
+    return np.degrees([roll, pitch, yaw])
 
 
 def _joint(data: Data, here: Posed, index: int) -> tuple[Data, int]:

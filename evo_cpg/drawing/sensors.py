@@ -8,7 +8,7 @@ import numpy as np
 
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.drawing.lookup import all_copies, bodies, copies_of, posed, tidy
-from evo_cpg.drawing.placing import reflected_if
+from evo_cpg.drawing.placing import on_planes, reflected_if
 
 Kind = Literal["light_sensors", "depth_sensors", "sensors"]
 
@@ -33,7 +33,7 @@ def add_eye(
         each: whether all copies of the part get one, or only this body.
         field_of_view_deg: full opening angle, degrees.
     """
-    carrier, at = _place(data, source, part, place, each)
+    carrier, at = _place(data, source, part, place, each, snap=True)
     _, out = _place(data, source, part, axis, each)
     if not out.any():
         raise DrawingError("the axis of an eye must not be zero")
@@ -51,7 +51,7 @@ def add_depth_gauge(
     data: Data, source: Path, part: str, place: Sequence[float], each: bool = True
 ) -> None:
     """Add a depth gauge on a surface, see `add_eye`."""
-    carrier, at = _place(data, source, part, place, each)
+    carrier, at = _place(data, source, part, place, each, snap=True)
     _list(data, "depth_sensors").append({"body": carrier, "position": tidy(at), "full_scale": 1})
 
 
@@ -83,7 +83,12 @@ def set_pressure(data: Data, part: str, on: bool) -> None:
 
 
 def _place(
-    data: Data, source: Path, part: str, place: Sequence[float], each: bool
+    data: Data,
+    source: Path,
+    part: str,
+    place: Sequence[float],
+    each: bool,
+    snap: bool = False,
 ) -> tuple[str, np.ndarray]:
     """Return the name of the carrier, and a position or direction in the frame of its entry."""
     here = posed(data, source)
@@ -91,6 +96,9 @@ def _place(
     at = np.asarray(place, float)
     if at.shape != (3,) or not np.isfinite(at).all():
         raise DrawingError("a place must be three finite numbers")
+    if snap:
+        shape = here.creature.bodies[here.creature.body_index(body.name)].shape
+        at = on_planes(at, shape.half_extents)
     if each and len(copies_of(data, body.entry)) > 1:
         return str(bodies(data)[body.entry]["name"]), reflected_if(at, body.mirror)
     return body.name, at
