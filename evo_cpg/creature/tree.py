@@ -27,7 +27,6 @@ from evo_cpg.creature.creature import (
     Body,
     Creature,
     DegreeOfFreedom,
-    Joint,
     JointKind,
     neutral_pose,
     topological_order,

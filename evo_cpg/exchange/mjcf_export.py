@@ -39,6 +39,7 @@ from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
 from evo_cpg.exchange.mjcf_tendons import add_tendons
 from evo_cpg.exchange.mujoco_state import ball_quaternion
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
 from evo_cpg.spatial.rotation import euler_to_matrix
@@ -125,7 +126,7 @@ def mjcf_model(
                 add_motor(actuator, name, motor, axis=axis)
     add_tendons(root, actuator, creature)
     if angles is not None:
-        pose = _positions(creature, order, angles)
+        pose = _positions(creature, angles)
         # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.
         bends = [x for joint in place.iter("joint") for x in pose[joint.get("name", "")]]
         free = () if orientation is None else (*start, *orientation)
@@ -134,25 +135,22 @@ def mjcf_model(
     return root
 
 
-def _positions(
-    creature: Creature, order: Sequence[int], q: Sequence[float]
-) -> dict[str, list[float]]:
+def _positions(creature: Creature, q: Sequence[float]) -> dict[str, list[float]]:
     """Return MuJoCo's position of each joint, by its name.
 
     Args:
         creature: the creature.
-        order: indices of its bodies in the order of its `Tree`.
-        q: coordinates of its joints, in that order.
+        q: coordinates of its joints, in the order of its `Tree`.
     """
     found: dict[str, list[float]] = {}
     values = iter(q)
-    for body in (creature.bodies[i] for i in order):
+    for body in (creature.bodies[i] for i in topological_order(creature)):
         joint = creature.joint_of(body)
         if joint is None:
             continue
         names, own = joint_names(body, joint), [next(values) for _ in joint.dofs]
         if joint.kind == "ball":
-            found[names[0]] = ball_quaternion(np.array(joint.axes, float).T, own).tolist()
+            found[names[0]] = ball_quaternion(np.array(joint.axes, float).T, np.array(own)).tolist()
         else:
             found |= {name: [x] for name, x in zip(names, own, strict=True)}
     return found

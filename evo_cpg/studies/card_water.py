@@ -50,7 +50,7 @@ def _gazzola(
     axes = "reynolds", "swimming_number", over
 
     def row(quantity: str, figure: str, rule: Rule, measure: m.Measure, *about: str) -> Row:
-        words = ". ".join(word for word in (*about, _AMPLITUDE) if word)
+        words = ". ".join((*about, _AMPLITUDE))
         name = f"swimmers: {quantity}. Ours: the {animal}"
         return Row(name, figure, _GAZZOLA, rule, asked, measure, ours, words, 3)
 
@@ -106,8 +106,8 @@ EFFICIENCY = [
         m.slope("strouhal", "reynolds", ("u",)),
         "3 drives",
     ),
-    *_gazzola("eel", THICK, ("u",), "3 drives", "its body is thin: see below the table"),
-    *_gazzola("fish", WIDE, ("u", "b"), "9 drives", ""),
+    *_gazzola("eel", THICK, ("u",), "3 drives", "Its body is thin, which raises its drag"),
+    *_gazzola("fish", WIDE, ("u", "b"), "9 drives", "The drives were chosen for this row"),
     Row(
         "eel: exponent of power over speed",
         "1.48",

@@ -223,7 +223,8 @@ def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
     posed = {body.name: (body, centre, turn) for body, centre, turn in _posed(scene)}
 
     def add_ball(place: np.ndarray, radius: float, color: str) -> None:
-        plotter.add_mesh(pv.Sphere(radius=radius, center=place), color=color, lighting=False)
+        ball = pv.Sphere(radius=radius, center=place)
+        plotter.add_mesh(ball, color=color, lighting=False, render=False)
 
     for sensor in creature.light_sensors:
         _, centre, turn = posed[sensor.body]
@@ -265,7 +266,7 @@ def _add_arrow(
         tip_radius=0.065,
         tip_length=0.2,
     )
-    plotter.add_mesh(arrow, color=color, ambient=0.6, diffuse=0.5)
+    plotter.add_mesh(arrow, color=color, ambient=0.6, diffuse=0.5, render=False)
 
 
 def _camera(shown: np.ndarray, size: tuple[int, int]) -> tuple[CameraPath, float]:
