@@ -10,7 +10,8 @@ joint whose thickness is at most a quarter of its width. A body has at most two 
 sides. Of several candidates it takes those whose
 widths are most alike its own. So a trunk continues in its tail and not in a fin. Equally alike
 candidates on the same side, such as the two lobes of a fluke, are a fork, which ends the chain.
-Every body belongs to exactly one chain, which may have one body only.
+Every body belongs to exactly one chain, which may have one body only. A further part of a body is a
+chain of its own.
 
 The nose is the end that points forward, along +x. In a chain that stands across, such as a leg, it
 is the end nearer to the root.
@@ -42,6 +43,9 @@ _EQUALLY = 0.99
 
 # Least length of a centreline, m. A body without size has no direction.
 _LEAST_LENGTH = 1e-12
+
+# Least number of bodies of a chain that bends as a wave. One or two rigid bodies cannot.
+LEAST_BODIES = 3
 
 # Cosine of the largest angle between a chain and +x at which its front end is the nose.
 _FORWARD = 0.5
@@ -113,7 +117,7 @@ def _joints(creature: Creature) -> list[_Link]:
     return [
         _Link(creature.body_index(body.joint.parent), i)
         for i, body in enumerate(creature.bodies)
-        if body.joint is not None
+        if body.joint is not None and body.whole is None
     ]
 
 

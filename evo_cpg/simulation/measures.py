@@ -123,9 +123,8 @@ class CostOfTransport(Measure):
 
     def finish(self, tally: Spent, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
-        weight = jnp.asarray(trial.world.tree.mass).sum() * trial.world.gravity
         moved = distance(tally.displacement, trial.world)
-        return tally.energy / (weight * jnp.maximum(moved, _NOWHERE))
+        return tally.energy / (trial.world.weight * jnp.maximum(moved, _NOWHERE))
 
 
 class _Total(Measure):

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from evo_cpg.analysis.allometry import running_cost
 from evo_cpg.analysis.gait import fourier_component
+from evo_cpg.analysis.rhythm import mean_phase, upward_crossings
 from evo_cpg.laboratory.ask import Answer
 from evo_cpg.laboratory.settings import Setting
 from evo_cpg.simulation.recording import Recording
@@ -287,7 +288,7 @@ def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
             for one, other in zip(whole.recordings, parted.recordings, strict=True):
                 usual = _lags(one, joint)
                 usual = usual[len(usual) // 2 :]
-                mean = np.angle(np.exp(2j * np.pi * usual).mean()) / (2 * np.pi)
+                mean, _ = mean_phase(usual)
                 apart = _lags(other, joint) - mean
                 apart = np.abs(apart - np.round(apart))
                 late = np.flatnonzero(~(apart < _RETURNED))
@@ -302,8 +303,7 @@ def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
     """Return the lag of an oscillator on the one before it, in each cycle of the latter, cycles."""
     k = recording.dof_names.index(joint)
     before, behind = np.asarray(recording.cpg_output, float)[:, [k - 1, k]].T
-    starts = _upward(before)
-    own = _upward(behind)
+    starts, own = upward_crossings(before), upward_crossings(behind)
     lags = []
     for start, end in itertools.pairwise(starts):
         later = own[own >= start]
@@ -311,12 +311,6 @@ def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
         if len(later):
             lags.append((later[0] - start) / (end - start))
     return np.array(lags)
-
-
-def _upward(signal: Float[np.ndarray, " t"]) -> Float[np.ndarray, " c"]:
-    """Return the instants at which a signal crosses 0 upwards, samples, linearly interpolated."""
-    k = np.flatnonzero((signal[:-1] < 0) & (signal[1:] >= 0))
-    return k + signal[k] / (signal[k] - signal[k + 1])
 
 
 # Mechanical work over metabolic energy of whole animals (secondary source).

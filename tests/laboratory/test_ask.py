@@ -9,8 +9,11 @@ import pytest
 from swimmer import FORWARDS, SWIMMER, subject
 
 import evo_cpg as evo
+from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.schema.task import ReachLightConfig
 from evo_cpg.laboratory.ask import Answer, ask
+from evo_cpg.laboratory.bodies import config_of
 from evo_cpg.laboratory.flume import flume_notes
 from evo_cpg.laboratory.settings import LabError
 from evo_cpg.physics.added_mass import AddedMass
@@ -60,6 +63,16 @@ def test_size_scales_speed_without_viscosity(ribbon):
     assert rows[1]["power"] == pytest.approx(32 * rows[0]["power"], rel=1e-3)
 
 
+def test_light_stays_as_many_lengths_away_in_all_sizes(ribbon):
+    lit = ribbon.config.model_copy(update={"task": ReachLightConfig()})
+    distances = []
+    for size in (1.0, 1e-3):
+        config = config_of(lit, ribbon.source, {"size": size})
+        (situation,) = build_experiment(config, ribbon.source).simulation.situations
+        distances.append(np.linalg.norm(np.subtract(situation.light, situation.start_position)))
+    assert distances[0] == pytest.approx(8.0) and distances[1] == pytest.approx(8e-3)
+
+
 def test_key_of_the_configuration_is_a_knob(ribbon):
     key = "creature.materials.flesh.density"
     rows = ask(ribbon, {key: [1000.0, 1100.0], "u": [0.5]}, seconds=1.0).rows
@@ -71,6 +84,13 @@ def test_passive_joints_have_no_torque(ribbon):
     active, passive = (np.abs(each.torque).max(0) for each in answer.recordings)
     assert (active > 1e-3).all()
     assert passive[0] > 1e-3 and (passive[1:] == 0).all()
+
+
+def test_undriven_oscillators_fall_silent(ribbon):
+    answer = ask(ribbon, FORWARDS | {"undriven": ["none", "tail3"]})
+    whole, without = (np.abs(each.cpg_output[-60:]).max(0) for each in answer.recordings)
+    assert (whole > 0.1).all()
+    assert (without[:2] > 0.1).all() and without[2] < 1e-6
 
 
 def test_stiff_joints_bend_less(ribbon):
