@@ -186,7 +186,12 @@ def _quantities(
     tree = simulation.world.tree
     order = [tree.names.index(body.name) for body in creature.bodies]
     weights = np.asarray(tree.mass, float)[order]
-    middle = np.average(place, axis=1, weights=weights)[numbers.first :]
+    masses = place
+    if tree.centre_of_volume is not None:
+        # The place of a body is the centre of its shape.
+        off = np.asarray(tree.com - tree.centre, float)[:, order]
+        masses = place + np.einsum("tbij,jb->tbi", np.asarray(recording.rotation, float), off)
+    middle = np.average(masses, axis=1, weights=weights)[numbers.first :]
     along = stride.path_speed(middle, step, frequency)
     gravity = float(simulation.world.gravity)
     energy = float(numbers.power.sum() * step)
@@ -297,7 +302,7 @@ def chain_places(
     joints = []
     for dof in chain:
         place = creature.body_index(tree.names[tree.dof_bodies[dof]])
-        joint = creature.bodies[place].joint
+        joint = creature.joint_of(creature.bodies[place])
         assert joint is not None
         joints.append(centres[place] + turns[place] @ np.array(joint.child_anchor, float))
     apart = np.linalg.norm(np.diff(joints, axis=0), axis=-1)

@@ -1,8 +1,9 @@
 """Experiments built from checked configurations."""
 
+import contextlib
 import dataclasses
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -168,7 +169,7 @@ def build_simulation(
     """
     engine = _choose_engine(config)
     creature = _build_creature(config)
-    tree = build_tree(creature)
+    tree = _build_tree(config, creature)
     world = _build_world(config, creature, tree, layout, pairs)
     check_own_forces(config, world)
     step = 1.0 / config.simulation.control_rate_hz
@@ -327,12 +328,28 @@ def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
 
 
 def _build_creature(config: ExperimentConfig) -> Creature:
-    try:
+    with _refused(config):
         return config.creature.build()
+
+
+def _build_tree(config: ExperimentConfig, creature: Creature) -> Tree:
+    with _refused(config):
+        return build_tree(creature)
+
+
+@contextlib.contextmanager
+def _refused(config: ExperimentConfig) -> Iterator[None]:
+    """Convert a `CreatureError` into a `KeyProblem` with its key."""
+    try:
+        yield
     except CreatureError as error:
         where: list[str | int] = list(error.where)
         if len(where) > 1 and isinstance(where[1], int):
-            where[1] = config.creature.entry_of(where[1])
+            entry_of = {
+                "bodies": config.creature.entry_of,
+                "tendons": config.creature.entry_of_tendon,
+            }
+            where[1] = entry_of[str(where[0])](where[1])
         raise KeyProblem(("creature", *where), str(error)) from None
 
 

@@ -134,7 +134,8 @@ def _links(creature: Creature, pose: tuple[Numbers, Numbers]) -> list[_Link]:
             centres[i] + rotations[i] @ xp.array(body.joint.child_anchor),
         )
         for i, body in enumerate(creature.bodies)
-        if body.joint is not None
+        # A body and its parts are no neighbours at a joint.
+        if body.joint is not None and body.whole is None
     ]
 
 

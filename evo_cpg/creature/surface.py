@@ -224,7 +224,7 @@ def _nearness(
     centres, _ = pose
     radius = xp.array([body.shape.reach for body in creature.bodies])
     distance = xp.sqrt(xp.square(centres[:, None] - centres).sum(-1))
-    return distance / (radius[:, None] + radius + reach)
+    return distance / xp.maximum(radius[:, None] + radius + reach, _LEAST)
 
 
 def _exposed(
@@ -303,9 +303,11 @@ def _largest_gap(creature: Creature, pose: tuple[Numbers, Numbers]) -> Number:
     centres, rotations = pose
     gaps = [0.0]
     for i, body in enumerate(creature.bodies):
-        if body.joint is None:
+        if body.joint is None or body.whole is not None:
             continue
         parent = creature.body_index(body.joint.parent)
+        if not (body.shape.exists and creature.bodies[parent].shape.exists):
+            continue
         world = body.shape.surface(8).points @ rotations[i].T + centres[i]
         local = (world - centres[parent]) @ rotations[parent]
         gaps.append(creature.bodies[parent].shape.distance(local).min())

@@ -24,13 +24,16 @@ from evo_cpg.simulation.simulation import Simulation
 # Powers of the size with which numbers of a creature grow. Torques of motors and springs grow with
 # the moment of inertia of a body of the same density. So a motor follows its command equally well
 # in all sizes. Muscles keep their stress, so their torque grows with the third power.
-_LENGTH, _AREA, _INERTIA = 1, 2, 5
+_LENGTH, _AREA, _VOLUME, _INERTIA = 1, 2, 3, 5
 _POWERS = {
     "shape": _LENGTH,
     "at": _LENGTH,
     "child_at": _LENGTH,
     "position": _LENGTH,
     "distance": _LENGTH,
+    "centre_of_mass": _LENGTH,
+    "mass": _VOLUME,
+    "inertia": _INERTIA,
     "full_scale": _LENGTH,
     "fibre_length": _LENGTH,
     "arm": _LENGTH,

@@ -38,6 +38,8 @@ def held(world: World) -> World:
     Raises:
         LabError: a step of the world needs iteration, which holds no root.
     """
+    if world.tree.hanging is not None:
+        raise LabError("tow: needs a free root, but this root hangs on the world")
     if world.contact_model is not None:
         raise LabError("tow: an animal on the ground cannot be towed. Leave out world.ground")
     if world.pairs is not None:

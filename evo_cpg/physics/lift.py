@@ -159,7 +159,7 @@ class PlateLift(ForceLaw):
         return spread(own, self.bodies, bodies.tree.body_count)
 
     def _centre(self, bodies: Bodies) -> Float[Array, "3 p *#n"]:
-        return expand_dims_like(bodies.tree.com[:, np.array(self.bodies)], bodies.velocity)
+        return expand_dims_like(bodies.tree.centre[:, np.array(self.bodies)], bodies.velocity)
 
     def _resistance(self, bodies: Bodies) -> tuple[Float[Array, "6 p *n"], Float[Array, "p *n"]]:
         """Return the row of the normal velocity, and the force over this velocity, N s/m."""

@@ -208,7 +208,7 @@ def reactive_water(
         inertias |= chain_inertia(tree, creature, chain, found)
         for k, toward_tail, masses in _shedding(chain, found, rotations, every_edge):
             body = tree.names.index(creature.bodies[chain.bodies[k]].name)
-            point = (chain.rear if toward_tail else chain.front)[k] + tree.com[:, body]
+            point = (chain.rear if toward_tail else chain.front)[k] + tree.centre[:, body]
             tangent = chain.tangents[k] if toward_tail else -chain.tangents[k]
             places.append(body)
             edges.append((point, tangent, found.directions[k].T, masses))

@@ -177,7 +177,9 @@ def _cut_backward(_: None, gradient: State) -> tuple[State]:
 
     place = jnp.where(jnp.isfinite(place), place, 0.0)
     cut = {name: shrink(x) for name, x in moving.items()}
-    return (State(position=jnp.concatenate([place, shrink(height)]), **cut),)
+    return (
+        dataclasses.replace(gradient, position=jnp.concatenate([place, shrink(height)]), **cut),
+    )
 
 
 _cut.defvjp(_cut_forward, _cut_backward)

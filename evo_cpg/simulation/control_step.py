@@ -243,6 +243,13 @@ def act(
     return fuse(controller.act, *given, batch_ndim=ndim, name=name)
 
 
+def motor_command(command: Command) -> MotorCommand:
+    """Return the part of a controller's command that moves motors and muscles."""
+    return MotorCommand(
+        command.target_rate, command.target_angle, command.activation, command.torque
+    )
+
+
 def move(
     simulation: Simulation,
     constants: EpisodeConstants,
@@ -254,9 +261,7 @@ def move(
     """Take the physics steps of a control step (see `control_step`)."""
     world, h, state = simulation.world, simulation.step_length, animal.state
     batch = state.position.shape[1:]
-    motors = MotorCommand(
-        command.target_rate, command.target_angle, command.activation, command.torque
-    )
+    motors = motor_command(command)
 
     def advance(carry, _):
         before, warmstart, energy, airborne, forces, ground_force, residual = carry

@@ -6,10 +6,14 @@ the trial alone (see `evo_cpg.training.experiment.trial_keys`).
 
 The friction of the ground varies between trials. It is constant within a trial.
 
+A root that hangs on the world has no tilt. Where the noise would let the animal penetrate the
+ground, the root or the frame on which it hangs is lifted.
+
 The push is a random walk added to the root's velocity. Its standard deviation over a time t is
 ``push sqrt(t)``, for any length of a control step.
 """
 
+import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
@@ -75,19 +79,18 @@ def disturb_start(
     # Rotate by the rotation vector: an angular velocity of this size for one second.
     tilt = noise.tilt * jnp.concatenate([turn, jnp.zeros_like(turn[:1])])
     lower, upper = (expand_dims_like(limit, state.q) for limit in (tree.lower, tree.upper))
-    state = State(
-        state.position,
-        state.orientation
-        if _is_none(noise.tilt)
-        else integrate_quaternion(state.orientation, tilt, 1.0),
-        state.velocity,
-        jnp.clip(state.q + noise.joint_angle * bend, lower, upper),
-        state.qd,
-    )
+    orientation = state.orientation
+    if not _is_none(noise.tilt):
+        orientation = integrate_quaternion(orientation, tilt, 1.0)
+    q = jnp.clip(state.q + noise.joint_angle * bend, lower, upper)
+    state = dataclasses.replace(state, orientation=orientation, q=q).placed(tree)
     if world.contact_model is None:
         return state
     depth = -clearance(world.contact_model, kinematics(tree, state)).min(0)
     lift = [jnp.zeros_like(state.position[:2]), jnp.maximum(depth, 0.0)[None]]
+    if state.base is not None:
+        base = state.base._replace(position=state.base.position + jnp.concatenate(lift))
+        return dataclasses.replace(state, base=base).placed(tree)
     return eqx.tree_at(lambda s: s.position, state, state.position + jnp.concatenate(lift))
 
 

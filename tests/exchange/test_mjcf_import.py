@@ -113,7 +113,9 @@ def assert_same(found: Creature, expected: Creature) -> None:
                     assert type(own) is type(other)
                     if own is not None and other is not None:
                         close(dataclasses.astuple(own), dataclasses.astuple(other))
-            elif field.name != "parent":
+            elif field.name in ("parent", "kinds", "places"):
+                assert mine == given
+            else:
                 close(mine, given)
 
 
@@ -300,16 +302,6 @@ def two(first: str = "", second: str = "") -> str:
         (
             model(joints=two().replace("0 1 0", "0 0 1")),
             "body 'limb': axes: must be linearly independent and not zero",
-        ),
-        (
-            model(
-                joints="".join(
-                    f'<joint axis="{axis}" range="-1.55 1.55"/>'
-                    for axis in ("1 0 0", "0 1 0", "0 0 1")
-                )
-            ),
-            "body 'limb': limits_deg: the three axes lie in one plane if the middle one turns by "
-            "-90 degrees",
         ),
         (model(geoms=LIMB + '<geom size="0.2"/>'), "body 'limb': it has 2 geoms. Allowed: one"),
         (

@@ -10,9 +10,10 @@ from jaxtyping import Array
 
 from creatures import STRUCTURES, box_chain, in_water, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import mechanical_energy
+from evo_cpg.creature.axis_laws import LIMIT_FREQUENCY
 from evo_cpg.creature.creature import NO_LIMIT, Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Sphere
-from evo_cpg.creature.tree import LIMIT_FREQUENCY, build_tree
+from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import step
