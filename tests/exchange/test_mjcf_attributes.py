@@ -455,7 +455,7 @@ def test_every_field_of_the_compiled_model_is_decided():
     fields = [name for name in dir(compiled) if not name.startswith("_")]
     fields = [name for name in fields if not callable(getattr(compiled, name))]
     assert len(fields) > 300
-    tables = "READ READ_LIMITS COMPUTED REFUSED LEFT_OUT REFUSED_COUNTS COUNTS".split()
+    tables = ["READ", "READ_LIMITS", "COMPUTED", "REFUSED", "LEFT_OUT", "REFUSED_COUNTS", "COUNTS"]
     decided = (READ,), WITHOUT_EFFECT.values(), *(getattr(mjcf_fields, x) for x in tables)
     assert undecided(fields, *decided) == []
     assert undecided(["jnt_stickiness", "geom_colour"], *decided) == [
