@@ -35,8 +35,8 @@ def tables() -> str:
             *_by_kind(mjcf_fields.REFUSED),
             *(f"| `{kind}` | all |" for kind in mjcf_fields.REFUSED_COUNTS.values()),
             "",
-            "**Left out, by name**: softness and rules of contacts and limits, and what has no part "
-            "in the motion.",
+            "**Left out, by name**: softness and rules of contacts and limits, and what has no "
+            "part in the motion.",
             "",
             "| Element | Attribute |",
             "|---|---|",
