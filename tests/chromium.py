@@ -83,6 +83,14 @@ class Page:
         self.call("Page.navigate", url=path.resolve().as_uri())
         self.wait("document.readyState === 'complete'")
 
+    def visit(self, address: str, size: tuple[int, int] = (1280, 900), dark: bool = False) -> None:
+        """Open an address of this machine, and wait until it is loaded."""
+        self.resize(size)
+        features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        self.call("Emulation.setEmulatedMedia", features=features)
+        self.call("Page.navigate", url=address)
+        self.wait("document.readyState === 'complete'")
+
     def resize(self, size: tuple[int, int]) -> None:
         """Set the size of the window, pixels."""
         self.call("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1],

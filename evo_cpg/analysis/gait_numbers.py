@@ -302,7 +302,7 @@ def chain_places(
     joints = []
     for dof in chain:
         place = creature.body_index(tree.names[tree.dof_bodies[dof]])
-        joint = creature.bodies[place].joint
+        joint = creature.joint_of(creature.bodies[place])
         assert joint is not None
         joints.append(centres[place] + turns[place] @ np.array(joint.child_anchor, float))
     apart = np.linalg.norm(np.diff(joints, axis=0), axis=-1)

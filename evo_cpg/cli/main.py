@@ -36,6 +36,7 @@ COMMANDS = (
     "lab",
     "sensitivity",
     "fit",
+    "model",
     "preview",
     "verify",
     "audit",

@@ -470,9 +470,8 @@ def build_brain_cpg(
         feedback = build_feedback(tree, cpg.feedback, cpg.max_tonic_input, control_step)
     none = (False,) * tree.dof_count
     muscular = tree.muscles.driven if tree.muscles else none
-    torque_driven = tree.torque_motors.driven if tree.torque_motors else none
     follows = _follows_angles(tree, settings)
-    rateless = [any(kinds) for kinds in zip(muscular, torque_driven, follows, strict=True)]
+    rateless = [any(kinds) for kinds in zip(muscular, tree.torque_driven, follows, strict=True)]
     return BrainCpg(
         gene_count=brain.gene_count + (feedback.gene_count if feedback else 0),
         brain=brain,
@@ -502,14 +501,14 @@ def build_brain_cpg(
         control_step=control_step,
         feedback=feedback,
         muscles=tree.muscles is not None,
-        gear=tree.torque_motors.gear if tree.torque_motors else None,
+        gear=tree.gears,
         angles=_angle_range(tree, settings, follows) if any(follows) else None,
     )
 
 
 def _follows_angles(tree: Tree, settings: BrainCpgSettings) -> tuple[bool, ...]:
     """Return which degrees of freedom have a motor with a spring that follows angles."""
-    size, springs = settings.angle_range_deg, tree.servo_stiffness
+    size, springs = settings.angle_range_deg, tree.of_commands("servo_stiffness")
     used = chosen(lambda: bool(size > 0), lambda made: (size > 0) == made)
     if not used:
         return (False,) * tree.dof_count
@@ -521,7 +520,7 @@ def _follows_angles(tree: Tree, settings: BrainCpgSettings) -> tuple[bool, ...]:
 
 def _angle_range(tree: Tree, settings: BrainCpgSettings, follows: tuple[bool, ...]) -> AngleRange:
     full = xp.where(np.array(follows), xp.deg2rad(settings.angle_range_deg), 0.0)
-    return AngleRange(full, tree.lower, tree.upper)
+    return AngleRange(full, tree.of_commands("lower"), tree.of_commands("upper"))
 
 
 def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:

@@ -224,7 +224,7 @@ def _nearness(
     centres, _ = pose
     radius = xp.array([body.shape.reach for body in creature.bodies])
     distance = xp.sqrt(xp.square(centres[:, None] - centres).sum(-1))
-    return distance / (radius[:, None] + radius + reach)
+    return distance / xp.maximum(radius[:, None] + radius + reach, _LEAST)
 
 
 def _exposed(

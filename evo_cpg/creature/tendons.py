@@ -12,7 +12,7 @@ from evo_cpg.creature.creature import CreatureError, Tendon, driven_by
 from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
 from evo_cpg.errors import nearest
 from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.numerics import Numbers, xp
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 
 class Tendons(eqx.Module):
@@ -64,6 +64,15 @@ class Tendons(eqx.Module):
     limit_damping: Float[Numbers, " t"]
     # Tendons have no muscles.
     muscles: None = eqx.field(static=True, default=None)
+
+    @property
+    def torque_gears(self) -> dict[int, Number]:
+        """Gear of the torque motor that follows the command of each degree of freedom."""
+        motors = self.torque_motors
+        if motors is None:
+            return {}
+        each = zip(self.channels, motors.driven, motors.gear, strict=True)
+        return {channel: gear for channel, driven, gear in each if driven}
 
     def places(self, tendon: int) -> tuple[int, ...]:
         """Return the places of a tendon's coefficients."""

@@ -168,6 +168,37 @@ class Tree(eqx.Module):
             return self.mass
         return self.mass[np.array(self.owners)]
 
+    @property
+    def torque_driven(self) -> tuple[bool, ...]:
+        """Whether a torque motor, of the axis or of a tendon, follows each command."""
+        own = (False,) * self.dof_count if self.torque_motors is None else self.torque_motors.driven
+        if self.tendons is None:
+            return own
+        pulling = self.tendons.torque_gears
+        return tuple(driven or dof in pulling for dof, driven in enumerate(own))
+
+    @property
+    def gears(self) -> Float[Numbers, " d"] | None:
+        """Torque or force per unit of each command, 0 without a torque motor, None without any."""
+        if self.tendons is None or not self.tendons.torque_gears:
+            return None if self.torque_motors is None else self.torque_motors.gear
+        own = [0.0] * self.dof_count if self.torque_motors is None else self.torque_motors.gear
+        pulling = self.tendons.torque_gears
+        return xp.array([pulling.get(dof, gear) for dof, gear in enumerate(own)], float)
+
+    def of_commands(self, name: str) -> Float[Numbers, " d"]:
+        """Return a number of the law that each command acts on: of its axis or of its tendon.
+
+        Args:
+            name: field of axes and tendons, such as ``servo_stiffness`` or ``upper``.
+        """
+        own = getattr(self, name)
+        if self.tendons is None:
+            return own
+        each = zip(self.tendons.channels, getattr(self.tendons, name), strict=True)
+        pulling = dict(each)
+        return xp.array([pulling.get(dof, number) for dof, number in enumerate(own)], float)
+
     def without_motors(self, axes: Bool[np.ndarray, " d"]) -> "Tree":
         """Return the tree with idle motors about some axes, and muscles without active fibres.
 

@@ -4,6 +4,8 @@
 |---|---|---|
 | body, in its working frame at the joint | ``body``; the root's stands at its centre | |
 | shape and density | one ``geom``, centred at ``-child_anchor`` | `mjcf_shapes` |
+| further part of a body, and welded body | a ``body`` without a joint | |
+| mass and inertia in numbers | ``inertial`` | |
 | joint | ``hinge``s, ``slide``s or a ``ball`` | `mjcf_joints` |
 | root | a ``freejoint``; a root that hangs on the world has its own joints, or none | |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
@@ -29,7 +31,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from evo_cpg.creature.creature import Body, Creature, topological_order
+from evo_cpg.creature.creature import Body, Creature, Inertial, topological_order
 from evo_cpg.exchange.mjcf_custom import add_custom
 from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.exchange.mjcf_joints import add_joints, joint_names
@@ -37,12 +39,16 @@ from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
 from evo_cpg.exchange.mjcf_tendons import add_tendons
 from evo_cpg.exchange.mujoco_state import ball_quaternion
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
 from evo_cpg.spatial.rotation import euler_to_matrix
 
 # Name of the keyframe that holds the initial pose.
 _START = "start"
+
+# Largest distance of a buoyancy from the centre of mass, as a fraction of the body's size.
+_CENTRED = 1e-9
 
 
 def mjcf_model(
@@ -78,7 +84,7 @@ def mjcf_model(
         CreatureError: the bodies do not form one tree.
         ExchangeError: MJCF cannot hold a shape or a part of the ground.
     """
-    order = topological_order(creature)
+    topological_order(creature)
     names = [body.name for body in creature.bodies]
     root = Element("mujoco", model=creature.name)
     SubElement(root, "compiler", angle="radian")
@@ -98,7 +104,8 @@ def mjcf_model(
     _add_bodies(place, creature, water, start, heading)
     contact = SubElement(root, "contact") if ground or pairs else None
     if ground and contact is not None:
-        for part, body in itertools.product(parts, creature.bodies):
+        solid = [body for body in creature.bodies if body.shape.exists]
+        for part, body in itertools.product(parts, solid):
             friction = combine(
                 ground.friction_rule, body.material.dynamic_friction, ground.dynamic_friction
             )
@@ -119,7 +126,7 @@ def mjcf_model(
                 add_motor(actuator, name, motor, axis=axis)
     add_tendons(root, actuator, creature)
     if angles is not None:
-        pose = _positions(creature, order, angles)
+        pose = _positions(creature, angles)
         # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.
         bends = [x for joint in place.iter("joint") for x in pose[joint.get("name", "")]]
         free = () if orientation is None else (*start, *orientation)
@@ -128,25 +135,22 @@ def mjcf_model(
     return root
 
 
-def _positions(
-    creature: Creature, order: Sequence[int], q: Sequence[float]
-) -> dict[str, list[float]]:
+def _positions(creature: Creature, q: Sequence[float]) -> dict[str, list[float]]:
     """Return MuJoCo's position of each joint, by its name.
 
     Args:
         creature: the creature.
-        order: indices of its bodies in the order of its `Tree`.
-        q: coordinates of its joints, in that order.
+        q: coordinates of its joints, in the order of its `Tree`.
     """
     found: dict[str, list[float]] = {}
     values = iter(q)
-    for body in (creature.bodies[i] for i in order):
+    for body in (creature.bodies[i] for i in topological_order(creature)):
         joint = creature.joint_of(body)
         if joint is None:
             continue
         names, own = joint_names(body, joint), [next(values) for _ in joint.dofs]
         if joint.kind == "ball":
-            found[names[0]] = ball_quaternion(np.array(joint.axes, float).T, own).tolist()
+            found[names[0]] = ball_quaternion(np.array(joint.axes, float).T, np.array(own)).tolist()
         else:
             found |= {name: [x] for name, x in zip(names, own, strict=True)}
     return found
@@ -187,23 +191,63 @@ def _add_bodies(
             if not np.array_equal(turn, np.eye(3)):
                 element.set("xyaxes", place_text(turn[:, :2].T.ravel()))
         if water is not None and water.surface is None:
-            element.set("gravcomp", number_text(water.density / body.material.density))
+            lift = _buoyancy(creature, body, water.density)
+            if lift:
+                element.set("gravcomp", number_text(lift))
         if joint is None:
             SubElement(element, "freejoint")
         else:
             add_joints(element, body, joint)
-        _add_geom(element, body, own_anchor)
+        if body.inertial is not None and body.inertial.mass:
+            _add_inertial(element, body.inertial, own_anchor)
+        if body.shape.exists:
+            _add_geom(element, body, own_anchor)
         for child in children.get(body.name, []):
             add(element, child, own_anchor)
 
     add(place, children[""][0], (0.0, 0.0, 0.0))
 
 
+def _buoyancy(creature: Creature, body: Body, density: float) -> float:
+    """Return the buoyancy of a body over its weight, in deep water.
+
+    Raises:
+        ExchangeError: the body's buoyancy does not act at its centre of mass.
+    """
+    if body.inertial is None:
+        return density / body.material.density
+    if not body.inertial.mass:
+        return 0.0
+    volume, moment = body.shape.volume, np.zeros(3)
+    for part in creature.bodies:
+        if part.whole == body.name and part.joint is not None:
+            turn = np.array(part.joint.orientation)
+            place = part.joint.parent_anchor - turn @ np.array(part.joint.child_anchor)
+            volume, moment = volume + part.shape.volume, moment + part.shape.volume * place
+    off = moment / volume - body.inertial.centre if volume else np.zeros(3)
+    if np.linalg.norm(off) > _CENTRED * np.linalg.norm(body.shape.half_extents):
+        raise ExchangeError(
+            f"body {body.name!r}: its buoyancy acts {np.linalg.norm(off):.3g} m from its centre of "
+            "mass, but MuJoCo's gravcomp acts at the centre of mass"
+        )
+    return density * volume / body.inertial.mass
+
+
+def _add_inertial(element: Element, own: Inertial, anchor: tuple[float, float, float]) -> None:
+    a, b, c = own.inertia
+    inertial = SubElement(element, "inertial", pos=place_text(np.subtract(own.centre, anchor)))
+    inertial.set("mass", number_text(own.mass))
+    inertial.set("fullinertia", number_text(a[0], b[1], c[2], a[1], a[2], b[2]))
+
+
 def _add_geom(element: Element, body: Body, anchor: tuple[float, float, float]) -> None:
     geom = SubElement(element, "geom", {"name": body.name, **shape_attributes(body)})
     if any(anchor):
         geom.set("pos", place_text(np.negative(anchor)))
-    geom.set("density", number_text(body.material.density))
+    if body.inertial is None:
+        geom.set("density", number_text(body.material.density))
+    else:
+        geom.set("mass", "0")
     geom.set("friction", number_text(body.material.dynamic_friction))
     if body.color:
         red, green, blue = (int(body.color[i : i + 2], 16) / 255 for i in (1, 3, 5))

@@ -62,6 +62,7 @@ from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
+from evo_cpg.spatial.numerics import Numbers
 
 # Least upward component of the root's z axis in an upright animal: the cosine of 60 degrees.
 _UPRIGHT = 0.5
@@ -272,7 +273,11 @@ class _Player:
         self._bodies = np.array([model.body(name).id for name in world.tree.names])
         self._animal = np.isin(model.geom_bodyid, self._bodies)
         self._structure = jax.tree.structure(resting_state(world.tree))
-        self._laws = _law_forces(world, h) if _applied(world) else None
+        # MuJoCo's welded bodies have centres of mass of their own.
+        centres = world.tree.com
+        if world.tree.centre_of_volume is not None:
+            centres = np.asarray(model.body_ipos)[self._bodies].T
+        self._laws = _law_forces(world, h, centres) if _applied(world) else None
         self._pull = None if world.tree.muscles is None else _pull_forces(world.tree.muscles)
         self._surface = world.water_level
         self._start = resting_state(world.tree)
@@ -363,18 +368,17 @@ class _Player:
     def state(self) -> State:
         """Return the animal's state in our form."""
         data, tree = self.data, self.tree
-        q, qd = joint_state(self.model, tree, data.qpos, data.qvel)
+        joints = joint_state(self.model, tree, data.qpos, data.qvel)
         if tree.hanging is not None:
             with jax.enable_x64(True):
-                moved = dataclasses.replace(self._start, q=q, qd=qd)
+                moved = dataclasses.replace(self._start, q=joints[0], qd=joints[1])
                 return jax.device_get(self._placed(moved))
         spin = root_rotation(data.qpos[3:7]) @ data.qvel[3:6]
         parts: tuple[Any, ...] = (
             data.qpos[:3].copy(),
             data.qpos[3:7].copy(),
             np.concatenate([spin, data.qvel[:3]]),
-            q,
-            qd,
+            *joints,
         )
         # Double precision, as in states from `jax.device_get`.
         return jax.tree.unflatten(self._structure, parts)
@@ -413,12 +417,17 @@ def _pull_forces(muscles: Muscles) -> Callable[[np.ndarray, State], Pull]:
 
 
 def _law_forces(
-    world: World, h: float
+    world: World, h: float, centres: Float[Numbers, "3 b"]
 ) -> Callable[[State], tuple[np.ndarray, CarriedInertia | None]]:
     """Return a function for the effect of laws and buoyancy on the bodies.
 
     It returns force (N) and moment (N m) at body centres, without those by the accelerations of
     degrees of freedom, and the inertia of the laws, or None without such inertia.
+
+    Args:
+        world: our world of the animal.
+        h: length of our physics step, s.
+        centres: MuJoCo's centres of mass of the bodies, in their working frames, m.
     """
 
     def forces(state: State) -> tuple[Float[Array, "6 b"], CarriedInertia | None]:
@@ -435,7 +444,7 @@ def _law_forces(
             bias = in_body_axes(kin.rotation, kin.bias_angular, kin.bias_linear)
             wrench = wrench - matvec(inertia, bias)
             carried = CarriedInertia(inertia, kin.rotation, kin.origin)
-        arm = expand_dims_like(world.tree.com, wrench[3:])
+        arm = expand_dims_like(centres, wrench[3:])
         moment = wrench[:3] - cross(arm, wrench[3:])
         turned = jnp.concatenate([matvec(kin.rotation, x) for x in (wrench[3:], moment)])
         return turned, carried

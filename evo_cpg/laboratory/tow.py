@@ -16,10 +16,11 @@ from collections.abc import Mapping
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from evo_cpg.analysis.cycles import last_cycles
 from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
+from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.laboratory.settings import LabError
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.step import needs_iteration
@@ -98,12 +99,16 @@ def straight_drag(simulation: Simulation) -> float:
     """Return the drag of the animal in its initial pose, at rest in the current, N."""
     world = simulation.world
     start = starting_state(simulation.situations, None, world.tree, (), jnp.dtype(jnp.float32))
-    bodies = world.bodies(kinematics(world.tree, start), simulation.step_length)
-    force = np.zeros(3)
-    for law in world.forces:
-        own = np.asarray(law.wrench(bodies))[3:]
-        force += np.einsum("ijb,jb->i", np.asarray(bodies.kin.rotation), own)
-    return float(-force @ directions(simulation)[0])
+
+    @quick_jit
+    def force() -> Float[Array, "3"]:
+        bodies = world.bodies(kinematics(world.tree, start), simulation.step_length)
+        own = sum(law.wrench(bodies) for law in world.forces)
+        return (
+            jnp.einsum("ijb,jb->i", bodies.kin.rotation, own[3:]) if world.forces else jnp.zeros(3)
+        )
+
+    return float(-np.asarray(force()) @ directions(simulation)[0])
 
 
 def directions(simulation: Simulation) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:

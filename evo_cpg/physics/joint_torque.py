@@ -227,7 +227,7 @@ def changes_overload(
     """
     commanded = motor.at(tree, qdd, h)
     given = clamp_torque(tree, commanded)
-    stays = jnp.where(overloaded(tree, motor.start), clamp_torque(tree, commanded), commanded)
+    stays = jnp.where(overloaded(tree, motor.start), clamp_torque(tree, motor.start), commanded)
     least = _SAME_TORQUE * expand_dims_like(tree.torque_limit, given) + _NONE
     changes = (jnp.abs(given - stays) > least).any(0)
     if tree.dry_friction is None:

@@ -77,7 +77,7 @@ def problem(data: dict) -> str:
         ("creature.light_sensors", {"body": "head"}, "Write [{body: head}]"),
         ("creature.light_sensors", ["head"], "Write {body: head}"),
         ("creature.materials.flesh", 1000, "Write {density: 1000}"),
-        ("creature.bodies.1.shape", "box", "must be a section whose type is 'box', 'sphere', "),
+        ("creature.bodies.1.shape", "box", "a section whose type is 'box', 'sphere', "),
         ("creature.bodies.1.shape", "box", "Write {type: box}"),
         ("creature.bodies", {"head": 1}, "Begin each entry with '- '"),
         ("task", "walk", "'walk' or module:Class. Write {type: walk}"),

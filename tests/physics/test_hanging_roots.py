@@ -44,9 +44,11 @@ LENGTH, MASS = SIZE[0] / 2, 4.0
 INERTIA = MASS * ((SIZE[0] ** 2 + SIZE[2] ** 2) / 12 + LENGTH**2)
 
 
-def hung(creature: Creature, count: int, rng: np.random.Generator) -> Creature:
+def hung(creature: Creature, kinds: tuple[str, ...], rng: np.random.Generator) -> Creature:
     """Return a creature whose root hangs on the world by some axes."""
-    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0][:count]
+    count = len(kinds)
+    # MuJoCo has the velocity of a ball in the child's own axes.
+    axes = np.eye(3) if "ball" in kinds else np.linalg.qr(rng.normal(size=(3, 3)))[0][:count]
     joint = Joint(
         WORLD,
         tuple(rng.normal(scale=0.2, size=3)),
@@ -58,6 +60,7 @@ def hung(creature: Creature, count: int, rng: np.random.Generator) -> Creature:
         stiffness=1.0,
         damping=0.2,
         armature=0.01,
+        kinds=kinds,
     )
     return dataclasses.replace(creature, root_joint=joint)
 
@@ -85,11 +88,15 @@ def accelerations(tree: Tree, state: State, tau):
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("count", [0, 1, 3])
-def test_hanging_trees_accelerate_as_in_mujoco(count):
-    """A fixed root, and roots on one and three axes. Roundings give 1e-14."""
-    rng = np.random.default_rng(count)
-    creature = hung(random_creature(rng, STRUCTURES[2], axes_seed=2), count, rng)
+@pytest.mark.parametrize(
+    "kinds",
+    [(), ("turn",), ("turn",) * 3, ("slide", "slide", "turn"), ("ball",) * 3],
+    ids=["fixed", "hinge", "three hinges", "planar", "ball"],
+)
+def test_hanging_trees_accelerate_as_in_mujoco(kinds):
+    """Roundings give 1e-14."""
+    rng = np.random.default_rng(len(kinds))
+    creature = hung(random_creature(rng, STRUCTURES[2], axes_seed=2), kinds, rng)
     tree = build_tree(creature)
     state, tau = random_hanging_state(tree, rng), rng.normal(size=tree.dof_count)
     element = mjcf_model(creature, GRAVITY, start=START, heading=HEADING)

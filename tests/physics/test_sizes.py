@@ -4,6 +4,7 @@ Lengths are relative to the body's length, and times to the time of a fall by th
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -132,7 +133,7 @@ def test_a_sliding_ball_rolls_in_the_end(size):
 def angular_momentum(tree, states):
     """Return the angular momentum about the world's origin at each time, ``(times, 3)``."""
     state = jax.tree.map(lambda x: jnp.moveaxis(jnp.asarray(x), 0, -1), states)
-    kin = jax.tree.map(np.asarray, kinematics(tree, state))
+    kin = jax.tree.map(np.asarray, quick_jit(functools.partial(kinematics, tree))(state))
     total = 0.0
     for i in range(tree.body_count):
         turn, inertia = kin.rotation[:, :, i], tree.inertia[:, :, i]

@@ -10,7 +10,7 @@ from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.joint import MuscleConfig, TorqueMotorConfig
 from evo_cpg.config.schema.typical import ROUNDING, TURN
 from evo_cpg.creature.creature import Body, Muscle, TorqueMotor
-from evo_cpg.creature.shapes import Capsule, Cylinder, Shape
+from evo_cpg.creature.shapes import Capsule, Cylinder
 from evo_cpg.spatial.numerics import Triple
 
 # Range of the longest edge of a body, from the limb of a small insect to a whale, m.
@@ -164,8 +164,10 @@ def postures(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def no_motor(case: Case) -> Iterator[LintWarning]:
-    """Warn if no joint has a motor."""
+    """Warn if no joint and no tendon has a motor."""
     joints = list(case.joints())
+    if any(tendon.actuator for tendon in case.config.creature.tendons):
+        return
     if joints and all(motor is None for joint in joints for motor in joint.given.motors):
         yield case.warning(
             (*joints[0].key, "actuator"),
@@ -227,7 +229,7 @@ def repeated_place(case: Case) -> Iterator[LintWarning]:
     """Warn of a row whose joint position fits the first body's parent, but not the row's bodies."""
     for joint in case.joints():
         at, parent, body = joint.built.parent_anchor, joint.parent, joint.body
-        fits, gap = _gap(parent.shape, at), _gap(body.shape, at)
+        fits, gap = _gap(case, parent, at), _gap(case, body, at)
         if joint.repeat == 1 or abs(fits) > _OUT * parent.shape.half_extents.max():
             continue
         if abs(gap) > _OUT * body.shape.half_extents.max():
@@ -269,7 +271,7 @@ def far_places(case: Case) -> Iterator[LintWarning]:
             key = "creature", kind, i, "position"
             places.append((key, repr(sensor.body), body, sensor.position))
     for key, whose, body, place in places:
-        (x, y, z), gap = body.shape.half_extents, _gap(body.shape, place)
+        (x, y, z), gap = body.shape.half_extents, _gap(case, body, place)
         most = max(x, y, z)
         likely = "Positions count from the body's centre, so half its size reaches its surface"
         if isinstance(body.shape, Capsule | Cylinder):
@@ -285,6 +287,14 @@ def far_places(case: Case) -> Iterator[LintWarning]:
             )
 
 
-def _gap(shape: Shape, place: Triple) -> float:
-    """Return the distance from a shape's surface to a place in its frame, m; negative inside."""
-    return float(shape.distance(np.array([place]))[0])
+def _gap(case: Case, body: Body, place: Triple) -> float:
+    """Return the distance from a body's shapes to a place in its frame, m, negative inside.
+
+    The distance is 0 for a body without a shape.
+    """
+    gaps = [body.shape.distance(np.array([place]))] if body.shape.exists else []
+    for part in case.creature.bodies:
+        if part.whole == body.name and part.joint is not None:
+            off = np.subtract(place, part.joint.parent_anchor) @ np.array(part.joint.orientation)
+            gaps.append(part.shape.distance(off[None] + part.joint.child_anchor))
+    return float(min(gaps)[0]) if gaps else 0.0

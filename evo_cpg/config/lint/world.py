@@ -204,6 +204,18 @@ def start_above(case: Case) -> Iterator[LintWarning]:
 
 
 @rule
+def distance_of_a_fixed_root(case: Case) -> Iterator[LintWarning]:
+    """Warn of a task that measures the displacement of a root that cannot move."""
+    joint, kind = case.creature.root_joint, case.config.task.type
+    if joint is not None and not joint.dofs and kind in ("distance", "walk"):
+        yield case.warning(
+            ("task", "type"),
+            f"the task measures the displacement of the root, but {case.root!r} is fixed to the "
+            "world, so it is always 0. Give its joint axes, or write a task of your own",
+        )
+
+
+@rule
 def walk_without_ground(case: Case) -> Iterator[LintWarning]:
     """Warn of a task that needs ground if there is no ground."""
     task = case.config.task

@@ -1,0 +1,81 @@
+"""`evo-cpg model`: draw a creature on a page in the browser."""
+
+import itertools
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from evo_cpg.cli.completion import complete_config
+
+
+def model(
+    config: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[CONFIG]",
+            help="A YAML configuration file, a new one, or the name of one that `evo-cpg configs` "
+            "lists, which is copied (default: a new animal.yaml).",
+            autocompletion=complete_config,
+        ),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the page (default: a free one).")
+    ] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+    ] = True,
+) -> None:
+    """Draw a creature on a page in the browser."""
+    from evo_cpg.drawing.page.server import PageServer
+    from evo_cpg.drawing.session import Session
+    from evo_cpg.files import OutputError
+
+    document = _document(config)
+    try:
+        server = PageServer(Session(document), port)
+    except OSError as error:
+        raise OutputError(f"port {port} cannot be used ({error.strerror or error})") from None
+    with server:
+        print(f"{document.path}: open this address in a browser of this machine")
+        print(server.address)
+        print("Control-C ends the program.", flush=True)
+        if browser and not _opened(server.address):
+            print("No browser was found. Open the address yourself.", file=sys.stderr)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            pass
+        finally:
+            server.session.close()
+    if document.is_changed:
+        print(f"Edits of {document.path} are not saved. `evo-cpg model` offers them again.")
+
+
+def _document(config: Path | None):
+    """Open, copy or begin a document."""
+    from evo_cpg.config.shipped import find_config
+    from evo_cpg.drawing.document import Document
+
+    if config is None:
+        names = itertools.chain(["animal"], (f"animal{i}" for i in itertools.count(2)))
+        return Document.new(next(p for name in names if not (p := Path(f"{name}.yaml")).exists()))
+    if config.exists():
+        return Document.open(config)
+    if config.suffix in (".yaml", ".yml"):
+        from evo_cpg.files import require_place
+
+        return Document.new(require_place(config))
+    shipped = find_config(config)
+    return Document.copy_of(shipped, Path(f"{shipped.stem}.yaml"))
+
+
+def _opened(address: str) -> bool:
+    """Open a page in the browser, if there is one and a display."""
+    import os
+    import webbrowser
+
+    if sys.platform == "linux" and not ("DISPLAY" in os.environ or "WAYLAND_DISPLAY" in os.environ):
+        return False
+    return webbrowser.open(address)

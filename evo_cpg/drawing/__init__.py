@@ -1,0 +1,1 @@
+"""The drawing tool: a creature's YAML as a document that people edit on a page of the browser."""

@@ -1,0 +1,275 @@
+"""Edits of copies: mirror a limb, repeat a segment, make a star of limbs, separate copies."""
+
+import copy as copying
+import re
+
+import numpy as np
+
+from evo_cpg.config.schema.copies import Copy, MirrorAxis, copies_named, fill
+from evo_cpg.config.schema.frames import opposed
+from evo_cpg.config.schema.joint import JointConfig
+from evo_cpg.drawing.document import Data, DrawingError
+from evo_cpg.drawing.lookup import (
+    all_copies,
+    bodies,
+    entry_index,
+    free_name,
+    joint_of,
+    parent_of,
+    tidy,
+)
+from evo_cpg.drawing.parts import rename_references
+from evo_cpg.drawing.placing import reflected_if
+
+_MARKS = {"repeat": "{i}", "radial": "{j}", "mirror": "{side}"}
+
+
+def mirror(data: Data, name: str, axis: MirrorAxis = "y") -> str:
+    """Mirror a limb: the part, and everything that it carries.
+
+    Args:
+        data: data of the document.
+        name: name of the part.
+        axis: normal of the parent's plane in which the limb is mirrored.
+
+    Returns:
+        New name of the entry.
+    """
+    index = entry_index(data, name)
+    entry, joint = bodies(data)[index], joint_of(data, name)
+    _require_uncopied(data, index, "mirror")
+    side = "xyz".index(axis)
+    if joint["at"][side] == 0:
+        raise DrawingError(
+            f"{entry['name']}: its joint is in the mirror plane, so both would be in one place. "
+            f"Move it along {axis} first"
+        )
+    if joint["at"][side] < 0:
+        # The written limb is on the positive side.
+        for each in _limb(data, index):
+            _reflect(data, each, axis)
+    _mark_limb(data, index, "{side}", front=True)
+    bodies(data)[index]["mirror"] = axis
+    return str(bodies(data)[index]["name"])
+
+
+def repeat(data: Data, name: str, count: int) -> str:
+    """Repeat a segment in a row, in which each body hangs on the one before it.
+
+    Parts on the segment move to the last one of the row. A count of 1 ends the row.
+
+    Returns:
+        New name of the entry.
+    """
+    return _number(data, name, "repeat", count)
+
+
+def radial(data: Data, name: str, count: int) -> str:
+    """Arrange copies of a limb in a star, about the parent's vertical axis.
+
+    Returns:
+        New name of the entry.
+    """
+    return _number(data, name, "radial", count)
+
+
+def separate(data: Data, name: str) -> None:
+    """Write each copy of an entry as an entry of its own, so that they can differ."""
+    index = entry_index(data, name)
+    entry, everything = bodies(data)[index], all_copies(data)
+    own = [each for each in everything if each.entry == index]
+    if len(own) == 1 and own[0].name == entry["name"]:
+        raise DrawingError(f"{entry['name']} is a single part")
+    if re.search(r"\{\w+\}", parent_of(entry) or ""):
+        raise DrawingError(
+            f"{entry['name']} is copied with its parent. Separate {parent_of(entry)} first"
+        )
+    # What the copies carry is copied with them, and would lose its pattern.
+    _separate_all(data, _limb(data, index))
+
+
+def _separate_all(data: Data, indices: list[int]) -> None:
+    entries, everything = bodies(data), all_copies(data)
+    made: list[Data] = []
+    for i, entry in enumerate(entries):
+        if i not in indices:
+            made.append(entry)
+            continue
+        made += [_single(entry, each) for each in everything if each.entry == i]
+    creature = data["creature"]
+    creature["bodies"] = made
+    for kind in ("light_sensors", "depth_sensors", "sensors"):
+        if not isinstance(creature.get(kind), list):
+            continue
+        eyes = []
+        for eye in creature[kind]:
+            carriers = copies_named(str(eye.get("body")), everything)
+            if "{" in str(eye.get("body")) and any(each.entry in indices for each in carriers):
+                eyes += [_own_eye(eye, each) for each in carriers]
+            else:
+                eyes.append(eye)
+        creature[kind] = eyes
+
+
+def _single(entry: Data, body: Copy) -> Data:
+    """Return the entry of one copy."""
+    made = {k: copying.deepcopy(v) for k, v in entry.items() if k not in _MARKS}
+    made["name"] = body.name
+    shape = made.get("shape")
+    if body.mirror and isinstance(shape, dict) and shape.get("type") == "mesh":
+        raise DrawingError(f"{entry['name']}: mirrored meshes cannot be separated")
+    if "joint" not in made:
+        return made
+    checked = JointConfig.model_validate(made["joint"]).turned(body.turn_deg)
+    if body.mirror:
+        checked = checked.mirrored(body.mirror)
+    joint = made["joint"]
+    joint["parent"] = body.parent
+    for key in ("at", "child_at", "rotation_deg", "axes"):
+        new = getattr(checked, key)
+        if body.mirror and key == "axes":
+            joint[key] = [_named(axis) for axis in new]
+        elif (body.mirror or body.turn_deg) and (key in joint or np.any(new)):
+            joint[key] = tidy(new) if key != "axes" else joint[key]
+    return made
+
+
+def _named(axis: tuple[float, ...]) -> str | list[float]:
+    """Return an axis by its name, if it has one."""
+    for i, name in enumerate("xyz"):
+        for sign, word in ((1.0, name), (-1.0, f"-{name}")):
+            if np.array_equal(axis, sign * np.eye(3)[i]):
+                return word
+    return tidy(axis)
+
+
+def _own_eye(eye: Data, body: Copy) -> Data:
+    made = copying.deepcopy(eye) | {"body": body.name}
+    if body.mirror:
+        for key in {"position", "axis"} & set(made):
+            made[key] = tidy(reflected_if(eye[key], body.mirror))
+    return made
+
+
+def _number(data: Data, name: str, key: str, count: int) -> str:
+    if not isinstance(count, int) or not 1 <= count <= 1000:
+        raise DrawingError(f"{key}: must be a whole number from 1 to 1000, got {count!r}")
+    index, mark = entry_index(data, name), _MARKS[key]
+    entry = bodies(data)[index]
+    joint_of(data, name)
+    if key in entry or mark in str(entry["name"]):
+        if mark in (parent_of(entry) or ""):
+            raise DrawingError(f"{entry['name']} is copied with its parent {parent_of(entry)}")
+        _recount(data, index, key, count)
+        return str(bodies(data)[index]["name"])
+    if count == 1:
+        return str(entry["name"])
+    if key == "radial":
+        _mark_limb(data, index, mark, front=False)
+        bodies(data)[index][key] = count
+        return str(bodies(data)[index]["name"])
+    old = str(entry["name"])
+    new = free_name(data, f"{re.sub(r'[0-9]+$', '', old) or old}{mark}")
+    entry["name"] = new
+    entry[key] = count
+    last = new.replace(mark, str(count))
+    rename_references(data, {old: last})
+    # The row itself keeps its parent, and its eyes look from its first body.
+    for kind in ("light_sensors", "depth_sensors"):
+        for each in data["creature"].get(kind) or []:
+            if each.get("body") == last:
+                each["body"] = new.replace(mark, "1")
+    _reorder(entry)
+    return new
+
+
+def _recount(data: Data, index: int, key: str, count: int) -> None:
+    """Change the number of copies. Parts on the last body of a row stay on its last body."""
+    entry = bodies(data)[index]
+    before = all_copies(data)
+    own = [each for each in before if each.entry == index]
+    was, mark = entry.get(key, 1), _MARKS[key][1:-1]
+    entry[key] = count
+    names = {}
+    for each in own:
+        number = int(each.marks.get(mark, "1"))
+        if (key == "repeat" and number == was) or number > count:
+            names[each.name] = fill(str(entry["name"]), each.marks | {mark: str(count)})
+    rename_references(data, {old: new for old, new in names.items() if old != new})
+    if count == 1 and key == "radial":
+        del entry[key]
+        _mark_limb(data, index, "{j}", front=False, remove=True)
+
+
+def _limb(data: Data, index: int) -> list[int]:
+    """Return the indices of an entry and of all entries that it carries, by their names."""
+    found, everything = [index], all_copies(data)
+    while True:
+        names = {each.name for each in everything if each.entry in found}
+        more = [
+            i
+            for i in range(len(bodies(data)))
+            if i not in found and any(x.entry == i and x.parent in names for x in everything)
+        ]
+        if not more:
+            return found
+        found += more
+
+
+def _mark_limb(data: Data, index: int, mark: str, front: bool, remove: bool = False) -> None:
+    """Add a placeholder to the names of a limb's entries, or remove it."""
+    names: dict[str, str] = {}
+    limb = _limb(data, index)
+    for i in limb:
+        old = str(bodies(data)[i]["name"])
+        if remove:
+            new = old.replace(mark, "1")
+        else:
+            bare = re.sub(r"^(left|right|front|hind|upper|lower)_", "", old) if front else old
+            new = f"{mark}_{bare}" if front else f"{old}_{mark}"
+            new = free_name(data, new)
+        names[old] = new
+        bodies(data)[i]["name"] = new
+    rename_references(data, names)
+
+
+def _require_uncopied(data: Data, index: int, key: str) -> None:
+    for i in _limb(data, index):
+        entry = bodies(data)[i]
+        if _MARKS[key] in str(entry["name"]):
+            raise DrawingError(f"{entry['name']} is already copied by `{key}`")
+        numbered = re.search(r"\{[ij]\}", parent_of(entry) or "")
+        if i != index and not numbered and re.search(r"\d$", parent_of(entry) or ""):
+            carriers = [x for x in all_copies(data) if x.name == parent_of(entry)]
+            if carriers and bodies(data)[carriers[0].entry]["name"] != parent_of(entry):
+                raise DrawingError(
+                    f"{entry['name']} is on {parent_of(entry)}, one body of a row. Separate the "
+                    "row first"
+                )
+
+
+def _reflect(data: Data, index: int, axis: MirrorAxis) -> None:
+    """Replace a part by its mirror image."""
+    entry = bodies(data)[index]
+    shape = entry.get("shape")
+    if isinstance(shape, dict) and shape.get("type") == "mesh":
+        raise DrawingError(f"{entry['name']}: move it to the positive side of {axis} first")
+    joint = entry["joint"]
+    checked = JointConfig.model_validate(joint).mirrored(axis)
+    joint["at"], joint["child_at"] = tidy(checked.at), tidy(checked.child_at)
+    joint["axes"] = [_named(each) for each in checked.axes]  # pyright: ignore[reportArgumentType]
+    if "rotation_deg" in joint:
+        joint["rotation_deg"] = tidy(opposed(joint["rotation_deg"], axis))
+    for kind in ("light_sensors", "depth_sensors"):
+        for eye in data["creature"].get(kind) or []:
+            if eye.get("body") == entry["name"]:
+                for key in ("position", "axis"):
+                    if key in eye:
+                        eye[key] = tidy(reflected_if(eye[key], axis))
+
+
+def _reorder(entry: Data) -> None:
+    """Move the number of copies to the place behind the name, for readers."""
+    ordered = {"name": entry["name"], **{k: entry[k] for k in _MARKS if k in entry}, **entry}
+    entry.clear()
+    entry.update(ordered)

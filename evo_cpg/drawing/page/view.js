@@ -1,0 +1,409 @@
+// The 3-D view: draws the animal, picks places on its surface, and moves parts with a gizmo.
+// Needs THREE. Every body is a group at its centre of mass, in metres, with z up.
+"use strict";
+const View = (() => {
+  const canvas = document.getElementById("canvas");
+  let renderer;
+  try {
+    renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+  } catch (error) {
+    return null;
+  }
+  renderer.outputColorSpace = THREE.SRGBColorSpace;
+  renderer.shadowMap.enabled = true;
+  renderer.shadowMap.type = THREE.PCFShadowMap;
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const scene = new THREE.Scene();
+  const camera = new THREE.PerspectiveCamera(32, 1, 0.001, 1000);
+  camera.up.set(0, 0, 1);
+  scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8272, 2.0));
+  const sun = new THREE.DirectionalLight(0xfff4e2, 2.2);
+  sun.castShadow = true;
+  sun.shadow.mapSize.set(1024, 1024);
+  sun.shadow.normalBias = 0.01;
+  scene.add(sun, sun.target);
+  const animal = new THREE.Group(), world = new THREE.Group(), marks = new THREE.Group();
+  scene.add(animal, world, marks);
+  const orbit = new THREE.OrbitControls(camera, canvas);
+  orbit.enableDamping = false;
+  const gizmo = new THREE.TransformControls(camera, canvas);
+  gizmo.setSize(0.8);
+  scene.add(gizmo.getHelper());
+  const proxy = new THREE.Group();
+  scene.add(proxy);
+
+  const events = { pick: () => {}, moved: () => {} };
+  const arrays = new Map(), shapes = new Map(), bodies = new Map();
+  let drawn = null, selected = null, mode = "translate", size = 0, dirty = true, motion = null;
+  let grabbed = null, armed = false;
+
+  // ---- geometry
+  const kinds = { f4: Float32Array, i1: Int8Array, i2: Int16Array, u4: Uint32Array };
+  function decoded(text, kind) {
+    const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    return new kinds[kind](bytes.buffer);
+  }
+  function geometry(mesh) {
+    const key = mesh.points + mesh.normals + mesh.triangles;
+    if (!shapes.has(key)) {
+      const made = new THREE.BufferGeometry();
+      const [points, normals, faces] = [mesh.points, mesh.normals, mesh.triangles].map((name) => arrays.get(name));
+      made.setAttribute("position", new THREE.BufferAttribute(decoded(points, "f4"), 3));
+      made.setAttribute("normal", new THREE.BufferAttribute(decoded(normals, "i1"), 3, true));
+      made.setIndex(new THREE.BufferAttribute(decoded(faces, "u4"), 1));
+      shapes.set(key, made);
+    }
+    return shapes.get(key);
+  }
+  const vector = (xyz) => new THREE.Vector3(...xyz);
+  function clear(group) {
+    for (const child of [...group.children]) {
+      group.remove(child);
+      child.traverse((each) => {
+        if (each.geometry && !each.userData.shared) each.geometry.dispose();
+        if (each.material) each.material.dispose();
+      });
+    }
+  }
+
+  // ---- the animal
+  function show(state) {
+    if (!state.scene) return;
+    for (const [key, text] of Object.entries(state.scene.arrays)) arrays.set(key, text);
+    drawn = state.scene;
+    stop();
+    clear(animal);
+    bodies.clear();
+    for (const body of drawn.bodies) {
+      const group = new THREE.Group();
+      group.position.copy(vector(body.place));
+      group.quaternion.set(...body.turn);
+      const skin = new THREE.MeshStandardMaterial({ color: body.color, roughness: 0.55 });
+      const mesh = new THREE.Mesh(geometry(body.mesh), skin);
+      mesh.userData = { shared: true, name: body.name };
+      mesh.castShadow = mesh.receiveShadow = true;
+      group.add(mesh);
+      animal.add(group);
+      bodies.set(body.name, { ...body, group, mesh });
+    }
+    for (const eye of drawn.eyes) {
+      const body = bodies.get(eye.body);
+      const radius = 0.4 * Math.min(...body.half);
+      const along = vector(eye.along), place = vector(eye.place);
+      const white = new THREE.Mesh(new THREE.SphereGeometry(radius, 20, 14), new THREE.MeshStandardMaterial({ color: "#fdfdf8" }));
+      const pupil = new THREE.Mesh(new THREE.SphereGeometry(0.7 * radius, 20, 14), new THREE.MeshStandardMaterial({ color: "#10151c" }));
+      white.position.copy(place).addScaledVector(along, -0.35 * radius);
+      pupil.position.copy(white.position).addScaledVector(along, 0.42 * radius);
+      body.group.add(white, pupil);
+    }
+    if (!size || drawn.length > 2 * size || drawn.length < 0.5 * size) {
+      size = drawn.length;
+      look("corner");
+    }
+    const reach = 1.5 * drawn.length;
+    Object.assign(sun.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.01, far: 8 * reach });
+    sun.shadow.camera.updateProjectionMatrix();
+    sun.position.set(1.2 * reach, -1.6 * reach, 3 * reach);
+    surround(state.data);
+    select(selected && bodies.has(selected) ? selected : null);
+  }
+
+  // ---- the world: ground, water and light. The ground is below the animal at rest.
+  let raised = 0;
+  function surround(data) {
+    clear(world);
+    const given = data.world || {}, water = given.water === undefined ? {} : given.water;
+    const wide = 12 * drawn.length;
+    raised = given.ground ? drawn.lowest : 0;
+    const paper = dark.matches ? "#1d2730" : "#e9eef0";
+    scene.background = new THREE.Color(water ? (dark.matches ? "#12303d" : "#cfe4ea") : paper);
+    const step = 10 ** Math.floor(Math.log10(drawn.length)), cells = Math.ceil(wide / step / 2) * 2;
+    const lines = new THREE.GridHelper(cells * step, cells, "#7d8a90", dark.matches ? "#34444d" : "#b9c5c8");
+    lines.rotation.x = Math.PI / 2;
+    lines.position.z = given.ground ? 1e-4 * drawn.length : drawn.lowest - 0.15 * drawn.length;
+    world.add(lines);
+    if (given.ground) {
+      const ground = new THREE.Mesh(new THREE.PlaneGeometry(cells * step, cells * step), new THREE.MeshStandardMaterial({ color: dark.matches ? "#57503f" : "#d9cfb6", roughness: 1 }));
+      ground.receiveShadow = true;
+      world.add(ground);
+    }
+    if (water && typeof water.surface === "number") {
+      const sheet = new THREE.Mesh(new THREE.PlaneGeometry(wide, wide), new THREE.MeshBasicMaterial({ color: "#3d9fc4", transparent: true, opacity: 0.28, side: THREE.DoubleSide, depthWrite: false }));
+      sheet.position.z = water.surface;
+      world.add(sheet);
+    }
+    const task = data.task || {};
+    if (!task.type || task.type === "reach_light") {
+      const light = { distance: 8, bearing_deg: 30, elevation_deg: 0, ...(task.light || {}) };
+      const [turn, rise] = [light.bearing_deg, light.elevation_deg].map((angle) => (angle * Math.PI) / 180);
+      const at = light.at ? vector(light.at) : new THREE.Vector3(Math.cos(rise) * Math.cos(turn), Math.cos(rise) * Math.sin(turn), Math.sin(rise)).multiplyScalar(light.distance);
+      if (!light.at) at.z -= raised;
+      const lamp = new THREE.Mesh(new THREE.SphereGeometry(0.06 * Math.max(drawn.length, 0.3 * at.length()), 20, 14), new THREE.MeshBasicMaterial({ color: "#ffd45e" }));
+      lamp.position.copy(at);
+      const from = new THREE.Vector3(0, 0, -raised);
+      const beam = new THREE.BufferGeometry().setFromPoints([from.clone().lerp(at, Math.min(0.9, (0.8 * drawn.length) / at.length())), at]);
+      world.add(lamp, new THREE.Line(beam, new THREE.LineBasicMaterial({ color: "#e0a400", transparent: true, opacity: 0.5 })));
+    }
+    world.position.z = motion ? 0 : raised;
+    dirty = true;
+  }
+
+  // ---- selection: the part, its copies, its joint and its eyes
+  function select(name) {
+    selected = name;
+    const chosen = bodies.get(name);
+    for (const body of bodies.values()) {
+      const alike = chosen && chosen.entry && body.entry === chosen.entry;
+      body.mesh.material.emissive.set(body === chosen ? "#7a3410" : alike ? "#3a1a08" : "#000000");
+    }
+    clear(marks);
+    gizmo.detach();
+    if (chosen && !motion) {
+      if (chosen.joint) drawJoint(chosen);
+      drawViews(chosen);
+      attach(chosen);
+    }
+    dirty = true;
+  }
+  const AXES = ["#e0342b", "#27963c", "#2f6fe0", "#b04fd0", "#c08a00", "#109a9a"];
+  function drawJoint(body) {
+    const place = vector(body.joint.place), radius = 1.25 * Math.max(...body.half);
+    const dot = new THREE.Mesh(new THREE.SphereGeometry(0.06 * radius, 16, 12), new THREE.MeshBasicMaterial({ color: "#ffffff", depthTest: false }));
+    dot.position.copy(place);
+    marks.add(dot);
+    const out = vector(body.place).sub(place);
+    body.joint.axes.forEach((axis, i) => {
+      const along = vector(axis.along), pen = new THREE.LineBasicMaterial({ color: AXES[i], depthTest: false });
+      const half = along.clone().multiplyScalar(0.6 * radius);
+      marks.add(new THREE.Line(new THREE.BufferGeometry().setFromPoints([place.clone().sub(half), place.clone().add(half)]), pen));
+      // The limits are an arc from the neutral direction of the part.
+      let start = out.clone().addScaledVector(along, -out.dot(along));
+      if (start.length() < 0.1 * out.length()) start = new THREE.Vector3(along.y, along.z, along.x).cross(along);
+      start.setLength(radius * (1 - 0.12 * i));
+      const [low, high] = axis.lower === null ? [-180, 180] : [axis.lower, axis.upper];
+      const points = [];
+      if (axis.lower !== null) points.push(place.clone());
+      for (let k = 0; k <= 48; k++) {
+        const angle = ((low + ((high - low) * k) / 48) * Math.PI) / 180;
+        points.push(place.clone().add(start.clone().applyAxisAngle(along, angle)));
+      }
+      if (axis.lower !== null) points.push(place.clone());
+      marks.add(new THREE.Line(new THREE.BufferGeometry().setFromPoints(points), pen));
+    });
+    marks.children.forEach((each) => (each.renderOrder = 5));
+  }
+  function drawViews(body) {
+    for (const eye of drawn.eyes) {
+      if (eye.body !== body.name) continue;
+      const reach = 0.5 * drawn.length, along = vector(eye.along), from = vector(eye.place);
+      const sideways = (Math.abs(along.z) < 0.9 ? new THREE.Vector3(0, 0, 1) : new THREE.Vector3(1, 0, 0)).cross(along).normalize();
+      const points = [];
+      for (let k = 0; k < 48; k++) {
+        // Rays on the rim of the field of view, and its circle.
+        for (const turn of [k, k + 1]) {
+          const ray = along.clone().applyAxisAngle(sideways, Math.min(eye.half_angle, Math.PI)).applyAxisAngle(along, (turn * Math.PI) / 24);
+          points.push(from.clone().addScaledVector(ray, reach));
+        }
+        if (k % 6 === 0) points.push(from.clone(), points[points.length - 2].clone());
+      }
+      const cone = new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial({ color: "#e0a400", transparent: true, opacity: 0.7 }));
+      const frame = new THREE.Group();
+      frame.position.copy(body.group.position);
+      frame.quaternion.copy(body.group.quaternion);
+      frame.add(cone);
+      marks.add(frame);
+    }
+  }
+
+  // ---- gizmo: the proxy is at the joint, or at the centre for a stretch
+  function attach(body) {
+    if (armed || (!body.joint && mode !== "scale")) return;
+    proxy.position.copy(vector(mode === "scale" ? body.place : body.joint.place));
+    proxy.quaternion.set(...body.turn);
+    proxy.scale.set(1, 1, 1);
+    proxy.updateMatrixWorld();
+    gizmo.setMode(mode);
+    gizmo.setSpace(mode === "translate" ? "world" : "local");
+    gizmo.attach(proxy);
+  }
+  function limb(name) {
+    const found = [name];
+    for (const each of found) {
+      for (const body of bodies.values()) if (body.parent === each) found.push(body.name);
+    }
+    return found;
+  }
+  gizmo.addEventListener("change", () => (dirty = true));
+  gizmo.addEventListener("dragging-changed", (event) => {
+    orbit.enabled = !event.value;
+    const body = bodies.get(selected);
+    if (!body) return;
+    if (event.value) {
+      grabbed = { start: proxy.matrixWorld.clone(), limb: limb(selected).map((name) => bodies.get(name)) };
+      for (const each of grabbed.limb) each.held = each.group.matrix.clone();
+      return;
+    }
+    if (!grabbed) return;
+    grabbed = null;
+    const place = vector(mode === "scale" ? body.place : body.joint.place);
+    if (mode === "translate") events.moved("shift", { part: selected, by: proxy.position.clone().sub(place).toArray() });
+    if (mode === "scale") events.moved("stretch", { name: selected, factors: proxy.scale.toArray().map((x) => Math.max(Math.abs(x), 0.02)) });
+    if (mode === "rotate") {
+      const e = new THREE.Matrix4().makeRotationFromQuaternion(proxy.quaternion).elements;
+      events.moved("turn", { part: selected, rotation: [0, 1, 2].map((i) => [e[i], e[i + 4], e[i + 8]]) });
+    }
+  });
+  gizmo.addEventListener("objectChange", () => {
+    if (!grabbed) return;
+    proxy.updateMatrixWorld();
+    if (mode === "scale") {
+      bodies.get(selected).mesh.scale.copy(proxy.scale);
+    } else {
+      const change = proxy.matrixWorld.clone().multiply(grabbed.start.clone().invert());
+      for (const each of grabbed.limb) {
+        change.clone().multiply(each.held).decompose(each.group.position, each.group.quaternion, each.group.scale);
+      }
+    }
+    dirty = true;
+  });
+
+  // ---- picking
+  const ray = new THREE.Raycaster();
+  let pressed = null;
+  canvas.addEventListener("pointerdown", (event) => (pressed = [event.clientX, event.clientY]));
+  canvas.addEventListener("pointerup", (event) => {
+    if (!pressed || gizmo.dragging || gizmo.axis || motion) return;
+    const dragged = Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 4;
+    pressed = null;
+    if (dragged) return;
+    const found = hit(event.clientX, event.clientY);
+    events.pick(found);
+  });
+  function hit(x, y) {
+    const box = canvas.getBoundingClientRect();
+    ray.setFromCamera(new THREE.Vector2((2 * (x - box.left)) / box.width - 1, 1 - (2 * (y - box.top)) / box.height), camera);
+    const [first] = ray.intersectObjects([...bodies.values()].map((body) => body.mesh), false);
+    if (!first) return null;
+    const body = bodies.get(first.object.userData.name);
+    const place = body.group.worldToLocal(first.point.clone());
+    if (body.frame) place.sub(vector(body.frame));
+    return { name: body.name, entry: body.entry, place: place.toArray(), normal: first.face.normal.toArray() };
+  }
+
+  // ---- camera
+  function look(view) {
+    fit();
+    const centre = new THREE.Vector3();
+    for (const body of bodies.values()) centre.addScaledVector(body.group.position, 1 / bodies.size);
+    const far = 2.4 * drawn.length;
+    const from = { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02] }[view];
+    orbit.target.copy(centre);
+    camera.position.copy(centre).addScaledVector(vector(from).normalize(), far);
+    camera.near = 0.01 * drawn.length;
+    camera.far = Math.max(80 * drawn.length, 60);
+    camera.updateProjectionMatrix();
+    orbit.update();
+    // Places are picked before the next frame, too.
+    camera.updateMatrixWorld();
+    dirty = true;
+  }
+
+  // ---- motion
+  function play(given) {
+    const place = decoded(given.place, "f4"), turn = decoded(given.turn, "i2");
+    motion = { ...given, places: place, turns: turn, time: 0, going: true, last: null, duration: (given.count - 1) / given.rate };
+    select(selected);
+    world.position.z = 0;
+    seek(0);
+  }
+  function stop() {
+    if (!motion) return;
+    motion = null;
+    world.position.z = raised;
+    for (const body of bodies.values()) {
+      body.group.position.copy(vector(body.place));
+      body.group.quaternion.set(...body.turn);
+    }
+    look("corner");
+    select(selected);
+  }
+  const one = new THREE.Quaternion(), two = new THREE.Quaternion();
+  function seek(time) {
+    motion.time = Math.min(Math.max(time, 0), motion.duration);
+    const at = motion.time * motion.rate, i = Math.min(Math.floor(at), motion.count - 2), f = at - i;
+    const count = motion.names.length, centre = new THREE.Vector3();
+    motion.names.forEach((name, k) => {
+      const body = bodies.get(name);
+      if (!body) return;
+      const a = 3 * (i * count + k), b = a + 3 * count, p = motion.places;
+      body.group.position.set(p[a] + f * (p[b] - p[a]), p[a + 1] + f * (p[b + 1] - p[a + 1]), p[a + 2] + f * (p[b + 2] - p[a + 2]));
+      const c = 4 * (i * count + k), d = c + 4 * count, q = motion.turns;
+      one.set(q[c], q[c + 1], q[c + 2], q[c + 3]).normalize();
+      two.set(q[d], q[d + 1], q[d + 2], q[d + 3]).normalize();
+      body.group.quaternion.copy(one.slerp(two, f));
+      centre.addScaledVector(body.group.position, 1 / count);
+    });
+    const step = centre.sub(orbit.target);
+    orbit.target.add(step);
+    camera.position.add(step);
+    orbit.update();
+    dirty = true;
+  }
+
+  // ---- loop: draws only after a change
+  let frames = 0;
+  function fit() {
+    const wide = canvas.clientWidth, high = canvas.clientHeight;
+    const ratio = Math.min(devicePixelRatio, 2);
+    if (wide && high && (canvas.width !== Math.round(wide * ratio) || canvas.height !== Math.round(high * ratio))) {
+      renderer.setPixelRatio(ratio);
+      renderer.setSize(wide, high, false);
+      camera.aspect = wide / high;
+      // A narrow view keeps the whole animal.
+      camera.fov = wide < high ? 32 * Math.min(high / wide, 1.7) : 32;
+      camera.updateProjectionMatrix();
+      dirty = true;
+    }
+  }
+  function frame(now) {
+    requestAnimationFrame(frame);
+    fit();
+    if (motion && motion.going) {
+      if (motion.last !== null) seek(motion.time >= motion.duration ? 0 : motion.time + (now - motion.last) / 1000);
+      motion.last = now;
+      events.time?.(motion.time, motion.duration);
+    }
+    if (!dirty) return;
+    dirty = false;
+    frames += 1;
+    renderer.render(scene, camera);
+  }
+  orbit.addEventListener("change", () => (dirty = true));
+  dark.addEventListener("change", () => (dirty = true));
+  requestAnimationFrame(frame);
+
+  return {
+    events, show, select, look, play, stop, hit,
+    seek: (time) => motion && seek(time),
+    pause: (paused) => { if (motion) { motion.going = !paused; motion.last = null; } },
+    // While a place is asked for, no gizmo is in the way.
+    arm: (asked) => { armed = asked; select(selected); },
+    setMode: (name) => { mode = name; select(selected); },
+    screen: (name) => {
+      const box = canvas.getBoundingClientRect(), at = bodies.get(name).group.position.clone().project(camera);
+      return [box.left + ((at.x + 1) / 2) * box.width, box.top + ((1 - at.y) / 2) * box.height];
+    },
+    gizmo: () => {
+      // A place on the arrow along x.
+      const at = proxy.position.clone(), far = at.distanceTo(camera.position);
+      at.x += 0.04 * far;
+      const box = canvas.getBoundingClientRect();
+      at.project(camera);
+      return [box.left + ((at.x + 1) / 2) * box.width, box.top + ((1 - at.y) / 2) * box.height];
+    },
+    pose: (name) => bodies.get(name).group.position.toArray(),
+    get frames() { return frames; },
+    get playing() { return Boolean(motion); },
+    get names() { return [...bodies.keys()]; },
+  };
+})();

@@ -1,0 +1,323 @@
+"""Edits of parts: add, remove, rename, and change shapes."""
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.config.schema.copies import copies_named, fill
+from evo_cpg.drawing.document import Data, DrawingError
+from evo_cpg.drawing.lookup import (
+    all_copies,
+    bodies,
+    copies_of,
+    entry_index,
+    entry_of,
+    free_name,
+    joint_of,
+    parent_of,
+    posed,
+    tidy,
+)
+from evo_cpg.drawing.placing import facing, on_planes, reflected_if
+
+# Size of a new part, relative to the smallest half extent of its parent, and its length over it.
+_SIZE, _SLENDER = 0.5, 5.0
+# Torque per rate error of a new motor over the inertia about its joint, 1/s. Animals that come with
+# the program have 1000 to 4000.
+_STIFF = 1000.0
+_AXES, _LIMITS = ("y", "z"), (-45, 45)
+_MARK = re.compile(r"\{(?:i|j|side)\}")
+
+# Lengths of a shape by its type. A factor for each of them comes from the axes of the body.
+_LENGTHS = {
+    "box": {"size": (0, 1, 2)},
+    "ellipsoid": {"radii": (0, 1, 2)},
+    "sphere": {"radius": None},
+    "capsule": {"length": 0, "radius": 1},
+    "cylinder": {"length": 0, "radius": 1},
+}
+
+
+def add_part(
+    data: Data,
+    source: Path,
+    parent: str,
+    place: Sequence[float],
+    normal: Sequence[float],
+    name: str = "part",
+    each: bool = True,
+    shape: Data | None = None,
+) -> str:
+    """Add a part on a surface.
+
+    Args:
+        data: data of the document.
+        source: file of the document.
+        parent: name of the body that carries the part. It may be one of several copies.
+        place: place on its surface, in the frame of that body, m.
+        normal: outward normal of the surface there, in the same frame.
+        name: name of the new part.
+        each: whether all copies of the parent get one, or only this body.
+        shape: shape of the part, or None for a capsule that fits the parent.
+
+    Returns:
+        Name of the new entry.
+    """
+    here = posed(data, source)
+    index = here.index(parent)
+    body, on = here.copies[index], bodies(data)[here.copies[index].entry]
+    at, out = np.asarray(place, float), np.asarray(normal, float)
+    if not (np.isfinite(at).all() and np.isfinite(out).all() and np.linalg.norm(out) > 0):
+        raise DrawingError("place and normal must be finite, and the normal not zero")
+    carrier = body.name
+    copied = len(copies_of(data, body.entry)) > 1
+    if copied and each:
+        carrier = str(on["name"])
+        at, out = reflected_if(at, body.mirror), reflected_if(out, body.mirror)
+    marks = list(dict.fromkeys(_MARK.findall(carrier)))
+    side = "".join(f"{mark}_" for mark in marks if mark == "{side}")
+    number = "_".join(mark for mark in marks if mark != "{side}")
+    if not name or _MARK.search(name):
+        raise DrawingError(f"{name!r}: a name has no placeholders. Copies get them by themselves")
+    own = free_name(data, f"{side}{name}{number}")
+    carrying = here.creature.bodies[here.creature.body_index(body.name)].shape
+    at = on_planes(at, carrying.half_extents)
+    form = shape or _fitting(carrying)
+    rotation, child_at = facing(out, _reach(form))
+    material = str(on.get("material"))
+    entry: Data = {
+        "name": own,
+        "shape": form,
+        "material": material,
+        "joint": {
+            "parent": carrier,
+            "at": tidy(at),
+            "child_at": tidy(child_at),
+            **({"rotation_deg": tidy(rotation)} if np.any(rotation) else {}),
+            "axes": list(_AXES),
+            "limits_deg": list(_LIMITS),
+            "actuator": {"gain": _gain(form, _density(data, material))},
+        },
+    }
+    bodies(data).append(entry)
+    return own
+
+
+def remove_part(data: Data, name: str) -> None:
+    """Remove a part with everything that it carries, and the sensors there."""
+    index = entry_index(data, name)
+    entries, everything = bodies(data), all_copies(data)
+    if parent_of(entries[index]) is None:
+        raise DrawingError(f"{name} is the root, which carries all other parts")
+    gone = {index}
+    while True:
+        names = {copy.name for copy in everything if copy.entry in gone}
+        more = {copy.entry for copy in everything if copy.parent in names} | gone
+        if more == gone:
+            break
+        gone = more
+    left = [copy.name for copy in everything if copy.entry not in gone]
+    creature = data["creature"]
+    creature["bodies"] = [entry for i, entry in enumerate(entries) if i not in gone]
+
+    def is_gone(word: Any) -> bool:
+        here = copies_named(str(word), everything)
+        return bool(here) and not any(copy.name in left for copy in here)
+
+    for kind in ("light_sensors", "depth_sensors", "sensors"):
+        if isinstance(creature.get(kind), list):
+            kept = [each for each in creature[kind] if not is_gone(each.get("body"))]
+            if len(kept) < len(creature[kind]):
+                creature[kind] = kept
+    if isinstance(creature.get("pressure_sensors"), list):
+        creature["pressure_sensors"] = [x for x in creature["pressure_sensors"] if not is_gone(x)]
+    rule = creature.get("self_collision")
+    for kind, pairs in rule.items() if isinstance(rule, dict) else ():
+        rule[kind] = [pair for pair in pairs if not any(map(is_gone, pair))]
+
+
+def rename_part(data: Data, name: str, new: str) -> None:
+    """Rename a part, wherever the creature refers to it.
+
+    A name of copies keeps its placeholders.
+    """
+    entry = entry_of(data, name)
+    old = str(entry["name"])
+    if new == old:
+        return
+    if sorted(_MARK.findall(new)) != sorted(_MARK.findall(old)):
+        marks = ", ".join(_MARK.findall(old)) or "no placeholders"
+        raise DrawingError(f"{new!r}: the name must contain {marks}, as {old!r} does")
+    if new != free_name(data, new):
+        raise DrawingError(f"{new!r}: another part has this name")
+    rename_references(data, dict(_renamed(data, old, new)))
+    entry["name"] = new
+
+
+def _renamed(data: Data, old: str, new: str) -> Iterator[tuple[str, str]]:
+    """Yield names of copies before and after a change of the entry's name."""
+    yield old, new
+    for copy in copies_of(data, entry_index(data, old)):
+        yield copy.name, fill(new, copy.marks)
+
+
+def rename_references(data: Data, names: dict[str, str]) -> None:
+    """Replace names of parts wherever the creature refers to them."""
+    creature = data["creature"]
+    for entry in bodies(data):
+        if parent_of(entry) in names:
+            entry["joint"]["parent"] = names[entry["joint"]["parent"]]
+    for kind in ("light_sensors", "depth_sensors", "sensors"):
+        for each in creature.get(kind) or []:
+            if each.get("body") in names:
+                each["body"] = names[each["body"]]
+    pressed = creature.get("pressure_sensors")
+    if isinstance(pressed, list):
+        creature["pressure_sensors"] = [names.get(word, word) for word in pressed]
+    rule = creature.get("self_collision")
+    for kind, pairs in rule.items() if isinstance(rule, dict) else ():
+        rule[kind] = [[names.get(word, word) for word in pair] for pair in pairs]
+
+
+def set_shape(data: Data, name: str, type: str) -> None:
+    """Replace the shape of a part by one of another type, with about the same extents."""
+    entry = entry_of(data, name)
+    x, y, z = _half_extents(entry["shape"])
+    across = (y + z) / 2
+    made: dict[str, Data] = {
+        "box": {"size": [2 * x, 2 * y, 2 * z]},
+        "ellipsoid": {"radii": [x, y, z]},
+        "sphere": {"radius": (x * y * z) ** (1 / 3)},
+        "capsule": {"radius": across, "length": max(2 * x - 2 * across, 0.1 * across)},
+    }
+    if type not in made:
+        raise DrawingError(f"{type!r}: choose one of {', '.join(made)}")
+    shape = {"type": type} | {key: tidy(value) for key, value in made[type].items()}
+    new = _half_extents(shape)
+    factors = np.array(new) / np.array([x, y, z])
+    entry["shape"] = shape
+    _carry(data, str(entry["name"]), factors)
+
+
+def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
+    """Stretch a part along its own axes, and move what sits on its surface.
+
+    Args:
+        data: data of the document.
+        name: name of the part.
+        factors: factors along x, y and z.
+    """
+    wanted = np.asarray(factors, float)
+    if wanted.shape != (3,) or not np.isfinite(wanted).all() or (wanted <= 0).any():
+        raise DrawingError("the factors of a stretch must be three positive numbers")
+    entry = entry_of(data, name)
+    shape = entry["shape"]
+    kind = shape.get("type")
+    if kind == "mesh":
+        if "file" not in shape:
+            raise DrawingError(f"{name}: only a mesh from a file can be stretched")
+        scale = np.broadcast_to(np.asarray(shape.get("scale", 1.0), float), 3)
+        shape["scale"] = tidy(scale * wanted)
+    elif kind in _LENGTHS:
+        before = np.array(_half_extents(shape))
+        for key, axes in _LENGTHS[kind].items():
+            shape[key] = _stretched(kind, key, shape, axes, wanted)
+        wanted = np.array(_half_extents(shape)) / before
+    else:
+        raise DrawingError(f"{name}: a shape of type {kind!r} cannot be stretched")
+    _carry(data, str(entry["name"]), wanted)
+
+
+def _stretched(kind: str, key: str, shape: Data, axes: Any, factors: np.ndarray) -> Any:
+    if axes is None:
+        return tidy(shape[key] * _overall(factors))
+    if isinstance(axes, tuple):
+        return tidy(np.array(shape[key], float) * factors)
+    if key == "length" and kind == "capsule":
+        # The ends keep their radius, so the cylinder takes the whole change.
+        whole = shape["length"] + 2 * shape["radius"]
+        new_radius = shape["radius"] * _overall(factors[1:])
+        return tidy(max(whole * factors[0] - 2 * new_radius, 0.01 * new_radius))
+    if key == "length":
+        return tidy(shape[key] * factors[0])
+    return tidy(shape[key] * _overall(factors[1:]))
+
+
+def _overall(factors: np.ndarray) -> float:
+    """Return the factor that differs most from 1, for a size that several axes share."""
+    return float(factors[np.abs(np.log(factors)).argmax()])
+
+
+def _carry(data: Data, name: str, factors: np.ndarray) -> None:
+    """Move joints and sensors with the surface of a part that is stretched."""
+    entry = entry_of(data, name)
+    joint = entry.get("joint")
+    if isinstance(joint, dict) and "child_at" in joint:
+        joint["child_at"] = tidy(np.array(joint["child_at"], float) * factors)
+    everything = all_copies(data)
+    own = {copy.name for copy in everything if copy.entry == entry_index(data, name)}
+    # The bodies of a row hang on each other, so `at` of the row moves, too.
+    for i in {copy.entry for copy in everything if copy.parent in own}:
+        carried = bodies(data)[i]["joint"]
+        carried["at"] = tidy(np.array(carried["at"], float) * factors)
+    for kind in ("light_sensors", "depth_sensors"):
+        for each in data["creature"].get(kind) or []:
+            if each.get("position") and any(
+                copy.name in own for copy in copies_named(str(each.get("body")), everything)
+            ):
+                each["position"] = tidy(np.array(each["position"], float) * factors)
+
+
+def _half_extents(shape: Data) -> tuple[float, float, float]:
+    match shape.get("type"):
+        case "box":
+            x, y, z = (size / 2 for size in shape["size"])
+        case "ellipsoid":
+            x, y, z = shape["radii"]
+        case "sphere":
+            x = y = z = shape["radius"]
+        case "capsule":
+            y = z = shape["radius"]
+            x = shape["length"] / 2 + y
+        case other:
+            raise DrawingError(f"a shape of type {other!r} has no sizes that can be changed here")
+    return float(x), float(y), float(z)
+
+
+def _fitting(parent: Any) -> Data:
+    """Return the shape of a new part, which fits its parent."""
+    radius = _SIZE * float(parent.half_extents.min())
+    length = min(_SLENDER * radius, 2 * float(parent.half_extents.max()))
+    return {"type": "capsule", "radius": tidy(radius), "length": tidy(max(length, radius))}
+
+
+def _reach(shape: Data) -> float:
+    """Return the half extent of a shape along its x axis, m."""
+    return _half_extents(shape)[0]
+
+
+def _density(data: Data, material: str) -> float:
+    found = (data["creature"].get("materials") or {}).get(material)
+    return float(found.get("density", 1000.0)) if isinstance(found, dict) else 1000.0
+
+
+def _gain(shape: Data, density: float) -> Any:
+    """Return the gain of a motor that moves a body of a shape about its end, with two digits."""
+    x, y, z = _half_extents(shape)
+    inertia = density * 8 * x * y * z * (2 * x) ** 2 / 3
+    return float(f"{_STIFF * inertia:.1e}") or 1e-9
+
+
+def set_joint(data: Data, name: str, key: str, value: Any) -> None:
+    """Set a key of a part's joint, or leave it out (None).
+
+    Without limits, ``limits_deg`` is null, which differs from left out.
+    """
+    joint = joint_of(data, name)
+    if value is None and key != "limits_deg":
+        joint.pop(key, None)
+    else:
+        joint[key] = value

@@ -1,0 +1,125 @@
+"""What a page draws of a document: bodies, joints, eyes and the world, as JSON.
+
+A body is drawn in its own frame at its centre of mass, as in recordings. `frame` is the position of
+the configuration's frame from there. Both are the same place for all shapes but meshes.
+"""
+
+import base64
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.creature.creature import NO_LIMIT, length_of, lowest_height, neutral_pose
+from evo_cpg.drawing.document import Data
+from evo_cpg.drawing.lookup import Posed, posed
+from evo_cpg.view.clip import quaternions
+from evo_cpg.view.meshes import body_colors
+
+_BYTE = 127
+
+
+def scene(data: Data, source: Path) -> dict[str, Any]:
+    """Return the drawing of a document.
+
+    Args:
+        data: data of the document.
+        source: file of the document.
+
+    Raises:
+        KeyProblem: the creature is wrong.
+    """
+    here = posed(data, source)
+    creature = here.creature
+    arrays: dict[str, str] = {}
+    centres, rotations = map(np.asarray, neutral_pose(creature))
+    turns = quaternions(rotations[None])[0]
+    colors = (255 * body_colors(creature)).round().astype(int)
+    named = {each.name: i for i, each in enumerate(here.copies)}
+    bodies = []
+    for i, body in enumerate(creature.bodies):
+        index = named.get(body.name)
+        found: dict[str, Any] = {
+            "name": body.name,
+            "entry": None,
+            "parent": body.joint.parent if body.joint else None,
+            "place": centres[i].tolist(),
+            "turn": turns[i].tolist(),
+            "mass": float(body.mass),
+            "color": "#{:02x}{:02x}{:02x}".format(*colors[i]),
+            "half": np.asarray(body.shape.half_extents, float).tolist(),
+            "mesh": _mesh(body.shape, arrays),
+            "joint": _joint(creature, i, centres, rotations),
+        }
+        if index is not None:
+            frame = rotations[i].T @ (here.origins[index] - centres[i])
+            copied = here.copies[index]
+            found |= {
+                "entry": here.config.bodies[copied.entry].name,
+                "copies": sum(each.entry == copied.entry for each in here.copies),
+                "frame": frame.tolist(),
+            }
+        bodies.append(found)
+    return {
+        "bodies": bodies,
+        "eyes": _eyes(here),
+        "length": float(length_of(creature)),
+        "lowest": float(lowest_height(creature)),
+        "mass": float(creature.mass),
+        "axes": sum(len(body.joint.dofs) for body in creature.bodies if body.joint),
+        "arrays": arrays,
+    }
+
+
+def _mesh(shape: Any, arrays: dict[str, str]) -> dict[str, str] | None:
+    skin = shape.skin()
+    return {
+        "points": _array(arrays, skin.points, "<f4"),
+        "normals": _array(arrays, np.asarray(skin.normals) * _BYTE, "i1"),
+        "triangles": _array(arrays, skin.faces, "<u4"),
+    }
+
+
+def _array(arrays: dict[str, str], values: Any, kind: str) -> str:
+    """Add an array under the digest of its bytes, so that equal arrays are sent once."""
+    found = np.ascontiguousarray(values, kind).tobytes()
+    key = hashlib.sha256(kind.encode() + found).hexdigest()[:20]
+    if key not in arrays:
+        arrays[key] = base64.b64encode(found).decode()
+    return key
+
+
+def _joint(creature: Any, i: int, centres: Any, rotations: Any) -> dict[str, Any] | None:
+    joint = creature.bodies[i].joint
+    if joint is None:
+        return None
+    place = centres[i] + rotations[i] @ np.asarray(joint.child_anchor, float)
+
+    def degrees(angle: float) -> float | None:
+        return None if abs(angle) >= NO_LIMIT else float(np.degrees(angle))
+
+    return {
+        "place": place.tolist(),
+        "axes": [
+            {
+                "along": (rotations[i] @ np.asarray(dof.axis, float)).tolist(),
+                "lower": degrees(float(dof.lower)),
+                "upper": degrees(float(dof.upper)),
+            }
+            for dof in joint.dofs
+        ],
+    }
+
+
+def _eyes(here: Posed) -> list[dict[str, Any]]:
+    """Return the eyes of all bodies, in the frames at their centres of mass."""
+    return [
+        {
+            "body": eye.body,
+            "place": [float(x) for x in eye.position],
+            "along": [float(x) for x in eye.axis],
+            "half_angle": float(eye.field_of_view) / 2,
+        }
+        for eye in here.creature.light_sensors
+    ]

@@ -1,0 +1,174 @@
+"""One person's work on a document: requests of the page, one at a time, and their answers."""
+
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from evo_cpg.config.errors import KeyProblem
+from evo_cpg.creature.creature import CreatureError
+from evo_cpg.drawing.commands import edit
+from evo_cpg.drawing.document import Document, DrawingError
+from evo_cpg.drawing.mesh_file import add_mesh_file
+from evo_cpg.drawing.problems import problems
+from evo_cpg.drawing.scene import scene
+from evo_cpg.drawing.training_run import TrainingRun
+from evo_cpg.drawing.trying import simulate
+from evo_cpg.errors import UserError
+
+Answer = dict[str, Any]
+
+
+class Session:
+    """A document, its newest drawing, a try and a run.
+
+    Args:
+        document: the document.
+    """
+
+    def __init__(self, document: Document):
+        self.document = document
+        self._lock = threading.Lock()
+        self._scene: Answer | None = None
+        self._sent: set[str] = set()
+        self._try: Answer = {"state": "none"}
+        self._run: TrainingRun | None = None
+        self._requests: Mapping[str, Callable[..., Any]] = {
+            "open": self._open,
+            "edit": self._edit,
+            "undo": lambda: document.undo(),
+            "redo": lambda: document.redo(),
+            "discard": lambda: document.discard(),
+            "save": self._save,
+            "try": self._start_try,
+            "train": self._train,
+            "stop": self._stop,
+        }
+
+    def answer(self, request: str, given: Mapping[str, Any]) -> Answer:
+        """Answer a request that may change the document.
+
+        Args:
+            request: name of the request.
+            given: its arguments.
+
+        Returns:
+            The state of the document, with ``error`` for a refused request, or with ``lost`` for an
+            edit that waits for consent.
+        """
+        with self._lock:
+            extra: Answer = {}
+            try:
+                if request not in self._requests:
+                    raise DrawingError(f"there is no request {request!r}")
+                extra = self._requests[request](**given) or {}
+            except TypeError as error:
+                extra = {"error": f"{request}: {error}"}
+            except UserError as error:
+                extra = {"error": str(error)}
+            return self._state() | extra
+
+    def poll(self) -> Answer:
+        """Return the state of the try and of the run."""
+        run = self._run
+        return {"try": self._try, "run": run.state() if run else None}
+
+    def upload(self, name: str, content: bytes) -> Answer:
+        """Take a mesh file. Return its name beside the document, or an error."""
+        with self._lock:
+            try:
+                return {"file": add_mesh_file(self.document.path, name, content)}
+            except UserError as error:
+                return {"error": str(error)}
+
+    def close(self) -> None:
+        """End the run, if one is going on."""
+        if self._run:
+            self._run.stop()
+
+    def _open(self) -> None:
+        """Forget what was sent, because the page is new."""
+        self._sent = set()
+
+    def _edit(self, command: str, given: dict[str, Any], accept: bool = False) -> Answer:
+        change = self.document.propose(edit(command, self.document.path, given))
+        if change.lost and not accept:
+            return {"lost": change.lost}
+        names = set(self._names())
+        self.document.accept(change)
+        new = [name for name in self._names() if name not in names]
+        return {"new": new[0] if len(new) == 1 else None}
+
+    def _names(self) -> list[str]:
+        bodies = self.document.data.get("creature", {}).get("bodies") or []
+        return [str(each.get("name")) for each in bodies if isinstance(each, dict)]
+
+    def _save(self, name: str | None = None) -> Answer:
+        if name is None:
+            self.document.save()
+        else:
+            if Path(name).name != name or not name.endswith((".yaml", ".yml")):
+                raise DrawingError(f"{name!r}: must be the name of a .yaml file, without a folder")
+            self.document.save_as(self.document.path.parent / name)
+        return {"saved": str(self.document.path)}
+
+    def _start_try(self, how: str) -> None:
+        if self._try["state"] == "running":
+            raise DrawingError("the last try has not ended yet")
+        data, source = self.document.data, self.document.path
+        self._try = {"state": "running"}
+
+        def work() -> None:
+            try:
+                self._try = {"state": "done", **simulate(data, source, how)}  # pyright: ignore
+            except (UserError, ValueError) as error:
+                self._try = {"state": "failed", "error": str(error)}
+            except Exception as error:
+                # The page shows what a terminal would.
+                self._try = {"state": "failed", "error": f"{type(error).__name__}: {error}"}
+                raise
+
+        threading.Thread(target=work, daemon=True).start()
+
+    def _train(self, generations: int | None = None) -> None:
+        if self._run and self._run.is_running:
+            raise DrawingError("a run is going on. Stop it first")
+        if generations is not None and not 1 <= generations <= 1_000_000:
+            raise DrawingError(f"generations: must be at least 1, got {generations}")
+        if self.document.is_changed:
+            raise DrawingError("save first: a run reads the file")
+        found = problems(self.document.data, self.document.path)
+        wrong = next((each.words for each in found if each.kind == "error"), None)
+        if wrong:
+            raise DrawingError(wrong)
+        name = str(self.document.data.get("name"))
+        self._run = TrainingRun(self.document.path, name, generations)
+
+    def _stop(self) -> None:
+        if self._run:
+            self._run.stop()
+
+    def _state(self) -> Answer:
+        document = self.document
+        data = document.data
+        drawn: Answer | None = None
+        error = None
+        try:
+            drawn = scene(data, document.path)
+            drawn["arrays"] = {k: v for k, v in drawn["arrays"].items() if k not in self._sent}
+            self._sent |= drawn["arrays"].keys()
+        except (KeyProblem, CreatureError) as problem:
+            error = str(problem)
+        found = problems(data, document.path, thorough=drawn is not None)
+        return {
+            "path": str(document.path),
+            "changed": document.is_changed,
+            "recovered": document.recovered,
+            "undo": document.can_undo,
+            "redo": document.can_redo,
+            "data": data,
+            "text": document.texts,
+            "scene": drawn,
+            "undrawn": error,
+            "problems": [each._asdict() | {"key": list(each.key)} for each in found],
+        }

@@ -1,0 +1,80 @@
+"""A run of the drawn animal, in a process of its own, that the page can watch and stop."""
+
+import csv
+import itertools
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from evo_cpg.system import named
+
+# Columns of metrics.csv that the page draws.
+_CURVES = ("generation", "best", "mean")
+# Time that a process gets to end, s.
+_PATIENCE = 10.0
+# Number of characters of its output that are shown.
+_SHOWN = 2000
+
+
+class TrainingRun:
+    """A process of `evo-cpg train`.
+
+    Args:
+        config: file of the configuration, which is saved.
+        name: name of the run.
+        generations: number of generations, or None for the configuration's number.
+    """
+
+    def __init__(self, config: Path, name: str, generations: int | None = None):
+        folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
+        places = (config.parent / "runs" / named(folder) for folder in folders)
+        self.folder = next(place for place in places if not place.exists())
+        command = [sys.executable, "-m", "evo_cpg", "train", str(config), "--out", str(self.folder)]
+        if generations is not None:
+            command.append(f"evolution.generations={generations}")
+        self._output = tempfile.TemporaryFile()
+        self._process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=self._output, stderr=subprocess.STDOUT
+        )
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the process still runs."""
+        return self._process.poll() is None
+
+    def state(self) -> dict[str, Any]:
+        """Return the progress of the run, as JSON."""
+        self._output.seek(0)
+        words = self._output.read().decode(errors="replace")
+        return {
+            "folder": str(self.folder),
+            "running": self.is_running,
+            "code": self._process.poll(),
+            "output": words[-_SHOWN:].replace("\r", "\n").strip(),
+            "curves": self._curves(),
+        }
+
+    def stop(self) -> None:
+        """Interrupt the process as Control-C does, which keeps its generations."""
+        if self.is_running:
+            self._process.send_signal(signal.SIGINT)
+            try:
+                self._process.wait(_PATIENCE)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+
+    def _curves(self) -> dict[str, list[float]]:
+        try:
+            with (self.folder / "metrics.csv").open(encoding="utf-8", newline="") as file:
+                rows = list(csv.DictReader(file))
+        except OSError:
+            return {}
+        found = {}
+        for name in _CURVES:
+            if rows and name in rows[0]:
+                found[name] = [float(row[name]) for row in rows if row[name]]
+        return found

@@ -1,0 +1,279 @@
+"""Commands: animals from nothing, and edits that keep a body valid."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evo_cpg.config.load import load_config
+from evo_cpg.config.yaml_text import parse_yaml
+from evo_cpg.creature.creature import neutral_pose
+from evo_cpg.drawing.commands import COMMANDS, edit
+from evo_cpg.drawing.document import Document, DrawingError
+from evo_cpg.drawing.lookup import posed
+from evo_cpg.drawing.problems import problems
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+@pytest.fixture
+def animal(tmp_path) -> Document:
+    return Document.new(tmp_path / "animal.yaml")
+
+
+def do(document: Document, command: str, **given):
+    return document.apply(edit(command, document.path, given))
+
+
+def centres(document: Document) -> dict[str, np.ndarray]:
+    creature = posed(document.data, document.path).creature
+    places = np.round(np.asarray(neutral_pose(creature)[0]), 6)
+    return dict(zip([body.name for body in creature.bodies], places, strict=True))
+
+
+def with_legs(animal: Document) -> None:
+    """A body on four legs of two parts."""
+    for name, x in (("fore", 0.08), ("hind", -0.08)):
+        do(animal, "add_part", parent="body", place=[x, 0.05, 0], normal=[0, 0, -1],
+           name=f"{name}thigh")  # fmt: skip
+        thigh = parse_yaml(animal.texts.main)["creature"]["bodies"][-1]["name"]
+        do(animal, "mirror", name=thigh)
+        do(animal, "add_part", parent=f"right_{name}thigh", place=[0.075, 0, 0], normal=[1, 0, 0],
+           name=f"{name}shin")  # fmt: skip
+
+
+def test_the_swimmer_of_the_paper_is_drawn_from_nothing(animal):
+    """Ten boxes in series, as in the file that comes with the program."""
+    do(animal, "rename_part", name="body", new="head")
+    do(animal, "add_part", parent="head", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="segment",
+       shape={"type": "box", "size": [0.2, 0.1, 0.1]})  # fmt: skip
+    do(animal, "repeat", name="segment", count=9)
+    do(animal, "set_joint", name="segment{i}", key="axes", value=["x", "y", "z"])
+    do(animal, "set_joint", name="segment{i}", key="limits_deg", value=[-60, 60])
+    do(animal, "set_joint", name="segment{i}", key="actuator", value={"gain": 100})
+    do(animal, "set_joint", name="segment{i}", key="child_at", value=[0.11, 0, 0])
+    do(animal, "shift", part="segment1", by=[-0.01, 0, 0])
+    do(animal, "add_eye", part="head", place=[0.1, 0, 0], axis=[1, 0, 0])
+    do(animal, "set_value", key=["creature", "materials", "body"], value={"density": 1000})
+    for i in range(2):
+        do(animal, "set_value", key=["creature", "bodies", i, "material"], value="body")
+    do(animal, "unset_value", key=["creature", "materials", "flesh"])
+    do(animal, "set_value", key=["creature", "name"], value="swimmer10")
+    animal.save()
+    theirs = load_config(CONFIGS / "iwadate2010_swimmer.yaml").creature
+    assert load_config(animal.path).creature == theirs
+    assert Document.open(animal.path).texts == animal.texts
+    assert problems(animal.data, animal.path) == []
+
+
+def test_a_four_legged_animal_is_drawn_from_nothing(animal):
+    with_legs(animal)
+    do(animal, "set_water", on=False)
+    do(animal, "set_ground", on=True)
+    do(animal, "set_value", key=["task"], value={"type": "walk"})
+    places = centres(animal)
+    assert len(places) == 9
+    for name in ("forethigh", "foreshin", "hindthigh", "hindshin"):
+        left, right = places[f"left_{name}"], places[f"right_{name}"]
+        np.testing.assert_allclose(left * [1, -1, 1], right, atol=1e-6)
+        assert left[1] > 0 and left[2] < -0.05
+    assert "mirror: y" in animal.texts.main and animal.texts.main.count("mirror") == 2
+    animal.save()
+    assert Document.open(animal.path).texts == animal.texts
+    assert [each for each in problems(animal.data, animal.path) if each.kind == "error"] == []
+
+
+def test_a_part_stands_on_the_surface_along_its_normal(animal):
+    do(animal, "add_part", parent="body", place=[0, 0.05, 0.01], normal=[0, 1, 1], name="fin")
+    place, reach = centres(animal)["fin"], 0.0875
+    expected = np.array([0, 0.05, 0.01]) + reach * np.array([0, 1, 1]) / np.sqrt(2)
+    np.testing.assert_allclose(place, expected, atol=1e-4)
+
+
+def test_a_shift_and_a_turn_of_a_copy_move_all_copies(animal):
+    do(animal, "add_part", parent="body", place=[0, -0.05, 0], normal=[0, -1, 0], name="fin")
+    do(animal, "mirror", name="fin")
+    before = centres(animal)
+    do(animal, "shift", part="right_fin", by=[0.01, -0.02, 0.03])
+    after = centres(animal)
+    np.testing.assert_allclose(after["right_fin"] - before["right_fin"], [0.01, -0.02, 0.03])
+    np.testing.assert_allclose(after["left_fin"] - before["left_fin"], [0.01, 0.02, 0.03])
+    # Its x axis points ahead, as the body's.
+    do(animal, "turn", part="right_fin", rotation=np.eye(3).tolist())
+    here = posed(animal.data, animal.path)
+    np.testing.assert_allclose(here.rotations[here.index("right_fin")], np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(here.rotations[here.index("left_fin")], np.eye(3), atol=1e-9)
+
+
+def test_a_star_is_shifted_along_its_own_ray(animal):
+    do(animal, "add_part", parent="body", place=[0.1, 0, 0], normal=[1, 0, 0], name="ray")
+    do(animal, "radial", name="ray", count=4)
+    before = centres(animal)
+    do(animal, "shift", part="ray_2", by=[0, 0.01, 0])
+    moved = {name: place - before[name] for name, place in centres(animal).items()}
+    np.testing.assert_allclose(moved["ray_2"], [0, 0.01, 0], atol=1e-6)
+    np.testing.assert_allclose(moved["ray_1"], [0.01, 0, 0], atol=1e-6)
+    do(animal, "radial", name="ray_{j}", count=1)
+    assert set(centres(animal)) == {"body", "ray_1"}
+
+
+def test_separate_copies_stay_where_they_are(animal):
+    with_legs(animal)
+    do(animal, "add_eye", part="left_foreshin", place=[0, 0.01, 0], axis=[0, 1, 0])
+    before = posed(animal.data, animal.path)
+    do(animal, "separate", name="{side}_forethigh")
+    after = posed(animal.data, animal.path)
+    assert "left_forethigh" in [entry.name for entry in after.config.bodies]
+    for i, body in enumerate(before.copies):
+        k = after.index(body.name)
+        np.testing.assert_allclose(after.origins[k], before.origins[i], atol=1e-4)
+        np.testing.assert_allclose(after.rotations[k], before.rotations[i], atol=1e-4)
+    eyes = [(eye.body, *np.round(eye.axis, 6)) for eye in after.creature.light_sensors]
+    assert eyes == [("left_foreshin", 0, 1, 0), ("right_foreshin", 0, -1, 0)]
+    assert "left_hindthigh" not in [entry.name for entry in after.config.bodies]
+
+
+def test_a_row_carries_its_parts_on_its_last_body(animal):
+    do(animal, "add_part", parent="body", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="tail")
+    do(animal, "add_part", parent="tail", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="fin")
+    for count, last in ((3, "tail3"), (5, "tail5"), (2, "tail2")):
+        do(animal, "repeat", name="tail" if count == 3 else "tail{i}", count=count)
+        fin = next(x for x in posed(animal.data, animal.path).copies if x.name == "fin")
+        assert fin.parent == last
+
+
+def test_a_stretched_part_keeps_what_is_on_its_surface(animal):
+    do(animal, "add_part", parent="body", place=[0.1, 0, 0], normal=[1, 0, 0], name="nose")
+    do(animal, "add_eye", part="body", place=[0.1, 0, 0], axis=[1, 0, 0])
+    do(animal, "stretch", name="body", factors=[2, 1, 1])
+    creature = animal.data["creature"]
+    assert creature["bodies"][0]["shape"]["size"] == [0.4, 0.1, 0.1]
+    assert creature["bodies"][1]["joint"]["at"] == [0.2, 0, 0]
+    assert creature["light_sensors"][0]["position"] == [0.2, 0, 0]
+    do(animal, "set_shape", name="nose", type="ellipsoid")
+    assert centres(animal)["nose"][0] > 0.2
+
+
+def test_removed_parts_leave_no_reference(animal):
+    with_legs(animal)
+    do(animal, "add_eye", part="right_foreshin", place=[0, 0, 0], axis=[1, 0, 0])
+    do(animal, "set_pressure", part="body", on=False)
+    pair = ["{side}_foreshin", "body"]
+    rule = {"exclude": [pair, ["body", "{side}_hindshin"]]}
+    do(animal, "set_value", key=["creature", "self_collision"], value=rule)
+    do(animal, "remove_part", name="left_forethigh")
+    creature = animal.data["creature"]
+    assert [entry["name"] for entry in creature["bodies"]] == [
+        "body", "{side}_hindthigh", "{side}_hindshin"
+    ]  # fmt: skip
+    assert creature["light_sensors"] == []
+    assert creature["self_collision"]["exclude"] == [["body", "{side}_hindshin"]]
+    assert not any("fore" in name for name in creature["pressure_sensors"])
+    do(animal, "set_pressure", part="body", on=True)
+    assert animal.data["creature"]["pressure_sensors"] == "all"
+
+
+@pytest.mark.parametrize(
+    ("command", "given", "words"),
+    [
+        ("remove_part", {"name": "body"}, "is the root, which carries"),
+        ("remove_part", {"name": "wing"}, "there is no part 'wing'"),
+        ("shift", {"part": "body", "by": [1, 0, 0]}, "is the root, to which"),
+        ("mirror", {"name": "body"}, "is the root, which has no joint"),
+        ("mirror", {"name": "fin"}, "its joint is in the mirror plane"),
+        ("stretch", {"name": "fin", "factors": [1, 0, 1]}, "three positive numbers"),
+        ("rename_part", {"name": "fin", "new": "body"}, "another part has this name"),
+        ("rename_part", {"name": "fin", "new": "fin{i}"}, "must contain no placeholders"),
+        ("set_shape", {"name": "fin", "type": "torus"}, "'torus': choose one of box"),
+        ("repeat", {"name": "fin", "count": 0}, "whole number from 1 to 1000, got 0"),
+        ("separate", {"name": "fin"}, "is a single part"),
+        ("turn", {"part": "fin", "rotation": [[1, 0], [0, 1]]}, "needs a rotation matrix"),
+        ("remove_sensor", {"kind": "light_sensors", "index": 0}, "has no entry 0"),
+        ("set_value", {"key": ["seed", "x", "y"], "value": 1}, None),
+        ("set_value", {"key": ["creature", "bodies", 9, "name"], "value": 1}, "there is no 9"),
+        ("add_part", {"parent": "fin"}, "add_part: missing a required argument: 'place'"),
+        ("fly", {}, "there is no command 'fly'. Commands: add_part, "),
+    ],
+)
+def test_an_impossible_edit_changes_nothing(animal, command, given, words):
+    do(animal, "add_part", parent="body", place=[0, 0, 0.05], normal=[0, 0, 1], name="fin")
+    texts = animal.texts
+    if words is None:
+        do(animal, command, **given)
+        assert problems(animal.data, animal.path, thorough=False)[0].kind == "error"
+        return
+    with pytest.raises(DrawingError, match=words.replace("(", r"\(")):
+        do(animal, command, **given)
+    assert animal.texts == texts
+
+
+def test_messages_name_the_part_that_they_are_about(animal):
+    with_legs(animal)
+    do(animal, "set_joint", name="{side}_foreshin", key="limits_deg", value=[0.5, -0.5])
+    (found,) = problems(animal.data, animal.path)
+    assert (found.kind, found.part) == ("error", "{side}_foreshin")
+    assert "limits_deg" in found.words or "limits_deg" in found.key
+    with pytest.raises(DrawingError, match=r"first mend creature\.bodies\.2\.joint"):
+        do(animal, "shift", part="left_forethigh", by=[0, 0, 0.1])
+    animal.undo()
+    do(animal, "set_joint", name="{side}_foreshin", key="limits_deg", value=[-1.0472, 1.0472])
+    found = [each for each in problems(animal.data, animal.path) if each.part]
+    assert [(each.kind, each.part) for each in found] == [("warning", "{side}_foreshin")]
+
+
+def random_edit(animal: Document, draw: random.Random) -> tuple[str, dict]:
+    """A command with random arguments, many of them wrong."""
+    bodies = animal.data["creature"]["bodies"]
+    name = draw.choice(bodies)["name"]
+    vector = [round(draw.uniform(-0.2, 0.2), 3) for _ in range(3)]
+    normal = [draw.choice((-1, 0, 1)) for _ in range(3)]
+    given = {
+        "add_part": {"parent": name, "place": vector, "normal": normal},
+        "remove_part": {"name": name},
+        "rename_part": {"name": name, "new": name.replace("part", "piece")},
+        "set_shape": {"name": name, "type": draw.choice(("box", "sphere", "capsule", "ellipsoid"))},
+        "set_joint": {"name": name, "key": "axes", "value": draw.sample(["x", "y", "z"], 2)},
+        "stretch": {"name": name, "factors": [draw.uniform(0.5, 2) for _ in range(3)]},
+        "shift": {"part": name, "by": vector},
+        "turn": {"part": name, "rotation": np.eye(3)[draw.sample(range(3), 3)].tolist()},
+        "mirror": {"name": name, "axis": draw.choice("xyz")},
+        "repeat": {"name": name, "count": draw.randrange(1, 4)},
+        "radial": {"name": name, "count": draw.randrange(1, 4)},
+        "separate": {"name": name},
+        "add_eye": {"part": name, "place": vector, "axis": normal},
+        "add_depth_gauge": {"part": name, "place": vector},
+        "remove_sensor": {"kind": "light_sensors", "index": draw.randrange(2)},
+        "set_pressure": {"part": name, "on": draw.random() < 0.5},
+        "set_water": {"on": draw.random() < 0.7, "surface": draw.choice((None, 0.5))},
+        "set_ground": {"on": draw.random() < 0.5},
+        "set_value": {"key": ["world", "gravity"], "value": draw.choice((9.81, 0, -1))},
+        "unset_value": {"key": ["world", "gravity"]},
+    }
+    assert given.keys() == COMMANDS.keys()
+    command = draw.choice(list(given))
+    return command, given[command]
+
+
+@pytest.mark.parametrize(
+    "count", [60, pytest.param(500, marks=pytest.mark.slow)], ids=["few", "many"]
+)
+def test_random_edits_leave_a_body_that_is_valid_or_refused_in_words(animal, count):
+    start, draw, refused = animal.texts, random.Random(count), 0
+    for _ in range(count):
+        command, given = random_edit(animal, draw)
+        try:
+            do(animal, command, **given)
+        except DrawingError as error:
+            assert "Traceback" not in str(error)
+            refused += 1
+        if len(animal.data["creature"]["bodies"]) > 12:
+            animal.undo()
+        found = problems(animal.data, animal.path, thorough=False)
+        assert all(each.words for each in found)
+    assert 0 < refused < count
+    found = problems(animal.data, animal.path)
+    assert all(each.words for each in found)
+    while animal.can_undo:
+        animal.undo()
+    assert animal.texts == start

@@ -1,0 +1,218 @@
+"""The drawing page in headless Chromium: animals drawn, tried and trained with the mouse."""
+
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import chromium
+from evo_cpg.config.load import load_config
+from evo_cpg.drawing.document import Document
+from evo_cpg.drawing.page.server import PageServer
+from evo_cpg.drawing.problems import problems
+from evo_cpg.drawing.session import Session
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(chromium.found() is None, reason="needs Chromium"),
+]
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+class Drawn:
+    """The page of a document, used with mouse and fields."""
+
+    def __init__(self, page: chromium.Page, server: PageServer):
+        self.page, self.server = page, server
+        self.document = server.session.document
+
+    def wait(self) -> None:
+        """Wait until all requests are answered and drawn."""
+        self.page.run("new Promise((done) => setTimeout(done, 60))")
+        self.page.wait("document.body.dataset.busy === '0'")
+
+    def fill(self, label: str, value: str) -> None:
+        """Write into a field of the panel."""
+        selector = json.dumps(f'[aria-label="{label}"]')
+        self.page.run(
+            f"(() => {{ const field = document.querySelector({selector});"
+            f" field.value = {json.dumps(value)};"
+            " field.dispatchEvent(new Event('change')); })()"
+        )
+        self.wait()
+
+    def click(self, selector: str) -> None:
+        self.page.click(selector)
+        self.wait()
+
+    def check(self, label: str) -> None:
+        self.click(f"[aria-label='{label}']")
+
+    def part(self, name: str) -> None:
+        """Select a part in the tree."""
+        self.click(f"[data-part='{name}']")
+
+    def press(self, x: float, y: float) -> None:
+        self.page.mouse("mousePressed", [x, y])
+        self.page.mouse("mouseReleased", [x, y])
+        self.wait()
+
+    def add(self, what: str, view: str, x: float, y: float, on: str) -> None:
+        """Click a place of a part's picture, at a fraction of it from its middle to its edge."""
+        self.click(f"[data-view={view}]")
+        box = self.page.run(
+            "(() => { const b = document.getElementById('canvas').getBoundingClientRect();"
+            " return [b.left, b.top, b.width, b.height]; })()"
+        )
+        middle = self.page.run(f"View.screen({on!r})")
+
+        def reach(dx: float, dy: float) -> float:
+            """Distance from the middle to the edge of the part along a direction, pixels."""
+            far = 0
+            while far < box[2]:
+                at = middle[0] + dx * (far + 1), middle[1] + dy * (far + 1)
+                if self.page.run(f"View.hit({at[0]}, {at[1]})?.name") != on:
+                    break
+                far += 1
+            return far
+
+        right = reach(1 if x >= 0 else -1, 0) if x else 0
+        down = reach(0, 1 if y >= 0 else -1) if y else 0
+        self.click(f"[data-add={what}]")
+        answers = int(self.page.run("document.body.dataset.answers"))
+        self.press(middle[0] + x * right, middle[1] + y * down)
+        self.page.wait(f"Number(document.body.dataset.answers) > {answers}")
+        self.wait()
+
+
+@pytest.fixture
+def drawn(tmp_path) -> Iterator[Drawn]:
+    document = Document.new(tmp_path / "animal.yaml")
+    with PageServer(Session(document)) as server, chromium.browser(tmp_path / "profile") as page:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        page.visit(server.address)
+        page.wait("document.querySelectorAll('#tree button').length > 0")
+        yield Drawn(page, server)
+        ours = server.origin
+        assert page.complaints == []
+        assert all(each.startswith((ours, "data:", "about:")) for each in page.requests)
+        server.session.close()
+        server.shutdown()
+        thread.join()
+
+
+def test_the_swimmer_of_the_paper_is_drawn_tried_and_trained(drawn):
+    drawn.part("body")
+    drawn.fill("name", "head")
+    # The front view looks along -x, so the part is turned to the rear by a field.
+    drawn.add("part", "side", -0.5, 0, "head")
+    drawn.part("part")
+    drawn.fill("name", "segment")
+    drawn.fill("shape", "box")
+    for label, value in {
+        "size x": "0.2", "size y": "0.1", "size z": "0.1",
+        "at x": "-0.11", "at y": "0", "at z": "0",
+        "child_at x": "0.11", "child_at y": "0", "child_at z": "0",
+        "rotation_deg x": "0", "rotation_deg y": "0", "rotation_deg z": "0",
+        "lower limit": "-60", "upper limit": "60", "gain": "100",
+    }.items():  # fmt: skip
+        drawn.fill(label, value)
+    drawn.check("axis x")
+    drawn.fill("repeat", "9")
+    drawn.add("eye", "front", 0, 0, "head")
+    drawn.part("head")
+    drawn.click("#save")
+    theirs = load_config(CONFIGS / "iwadate2010_swimmer.yaml").creature.model_dump()
+    ours = load_config(drawn.document.path).creature.model_dump()
+    for name in ("name", "materials"):
+        assert ours.pop(name) != theirs.pop(name)
+    for mine, paper in zip(ours["bodies"], theirs["bodies"], strict=True):
+        assert (mine.pop("material"), paper.pop("material")) == ("flesh", "body")
+    assert ours == theirs
+    assert problems(drawn.document.data, drawn.document.path) == []
+    assert Document.open(drawn.document.path).texts == drawn.document.texts
+
+    drawn.page.click("#try-rhythm")
+    drawn.page.wait("View.playing")
+    before = drawn.page.run("View.pose('segment9')")
+    frames = drawn.page.run("View.frames")
+    drawn.page.run("new Promise((done) => setTimeout(done, 1500))")
+    assert drawn.page.run("View.pose('segment9')") != before
+    assert drawn.page.run("View.frames") - frames > 5
+    drawn.click("#close-player")
+    assert not drawn.page.run("View.playing")
+
+    drawn.page.click("#train")
+    drawn.page.run("document.getElementById('answer').value = '1'")
+    drawn.page.click("#yes")
+    drawn.page.wait("document.getElementById('run-state').textContent.startsWith('finished')")
+    assert (drawn.document.path.parent / "runs/animal/champion.npz").exists()
+
+
+def test_a_four_legged_animal_is_drawn_with_the_mouse(drawn):
+    for name, x in (("fore", 0.7), ("hind", -0.7)):
+        drawn.add("part", "side", x, 0.5, "body")
+        drawn.fill("name", f"{name}leg")
+        # A leg points down from the right side.
+        for label, value in {
+            "rotation_deg x": "0",
+            "rotation_deg y": "90",
+            "rotation_deg z": "0",
+        }.items():
+            drawn.fill(label, value)
+        drawn.click("#mirror")
+    drawn.part("{side}_foreleg")
+    drawn.click("#select-world")
+    drawn.check("water")
+    drawn.check("ground")
+    drawn.fill("task", "walk")
+    config = drawn.document.data
+    names = [entry["name"] for entry in config["creature"]["bodies"]]
+    assert names == ["body", "{side}_foreleg", "{side}_hindleg"]
+    assert drawn.page.run("View.names") == [
+        "body", "left_foreleg", "right_foreleg", "left_hindleg", "right_hindleg"
+    ]  # fmt: skip
+    assert [each for each in problems(config, drawn.document.path) if each.kind == "error"] == []
+    drawn.click("#save")
+    saved = drawn.document.texts
+    assert Document.open(drawn.document.path).texts == saved
+    while drawn.document.can_undo:
+        drawn.click("#undo")
+    assert drawn.page.run("View.names") == ["body"]
+
+
+def test_a_gizmo_moves_a_part_and_its_copies(drawn):
+    drawn.add("part", "side", 0, 0, "body")
+    drawn.click("#mirror")
+    before = drawn.page.run("View.pose('left_part')")
+    drawn.click("[data-view=top]")
+    # The arrow along x points to the right in the view from above.
+    place = drawn.page.run("View.gizmo()")
+    drawn.page.mouse("mouseMoved", place)
+    drawn.page.mouse("mousePressed", place)
+    for step in range(1, 6):
+        drawn.page.mouse("mouseMoved", [place[0] + 8 * step, place[1]])
+    drawn.page.mouse("mouseReleased", [place[0] + 40, place[1]])
+    drawn.wait()
+    after = drawn.page.run("View.pose('left_part')")
+    assert after[0] - before[0] > 0.005
+    assert after[1:] == pytest.approx(before[1:], abs=1e-4)
+    right = drawn.page.run("View.pose('right_part')")
+    assert right[0] == pytest.approx(after[0], abs=1e-6)
+
+
+def test_wrong_entries_and_lost_comments_are_told(drawn):
+    drawn.add("part", "side", 0, 0, "body")
+    drawn.fill("lower limit", "90")
+    words = drawn.page.run("document.getElementById('problems').textContent")
+    assert "part" in words and "90" in words
+    assert drawn.page.run("document.querySelectorAll('#tree .error').length") == 1
+    drawn.fill("gain", "strong")
+    assert "strong is not a number" in drawn.page.run(
+        "document.getElementById('notice').textContent"
+    )
+    drawn.click("#undo")
+    assert drawn.page.run("document.querySelectorAll('#tree .error').length") == 0
