@@ -111,11 +111,6 @@ def dump_config(config: ExperimentConfig) -> str:
     return to_yaml(config.model_dump(mode="json"))
 
 
-def dump_creature(config: CreatureConfig) -> str:
-    """Return a creature as YAML without defaults, which is read back unchanged."""
-    return to_yaml(config.model_dump(mode="json", exclude_defaults=True), flow=None)
-
-
 def as_overrides(values: Mapping[str, Any]) -> list[str]:
     """Return settings in the form of the command line, ``key=value``."""
     return [f"{key}={to_yaml([value], flow=True).strip()[1:-1]}" for key, value in values.items()]
