@@ -340,7 +340,13 @@ def build_tree(creature: Creature) -> Tree:
         muscles=muscles,
         limit_stiffness=limit_stiffness,
         limit_damping=limit_damping,
-        tendons=tendons_of(creature.tendons, dof_names, idle, leverage + armature),
+        tendons=tendons_of(
+            creature.tendons,
+            dof_names,
+            idle,
+            [dof.kind == "ball" for dof in dofs],
+            leverage + armature,
+        ),
     )
 
 
