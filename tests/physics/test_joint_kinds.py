@@ -155,7 +155,7 @@ def test_three_hinges_keep_their_equations_within_85_degrees():
 
 @pytest.fixture(scope="module")
 def drifting():
-    """Return a free tree with a slide, a hinge and a ball in a vacuum, and its motion at two steps."""
+    """Return a tree with a slide, a hinge and a ball in a vacuum, and its motion at two steps."""
     with jax.enable_x64(True):
         creature = jointed("a few", passive=0.0)
         world = World(build_tree(creature), 0.0)
