@@ -22,7 +22,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from evo_cpg.creature.axis_laws import DryFriction, push_of, soft_limits
+from evo_cpg.creature.ball_limits import BallLimits, ball_limits_of
 from evo_cpg.creature.creature import (
+    NO_LIMIT,
     AxisKind,
     Body,
     Creature,
@@ -109,6 +111,8 @@ class Tree(eqx.Module):
         limit_stiffness: stiffness of the soft limits, N m/rad.
         limit_damping: damping of the soft limits, N m s/rad.
         tendons: fixed tendons, or None if there are none.
+        ball_limits: limits of the angles of balls, or None if there are none. The components of a
+            ball have no limits of their own.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -145,6 +149,7 @@ class Tree(eqx.Module):
     limit_stiffness: Float[Numbers, " d"]
     limit_damping: Float[Numbers, " d"]
     tendons: Tendons | None = None
+    ball_limits: BallLimits | None = None
 
     @property
     def body_count(self) -> int:
@@ -331,8 +336,9 @@ def build_tree(creature: Creature) -> Tree:
         damping=each("damping"),
         armature=armature,
         dry_friction=DryFriction(loss, leverage + armature) if rubs else None,
-        lower=each("lower"),
-        upper=each("upper"),
+        lower=xp.array([-NO_LIMIT if dof.kind == "ball" else dof.lower for dof in dofs], float),
+        upper=xp.array([NO_LIMIT if dof.kind == "ball" else dof.upper for dof in dofs], float),
+        ball_limits=ball_limits_of(dofs, limit_stiffness, limit_damping),
         servo_gain=gain,
         servo_stiffness=spring,
         torque_limit=torque_limit,
