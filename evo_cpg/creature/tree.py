@@ -289,7 +289,7 @@ def build_tree(creature: Creature) -> Tree:
     def each(name: str) -> Float[Numbers, "d *rest"]:
         return xp.array([getattr(dof, name) for dof in dofs], float)
 
-    kinds = tuple(dof.kind for dof in dofs)
+    kinds: tuple[AxisKind, ...] = tuple(dof.kind for dof in dofs)
     groups, hanging = _groups(bodies, parents, dof_bodies), _hanging(creature)
     rest, armature, loss = each("rest"), each("armature"), each("friction_loss")
     rubs = chosen(lambda: bool((loss != 0).any()), lambda made: made | ~(loss != 0).any())
@@ -477,8 +477,7 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
     if creature.root_joint is None:
         return outer * inner / (outer + inner)
-    is_fixed = not creature.root_joint.dofs
-    against_world = np.array([is_fixed or root for root in beyond.all(1)], bool)
+    against_world = beyond.all(1) | (not creature.root_joint.dofs)
     return xp.where(against_world, outer, outer * inner / (outer + inner))
 
 
@@ -530,7 +529,7 @@ def _hanging(creature: Creature) -> Group | None:
     joint = creature.root_joint
     if joint is None:
         return None
-    kinds = tuple(dof.kind for dof in joint.dofs)
+    kinds: tuple[AxisKind, ...] = tuple(dof.kind for dof in joint.dofs)
     return Group(slice(0, 1), slice(0, len(kinds)), len(kinds), (-1,), joint.kind, kinds)
 
 

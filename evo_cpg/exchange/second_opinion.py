@@ -341,8 +341,8 @@ class _Player:
     def push(self, change: Float[np.ndarray, " v"]) -> None:
         """Change the velocities, given as for `State.rates`."""
         if self.tree.hanging is None:
-            self.data.qvel[:3] += root.linear(root.root_part(change))
-        self.data.qvel[root_dofs(self.tree) + self.dofs] += root.joint_part(change)
+            self.data.qvel[:3] += change[3 : root.ROOT_DOFS]
+        self.data.qvel[root_dofs(self.tree) + self.dofs] += change[root.JOINTS]
 
     def is_held(self) -> bool:
         """Return whether the animal touches something other than itself, or swims.

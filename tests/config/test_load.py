@@ -74,9 +74,9 @@ def test_roots_that_hang_on_the_world_have_clear_limits():
     joint = {"parent": "world", "at": [0, 0, 0], "child_at": [0, 0, 0], "axes": ["z"]}
     first = small()["creature"]["bodies"][0]["name"]
     for key, value, words in (
-        ("noise__tilt_deg", 5, f"noise.tilt_deg: 5: {first!r} hangs on the world and cannot tilt"),
+        ("noise__tilt_deg", 5, f"noise.tilt_deg: {first!r} hangs on the world and cannot tilt"),
         ("noise__push", 0.1, "hangs on the world without a slide, so no push moves it"),
-        ("creature__bodies__0__repeat", 2, "the root cannot be repeated"),
+        ("creature__bodies__1__name", "world", "is the name of the fixed world"),
         ("creature__bodies__1__joint__parent", "word", "did you mean 'world'?"),
         ("creature__bodies__1__joint", joint, "are both roots"),
     ):
