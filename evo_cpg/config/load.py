@@ -15,7 +15,6 @@ from evo_cpg.config.former import current_key, use_current_names, with_former_va
 from evo_cpg.config.keys import follow, is_index, parts_of, value_at
 from evo_cpg.config.lines import located
 from evo_cpg.config.named_files import read_heights, read_mesh
-from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_names
 from evo_cpg.config.trust import beside, trusting
@@ -109,11 +108,6 @@ def _check(data: dict[str, Any]) -> ExperimentConfig:
 def dump_config(config: ExperimentConfig) -> str:
     """Return the complete configuration as YAML, which `load_config` reads back unchanged."""
     return to_yaml(config.model_dump(mode="json"))
-
-
-def dump_creature(config: CreatureConfig) -> str:
-    """Return a creature as YAML without defaults, which is read back unchanged."""
-    return to_yaml(config.model_dump(mode="json", exclude_defaults=True), flow=None)
 
 
 def as_overrides(values: Mapping[str, Any]) -> list[str]:

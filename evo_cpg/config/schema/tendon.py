@@ -1,5 +1,6 @@
 """Section of a fixed tendon."""
 
+import re
 from collections.abc import Iterator, Sequence
 from typing import Annotated
 
@@ -116,6 +117,9 @@ class TendonConfig(Section):
 
 
 def _body_of(joint: str) -> str:
-    """Return the body's name in the name of a joint axis, ``leg.x`` or ``leg.(1,0,0.5)``."""
-    separator = ".(" if joint.endswith(")") else "."
-    return joint.rpartition(separator)[0]
+    """Return the body's name in the name of a joint axis.
+
+    Such names are ``leg.x``, ``leg.(1,0,0.5)`` and ``leg.slide_(1,0,0.5)``.
+    """
+    oblique = re.fullmatch(r"(.*)\.\w*\([^()]*\)\d*", joint)
+    return oblique[1] if oblique else joint.rpartition(".")[0]
