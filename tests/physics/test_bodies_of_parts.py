@@ -193,7 +193,7 @@ def test_native_steps_of_parts_equal_those_of_jax():
     state = jax.tree.map(lambda x: x.astype(jnp.float32), state)
     found = []
     for name in ("native", "jax"):
-        with using(Engine(name)):
+        with jax.enable_x64(False), using(Engine(name)):
             run = jax.jit(lambda s: step(world, s, jnp.zeros_like(s.q), 1 / 240)[0])
             now = state
             for _ in range(10):
