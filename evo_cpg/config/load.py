@@ -15,7 +15,6 @@ from evo_cpg.config.former import current_key, use_current_names, with_former_va
 from evo_cpg.config.keys import follow, is_index, parts_of, value_at
 from evo_cpg.config.lines import located
 from evo_cpg.config.named_files import read_heights, read_mesh
-from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_names
 from evo_cpg.config.trust import beside, trusting
