@@ -188,6 +188,7 @@ def build_simulation(
         raise KeyProblem(
             ("noise", "friction"), "there is no ground whose friction could vary (world.ground)"
         )
+    _check_noise_of_a_root(config, tree)
     with using(engine):
         situations = build_situations(config, creature, world)
     task = _build_task(config, creature, situations[0].light)
@@ -212,6 +213,25 @@ def build_simulation(
         measures=_build_measures(config, task, creature, world),
     )
     return creature, simulation
+
+
+def _check_noise_of_a_root(config: ExperimentConfig, tree: Tree) -> None:
+    """Check that noise can move a root that hangs on the world.
+
+    Raises:
+        KeyProblem: it cannot.
+    """
+    if tree.hanging is None:
+        return
+    name = tree.names[0]
+    if config.noise.tilt_deg:
+        problem = (
+            f"{name!r} hangs on the world and cannot tilt. Use joint_angle_deg, or leave it out"
+        )
+        raise KeyProblem(("noise", "tilt_deg"), problem)
+    if config.noise.push and not tree.root_slides:
+        problem = f"{name!r} hangs on the world without a slide, so no push moves it. Leave it out"
+        raise KeyProblem(("noise", "push"), problem)
 
 
 def _build_measures(

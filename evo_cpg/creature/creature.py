@@ -528,7 +528,8 @@ def require_masses(creature: Creature) -> None:
         owners[body.name] = owner
         masses[owner] = masses.get(owner, 0.0) + body.mass
     for i, body in enumerate(creature.bodies):
-        moves = body.joint is None or bool(body.joint.dofs)
+        joint = creature.joint_of(body)
+        moves = joint is None or bool(joint.dofs)
         if moves and not is_traced(masses[body.name]) and not masses[body.name] > 0:
             raise CreatureError(
                 f"body {body.name!r} moves, but neither it nor a body welded to it has a mass",

@@ -7,11 +7,10 @@ Two bodies are linked if the joint lies between them: the direction from one cen
 on to the other centre turns by at most 45 degrees, and if neither body is four times as wide as the
 other. A thin fin at the end may be wider, such as a caudal fin behind a peduncle: a body with one
 joint whose thickness is at most a quarter of its width. A body has at most two links, on opposite
-sides. Of several candidates it takes those whose
-widths are most alike its own. So a trunk continues in its tail and not in a fin. Equally alike
-candidates on the same side, such as the two lobes of a fluke, are a fork, which ends the chain.
-Every body belongs to exactly one chain, which may have one body only. A further part of a body is a
-chain of its own.
+sides. Of several candidates it takes those whose widths are most alike its own. So a trunk
+continues in its tail and not in a fin. Equally alike candidates on the same side, such as the two
+lobes of a fluke, are a fork, which ends the chain. Every body belongs to exactly one chain, which
+may have one body only. A further part of a body is a chain of its own.
 
 The nose is the end that points forward, along +x. In a chain that stands across, such as a leg, it
 is the end nearer to the root.

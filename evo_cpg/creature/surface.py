@@ -21,7 +21,7 @@ from evo_cpg.creature.outline import outlines
 from evo_cpg.creature.outline_points import outline_surface
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
-from evo_cpg.spatial.numerics import Number, Numbers, xp
+from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 
 # Layout of the surface points of a model. "merged" leaves sheltered points out, and merges points
 # that move alike in the water. Bodies of a batch need one layout: "separate" merges nothing, and
@@ -293,8 +293,7 @@ def _covered(
             gap = shape.distance(local.reshape(-1, 3)).reshape(local.shape[:-1]).min(0)
             size = _SUNK * xp.minimum(xp.sqrt(areas), xp.min(shape.half_extents))
             size = xp.maximum(size, _LEAST)
-            fraction = xp.clip(-gap / size, 0.0, 1.0)
-            found[i][int(j)] = fraction * fraction * (3.0 - 2.0 * fraction)
+            found[i][int(j)] = smooth_step(-gap / size)
     return found
 
 

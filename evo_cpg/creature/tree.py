@@ -199,6 +199,12 @@ class Tree(eqx.Module):
         pulling = dict(each)
         return xp.array([pulling.get(dof, number) for dof, number in enumerate(own)], float)
 
+    @property
+    def root_slides(self) -> tuple[int, ...]:
+        """Degrees of freedom of the slides on which the root hangs."""
+        kinds = () if self.hanging is None else self.hanging.kinds
+        return tuple(i for i, kind in enumerate(kinds) if kind == "slide")
+
     def without_motors(self, axes: Bool[np.ndarray, " d"]) -> "Tree":
         """Return the tree with idle motors about some axes, and muscles without active fibres.
 

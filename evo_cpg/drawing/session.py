@@ -84,7 +84,8 @@ class Session:
     def close(self) -> None:
         """End the run, if one is going on."""
         if self._run:
-            self._run.stop()
+            self._run.close()
+            self._run = None
 
     def _open(self) -> None:
         """Forget what was sent, because the page is new."""
@@ -141,6 +142,7 @@ class Session:
         wrong = next((each.words for each in found if each.kind == "error"), None)
         if wrong:
             raise DrawingError(wrong)
+        self.close()
         name = str(self.document.data.get("name"))
         self._run = TrainingRun(self.document.path, name, generations)
 

@@ -35,7 +35,7 @@ class TrainingRun:
         command = [sys.executable, "-m", "evo_cpg", "train", str(config), "--out", str(self.folder)]
         if generations is not None:
             command.append(f"evolution.generations={generations}")
-        self._output = tempfile.TemporaryFile()
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 (`close` closes it)
         self._process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=self._output, stderr=subprocess.STDOUT
         )
@@ -66,6 +66,11 @@ class TrainingRun:
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()
+
+    def close(self) -> None:
+        """Stop the process, and forget its output."""
+        self.stop()
+        self._output.close()
 
     def _curves(self) -> dict[str, list[float]]:
         try:

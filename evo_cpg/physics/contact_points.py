@@ -124,7 +124,7 @@ def _lowest(contact_model: ContactModel, kin: Kinematics, h: float) -> list[Cont
         offset, material = _lowest_of_rims(
             rotation[:, :, own], centre[:, own], extent, up[:, own], h * spin[:, own]
         )
-        found.append(_material(offset, *on_floor(own, offset), material))
+        found.append(_material(offset, *on_floor(own, offset), material=material))
     if balls:
         own = slice(angular, angular + balls)
         radii = expand_dims_like(contact_model.radii, above)

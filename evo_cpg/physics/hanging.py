@@ -10,12 +10,13 @@ keeps them for tasks, sensors and films, and recomputes them after every motion.
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics import joints
 from evo_cpg.physics.links import Link, linked
-from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
+from evo_cpg.spatial.linear import cross, expand_dims_like, matvec, matvec_t
 from evo_cpg.spatial.rotation import matrix_to_quaternion, quaternion_to_matrix
 
 
@@ -56,6 +57,27 @@ def pose(
     arm = matvec(rotation, expand_dims_like(tree.root_centre, origin))
     velocity = jnp.concatenate([angular, linear + cross(angular, arm)])
     return origin + arm, matrix_to_quaternion(rotation), velocity
+
+
+def pushed(
+    tree: Tree, base: Base, q: Float[Array, "d *n"], change: Float[Array, "3 *n"]
+) -> Float[Array, "k *n"]:
+    """Return the changes of the rates of the root's slides by a change of its velocity, m/s.
+
+    Each slide takes the part along itself. The other axes take none.
+
+    Args:
+        tree: the creature.
+        base: frame on which its root hangs.
+        q: joint angles, rad.
+        change: change of the root's velocity, m/s.
+    """
+    group = tree.hanging
+    assert group is not None
+    local = joints.local_frames(tree, q)[group.bodies]
+    _, _, S = linked(tree, group, fixed_link(base), local, jnp.zeros_like(q))
+    assert S.linear is not None
+    return matvec_t(S.linear[:, np.array(tree.root_slides), 0], change)
 
 
 def base_of(base: Base | None) -> Base:

@@ -54,7 +54,7 @@ from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
 from evo_cpg.physics.per_body import spread, take
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
-from evo_cpg.spatial.numerics import Number, Numbers, xp
+from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 
 # Reduction of the potential slope, and vortex lift of a rectangular plate. Polhamus's 3.14 is for
 # deltas, and too large for rectangles.
@@ -283,8 +283,7 @@ def _weight(shape: Shape) -> Number:
     half, _ = shape.stretch
     thickness, width, _ = xp.sort(half)
     ratio = thickness / xp.maximum(width, 1e-12)
-    x = xp.clip((_THICK - ratio) / (_THICK - _THIN), 0.0, 1.0)
-    return xp.where(width > 0, x * x * (3.0 - 2.0 * x), 0.0)
+    return xp.where(width > 0, smooth_step((_THICK - ratio) / (_THICK - _THIN)), 0.0)
 
 
 def _plate(shape: Shape) -> tuple[Numbers, Numbers, Number]:

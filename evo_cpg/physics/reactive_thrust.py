@@ -51,7 +51,7 @@ from evo_cpg.physics.per_body import spread, take
 from evo_cpg.physics.sections import Sections, chain_inertia, sections
 from evo_cpg.spatial.decisions import Condition, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like
-from evo_cpg.spatial.numerics import Number, Numbers, xp
+from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 
 # Ratio u / |w| at which an edge sheds all water, 79 degrees from the tangent.
 _ALL_SHED = 0.2
@@ -162,8 +162,7 @@ class ReactiveThrust(ForceLaw):
         along = dot(tangent, velocity)
         across = (directions * velocity[:, None]).sum(0)
         speed = jnp.sqrt((across * across).sum(0) + _SPEED_FLOOR)
-        part = jnp.clip(along / (_ALL_SHED * speed), 0.0, 1.0)
-        shed = part * part * (3.0 - 2.0 * part)
+        shed = smooth_step(along / (_ALL_SHED * speed))
         if bodies.displaced is not None:
             shed = shed * take(bodies.under_water, np.array(self.bodies), 0)
         return _Flow(velocity, tangent, directions, masses * shed[None], along, across)

@@ -187,7 +187,8 @@ def push(
     duration = 1.0 / simulation.control_rate
 
     def disturb(state: State, keys: Array | None) -> State:
-        return disturb_motion(simulation.noise, state, keys, index, duration)
+        tree = simulation.world.tree
+        return disturb_motion(simulation.noise, tree, state, keys, index, duration)
 
     ndim = animal.state.position.ndim - 1
     return animal._replace(

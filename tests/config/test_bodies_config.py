@@ -59,6 +59,8 @@ def test_a_moving_body_needs_a_mass():
     given = creature(shape=None, mass=0)
     with pytest.raises(CreatureError, match="body 'head' moves, but neither it nor a body welded"):
         given.build()
+    fixed = {"parent": "world", "at": [0, 0, 0], "child_at": [0, 0, 0], "axes": []}
+    creature(shape=None, mass=0, joint=fixed).build()
     part = {"shape": BALL, "at": [0.2, 0, 0]}
     built = creature(shape=None, mass=0.5, parts=[part]).build()
     assert isinstance(built.bodies[0].shape, NoShape)

@@ -69,6 +69,19 @@ def test_noise_is_in_radians_and_trials_require_noise():
     assert silent.simulation.noise.silent and (silent.runs, silent.trials) == (1, 1)
 
 
+def test_roots_that_hang_on_the_world_have_clear_limits():
+    joint = {"parent": "world", "at": [0, 0, 0], "child_at": [0, 0, 0], "axes": ["z"]}
+    first = small()["creature"]["bodies"][0]["name"]
+    for key, value, words in (
+        ("noise__tilt_deg", 5, f"noise.tilt_deg: 5: {first!r} hangs on the world and cannot tilt"),
+        ("noise__push", 0.1, "hangs on the world without a slide, so no push moves it"),
+        ("creature__bodies__0__repeat", 2, "the root cannot be repeated"),
+        ("creature__bodies__1__joint__parent", "word", "did you mean 'world'?"),
+        ("creature__bodies__1__joint", joint, "are both roots"),
+    ):
+        assert words in problem(small(creature__bodies__0__joint=joint, **{key: value}))
+
+
 def test_seed_of_the_last_run_must_be_valid():
     last = 2**31 - 1
     build_experiment(check_config(small(seed=last - 1, runs=2), "x.yaml"), "x.yaml")

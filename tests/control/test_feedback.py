@@ -1,5 +1,7 @@
 """Feedback of the senses into the spinal cord: signs, delays, spread, rhythm, phase, limits."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -219,8 +221,9 @@ def test_bending_entrains_a_pair_around_its_own_frequency(chain):
         assert alone == pytest.approx(own, rel=1e-6)
 
 
-def on_the_orbit(gain: float, count: int):
-    """Return a pair, its period (s), and states at equal intervals of time over one period."""
+@functools.cache
+def orbit(gain: float):
+    """Return a pair, its states in a trial, and the first and last step of the last period."""
     settings = CpgSettings(**PAIR)
     network = matsuoka.MatsuokaNetwork(
         **matsuoka._connections(np.array([[1.5]])),
@@ -239,9 +242,14 @@ def on_the_orbit(gain: float, count: int):
     states = jax.jit(lambda s: jax.lax.scan(advance, s, length=9600)[1])(start)
     moved = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)
     outputs = np.asarray(matsuoka.output(moved))[0]
-    first, second = upward_crossings(outputs)[-2:].astype(int)
+    return network, moved, *upward_crossings(outputs)[-2:].astype(int)
+
+
+def on_the_orbit(gain: float, count: int):
+    """Return a pair, its period (s), and states at equal intervals of time over one period."""
+    network, moved, first, second = orbit(gain)
     places = np.round(np.linspace(first, second, count, endpoint=False)).astype(int)
-    return network, (second - first) * h, jax.tree.map(lambda x: x[..., places], moved)
+    return network, (second - first) / 480, jax.tree.map(lambda x: x[..., places], moved)
 
 
 def settle(network, gain, state, rate_of, steps, h=1 / 480):

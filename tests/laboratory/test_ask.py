@@ -51,7 +51,8 @@ def test_swimmer_in_a_flume_holds_its_place_at_its_speed(ribbon):
     rows = ask(ribbon, FORWARDS | {"current": [0.0, 0.1]}).rows
     still, against = (row["ground_speed"] for row in rows)
     assert still > 0.1
-    assert still - against == pytest.approx(0.1, rel=0.3)
+    # Neither has its steady speed after 4 s. Later the animal turns.
+    assert still - against == pytest.approx(0.1, rel=0.1)
 
 
 def test_size_scales_speed_without_viscosity(ribbon):

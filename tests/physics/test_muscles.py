@@ -198,7 +198,7 @@ def test_mirrored_activation_gives_the_mirrored_motion():
     np.testing.assert_allclose(one[3], other[3], rtol=1e-12)
 
 
-@pytest.mark.parametrize("hill", [False, True])
+@pytest.mark.parametrize("hill", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_gradients_through_muscles_equal_central_differences(hill):
     world = pair(dataclasses.replace(HILL, hill=hill))
     names = ["strength", "stiffening", "damping"] + ["strain", "slowness", "curvature"] * hill

@@ -86,7 +86,7 @@ def test_pushes_add_up_to_a_random_walk_at_any_control_rate(simulation, rate):
 
     def walk(keys):
         def advance(state, index):
-            return disturb_motion(noise, state, keys, index, 1 / rate), None
+            return disturb_motion(noise, simulation.world.tree, state, keys, index, 1 / rate), None
 
         return jax.lax.scan(advance, rest, jnp.arange(rate // 2))[0]
 

@@ -112,9 +112,10 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         """
         origin, host = self.server.origin, self.headers.get("Host", "")
         given = token if token is not None else self.headers.get("X-Token", "")
+        own = self.headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin")
         if f"http://{host}" != origin:
             self._refuse(HTTPStatus.FORBIDDEN, "wrong host")
-        elif self.headers.get("Origin", origin) != origin or self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
+        elif self.headers.get("Origin", origin) != origin or not own:
             self._refuse(HTTPStatus.FORBIDDEN, "wrong origin")
         elif not secrets.compare_digest(given.encode(), self.server.token.encode()):
             self._refuse(HTTPStatus.FORBIDDEN, "wrong token: open the printed address")
