@@ -21,6 +21,8 @@ from evo_cpg.drawing.lookup import (
 from evo_cpg.drawing.parts import rename_references
 from evo_cpg.drawing.placing import reflected_if
 
+# Largest distance of a row's joint from the end of its bodies, over their half length.
+_GAP = 0.3
 _MARKS = {"repeat": "{i}", "radial": "{j}", "mirror": "{side}"}
 
 
@@ -56,11 +58,14 @@ def mirror(data: Data, name: str, axis: MirrorAxis = "y") -> str:
 def repeat(data: Data, name: str, count: int) -> str:
     """Repeat a segment in a row, in which each body hangs on the one before it.
 
-    Parts on the segment move to the last one of the row. A count of 1 ends the row.
+    Parts on the segment move to the last one of the row. A count of 1 ends the row. If the segment
+    sits on a parent of another size, it stays as it is, and a row of the others follows it.
 
     Returns:
         New name of the entry.
     """
+    if count > 1 and not _fits(data, name):
+        return _row_behind(data, name, count - 1)
     return _number(data, name, "repeat", count)
 
 
@@ -181,6 +186,37 @@ def _number(data: Data, name: str, key: str, count: int) -> str:
                 each["body"] = new.replace(mark, "1")
     _reorder(entry)
     return new
+
+
+def _fits(data: Data, name: str) -> bool:
+    """Return whether a segment can hang on its copy where it hangs on its parent."""
+    entry, joint = bodies(data)[entry_index(data, name)], joint_of(data, name)
+    if "repeat" in entry or "{i}" in str(entry["name"]):
+        return True
+    at, end = np.array(joint["at"], float), -np.array(joint["child_at"], float)
+    return bool(np.linalg.norm(at - end) <= _GAP * np.linalg.norm(end))
+
+
+def _row_behind(data: Data, name: str, count: int) -> str:
+    """Add a row of copies at the end of a segment."""
+    index = entry_index(data, name)
+    entry = bodies(data)[index]
+    if re.search(r"\{\w+\}", str(entry["name"])):
+        raise DrawingError(f"{entry['name']} is copied already. Separate the copies first")
+    row = copying.deepcopy(entry)
+    row["name"] = free_name(data, f"{entry['name']}_{{i}}")
+    row["joint"]["parent"] = entry["name"]
+    row["joint"]["at"] = tidy(-np.array(row["joint"]["child_at"], float))
+    row["joint"].pop("rotation_deg", None)
+    if count > 1:
+        row["repeat"] = count
+    last = str(row["name"]).replace("{i}", str(count))
+    for child in bodies(data):
+        if parent_of(child) == entry["name"]:
+            child["joint"]["parent"] = last
+    _reorder(row)
+    bodies(data).insert(index + 1, row)
+    return str(row["name"])
 
 
 def _recount(data: Data, index: int, key: str, count: int) -> None:

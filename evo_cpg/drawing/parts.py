@@ -84,7 +84,7 @@ def add_part(
         raise DrawingError(f"{name!r}: a name has no placeholders. Copies get them by themselves")
     own = free_name(data, f"{side}{name}{number}")
     carrying = here.creature.bodies[here.creature.body_index(body.name)].shape
-    at = on_planes(at, carrying.half_extents)
+    at, out = on_planes(at, out, carrying.half_extents)
     form = shape or _fitting(carrying)
     rotation, child_at = facing(out, _reach(form))
     material = str(on.get("material"))
@@ -200,6 +200,26 @@ def set_shape(data: Data, name: str, type: str) -> None:
     factors = np.array(new) / np.array([x, y, z])
     entry["shape"] = shape
     _carry(data, str(entry["name"]), factors)
+
+
+def resize(data: Data, name: str, key: str, value: Any) -> None:
+    """Set a size of a part's shape, and move what sits on its surface.
+
+    Args:
+        data: data of the document.
+        name: name of the part.
+        key: key of the size in the shape.
+        value: new size, m.
+    """
+    entry = entry_of(data, name)
+    shape = entry["shape"]
+    if key not in _LENGTHS.get(shape.get("type"), {}):
+        raise DrawingError(f"{name}: its shape has no size {key!r}")
+    if not (np.asarray(value, float) > 0).all():
+        raise DrawingError(f"{key}: must be greater than 0, got {value}")
+    before = np.array(_half_extents(shape))
+    shape[key] = value
+    _carry(data, str(entry["name"]), np.array(_half_extents(shape)) / before)
 
 
 def stretch(data: Data, name: str, factors: Sequence[float]) -> None:

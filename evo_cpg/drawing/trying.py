@@ -18,8 +18,8 @@ SECONDS = 5.0
 # Frames per second of the motion.
 RATE = 30.0
 _SHORT = 32767
-# Knobs of the laboratory: without motors, or with two thirds of the largest drive.
-_KNOBS: dict[str, dict[str, list[Any]]] = {"rest": {"passive": ["*"]}, "rhythm": {"u": [0.67]}}
+# Knobs of the laboratory: without motors, or with the largest drive of the cord.
+_KNOBS: dict[str, dict[str, list[Any]]] = {"rest": {"passive": ["*"]}, "rhythm": {"u": [1.0]}}
 # Sections that a try needs. Other sections may not fit its controller, which has a rhythm.
 _SECTIONS = ("name", "creature", "world", "simulation", "engine")
 

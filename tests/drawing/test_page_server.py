@@ -122,6 +122,15 @@ def test_an_edit_is_answered_with_the_new_drawing(server):
     assert len(load_config(server.session.document.path).creature.bodies) == 2
 
 
+def test_the_experiment_is_checked_after_the_edits(server):
+    first = ask(server, "/open", {})[1]
+    assert [each["kind"] for each in first["problems"]] == ["warning"]
+    found = ask(server, "/check", {})[1]
+    assert found["revision"] == first["revision"]
+    assert [each["kind"] for each in found["problems"]] == ["error"]
+    assert "at least one joint" in found["problems"][0]["words"]
+
+
 def test_comments_are_lost_only_with_consent(server):
     document = server.session.document
     document.save()

@@ -56,8 +56,11 @@
     $("notice").hidden = !words;
     $("notice").className = wrong ? "error" : "";
   }
-  function ask(question, { lost = "", words = null, value = "" } = {}) {
+  // Returns the text of the field, or null if it was not confirmed. With two choices it returns
+  // true for the first, false for the second, and null if the dialog was closed.
+  function ask(question, { lost = "", words = null, value = "", choices = null } = {}) {
     const dialog = $("dialog");
+    [$("yes").textContent, $("no").textContent] = choices || ["Continue", "Cancel"];
     $("question").textContent = question;
     $("lost").textContent = lost;
     $("lost").hidden = !lost;
@@ -65,13 +68,17 @@
     $("asked-words").textContent = words || "";
     $("answer").value = value;
     $("answer").disabled = words === null;
-    dialog.returnValue = "no";
+    dialog.returnValue = "";
     dialog.showModal();
     // Enter in the field is a yes.
     $("yes").focus();
     if (words !== null) $("answer").select();
     return new Promise((done) => {
-      dialog.addEventListener("close", () => done(dialog.returnValue === "yes" ? $("answer").value : null), { once: true });
+      dialog.addEventListener("close", () => {
+        const chosen = dialog.returnValue;
+        if (choices) done(chosen ? chosen === "yes" : null);
+        else done(chosen === "yes" ? $("answer").value : null);
+      }, { once: true });
     });
   }
 
@@ -192,7 +199,7 @@
     ];
     for (const [size, value] of Object.entries(shape)) {
       if (size === "type" || size === "vertices" || size === "faces") continue;
-      const put = (given) => set([...key, "shape", size], given);
+      const put = (given) => (TYPES.includes(shape.type) ? edit("resize", { name, key: size, value: given }) : set([...key, "shape", size], given));
       const inputs = Array.isArray(value) ? numbers(size, value, put) : typeof value === "number" ? [number(size, value, put)] : [make("span", {}, String(value))];
       made.push(row(typeof value === "string" ? size : `${size} (m)`, ...inputs));
     }
@@ -332,13 +339,28 @@
       const body = chosen && bodyOf(chosen);
       View?.select(body ? body.name : null);
       $("player").hidden = true;
+      check();
     }
     renderTree();
     renderProblems();
     renderPanel();
     hint();
   }
-  let drawnState = null;
+  let drawnState = null, checking = null;
+  // The messages that take longer come when the edits pause.
+  function check() {
+    clearTimeout(checking);
+    checking = setTimeout(async () => {
+      const asked = state.revision, found = await send("/check", "{}");
+      if (found.revision === asked && state.revision === asked) {
+        state.problems = found.problems;
+        renderTree();
+        renderProblems();
+        // A field with the focus keeps it.
+        if (!$("panel").contains(document.activeElement)) renderPanel();
+      }
+    }, 300);
+  }
   function hint() {
     let words = adding ? `Click the surface where the new ${adding} shall sit. Escape cancels.` : "";
     if (state.undrawn) words = `Not drawn, because of ${state.undrawn}`;
@@ -360,8 +382,8 @@
     if (copies > 1) {
       // Limbs get one on each side. In a row, the answer decides.
       if ((carrier?.repeat ?? 1) > 1) {
-        const words = await ask(`${found.name} is one of ${copies} copies. Continue to add to all of them. Cancel to add to this one only.`);
-        each = words !== null;
+        each = await ask(`${found.name} is one of ${copies} bodies in a row. Add the ${what} to`, { choices: [`all ${copies}`, `${found.name} only`] });
+        if (each === null) return;
       }
     }
     if (what === "eye") {

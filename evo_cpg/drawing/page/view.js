@@ -296,7 +296,7 @@ const View = (() => {
     const centre = new THREE.Vector3();
     for (const body of bodies.values()) centre.addScaledVector(body.group.position, 1 / bodies.size);
     const far = 2.4 * drawn.length;
-    const from = { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02] }[view];
+    const from = { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02], back: [-1, 0, 0.02] }[view];
     orbit.target.copy(centre);
     camera.position.copy(centre).addScaledVector(vector(from).normalize(), far);
     camera.near = 0.01 * drawn.length;
