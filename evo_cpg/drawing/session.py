@@ -43,6 +43,7 @@ class Session:
             "try": self._start_try,
             "train": self._train,
             "stop": self._stop,
+            "champion": self._champion,
         }
 
     def answer(self, request: str, given: Mapping[str, Any]) -> Answer:
@@ -158,6 +159,11 @@ class Session:
     def _stop(self) -> None:
         if self._run:
             self._run.stop()
+
+    def _champion(self) -> Answer:
+        if self._run is None:
+            raise DrawingError("there is no run")
+        return {"motion": self._run.champion()}
 
     def _state(self) -> Answer:
         document = self.document

@@ -151,6 +151,8 @@ def test_the_swimmer_of_the_paper_is_drawn_tried_and_trained(drawn):
     drawn.page.click("#yes")
     drawn.page.wait("document.getElementById('run-state').textContent.startsWith('finished')")
     assert (drawn.document.path.parent / "runs/animal/champion.npz").exists()
+    drawn.page.click("#champion")
+    drawn.page.wait("View.playing")
 
 
 def test_a_four_legged_animal_is_drawn_with_the_mouse(drawn):

@@ -449,15 +449,16 @@
       const found = (await send("/poll", undefined, "GET")).try;
       if (!found || found.state === "running") continue;
       if (found.state === "failed") notice(found.error, true);
-      if (found.state === "done") {
-        notice("");
-        $("player").hidden = false;
-        $("hint").textContent = "";
-        $("play").textContent = "Pause";
-        View?.play(found);
-      }
+      if (found.state === "done") play(found);
       return;
     }
+  }
+  function play(motion) {
+    notice("");
+    $("player").hidden = false;
+    $("hint").textContent = "";
+    $("play").textContent = "Pause";
+    View?.play(motion);
   }
   $("try-rest").addEventListener("click", () => tryIt("rest"));
   $("try-rhythm").addEventListener("click", () => tryIt("rhythm"));
@@ -489,6 +490,10 @@
     if (!answer.error) watch();
   });
   $("stop").addEventListener("click", () => request("stop"));
+  $("champion").addEventListener("click", async () => {
+    const answer = await request("champion");
+    if (answer.motion) play(answer.motion);
+  });
   let watching = false;
   async function watch() {
     if (watching) return;
@@ -507,6 +512,7 @@
     $("run-folder").textContent = run.folder;
     $("output").textContent = run.output;
     $("stop").disabled = !run.running;
+    $("champion").disabled = run.running || run.code !== 0;
     const best = run.curves.best || [], count = best.length;
     const how = run.running ? "running" : run.code === 0 ? "finished" : run.code === 2 ? `refused: ${run.output.split("\n").pop()}` : "stopped";
     const line = count ? `, generation ${count}, best fitness ${best[count - 1].toPrecision(4)}` : "";
