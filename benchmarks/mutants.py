@@ -289,8 +289,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/state.py",
-        "replace(state, velocity=velocity, qd=qd).moved(h)",
-        "replace(state.moved(h), velocity=velocity, qd=qd)",
+        "replace(state, velocity=velocity, qd=qd).moved(tree, h)",
+        "replace(state.moved(tree, h), velocity=velocity, qd=qd)",
         "physics/test_water_surface.py physics/test_free_motion.py",
     ),
     Mutant(

@@ -1,5 +1,6 @@
 """A picture of the rates: bars for us and for every peer of each case, on a logarithmic axis."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,8 @@ _BAR, _GAP, _REST = 0.27, 0.35, 1.1
 _LEFT, _RIGHT = 0.4, 30.0
 # Longest text at a bar, characters.
 _WORDS = 48
+# A note that starts with the name of a Python error, and the words in its place.
+_ERROR, _STOPPED = re.compile(r"\w+(Error|Exception)\b"), "stopped with an error"
 
 Bar = tuple[str, float | None, str, str]
 
@@ -91,7 +94,8 @@ def _bars(rows: list[Row]) -> list[Bar]:
                 words = f"{amount(row.peer_rate).strip()}   {times(row.ratio)}"
                 words += f"   {row.note}" if row.note else ""
             else:
-                words = row.note or ""
+                # The table holds the message of the error.
+                words = _STOPPED if _ERROR.match(row.note or "") else row.note or ""
             bars.append((row.peer, row.peer_rate, words, color))
     return bars
 

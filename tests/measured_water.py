@@ -16,6 +16,19 @@ CYLINDER = (
     (1.1e5, 1.17),
 )  # fmt: skip
 
+# Cylinders of a length over diameter, not of a Reynolds number. Along the flow, flat ends
+# (Kritzinger 2004, and a data book), and across the flow with free ends (Wieselsberger 1922).
+CYLINDER_ALONG = (
+    (0.2, 1.16),
+    (0.6, 1.07),
+    (0.9, 0.97),
+    (1, 0.92),
+    (1.5, 0.83),
+    (2, 0.83),
+    (4, 0.84),
+)
+SHORT_CYLINDER = ((1, 0.62), (2, 0.69), (5, 0.74), (10, 0.82), (20, 0.92), (42, 0.985))
+
 # Square plate across the flow (Hoerner, secondary source).
 PLATE = ((1, 23.0), (10, 3.6), (100, 1.5), (1e3, 1.45), (1e4, 1.17))
 

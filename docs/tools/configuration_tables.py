@@ -39,7 +39,7 @@ class Part(NamedTuple):
     Attributes:
         paths: allowed places in the file, such as ``creature.bodies.N.joint``.
         name: name of its definition in the schema, empty for the whole file.
-        kind: value of ``type``, if there are several kinds.
+        kind: ``type`` and its value, or the first key, if there are several kinds.
     """
 
     paths: tuple[str, ...]
@@ -76,9 +76,8 @@ def parts(schema: Schema) -> list[Part]:
             found[name] = found[name]._replace(paths=tuple(paths))
             return
         definition = schema["$defs"][name] if name else schema
-        kind = definition["properties"].get("type", {}) if several else {}
-        own = "my_module:MyClass" if kind else None
-        found[name] = Part((path,), name, kind.get("const") or own)
+        kind = _kind(definition) if several else None
+        found[name] = Part((path,), name, kind)
         for key, value in definition["properties"].items():
             inner = list(_inner(value))
             for step, other in inner:
@@ -86,6 +85,13 @@ def parts(schema: Schema) -> list[Part]:
 
     visit("", "", False)
     return list(found.values())
+
+
+def _kind(definition: Schema) -> str:
+    """Return the text by which a definition differs from others at its place."""
+    if "type" not in definition["properties"]:
+        return next(iter(definition["properties"]))
+    return f"type: {definition['properties']['type'].get('const', 'my_module:MyClass')}"
 
 
 def anchor(name: str) -> str:
@@ -119,7 +125,7 @@ def heading(part: Part) -> str:
     if not part.name:
         return "## The whole file"
     level = "##" if "." not in part.paths[0] and part.kind is None else "###"
-    kind = f": `type: {part.kind}`" if part.kind else ""
+    kind = f": `{part.kind}`" if part.kind else ""
     return f"{level} {', '.join(f'`{path}`' for path in part.paths)}{kind}"
 
 

@@ -7,6 +7,7 @@ A generated part stands between `<!-- begin KIND ARGUMENTS -->` and `<!-- end --
 
 - `begin table FILE`: a table that `evo-cpg reproduce` made. FILE is relative to the page.
 - `begin configuration`: all keys of a configuration file.
+- `begin import`: what an import of a MuJoCo model maps, refuses and leaves out.
 - `begin api NAME ...`: public names with their docstrings (see `api_pages.reference`).
 """
 
@@ -16,6 +17,7 @@ from pathlib import Path
 
 import api_pages
 import configuration_tables
+import import_tables
 
 DOCS = Path(__file__).parents[1]
 _PART = re.compile(r"(<!-- begin (\w+) ?(.*?) -->\n)(.*?)(<!-- end -->)", re.S)
@@ -43,9 +45,11 @@ def _made(page: Path, kind: str, arguments: list[str]) -> str:
         return re.sub(r" at commit \w+| of runs evolved at [0-9a-f, ]+\b(?= on)", "", table)
     if kind == "configuration":
         return configuration_tables.every_key()
+    if kind == "import":
+        return import_tables.tables()
     if kind == "api":
         return api_pages.reference(arguments)
-    raise ValueError(f"{page}: unknown kind {kind!r}. Allowed: table, configuration, api")
+    raise ValueError(f"{page}: unknown kind {kind!r}. Allowed: table, configuration, import, api")
 
 
 def main(check: bool) -> int:

@@ -18,10 +18,8 @@ too. Divided by the standard gravity, J/(kg m) becomes the cost of transport wit
 """
 
 import numpy as np
-from jaxtyping import Float
 
-# A number, or an array of numbers.
-Values = float | Float[np.ndarray, " *n"]
+from evo_cpg.analysis.ratio import Values
 
 # Standard gravity, m/s^2. Animals' costs are per weight on the earth.
 _GRAVITY = 9.80665

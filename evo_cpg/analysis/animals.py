@@ -1,6 +1,6 @@
 """Ranges of real animals, to stand beside the measured numbers.
 
-A figure that was not seen in its original paper is marked as a secondary source.
+All figures are from secondary sources: we did not see them in their original papers.
 """
 
 from typing import NamedTuple
@@ -15,7 +15,6 @@ class Animals(NamedTuple):
         high: upper end, or the single figure again.
         animal: the animals.
         source: the paper, empty if it is unknown.
-        secondary: whether the figure comes from a secondary source.
     """
 
     key: str
@@ -23,7 +22,6 @@ class Animals(NamedTuple):
     high: float
     animal: str
     source: str
-    secondary: bool = False
 
     @property
     def range(self) -> str:
@@ -33,9 +31,8 @@ class Animals(NamedTuple):
         return f"up to {self.high:.3g}" if self.low == 0 else f"{self.low:.3g} to {self.high:.3g}"
 
     def __str__(self) -> str:
-        secondary = "secondary source" if self.secondary else ""
-        sources = ", ".join(part for part in (self.source, secondary) if part)
-        return f"{self.range} {self.animal} ({sources})"
+        source = f"{self.source}, " if self.source else ""
+        return f"{self.range} {self.animal} ({source}secondary source)"
 
 
 _WAVES = "Wave Motion 78, 83 (2018)"
@@ -43,25 +40,25 @@ _NEWTS = "computed from data beside Pazzaglia et al. 2025"
 _NEWTS_ON_LAND = "Ashley-Ross, Lundin and Johnson 2009"
 
 ANIMALS: tuple[Animals, ...] = (
-    Animals("strouhal", 0.2, 0.4, "efficient swimmers", "Eloy 2012; Saadat et al. 2017", True),
-    Animals("strouhal", 0.45, 0.45, "eels and lampreys", "J. Exp. Biol. 212, 576", True),
-    Animals("strouhal", 0.46, 1.15, "newts", _NEWTS, True),
-    Animals("wave_slip", 0.5, 0.8, "fish", "", True),
-    Animals("wave_count", 0.77, 0.84, "newts", _NEWTS, True),
-    Animals("travelling_index", 0.74, 0.9, "eel-like fish", _WAVES, True),
-    Animals("travelling_index", 0.52, 0.78, "carangiform fish", _WAVES, True),
-    Animals("travelling_index", 0.36, 0.64, "tuna-like fish", _WAVES, True),
-    Animals("bending_lag", 0.1, 0.15, "eels in water", "Gillis 1998", True),
-    Animals("bending_lag", 0.0, 0.0, "eels on land", "Gillis 1998", True),
-    Animals("tail_amplitude", 0.15, 0.16, "eels", "D'Aout and Aerts 1999; Gillis 1998", True),
-    Animals("tail_amplitude", 0.21, 0.26, "newts", _NEWTS, True),
-    Animals("froude_efficiency", 0.75, 0.9, "theory at U/V 0.5 to 0.8", "Lighthill 1960", True),
-    Animals("limb_duty_factor", 0.77, 0.77, "newts on land", _NEWTS_ON_LAND, True),
-    Animals("limb_duty_factor", 0.41, 0.41, "newts under water", _NEWTS_ON_LAND, True),
-    Animals("limb_duty_factor", 0.5, 1.0, "walking animals", "Alexander and Jayes 1983", True),
-    Animals("froude_number", 0.0, 0.5, "walking animals", "Alexander and Jayes 1983", True),
-    Animals("recovery", 0.4, 0.7, "walking animals", "Cavagna et al. 1977", True),
-    Animals("recovery", 0.0, 0.2, "running animals", "Cavagna et al. 1977", True),
+    Animals("strouhal", 0.2, 0.4, "efficient swimmers", "Eloy 2012; Saadat et al. 2017"),
+    Animals("strouhal", 0.45, 0.45, "eels and lampreys", "J. Exp. Biol. 212, 576"),
+    Animals("strouhal", 0.46, 1.15, "newts", _NEWTS),
+    Animals("wave_slip", 0.5, 0.8, "fish", ""),
+    Animals("wave_count", 0.77, 0.84, "newts", _NEWTS),
+    Animals("travelling_index", 0.74, 0.9, "eel-like fish", _WAVES),
+    Animals("travelling_index", 0.52, 0.78, "carangiform fish", _WAVES),
+    Animals("travelling_index", 0.36, 0.64, "tuna-like fish", _WAVES),
+    Animals("bending_lag", 0.1, 0.15, "eels in water", "Gillis 1998"),
+    Animals("bending_lag", 0.0, 0.0, "eels on land", "Gillis 1998"),
+    Animals("tail_amplitude", 0.15, 0.16, "eels", "D'Aout and Aerts 1999; Gillis 1998"),
+    Animals("tail_amplitude", 0.21, 0.26, "newts", _NEWTS),
+    Animals("froude_efficiency", 0.75, 0.9, "theory at U/V 0.5 to 0.8", "Lighthill 1960"),
+    Animals("limb_duty_factor", 0.77, 0.77, "newts on land", _NEWTS_ON_LAND),
+    Animals("limb_duty_factor", 0.41, 0.41, "newts under water", _NEWTS_ON_LAND),
+    Animals("limb_duty_factor", 0.5, 1.0, "walking animals", "Alexander and Jayes 1983"),
+    Animals("froude_number", 0.0, 0.5, "walking animals", "Alexander and Jayes 1983"),
+    Animals("recovery", 0.4, 0.7, "walking animals", "Cavagna et al. 1977"),
+    Animals("recovery", 0.0, 0.2, "running animals", "Cavagna et al. 1977"),
 )
 
 

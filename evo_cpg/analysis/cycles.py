@@ -4,6 +4,7 @@ A Fourier component, a peak-to-peak range or a mean is exact only over whole cyc
 interpolated by a cubic spline to a whole number of samples in a cycle.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -82,6 +83,25 @@ def whole_cycles(values: Float[np.ndarray, "t *n"], step: float, frequency: floa
     width = samples(step, frequency)
     count = len(values) // width * width
     return Cycles(values[len(values) - count :], step, width) if count else None
+
+
+def last_cycles(first: int, end: int, step: float, frequency: float) -> slice:
+    """Return the last of some samples that hold whole cycles, without interpolation.
+
+    Args:
+        first: first sample.
+        end: sample after the last one.
+        step: time between samples, s.
+        frequency: frequency of the cycles, Hz, or NaN without cycles.
+
+    Returns:
+        All of the samples if they hold no whole cycle.
+    """
+    if frequency > 0:
+        cycles = math.floor((end - first) * step * frequency + 1e-6)
+        if cycles:
+            first = end - round(cycles / (frequency * step))
+    return slice(first, end)
 
 
 def moving_mean(

@@ -5,8 +5,9 @@ Over every physics step
     dE = motors + dampers + limits of joints + ground + limbs + water + own + pushes + left over,
 
 where E is the kinetic energy of bodies and rotors, their potential energy in gravity and the energy
-of passive springs. Velocities are half a step behind the poses, so E uses the pose half a step
-before. Work is force times the mean of the velocities before and after the step.
+of the passive springs of joints and tendons. Velocities are half a step behind the poses, so E uses
+the pose half a step before. Work is force times the mean of the velocities before and after the
+step.
 
 Forces of motors, ground and limbs are the solver's results. Forces of water and of the user's force
 laws are the laws at the mean velocity, which also checks the solver.
@@ -28,14 +29,22 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.analysis.along_time import along_time
+from evo_cpg.creature.tendons import Tendons
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.force_law import Bodies, body_velocity
-from evo_cpg.physics.joint_torque import expected_limit_torque, friction_torque, limit_torque
+from evo_cpg.physics.joint_torque import (
+    Coordinates,
+    Laws,
+    expected_limit_torque,
+    friction_torque,
+    limit_torque,
+)
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.pair_contacts import find_pair_contacts
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import needs_iteration
+from evo_cpg.physics.tendon import length_of, lengths_of, tendon_energy, torque_of
 from evo_cpg.physics.weight import buoyancy_alone
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.physics_steps import PhysicsSteps
@@ -49,8 +58,8 @@ class Ledger(NamedTuple):
     Attributes:
         stored: increase of E.
         motors: work of the motors, negative when they brake.
-        dampers: work of the joints' dampers and dry friction.
-        limits: work of the joints' soft limits.
+        dampers: work of the dampers and the dry friction of joints and tendons.
+        limits: work of the soft limits of joints and tendons.
         lift: work of the ground's normal forces.
         friction: work of the ground's friction.
         limbs: work of limbs that push each other apart.
@@ -115,7 +124,7 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
     tree, before, after = world.tree, steps.before, steps.after
     # Velocities are half a step behind the poses, so move the poses back by half a step.
     earlier, first, last = (
-        Snapshot(world, h, state.moved(-0.5 * h)) for state in (previous, before, after)
+        Snapshot(world, h, state.moved(world.tree, -0.5 * h)) for state in (previous, before, after)
     )
     rate = (before.qd + after.qd) / 2
     velocity = (before.velocity + after.velocity) / 2
@@ -124,6 +133,8 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
     braking = -expand_dims_like(tree.damping, rate) * after.qd
     if tree.dry_friction is not None:
         braking = braking + friction_torque(tree, after.qd, h)[0]
+    if tree.tendons is not None:
+        braking = braking + _tendon_braking(tree.tendons, after, h)
     contact = _ground_work(world, steps.contact_force, kinematics(tree, before), kin, h)
     lift, friction, push_out, ground = contact
     at = [world.bodies(each, h) for each in (first.kinematics, kin, last.kinematics)]
@@ -149,24 +160,45 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
 
 
 def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
-    """Return E, J: kinetic (bodies and rotors), gravitational, and of passive springs."""
+    """Return E, J: kinetic (bodies and rotors), gravitational, of passive springs and tendons."""
     tree, state, kin = snapshot.world.tree, snapshot.state, snapshot.kinematics
     velocity = body_velocity(kin)
     momentum = matvec(expand_dims_like(tree.inertia, velocity, velocity.ndim + 1), velocity)
     armature, stiffness = (expand_dims_like(x, state.q) for x in (tree.armature, tree.stiffness))
     stretch = state.q if tree.rest is None else state.q - expand_dims_like(tree.rest, state.q)
-    return (
+    energy = (
         0.5 * (velocity * momentum).sum((0, 1))
         + tree.mass.sum() * snapshot.world.gravity * snapshot.centre_of_mass[2]
         + 0.5 * (armature * state.qd**2 + stiffness * stretch**2).sum(0)
     )
+    return energy if tree.tendons is None else energy + tendon_energy(tree.tendons, state)
+
+
+def _tendon_braking(tendons: Tendons, after: State, h: float) -> Float[Array, "d t"]:
+    """Return the torques of the tendons' dampers and dry friction, N m."""
+    rate = length_of(tendons, after.qd)
+    force = -expand_dims_like(tendons.damping, rate) * rate
+    if tendons.dry_friction is not None:
+        force = force + friction_torque(tendons, rate, h)[0]
+    return torque_of(tendons, force, len(after.q))
 
 
 def _limit_torques(world: World, before: State, after: State, h: float) -> Float[Array, "d t"]:
-    """Return the torques of the joint limits as in the solver, N m."""
+    """Return the torques of the limits of joints and tendons as in the solver, N m."""
+    tendons = world.tree.tendons
+    own = _limits(world, world.tree, before, after, h)
+    if tendons is None:
+        return own
+    first, last = lengths_of(tendons, before), lengths_of(tendons, after)
+    return own + torque_of(tendons, _limits(world, tendons, first, last, h), len(own))
+
+
+def _limits(
+    world: World, laws: Laws, before: Coordinates, after: Coordinates, h: float
+) -> Float[Array, "d t"]:
     if needs_iteration(world):
-        return limit_torque(world.tree, before.q, after.qd, h)[0]
-    torque, derivative = expected_limit_torque(world.tree, before, h)
+        return limit_torque(laws, before.q, after.qd, h)[0]
+    torque, derivative = expected_limit_torque(laws, before, h)
     return torque - derivative * (after.qd - before.qd)
 
 

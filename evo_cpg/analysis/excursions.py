@@ -13,10 +13,12 @@ from evo_cpg.analysis.along_time import along_time
 from evo_cpg.analysis.overlap import gaps
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
+from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.contact_points import contact_points
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.pairs import Pairs, make_pairs, separations
 from evo_cpg.physics.per_body import take
+from evo_cpg.physics.tendon import torque_of
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.simulation import Simulation
@@ -98,10 +100,6 @@ def excursions(
     rate = (steps.before.qd + steps.after.qd) / 2
     power = steps.torque * rate
     root = np.asarray(steps.after.position, float)
-    limit = np.asarray(world.tree.torque_limit, float)[:, None]
-    limited = np.isfinite(limit) & (limit > 0)
-    peaks = np.abs(steps.torque).max(-1, keepdims=True)
-    over = np.where(limited, peaks / np.where(limited, limit, 1.0) - 1.0, 0.0)
     h = simulation.step_length
     travelled = displacement(np.concatenate([steps.before.position[:, :1], root], 1), light)
     return Excursions(
@@ -114,14 +112,32 @@ def excursions(
         overlapping=overlapping,
         unsolved=float((steps.solved_residual > SOLVED).mean()),
         slipping=float((steps.coulomb_residual > SLIPPING).mean()),
-        peak_torque=float(peaks.max(initial=0.0)),
-        overload=float(max(0.0, over.max(initial=0.0))),
+        peak_torque=float(np.abs(steps.torque).max(initial=0.0)),
+        overload=_overload(world.tree, steps),
         peak_power=float(np.abs(power).sum(0).max()),
         mean_power=float(np.abs(power).sum(0).mean()),
         peak_rate=float(np.abs(steps.after.qd).max(initial=0.0)),
         peak_speed=float(np.linalg.norm(steps.after.linear_velocity, axis=0).max()),
         seen_through_ground=_seen_through_ground(simulation, steps, light),
     )
+
+
+def _overload(tree: Tree, steps: PhysicsSteps) -> float:
+    """Return the largest force of a motor beyond its limit, as a fraction of the limit, or 0."""
+    forces = [(steps.torque, tree.torque_limit)]
+    if tree.tendons is not None and steps.tension is not None:
+        pull = np.asarray(torque_of(tree.tendons, jnp.asarray(steps.tension), len(steps.torque)))
+        forces = [
+            (steps.torque - pull, tree.torque_limit),
+            (steps.tension, tree.tendons.torque_limit),
+        ]
+    over = 0.0
+    for force, limits in forces:
+        limit = np.asarray(limits, float)
+        limited = np.isfinite(limit) & (limit > 0)
+        peaks = np.abs(force).max(-1)[limited]
+        over = max(over, float((peaks / limit[limited] - 1.0).max(initial=0.0)))
+    return over
 
 
 def displacement(
@@ -199,7 +215,7 @@ def _deepest_overlap(
 def _poses(world: World, steps: PhysicsSteps) -> tuple[Array, Array]:
     """Return centres and rotations of all bodies after every step, in the world."""
     kin = kinematics(world.tree, steps.after)
-    return kin.origin + matvec(kin.rotation, expand_dims_like(world.tree.com, kin.origin)), (
+    return kin.origin + matvec(kin.rotation, expand_dims_like(world.tree.centre, kin.origin)), (
         kin.rotation
     )
 

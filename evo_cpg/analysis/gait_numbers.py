@@ -26,6 +26,7 @@ from evo_cpg.analysis.quantity import Quantity
 from evo_cpg.analysis.swim_quantities import is_dry, water_quantities, wave_quantities
 from evo_cpg.analysis.walk_quantities import ground_quantities
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
+from evo_cpg.creature.slender import SlenderChain
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
@@ -155,7 +156,7 @@ def gait_numbers(
         peak_torque=np.abs(recording.torque).max(0, initial=0.0),
         rms_torque=np.sqrt(np.square(recording.torque).mean(0)),
     )
-    found = _quantities(simulation, creature, frames, recording, numbers)
+    found = _quantities(simulation, creature, frames, recording, numbers, row)
     present = [each._replace(missing="") if each.exists else each for each in found]
     return numbers._replace(quantities=tuple(map(_beside_animals, present)))
 
@@ -171,6 +172,7 @@ def _quantities(
     frames: Mapping[str, Array | np.ndarray],
     recording: Recording,
     numbers: GaitNumbers,
+    row: SlenderChain | None,
 ) -> list[Quantity]:
     step, frequency = numbers.step, numbers.frequency
     duration = len(recording.time) * step
@@ -184,7 +186,12 @@ def _quantities(
     tree = simulation.world.tree
     order = [tree.names.index(body.name) for body in creature.bodies]
     weights = np.asarray(tree.mass, float)[order]
-    middle = np.average(place, axis=1, weights=weights)[numbers.first :]
+    masses = place
+    if tree.centre_of_volume is not None:
+        # The place of a body is the centre of its shape.
+        off = np.asarray(tree.com - tree.centre, float)[:, order]
+        masses = place + np.einsum("tbij,jb->tbi", np.asarray(recording.rotation, float), off)
+    middle = np.average(masses, axis=1, weights=weights)[numbers.first :]
     along = stride.path_speed(middle, step, frequency)
     gravity = float(simulation.world.gravity)
     energy = float(numbers.power.sum() * step)
@@ -219,7 +226,7 @@ def _quantities(
         found += ground_quantities(
             simulation, creature, recording, numbers.feet, middle, frequency, moving, _STAYS
         )
-    row, swims = None if numbers.wave is None else midline_chain(creature), False
+    swims = False
     if numbers.wave is not None:
         found.append(
             Quantity("lag", "lag per joint", numbers.wave.lag, "deg",
@@ -263,7 +270,7 @@ def _cost_of_animals(mass: float, speed: float, swims: bool) -> tuple[Animals, .
         source = "Taylor et al. 1982"
     else:
         return ()
-    return (Animals("cost_of_transport", float(low), float(high), animal, source, True),)
+    return (Animals("cost_of_transport", float(low), float(high), animal, source),)
 
 
 def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, ...]:
@@ -295,7 +302,7 @@ def chain_places(
     joints = []
     for dof in chain:
         place = creature.body_index(tree.names[tree.dof_bodies[dof]])
-        joint = creature.bodies[place].joint
+        joint = creature.joint_of(creature.bodies[place])
         assert joint is not None
         joints.append(centres[place] + turns[place] @ np.array(joint.child_anchor, float))
     apart = np.linalg.norm(np.diff(joints, axis=0), axis=-1)

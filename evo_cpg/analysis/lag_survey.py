@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.analysis.couplings import GAINS, RATIOS, STRONGER, Problem, network_at
 from evo_cpg.analysis.gait import fourier_component
+from evo_cpg.analysis.rhythm import frequency_of, upward_crossings
 from evo_cpg.control.matsuoka import MatsuokaState, initial_state, output, runge_kutta_step
 
 # Nodes of the survey between the bounds, in addition to the present values.
@@ -139,12 +140,11 @@ def _steady_lag(problem: Problem, signals: np.ndarray, step: float, gain: float)
     seen = []
     for half in np.array_split(signals[: len(signals) // 2 * 2], 2):
         one = half[:, 0] - half[:, 0].mean()
-        rising = np.flatnonzero((one[:-1] < 0) & (one[1:] >= 0))
-        if len(rising) <= _FEWEST or np.ptp(half, axis=0).min() < least:
+        starts = upward_crossings(one)
+        if len(starts) <= _FEWEST or np.ptp(half, axis=0).min() < least:
             return np.nan
-        times = rising + one[rising] / (one[rising] - one[rising + 1])
-        frequency = (len(times) - 1) / (times[-1] - times[0]) / step
-        component = fourier_component(half, step, float(frequency))
+        frequency = frequency_of(starts) / step
+        component = fourier_component(half, step, frequency)
         turns = problem.sides * component[:-1] / component[1:]
         seen.append((np.rad2deg(np.angle(turns)).mean(), frequency))
     (first, before), (last, after) = seen

@@ -8,11 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.slender import SlenderChain, slender_chains
+from evo_cpg.creature.slender import LEAST_BODIES, SlenderChain, slender_chains
 from evo_cpg.simulation.recording import Recording
-
-# Least number of bodies in a row that form a wave.
-LEAST_BODIES = 3
 
 
 def midline_chain(creature: Creature) -> SlenderChain | None:

@@ -124,7 +124,7 @@ def water_quantities(
         sw = float(swimming_number(frequency, tail, length, nu))
         others = float(reynolds_of_swimmers(sw))
         alike = Animals("reynolds", others, others, "animals of this swimming number",
-                        "Gazzola et al. 2014", True)  # fmt: skip
+                        "Gazzola et al. 2014")  # fmt: skip
         found += [
             Quantity("reynolds", "Reynolds number", float(reynolds_number(moving, length, nu)), "",
                      "path speed through the water x body length / kinematic viscosity",

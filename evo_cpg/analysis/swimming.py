@@ -25,9 +25,7 @@ from jaxtyping import Float
 
 from evo_cpg.analysis import stride
 from evo_cpg.analysis.midline import midline_motion
-
-# A number, or an array of numbers.
-Values = float | Float[np.ndarray, " *n"]
+from evo_cpg.analysis.ratio import Values, ratio
 
 
 class Swimming(NamedTuple):
@@ -115,7 +113,7 @@ def strouhal_number(frequency: Values, amplitude: Values, speed: Values) -> Valu
         amplitude: A, sway of the tail's tip from side to side, m.
         speed: U, m/s. The result is NaN for 0.
     """
-    return _ratio(np.multiply(frequency, amplitude), speed)
+    return ratio(np.multiply(frequency, amplitude), speed)
 
 
 def slip(speed: Values, wave_speed: Values) -> Values:
@@ -125,7 +123,7 @@ def slip(speed: Values, wave_speed: Values) -> Values:
         speed: U, m/s.
         wave_speed: V, m/s. Only its magnitude counts.
     """
-    return _ratio(speed, np.abs(wave_speed))
+    return ratio(speed, np.abs(wave_speed))
 
 
 def reynolds_number(speed: Values, length: Values, viscosity: Values) -> Values:
@@ -136,7 +134,7 @@ def reynolds_number(speed: Values, length: Values, viscosity: Values) -> Values:
         length: L, m.
         viscosity: kinematic viscosity nu, m^2/s.
     """
-    return _ratio(np.multiply(speed, length), viscosity)
+    return ratio(np.multiply(speed, length), viscosity)
 
 
 def swimming_number(
@@ -150,7 +148,7 @@ def swimming_number(
         length: L, m.
         viscosity: kinematic viscosity nu, m^2/s. The result is NaN for 0.
     """
-    return _ratio(2 * np.pi * np.multiply(frequency, amplitude) * length, viscosity)
+    return ratio(2 * np.pi * np.multiply(frequency, amplitude) * length, viscosity)
 
 
 def froude_efficiency(thrust: Values, speed: Values, power: Values) -> Values:
@@ -164,14 +162,7 @@ def froude_efficiency(thrust: Values, speed: Values, power: Values) -> Values:
         speed: U, speed through the water, m/s.
         power: P, mean power of the body into the water, W. The result is NaN unless P is positive.
     """
-    return _ratio(np.multiply(thrust, speed), power)
-
-
-def _ratio(above: Values, below: Values) -> Values:
-    below = np.asarray(below, float)
-    exists = below > 0
-    found = np.where(exists, above, np.nan) / np.where(exists, below, 1.0)
-    return found if found.ndim else float(found)
+    return ratio(np.multiply(thrust, speed), power)
 
 
 def _alone(

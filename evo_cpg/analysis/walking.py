@@ -15,8 +15,7 @@ Duty factors and touch-downs are in `evo_cpg.analysis.footfalls`, slip in
 import numpy as np
 from jaxtyping import Bool, Float
 
-# A number, or an array of numbers.
-Values = float | Float[np.ndarray, " *n"]
+from evo_cpg.analysis.ratio import Values, ratio
 
 # Number of legs of an animal with tripods.
 SIX = 6
@@ -35,10 +34,7 @@ def froude_number(speed: Values, gravity: Values, hip_height: Values) -> Values:
     Returns:
         Froude number, NaN without gravity or with hips on the ground.
     """
-    scale = np.multiply(gravity, hip_height)
-    exists = scale > 0
-    found = np.where(exists, np.square(speed), np.nan) / np.where(exists, scale, 1.0)
-    return found if found.ndim else float(found)
+    return ratio(np.square(speed), np.multiply(gravity, hip_height))
 
 
 def recovery(
@@ -95,6 +91,4 @@ def relative_slip(slip_speed: Values, speed: Values) -> Values:
         slip_speed: slip speed of the feet, m/s (`evo_cpg.simulation.foot_slip`).
         speed: speed of the animal, m/s. The result is NaN for 0.
     """
-    exists = np.asarray(speed) > 0
-    found = np.where(exists, slip_speed, np.nan) / np.where(exists, speed, 1.0)
-    return found if found.ndim else float(found)
+    return ratio(slip_speed, speed)

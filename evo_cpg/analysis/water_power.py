@@ -50,7 +50,7 @@ def water_power(
     laws = [law for law in world.forces if law.of_water]
 
     def of_step(position: Array, rotation: Array, velocity: Array, turning: Array) -> tuple:
-        lever = matvec(rotation, expand_dims_like(world.tree.com, position))
+        lever = matvec(rotation, expand_dims_like(world.tree.centre, position))
         still = jnp.zeros_like(position)
         kin = Kinematics(
             rotation=rotation,

@@ -297,11 +297,7 @@ def books(
             max(_energy_gain(one, h) / _effort(one) for one in ledgers),
             detail=_ledger_words(ledgers[0]),
         ),
-        check(
-            "simulator_momentum",
-            "unaccounted momentum / impulses",
-            max(_momentum_fraction(one) for one in ledgers),
-        ),
+        *_of_momentum(simulation, ledgers, check),
         check(
             "limit_energy",
             "work of joint limits / motors' work",
@@ -342,6 +338,16 @@ def books(
     for name, excess in simulation.task.beyond_scales(champion.terms, champion.scales).items():
         checks.append(check(f"free_{name}", f"{name} without cost to fitness", excess))
     return checks
+
+
+def _of_momentum(
+    simulation: Simulation, ledgers: Sequence[Ledger], check: Callable[..., Check]
+) -> list[Check]:
+    """Return the check of momentum, or [] if the fixed world holds the root by a joint."""
+    if simulation.world.tree.hanging is not None:
+        return []
+    measured = max(_momentum_fraction(one) for one in ledgers)
+    return [check("simulator_momentum", "unaccounted momentum / impulses", measured)]
 
 
 def _between_limbs(

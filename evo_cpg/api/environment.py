@@ -95,9 +95,9 @@ class Environment:
             raise ValueError(f"actions must be {allowed}, got {actions!r}")
         if actions == "activations" and tree.muscles is None:
             raise ValueError("actions='activations' needs muscles, but no joint has muscles")
-        if actions == "torques" and tree.torque_motors is None:
+        if actions == "torques" and not any(tree.torque_driven):
             raise ValueError("actions='torques' needs torque motors, but no joint has one")
-        if actions == "angles" and not np.asarray(tree.servo_stiffness).any():
+        if actions == "angles" and not np.asarray(tree.of_commands("servo_stiffness")).any():
             raise ValueError("actions='angles' needs motors with a stiffness, but no motor has one")
         situations = simulation.situations
         own = situations[trial if len(situations) > 1 else 0]

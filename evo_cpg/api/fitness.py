@@ -43,7 +43,8 @@ def fitness_function(
     kept, exact = None, horizon == math.inf
     if horizon is not None and not exact:
         kept = float(retention(np.array([horizon]), simulation.control_rate)[0])
-    backward = Backward(kept, rough=simulation.world.contact_model is not None and not exact)
+    rough = simulation.world.contact_model is not None and not exact
+    backward = Backward(kept, rough=rough, slides=simulation.world.tree.root_slides)
 
     def fitness(genome: ArrayLike, values: ArrayLike | None = None) -> Float[Array, ""]:
         genome = jnp.asarray(genome)

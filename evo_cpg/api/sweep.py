@@ -31,6 +31,7 @@ from evo_cpg.api.training import begin_run, reopen_run
 from evo_cpg.config.build import build_experiment, require_genes
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import fingerprint
+from evo_cpg.config.keys import parts_of
 from evo_cpg.config.load import load_config
 from evo_cpg.config.settings import Setting, is_folder_name
 from evo_cpg.files import make_folder, write_table, write_text
@@ -111,7 +112,7 @@ def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]
             except TypeError:
                 kind = type(value).__name__
                 raise ConfigError(
-                    source, key.split("."), f"{value}: a {kind}. Allowed: numbers, texts, lists"
+                    source, parts_of(key), f"{value}: a {kind}. Allowed: numbers, texts, lists"
                 ) from None
     # Return the plan in the form in which it will be read.
     return json.loads(json.dumps(plan))

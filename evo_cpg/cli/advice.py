@@ -78,12 +78,11 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
         return
     cpg, network, rate_gain = oscillators
     # Warn only of oscillators that drive a joint.
-    driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
+    driven = (tree.of_commands("servo_gain") > 0) | (tree.of_commands("servo_stiffness") > 0)
     driven = driven & (rate_gain != 0)
     if tree.muscles is not None:
         driven = driven | np.array(tree.muscles.driven)
-    if tree.torque_motors is not None:
-        driven = driven | np.array(tree.torque_motors.driven)
+    driven = driven | np.array(tree.torque_driven, bool)
     gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain
     alone = [i for i in uncoupled(network.matrix) if driven[i]]
     still = [i for i in resting(network, cpg.max_tonic_input, *gains) if driven[i]]

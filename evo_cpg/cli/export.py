@@ -79,9 +79,11 @@ def _export_model(source: Path, output: Path) -> None:
     from evo_cpg.files import write_text
 
     if os.path.isdir(source):
-        experiment = open_and_build(source).experiment
+        opened = open_and_build(source)
+        experiment, config = opened.experiment, opened.config
     else:
-        experiment = build(load_config(source), source)
+        config = load_config(source)
+        experiment = build(config, source)
     simulation = experiment.simulation
     world, situation = simulation.world, simulation.situations[0]
     model = mjcf_model(
@@ -95,6 +97,7 @@ def _export_model(source: Path, output: Path) -> None:
         world.pair_names,
         situation.start_orientation,
         situation.start_angles,
+        [sensor.model_dump(mode="json") for sensor in config.creature.sensors],
     )
     write_text(output, mjcf_text(model))
     if world.water is not None:

@@ -1,4 +1,4 @@
-"""`evo-cpg import`: read a creature from a MuJoCo model."""
+"""`evo-cpg import`: read an experiment from a MuJoCo model."""
 
 import sys
 from pathlib import Path
@@ -12,29 +12,52 @@ from evo_cpg.cli.options import Overwrite
 
 def import_(
     model: Annotated[
-        Path, typer.Argument(metavar="MODEL.xml", help="An MJCF file, read by MuJoCo.")
+        Path, typer.Argument(metavar="MODEL", help="An MJCF or URDF file, read by MuJoCo.")
     ],
-    output: Annotated[Path, typer.Argument(metavar="OUT.yaml", help="The creature to write.")],
+    output: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="OUT.yaml", help="The configuration to write (default: MODEL.yaml, here)."
+        ),
+    ] = None,
+    drop: Annotated[
+        bool,
+        typer.Option(
+            "--drop", help="Import without the parts that a creature cannot have, and list them."
+        ),
+    ] = False,
+    free: Annotated[
+        bool, typer.Option("--free", help="Let the first body move freely, as legs of a URDF need.")
+    ] = False,
+    creature: Annotated[
+        bool, typer.Option("--creature", help="Write the creature alone, without an experiment.")
+    ] = False,
     motor_gain: Annotated[
         float | None,
         typer.Option(help="Turn torque motors into velocity servos with this gain, N m s/rad."),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Import a creature from a MuJoCo model."""
-    from evo_cpg.config.load import dump_creature
+    """Import a creature and its world from a MuJoCo model or a URDF."""
     from evo_cpg.config.schema.section import LARGEST
-    from evo_cpg.exchange.mjcf_import import read_mjcf
-    from evo_cpg.files import require_place, write_text
+    from evo_cpg.exchange.imported_files import write_imported
+    from evo_cpg.exchange.mjcf_import import read_model
+    from evo_cpg.files import require_place
 
     if motor_gain is not None and not motor_gain > 0:
         raise UsageError(f"--motor-gain: must be greater than 0, got {motor_gain:g}")
     if motor_gain is not None and motor_gain > LARGEST:
         raise UsageError(f"--motor-gain: must be at most {LARGEST:g}, got {motor_gain:g}")
+    output = Path(f"{model.stem}.yaml") if output is None else output
     require_free(output, overwrite)
     require_place(output)
-    creature, left_out = read_mjcf(model, motor_gain)
-    write_text(output, dump_creature(creature))
-    if left_out:
-        print(f"not part of a creature, so not read: {', '.join(left_out)}", file=sys.stderr)
-    print(output)
+    imported = read_model(model, motor_gain, drop, free)
+    files = write_imported(imported, model, output, creature)
+    if imported.left_out:
+        print(f"left out, without harm: {', '.join(imported.left_out)}", file=sys.stderr)
+    for sentence in imported.dropped:
+        print(f"dropped: {sentence}", file=sys.stderr)
+    for warning in imported.warnings:
+        print(f"note: {warning}", file=sys.stderr)
+    for file in files:
+        print(file)

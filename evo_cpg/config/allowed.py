@@ -41,6 +41,15 @@ class Allowed:
         options = self._at(place)
         return sorted({key for option in options for key in option.get("properties", {})})
 
+    def types_by_key(self, place: Place) -> dict[str, list[str]]:
+        """Return the types of a section at a place that have each key, whatever its type is."""
+        found: dict[str, list[str]] = {}
+        for option in self._at(place, any_type=True):
+            if kind := self._kind(option):
+                for key in option["properties"]:
+                    found.setdefault(key, []).append(kind)
+        return found
+
     def words(self, place: Place) -> str:
         """Return the allowed values in words: ``a number``, ``a list of 3 numbers``."""
         return self._words(self._at(place))
@@ -81,11 +90,16 @@ class Allowed:
             return all(key_of(each, data)[: len(place)] != place for each in error.errors())
         return True
 
-    def _at(self, place: Place) -> list[Schema]:
-        """Return the schemas that a place may match, with references resolved."""
+    def _at(self, place: Place, any_type: bool = False) -> list[Schema]:
+        """Return the schemas that a place may match, with references resolved.
+
+        Args:
+            place: the place.
+            any_type: whether to include types that the section at the place does not have.
+        """
         options, here = self._options(self._root, self._data), self._data
-        for part in place:
-            here = value_at(here, (part,))
+        for number, part in enumerate(place, 1):
+            here = None if any_type and number == len(place) else value_at(here, (part,))
             options = [
                 each
                 for option in options

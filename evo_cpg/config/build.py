@@ -1,8 +1,9 @@
 """Experiments built from checked configurations."""
 
+import contextlib
 import dataclasses
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from evo_cpg.creature.creature import Creature, CreatureError, length_of
 from evo_cpg.creature.limbs import limbs
 from evo_cpg.creature.self_collision import PlanPairs, SelfCollision
 from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.slender import LEAST_BODIES
 from evo_cpg.creature.surface import PointLayout, outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.evolution.islands import Islands
@@ -37,7 +39,7 @@ from evo_cpg.physics.fluid import Drag, make_patches
 from evo_cpg.physics.force_law import ForceLaw
 from evo_cpg.physics.lift import make_plate_lift
 from evo_cpg.physics.pairs import make_pairs
-from evo_cpg.physics.reactive_thrust import LEAST_BODIES, reactive_water
+from evo_cpg.physics.reactive_thrust import reactive_water
 from evo_cpg.physics.viscous_bodies import make_viscous_drag
 from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.physics.world import World
@@ -167,7 +169,7 @@ def build_simulation(
     """
     engine = _choose_engine(config)
     creature = _build_creature(config)
-    tree = build_tree(creature)
+    tree = _build_tree(config, creature)
     world = _build_world(config, creature, tree, layout, pairs)
     check_own_forces(config, world)
     step = 1.0 / config.simulation.control_rate_hz
@@ -186,6 +188,7 @@ def build_simulation(
         raise KeyProblem(
             ("noise", "friction"), "there is no ground whose friction could vary (world.ground)"
         )
+    _check_noise_of_a_root(config, tree)
     with using(engine):
         situations = build_situations(config, creature, world)
     task = _build_task(config, creature, situations[0].light)
@@ -210,6 +213,25 @@ def build_simulation(
         measures=_build_measures(config, task, creature, world),
     )
     return creature, simulation
+
+
+def _check_noise_of_a_root(config: ExperimentConfig, tree: Tree) -> None:
+    """Check that noise can move a root that hangs on the world.
+
+    Raises:
+        KeyProblem: it cannot.
+    """
+    if tree.hanging is None:
+        return
+    name = tree.names[0]
+    if config.noise.tilt_deg:
+        problem = (
+            f"{name!r} hangs on the world and cannot tilt. Use joint_angle_deg, or leave it out"
+        )
+        raise KeyProblem(("noise", "tilt_deg"), problem)
+    if config.noise.push and not tree.root_slides:
+        problem = f"{name!r} hangs on the world without a slide, so no push moves it. Leave it out"
+        raise KeyProblem(("noise", "push"), problem)
 
 
 def _build_measures(
@@ -326,12 +348,28 @@ def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
 
 
 def _build_creature(config: ExperimentConfig) -> Creature:
-    try:
+    with _refused(config):
         return config.creature.build()
+
+
+def _build_tree(config: ExperimentConfig, creature: Creature) -> Tree:
+    with _refused(config):
+        return build_tree(creature)
+
+
+@contextlib.contextmanager
+def _refused(config: ExperimentConfig) -> Iterator[None]:
+    """Convert a `CreatureError` into a `KeyProblem` with its key."""
+    try:
+        yield
     except CreatureError as error:
         where: list[str | int] = list(error.where)
         if len(where) > 1 and isinstance(where[1], int):
-            where[1] = config.creature.entry_of(where[1])
+            entry_of = {
+                "bodies": config.creature.entry_of,
+                "tendons": config.creature.entry_of_tendon,
+            }
+            where[1] = entry_of[str(where[0])](where[1])
         raise KeyProblem(("creature", *where), str(error)) from None
 
 

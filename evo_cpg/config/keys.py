@@ -5,6 +5,7 @@ The parts of a key are names, and indices of lists. Both may be text, as in
 """
 
 import dataclasses
+import re
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -14,6 +15,15 @@ from evo_cpg.config.errors import Key
 from evo_cpg.config.former import current_name
 
 _T = TypeVar("_T")
+
+# Coefficient of a joint axis in a tendon.
+_SPANNED = re.compile(r"(creature\.tendons\.\d+\.joints)\.(.+)")
+
+
+def parts_of(text: str) -> tuple[str, ...]:
+    """Return the parts of a key in text. Names of joint axes contain a dot, and are one part."""
+    spanned = _SPANNED.fullmatch(text)
+    return (*spanned[1].split("."), spanned[2]) if spanned else tuple(text.split("."))
 
 
 def follow(place: Any, key: Key) -> tuple[Any, int]:

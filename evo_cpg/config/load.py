@@ -12,10 +12,9 @@ import yaml
 from evo_cpg.config.errors import ConfigError, Key, KeyProblem, nearest, under
 from evo_cpg.config.files import read_small
 from evo_cpg.config.former import current_key, use_current_names, with_former_values
-from evo_cpg.config.keys import follow, is_index, value_at
+from evo_cpg.config.keys import follow, is_index, parts_of, value_at
 from evo_cpg.config.lines import located
 from evo_cpg.config.named_files import read_heights, read_mesh
-from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_names
 from evo_cpg.config.trust import beside, trusting
@@ -111,11 +110,6 @@ def dump_config(config: ExperimentConfig) -> str:
     return to_yaml(config.model_dump(mode="json"))
 
 
-def dump_creature(config: CreatureConfig) -> str:
-    """Return a creature as YAML without defaults, which is read back unchanged."""
-    return to_yaml(config.model_dump(mode="json", exclude_defaults=True), flow=None)
-
-
 def as_overrides(values: Mapping[str, Any]) -> list[str]:
     """Return settings in the form of the command line, ``key=value``."""
     return [f"{key}={to_yaml([value], flow=True).strip()[1:-1]}" for key, value in values.items()]
@@ -191,18 +185,23 @@ def _read_meshes(data: dict[str, Any], path: Path) -> None:
 
 
 def _mesh_entries(data: dict[str, Any]) -> Iterator[tuple[Key, dict[str, Any]]]:
-    """Yield the bodies whose shape is a mesh file, with the keys of their shapes.
+    """Yield the bodies and parts whose shape is a mesh file, with the keys of their shapes.
 
     A mesh with neither vertices nor faces counts as a mesh file.
     """
     creature = data.get("creature")
     bodies = creature.get("bodies") if isinstance(creature, dict) else None
     for i, entry in enumerate(bodies if isinstance(bodies, list) else []):
-        shape = entry.get("shape") if isinstance(entry, dict) else None
-        if not isinstance(shape, dict) or shape.get("type") != "mesh":
-            continue
-        if "file" in shape or not {"vertices", "faces"} & set(shape):
-            yield ("creature", "bodies", i, "shape"), entry
+        parts = entry.get("parts") if isinstance(entry, dict) else None
+        owners: list[tuple[Key, Any]] = [(("creature", "bodies", i), entry)]
+        for k, part in enumerate(parts if isinstance(parts, list) else []):
+            owners.append((("creature", "bodies", i, "parts", k), part))
+        for key, owner in owners:
+            shape = owner.get("shape") if isinstance(owner, dict) else None
+            if not isinstance(shape, dict) or shape.get("type") != "mesh":
+                continue
+            if "file" in shape or not {"vertices", "faces"} & set(shape):
+                yield (*key, "shape"), owner
 
 
 def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:
@@ -244,7 +243,7 @@ def _apply(data: dict[str, Any], override: str) -> None:
     key, separator, text = override.partition("=")
 
     def refused(problem: str) -> ConfigError:
-        return ConfigError("command line", key.split("."), problem)
+        return ConfigError("command line", parts_of(key), problem)
 
     if not separator or not key:
         raise ConfigError("command line", (), f"{override!r} is not of the form key.path=value")
@@ -255,7 +254,7 @@ def _apply(data: dict[str, Any], override: str) -> None:
         value = parse_yaml(text)
     except yaml.YAMLError as error:
         raise refused(f"{text!r} is not YAML: {syntax_problem(text, error)[1]}") from None
-    *parents, last = current_key(tuple(key.split(".")))
+    *parents, last = current_key(parts_of(key))
     place, known = follow(data, parents)
     for part in parents[known:]:
         if not isinstance(place, dict) or part in place:

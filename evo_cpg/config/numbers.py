@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.former import current_key
-from evo_cpg.config.keys import follow, inside, put
+from evo_cpg.config.keys import follow, inside, parts_of, put
 from evo_cpg.config.load import check_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.spatial.numerics import Number
@@ -36,7 +36,7 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     Raises:
         ConfigError: there is no real number.
     """
-    parts = current_key(tuple(key.split(".")))
+    parts = current_key(parts_of(key))
     place, known = follow(config.model_dump(mode="json"), parts)
     if known < len(parts):
         problem = f"does not exist: {_hint(config, key)}"
@@ -66,7 +66,7 @@ def with_numbers(
     """
     data = config.model_dump(mode="json")
     for key, number in numbers.items():
-        data = put(data, key.split("."), number)
+        data = put(data, parts_of(key), number)
     return check_config(data, source)
 
 
@@ -125,13 +125,13 @@ def put_numbers(config: ExperimentConfig, numbers: Mapping[str, Number]) -> Expe
         numbers: values by key.
     """
     for key, number in numbers.items():
-        config = put(config, key.split("."), number)
+        config = put(config, parts_of(key), number)
     return config
 
 
 def _sections(place: Any, key: str) -> Iterator[tuple[BaseModel, list[str]]]:
     """Yield the sections around a number, outermost first, with the rest of the key in each."""
-    names = key.split(".")
+    names = list(parts_of(key))
     for i, name in enumerate(names):
         if isinstance(place, BaseModel):
             yield place, names[i:]

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError, KeyProblem
+from evo_cpg.config.keys import parts_of
 from evo_cpg.config.lines import located
 from evo_cpg.config.numbers import number_at, number_keys, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -102,7 +103,7 @@ class Parameters:
         return self.inputs.put(self.experiment.simulation, changed)
 
     def _refusal(self, key: str) -> ConfigError:
-        return ConfigError(self.source, key.split("."), self.kinks[key])
+        return ConfigError(self.source, parts_of(key), self.kinks[key])
 
     def require(self, values: Float[np.ndarray, " k"]) -> None:
         """Check that `simulation` is valid at other values.
@@ -175,7 +176,7 @@ def parametrise(
     folders = tuple(folders)
     for i, key in enumerate(keys):
         if key in keys[:i]:
-            raise ConfigError(source, key.split("."), "is given twice")
+            raise ConfigError(source, parts_of(key), "is given twice")
         number_at(config, key, source)
     # This also makes a user's own classes importable.
     experiment = build_experiment(config, source, folders)
@@ -198,7 +199,7 @@ def parametrise(
         for key in found:
             if key not in followed:
                 problem = _hindrance(building, config, {key: found[key]})
-                raise KeyProblem(key.split("."), f"{problem}, so it has no derivative")
+                raise KeyProblem(parts_of(key), f"{problem}, so it has no derivative")
     every = found.values()
     places = sorted({place for change in every for place in change})
     moves = [np.any([c[place] for c in every if place in c], axis=0) for place in places]
@@ -256,7 +257,7 @@ def _change(
     Raises:
         KeyProblem: more than numbers changes, no leaf changes, or there is no derivative.
     """
-    value, where = number_at(config, key), key.split(".")
+    value, where = number_at(config, key), parts_of(key)
     others, both = _neighbours(building, config, key, value)
     if not all(other.has_layout_of(building.own) for other in others):
         raise KeyProblem(
@@ -308,7 +309,7 @@ def _neighbours(
         except KeyProblem:
             # The value is at the end of the allowed range, so try the other side.
             continue
-    raise KeyProblem(key.split("."), f"has no allowed values on either side of {value:g}")
+    raise KeyProblem(parts_of(key), f"has no allowed values on either side of {value:g}")
 
 
 def _followed(

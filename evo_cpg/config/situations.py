@@ -25,7 +25,7 @@ from evo_cpg.simulation.settle import NoRestError, Settling, settled
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
 from evo_cpg.spatial.decisions import Condition, chosen, searched
-from evo_cpg.spatial.numerics import Number, Triple, is_traced, xp
+from evo_cpg.spatial.numerics import Number, Triple, as_vector, is_traced, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
 # Largest number of steps to find the height at which an animal stands, and its accuracy, m.
@@ -68,7 +68,7 @@ def build_situations(
             if settings.start_pose == "settled":
                 begin = _settled(settling, world, h, begin)
         begins.append(begin)
-        start, light = begin.start_position, common
+        start, light = _root_place(creature, begin), common
         if entry.light is not None:
             light = entry.light.over(common or DEFAULT_LIGHT)
         goal = light and light.position(start, heading)
@@ -81,6 +81,15 @@ def build_situations(
             raise KeyProblem((*key, "light") if own else ("task", "light"), problem)
         situations.append(begin._replace(light=goal))
     return tuple(situations)
+
+
+def _root_place(creature: Creature, begin: Situation) -> Triple:
+    """Return the place of the root in a situation, with its own joint at zero, m."""
+    if creature.root_joint is None:
+        return begin.start_position
+    own = neutral_pose(creature)[0][creature.root_index]
+    offset = euler_to_matrix(0.0, 0.0, begin.start_heading) @ own
+    return as_vector(xp.array(begin.start_position) + offset)
 
 
 def _same_start(begins: list[Situation], x: float, y: float, heading: float) -> int | None:
@@ -172,6 +181,8 @@ def _start_height(
     creature: Creature, world: World, x: Number, y: Number, heading: Number, start_clearance: Number
 ) -> Number | None:
     """Return the height of the root's centre at which the animal stands on the ground, m.
+
+    If the root hangs on the world, it is the height of the frame on which it hangs.
 
     Return 0 without ground, and None if there is no height to stand at.
     """

@@ -1,5 +1,6 @@
 """Pydantic's errors in a configuration, in words: key, value, allowed values."""
 
+import difflib
 from typing import Any, TypeVar
 
 import pydantic
@@ -121,12 +122,19 @@ def _is_wrong_kind(problem: Any) -> bool:
 
 
 def _near_key(allowed: Allowed, key: tuple[str | int, ...]) -> str:
-    """Return valid keys similar to an unknown key, or sections that have a key of its name."""
-    valid = allowed.keys(key[:-1])
+    """Return valid keys similar to an unknown key, or where a key of a more similar name is."""
+    valid, name = allowed.keys(key[:-1]), str(key[-1])
     inner = []
     if len(key) == 1:
         inner = [f"{section}.{key[0]}" for section in valid if key[0] in allowed.keys((section,))]
-    return f"did you mean {' or '.join(inner)}?" if inner else nearest(str(key[-1]), valid)
+    if inner:
+        return f"did you mean {' or '.join(inner)}?"
+    types = allowed.types_by_key(key[:-1])
+    (other, *_) = difflib.get_close_matches(name, {*types, *valid}, n=1, cutoff=0.8) or [name]
+    if other in types and other not in valid:
+        owners = " and ".join(types[other])
+        return f"{other!r} is a key of type {owners}. Valid here: {', '.join(valid)}"
+    return nearest(name, valid)
 
 
 def _closest(problems: list[Any], data: dict[str, Any]) -> Any:

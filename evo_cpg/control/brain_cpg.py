@@ -8,12 +8,13 @@ output sigma of the brain, between 0 and 1:
     u_e = u (1 + d),    u_f = u (1 - d),
     target = G g (y_e - y_f) - k_c q,    within plus and minus max_rate,
     ML = min(1, y_e / u_max),    MR = min(1, y_f / u_max),
-    torque = gear (ML - MR).
+    torque = gear (ML - MR),    angle = A (ML - MR), within the joint's limits.
 
 u_e and u_f are the tonic inputs of the extensor and flexor neuron. The target rate drives motors.
 The paper describes it only as "angular-velocity control". The activations ML and MR drive muscles
 (`evo_cpg.physics.muscle`), which ignore the target rate. So do torque motors, which take the torque
-of muscles without length and speed. ``gear`` is `evo_cpg.creature.creature.TorqueMotor.gear`.
+of muscles without length and speed. ``gear`` is `evo_cpg.creature.creature.TorqueMotor.gear`. A
+motor with a spring follows the angle, at a target rate of 0, if A is more than 0.
 
 | symbol | name |
 |---|---|
@@ -23,6 +24,7 @@ of muscles without length and speed. ``gear`` is `evo_cpg.creature.creature.Torq
 | G | ``rate_gain`` (rad/s) |
 | g | ``AxisSettings.gain`` |
 | k_c | ``centring`` (1/s) |
+| A | ``angle_range_deg`` |
 | q | ``joint_angle`` (rad) |
 
 Differs from Iwadate 2010: steering and centring are additions. An animal needs a difference between
@@ -120,6 +122,8 @@ class BrainCpgSettings:
         axes: special settings of named axes, such as ``x`` or ``limbs/y``.
         joint_rates: True to give the joint rates to the brain. The paper's text lists them as
             inputs, but its Table 2 does not.
+        angle_range_deg: A, angle that full output commands to a motor with ``stiffness``, degrees
+            (of a slide, 0.0175 m for 1). With 0 such a motor pulls to the neutral pose.
 
     Raises:
         ValueError: a value is outside its range.
@@ -135,9 +139,12 @@ class BrainCpgSettings:
     max_rate: float = 5.0
     axes: Mapping[str, AxisSettings] = dataclasses.field(default_factory=dict, hash=False)
     joint_rates: bool = False
+    angle_range_deg: float = 0.0
 
     def __post_init__(self):
         _check_range(self.steering_range, self.centring)
+        if not self.angle_range_deg >= 0:
+            raise ValueError(f"angle_range_deg must not be negative, got {self.angle_range_deg}")
         if not self.max_rate > 0:
             raise ValueError(f"max_rate must be positive, got {self.max_rate}")
 
@@ -162,6 +169,20 @@ class FeelingState(MatsuokaState):
     """
 
     memory: Memory
+
+
+class AngleRange(eqx.Module):
+    """Angles that motors with a spring can be sent to.
+
+    Attributes:
+        full: angle at full output of each degree of freedom, rad, 0 without a spring.
+        lower: lower limit of each joint axis, rad.
+        upper: upper limit of each joint axis, rad.
+    """
+
+    full: Float[Numbers, " d"]
+    lower: Float[Numbers, " d"]
+    upper: Float[Numbers, " d"]
 
 
 class BrainCpg(Controller):
@@ -193,6 +214,7 @@ class BrainCpg(Controller):
         feedback: feedback of the senses into the oscillators, or None.
         muscles: True if the creature has muscles.
         gear: torque of each degree of freedom at full output, N m, or None without torque motors.
+        angles: commanded angles of motors with a spring, or None without them.
     """
 
     gene_count: int = eqx.field(static=True)
@@ -215,6 +237,7 @@ class BrainCpg(Controller):
     muscles: bool = eqx.field(static=True)
     feedback: Feedback | None = None
     gear: Float[Numbers, " d"] | None = None
+    angles: "AngleRange | None" = None
 
     signal_label = "CPG output (no unit)"
 
@@ -338,15 +361,22 @@ class BrainCpg(Controller):
             expand_dims_like(self.rate_gain, signal) * signal
             - expand_dims_like(self.centring, signal) * observation.joint_angle
         )
-        limit, activation, torque = self.max_rate, None, None
-        if self.muscles or self.gear is not None:
+        limit, activation, torque, angle = self.max_rate, None, None, None
+        if self.muscles or self.gear is not None or self.angles is not None:
             output = jnp.maximum(state.potential, 0.0)
             activation = jnp.minimum(output * (1.0 / self.max_tonic_input), 1.0)
         if self.gear is not None:
             assert activation is not None
             torque = expand_dims_like(self.gear, signal) * (activation[0] - activation[1])
+        if self.angles is not None:
+            assert activation is not None
+            full, lower, upper = (
+                expand_dims_like(x, signal)
+                for x in (self.angles.full, self.angles.lower, self.angles.upper)
+            )
+            angle = jnp.clip(full * (activation[0] - activation[1]), lower, upper)
         active = activation if self.muscles else None
-        return Command(jnp.clip(rate, -limit, limit), signal, None, active, torque)
+        return Command(jnp.clip(rate, -limit, limit), signal, angle, active, torque)
 
     def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
         """Return the inputs of the brain: Table 2 of Iwadate 2010, every value from -1 to 1.
@@ -440,8 +470,8 @@ def build_brain_cpg(
         feedback = build_feedback(tree, cpg.feedback, cpg.max_tonic_input, control_step)
     none = (False,) * tree.dof_count
     muscular = tree.muscles.driven if tree.muscles else none
-    torque_driven = tree.torque_motors.driven if tree.torque_motors else none
-    rateless = [m or t for m, t in zip(muscular, torque_driven, strict=True)]
+    follows = _follows_angles(tree, settings)
+    rateless = [any(kinds) for kinds in zip(muscular, tree.torque_driven, follows, strict=True)]
     return BrainCpg(
         gene_count=brain.gene_count + (feedback.gene_count if feedback else 0),
         brain=brain,
@@ -471,8 +501,26 @@ def build_brain_cpg(
         control_step=control_step,
         feedback=feedback,
         muscles=tree.muscles is not None,
-        gear=tree.torque_motors.gear if tree.torque_motors else None,
+        gear=tree.gears,
+        angles=_angle_range(tree, settings, follows) if any(follows) else None,
     )
+
+
+def _follows_angles(tree: Tree, settings: BrainCpgSettings) -> tuple[bool, ...]:
+    """Return which degrees of freedom have a motor with a spring that follows angles."""
+    size, springs = settings.angle_range_deg, tree.of_commands("servo_stiffness")
+    used = chosen(lambda: bool(size > 0), lambda made: (size > 0) == made)
+    if not used:
+        return (False,) * tree.dof_count
+    return chosen(
+        lambda: tuple((np.asarray(springs) > 0).tolist()),
+        lambda made: ((springs > 0) == np.array(made)).all(),
+    )
+
+
+def _angle_range(tree: Tree, settings: BrainCpgSettings, follows: tuple[bool, ...]) -> AngleRange:
+    full = xp.where(np.array(follows), xp.deg2rad(settings.angle_range_deg), 0.0)
+    return AngleRange(full, tree.of_commands("lower"), tree.of_commands("upper"))
 
 
 def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:

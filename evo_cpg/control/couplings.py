@@ -200,6 +200,26 @@ def matching_oscillators(tree: Tree, pattern: str, where: Sequence[str | int]) -
     return found
 
 
+def listed_oscillators(
+    tree: Tree, patterns: Sequence[str], where: Sequence[str | int]
+) -> list[int]:
+    """Return the oscillators of several patterns, in the order of the patterns.
+
+    Args:
+        tree: the creature.
+        patterns: degrees of freedom or patterns.
+        where: path of the list, for the message.
+
+    Raises:
+        CouplingError: no degree of freedom matches a pattern.
+    """
+    return [
+        oscillator
+        for i, pattern in enumerate(patterns)
+        for oscillator in matching_oscillators(tree, pattern, (*where, i))
+    ]
+
+
 def _near(pattern: str, names: Sequence[str]) -> str:
     """Return a hint for a pattern that matches none of the names."""
     starred = re.sub(r"\{\w+\}", "*", pattern)
@@ -316,11 +336,7 @@ def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
         CouplingError: fewer than two oscillators, one twice, or a ring that does not close.
     """
     where = ("rings", number, "oscillators")
-    found = [
-        oscillator
-        for i, pattern in enumerate(ring.oscillators)
-        for oscillator in matching_oscillators(tree, pattern, (*where, i))
-    ]
+    found = listed_oscillators(tree, ring.oscillators, where)
     names = [tree.dof_names[i] for i in found]
     for i, name in enumerate(names):
         if name in names[:i]:

@@ -35,7 +35,7 @@ from evo_cpg.control.afferent import (
     check_weights,
     make_delay,
 )
-from evo_cpg.control.couplings import CouplingError, matching_bodies, matching_oscillators
+from evo_cpg.control.couplings import CouplingError, listed_oscillators, matching_bodies
 from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.numerics import Number, xp
 
@@ -260,11 +260,7 @@ def find_limbs(
     first = sorted(matching_bodies(tree, limbs, (*where, "limbs"), CouplingError))
     if not first:
         raise CouplingError("names no limb", (*where, "limbs"))
-    among = {
-        oscillator
-        for i, pattern in enumerate(joints)
-        for oscillator in matching_oscillators(tree, pattern, (*where, "joints", i))
-    }
+    among = set(listed_oscillators(tree, joints, (*where, "joints")))
     owner: list[int] = []
     for body, parent in enumerate(tree.parents):
         above = owner[parent] if parent >= 0 else len(first)

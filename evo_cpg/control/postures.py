@@ -195,8 +195,8 @@ def build_posture_controller(
             "postures command angles of motors, but muscles take activations: joint "
             f"{driven} has muscles. Give its actuator a gain and a stiffness, or choose brain_cpg"
         )
-    if tree.torque_motors is not None:
-        driven = tree.dof_names[tree.torque_motors.driven.index(True)]
+    if any(tree.torque_driven):
+        driven = tree.dof_names[tree.torque_driven.index(True)]
         raise ValueError(
             f"postures command angles of motors, but the motor of joint {driven} takes torques. "
             "Give its actuator a gain and a stiffness in place of the type, or choose brain_cpg"

@@ -41,7 +41,7 @@ from evo_cpg.control.afferent import (
     make_delay,
     spread,
 )
-from evo_cpg.control.couplings import axis_directions, axis_parents, matching_oscillators
+from evo_cpg.control.couplings import axis_directions, axis_parents, listed_oscillators
 from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.numerics import Numbers
 
@@ -145,11 +145,7 @@ def _spread(
     Joints whose axes point in opposite directions receive each other's stretch with a minus sign.
     """
     where = ("feedback", "stretch", number, "joints")
-    among = {
-        oscillator
-        for i, pattern in enumerate(settings.joints)
-        for oscillator in matching_oscillators(tree, pattern, (*where, i))
-    }
+    among = set(listed_oscillators(tree, settings.joints, where))
     parents = axis_parents(tree)
     direction = axis_directions(tree)
     elements: dict[tuple[int, int], float] = {(i, i): 1.0 for i in among}

@@ -35,6 +35,7 @@ class Outline(NamedTuple):
         volume: volume of the bodies, m^3.
         sharpness: 1 for boxes, 0 for shapes that fill no more of their bounding box than a
             cylinder.
+        blunt: whether each body is a cylinder with flat ends.
     """
 
     chain: SlenderChain
@@ -43,6 +44,19 @@ class Outline(NamedTuple):
     sizes: Float[Numbers, " 3"]
     volume: Number
     sharpness: Number
+    blunt: tuple[bool, ...]
+
+    @property
+    def bluntness(self) -> Float[Numbers, " 3"] | None:
+        """Fraction of the length in cylinders with their axis along each axis of the outline.
+
+        None if there are no cylinders.
+        """
+        if not any(self.blunt):
+            return None
+        lengths = xp.maximum(self.halves[:, 0], _TINY)
+        along = np.square(self.axes[:, 0]) * np.array(self.blunt)[:, None]
+        return lengths @ along / lengths.sum()
 
 
 def outline(creature: Creature, chain: SlenderChain) -> Outline:
@@ -61,7 +75,9 @@ def outline(creature: Creature, chain: SlenderChain) -> Outline:
     fill = volumes / (8 * xp.maximum(xp.prod(halves, 1), _TINY**3))
     boxy = xp.clip((fill - _ROUND_FILL) / (_BOX_FILL - _ROUND_FILL), 0.0, 1.0)
     sharpness = (lengths * boxy).sum() / xp.maximum(lengths.sum(), _TINY)
-    return Outline(chain, axes, halves, xp.maximum(sizes, _TINY), volumes.sum(), sharpness)
+    blunt = tuple(shape.blunt for shape in shapes)
+    sizes = xp.maximum(sizes, _TINY)
+    return Outline(chain, axes, halves, sizes, volumes.sum(), sharpness, blunt)
 
 
 def _halves(shape: Shape, axes: np.ndarray) -> Numbers:

@@ -6,12 +6,13 @@ body has a frame at its geometric centre. In the neutral pose z is up and the an
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
+from evo_cpg.spatial.decisions import Condition, chosen
+from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, is_traced, xp
 
 
 class CreatureError(ValueError):
@@ -143,6 +144,9 @@ class Muscle:
         return self.area * self.stress * self.max_speed * self.fibre_length
 
 
+# Name of the fixed world, the parent of a root that hangs on it.
+WORLD = "world"
+
 # A motor or muscles about an axis.
 Motor = Actuator | TorqueMotor | Muscle
 
@@ -151,8 +155,13 @@ Motor = Actuator | TorqueMotor | Muscle
 NO_LIMIT = 1e6
 
 
+# Kinds of degrees of freedom: a rotation about an axis, a displacement along an axis, or one of
+# the three components of a ball's rotation vector.
+AxisKind = Literal["turn", "slide", "ball"]
+
+
 class DegreeOfFreedom(NamedTuple):
-    """One degree of freedom of a joint: a rotation about an axis through the joint's position.
+    """One degree of freedom of a joint. The units of a slide are m, N and kg for rad, N m, kg m^2.
 
     Attributes:
         axis: unit vector in the child's neutral frame.
@@ -168,6 +177,8 @@ class DegreeOfFreedom(NamedTuple):
         torque_limit: largest torque of the motor, N m, 0 without a motor, infinity for muscles.
         torque_motor: motor whose torque the controller commands, or None.
         muscle: muscles about the axis, or None.
+        kind: rotation, displacement, or component of a ball's rotation.
+        place: position of an axis of rotation relative to the joint, in the child's frame, m.
     """
 
     axis: Triple
@@ -183,14 +194,29 @@ class DegreeOfFreedom(NamedTuple):
     torque_limit: Number
     torque_motor: TorqueMotor | None
     muscle: Muscle | None
+    kind: AxisKind = "turn"
+    place: Triple = (0.0, 0.0, 0.0)
+
+
+# Kinds of joints: up to three rotations at one place, of which three stay independent; a ball; and
+# any other axes, whose equations are eliminated one by one.
+JointKind = Literal["turns", "ball", "chain"]
+
+# Number of axes that span all rotations.
+_SPANNING = 3
+
+# Smallest distance (rad) of the middle one of three angles from the angle at which the axes lie in
+# one plane, and rounding errors of angles.
+_PLANE_MARGIN, _ROUNDING = np.radians(5.0), 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
 class Joint:
-    """A joint of 1 to 3 rotational axes between a body and its parent.
+    """A joint of up to 6 axes between a body and its parent, a ball joint, or a weld without any.
 
-    The axes turn in order, usually x, y and z. Each axis is fixed in the frame that the axes before
-    it have turned. The angle of the second of three axes must therefore keep clear of 90 degrees.
+    The axes move the body in order. Each axis is fixed in the frame that the axes before it have
+    moved. A ball has three axes at right angles, which stand for the components of one rotation.
+    Its ``upper`` limits are equal, and limit the angle of that rotation.
 
     Attributes:
         parent: name of the parent body.
@@ -207,6 +233,9 @@ class Joint:
         actuator: servo, torque motor or muscles, or None for a passive axis.
         rest: angle at which the passive spring is relaxed, rad.
         friction_loss: torque of dry friction, N m.
+        kinds: kind of each axis, or None if all of them turn.
+        places: position of each axis in the child's frame, m, or None for ``child_anchor``. None
+            for the whole puts all axes there.
     """
 
     parent: str
@@ -226,16 +255,38 @@ class Joint:
     actuator: Motor | tuple[Motor | None, ...] | None = None
     rest: Number | tuple[Number, ...] = 0.0
     friction_loss: Number | tuple[Number, ...] = 0.0
+    kinds: tuple[AxisKind, ...] | None = None
+    places: tuple[Triple | None, ...] | None = None
 
     @property
     def dofs(self) -> tuple[DegreeOfFreedom, ...]:
-        """Degrees of freedom, in the order in which they turn."""
+        """Degrees of freedom, in the order in which they move the body."""
         alike = self.stiffness, self.rest, self.damping, self.armature, self.friction_loss
         columns = self.lower, self.upper, *map(self._each, alike), self.motors
+        kinds = self.kinds or ("turn",) * len(self.axes)
+        places = self.places or (None,) * len(self.axes)
         return tuple(
-            DegreeOfFreedom._make((*passive, *_driven(motor)))
-            for *passive, motor in zip(self.axes, *columns, strict=True)
+            DegreeOfFreedom._make((*passive, *driven_by(motor), kind, self._from_anchor(place)))
+            for *passive, motor, kind, place in zip(self.axes, *columns, kinds, places, strict=True)
         )
+
+    @property
+    def kind(self) -> JointKind:
+        """Kind of the joint."""
+        kinds = set(self.kinds or ())
+        if kinds == {"ball"}:
+            return "ball"
+        if "slide" in kinds or any(self.places or ()):
+            return "chain"
+        if len(self.axes) < _SPANNING:
+            return "turns"
+        if len(self.axes) > _SPANNING:
+            return "chain"
+
+        def spans() -> Condition:
+            return stay_independent(self.axes, self.lower[1], self.upper[1])
+
+        return "turns" if chosen(lambda: bool(spans()), lambda made: spans() == made) else "chain"
 
     @property
     def motors(self) -> tuple[Motor | None, ...]:
@@ -246,11 +297,38 @@ class Joint:
         """Return the value of each axis."""
         return value if isinstance(value, tuple) else (value,) * len(self.axes)
 
+    def _from_anchor(self, place: Triple | None) -> Triple:
+        """Return a place in the child's frame relative to the joint."""
+        if place is None:
+            return (0.0, 0.0, 0.0)
+        return as_vector(xp.array(place) - xp.array(self.child_anchor))
 
-def _driven(
+
+def stay_independent(axes: Sequence[Triple], lower: Number, upper: Number) -> Condition:
+    """Return whether three axes stay clear of a common plane while the middle axis turns.
+
+    The volume that the axes span is a cosine of the angle of the middle axis.
+
+    Args:
+        axes: unit vectors of the three axes.
+        lower: lower limit of the middle axis, rad.
+        upper: upper limit of the middle axis, rad.
+    """
+    first, middle, last = xp.array(axes, float)
+    across = xp.cross(middle, last)
+    cosine, sine = first @ across, first @ xp.cross(middle, across)
+    wide = cosine * cosine + sine * sine >= np.sin(_PLANE_MARGIN) ** 2
+    # First angle of the middle axis, from the margin below its lower limit on, at which the three
+    # axes lie in one plane.
+    plane = xp.arctan2(sine, cosine) + np.pi / 2
+    plane = plane + np.pi * xp.ceil((lower - _PLANE_MARGIN - plane) / np.pi + _ROUNDING)
+    return wide & (plane >= upper + _PLANE_MARGIN - _ROUNDING)
+
+
+def driven_by(
     motor: Motor | None,
 ) -> tuple[Number, Number, Number, TorqueMotor | None, Muscle | None]:
-    """Return the fields of `DegreeOfFreedom` about a motor."""
+    """Return gain, stiffness, largest torque, torque motor and muscles of a motor."""
     match motor:
         case Muscle():
             return 0.0, 0.0, float("inf"), None, motor
@@ -261,16 +339,36 @@ def _driven(
     return 0.0, 0.0, 0.0, None, None
 
 
+class Inertial(NamedTuple):
+    """Mass and inertia of a body in numbers.
+
+    Attributes:
+        mass: mass, kg.
+        centre: centre of mass in the body's frame, m.
+        inertia: rotational inertia ``(3, 3)`` about the centre of mass, axes of the body, kg m^2.
+    """
+
+    mass: Number
+    centre: Numbers
+    inertia: Numbers
+
+
+# Inertial of a part whose mass is in the numbers of its body.
+NO_MASS = Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
+
+
 @dataclasses.dataclass(frozen=True)
 class Body:
-    """A rigid body. The body without a joint is the root of the tree.
+    """A rigid body, or a part of one. The one without a joint to another body is the root.
 
     Attributes:
         name: name of the body, unique in the creature.
         shape: shape, centred on the body's frame.
         material: density and contact properties.
-        joint: joint to the parent, or None for the root.
+        joint: joint to the parent, or None for the root (`Creature.root_joint`).
         color: color of the body in pictures, as ``#rrggbb``, or None for a default color.
+        inertial: mass and inertia in numbers, or None for those of a shape of uniform density.
+        whole: name of the body of which this body is a further part, welded to it, or None.
     """
 
     name: str
@@ -278,11 +376,22 @@ class Body:
     material: Material
     joint: Joint | None = None
     color: str | None = None
+    inertial: Inertial | None = None
+    whole: str | None = None
 
     @property
     def mass(self) -> Number:
         """Mass, kg."""
+        if self.inertial is not None:
+            return self.inertial.mass
         return self.shape.volume * self.material.density
+
+    @property
+    def inertia(self) -> Numbers:
+        """Rotational inertia ``(3, 3)`` about the centre of mass, axes of the body, kg m^2."""
+        if self.inertial is not None:
+            return self.inertial.inertia
+        return self.shape.inertia_tensor(self.mass)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -318,6 +427,39 @@ class DepthSensor:
 
 
 @dataclasses.dataclass(frozen=True)
+class Tendon:
+    """A fixed tendon: force laws on its length, a weighted sum of joint angles.
+
+    The length is 0 in the neutral pose. With pure numbers as coefficients it is in rad, and the
+    force is a torque, N m. With lever arms (m) as coefficients it is in m, and the force is in N.
+    The torque on a joint is the force times the joint's coefficient.
+
+    Attributes:
+        name: name of the tendon, unique among the tendons.
+        joints: name of each degree of freedom that it spans, with the coefficient of its angle.
+        stiffness: stiffness of the spring, force per length.
+        rest: shortest and longest length at which the spring is slack.
+        damping: damping, force per rate of length.
+        armature: inertia that the rate of length moves, kg m^2 or kg.
+        friction_loss: force of dry friction.
+        lower: lower limit of the length, or ``-NO_LIMIT``.
+        upper: upper limit of the length, or ``NO_LIMIT``.
+        actuator: servo or torque motor that pulls, or None.
+    """
+
+    name: str
+    joints: tuple[tuple[str, Number], ...]
+    stiffness: Number = 0.0
+    rest: tuple[Number, Number] = (0.0, 0.0)
+    damping: Number = 0.0
+    armature: Number = 0.0
+    friction_loss: Number = 0.0
+    lower: Number = -NO_LIMIT
+    upper: Number = NO_LIMIT
+    actuator: Actuator | TorqueMotor | None = None
+
+
+@dataclasses.dataclass(frozen=True)
 class Creature:
     """A tree of rigid bodies with sensors.
 
@@ -327,6 +469,9 @@ class Creature:
         light_sensors: eyes.
         pressure_sensors: names of the bodies that sense solid contact.
         depth_sensors: depth gauges.
+        root_joint: joint between the fixed world and the root, or None for a free root. Without
+            axes it holds the root still.
+        tendons: fixed tendons.
     """
 
     name: str
@@ -334,9 +479,11 @@ class Creature:
     light_sensors: tuple[LightSensor, ...] = ()
     pressure_sensors: tuple[str, ...] = ()
     depth_sensors: tuple[DepthSensor, ...] = ()
+    root_joint: Joint | None = None
+    tendons: tuple[Tendon, ...] = ()
 
     def __repr__(self) -> str:
-        joints = [body.joint for body in self.bodies if body.joint is not None]
+        joints = [joint for body in self.bodies if (joint := self.joint_of(body)) is not None]
         axes = sum(len(joint.dofs) for joint in joints)
         return (
             f"Creature({self.name!r}, bodies={len(self.bodies)}, joints={len(joints)}, "
@@ -352,6 +499,10 @@ class Creature:
         """Index in ``bodies`` of the body without a joint."""
         return next(i for i, body in enumerate(self.bodies) if body.joint is None)
 
+    def joint_of(self, body: Body) -> Joint | None:
+        """Return the joint of a body. The joint of the root is `root_joint`."""
+        return self.root_joint if body.joint is None else body.joint
+
     def bodies_of(self, names: Sequence[str]) -> list[Body]:
         """Return the bodies with some names, in the order of the names."""
         return [self.bodies[self.body_index(name)] for name in names]
@@ -362,22 +513,49 @@ class Creature:
         return sum(body.mass for body in self.bodies)
 
 
+def require_masses(creature: Creature) -> None:
+    """Check that every body that moves has a mass, or is welded to one that has.
+
+    Raises:
+        CreatureError: a body that moves has no mass.
+    """
+    bodies = [creature.bodies[i] for i in topological_order(creature)]
+    owners: dict[str, str] = {}
+    masses: dict[str, Number] = {}
+    for body in bodies:
+        welded = body.joint is not None and not body.joint.dofs
+        owner = owners.get(body.joint.parent, body.name) if welded and body.joint else body.name
+        owners[body.name] = owner
+        masses[owner] = masses.get(owner, 0.0) + body.mass
+    for i, body in enumerate(creature.bodies):
+        joint = creature.joint_of(body)
+        moves = joint is None or bool(joint.dofs)
+        if moves and not is_traced(masses[body.name]) and not masses[body.name] > 0:
+            raise CreatureError(
+                f"body {body.name!r} moves, but neither it nor a body welded to it has a mass",
+                ("bodies", i, "mass"),
+            )
+
+
 def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:
     """Return the pose of all bodies with every joint at zero and the root at the origin.
+
+    A root that hangs on the world is where its joint holds it.
 
     Returns:
         Centres ``(bodies, 3)`` in m and rotation matrices ``(bodies, 3, 3)``, in the order of
         ``creature.bodies``.
     """
-    frames: dict[str, tuple[Numbers, Numbers]] = {}
+    frames: dict[str, tuple[Numbers, Numbers]] = {WORLD: (np.zeros(3), np.eye(3))}
     for body in (creature.bodies[i] for i in topological_order(creature)):
-        if body.joint is None:
+        joint = creature.joint_of(body)
+        if joint is None:
             frames[body.name] = np.zeros(3), np.eye(3)
             continue
-        parent_centre, parent_rotation = frames[body.joint.parent]
-        rotation = parent_rotation @ xp.array(body.joint.orientation)
-        anchor = parent_centre + parent_rotation @ xp.array(body.joint.parent_anchor)
-        frames[body.name] = anchor - rotation @ xp.array(body.joint.child_anchor), rotation
+        parent_centre, parent_rotation = frames[joint.parent]
+        rotation = parent_rotation @ xp.array(joint.orientation)
+        anchor = parent_centre + parent_rotation @ xp.array(joint.parent_anchor)
+        frames[body.name] = anchor - rotation @ xp.array(joint.child_anchor), rotation
     centres, rotations = zip(*(frames[body.name] for body in creature.bodies), strict=True)
     return xp.array(centres), xp.array(rotations)
 
@@ -409,6 +587,7 @@ def lowest_along(
     heights = [
         up @ centre + (up @ rotation) @ body.shape.support(-rotation.T @ up)
         for body, centre, rotation in zip(creature.bodies, centres, rotations, strict=True)
+        if body.shape.exists
     ]
     return xp.min(xp.array(heights))
 
@@ -435,13 +614,17 @@ def topological_order(creature: Creature) -> list[int]:
         raise CreatureError("a creature needs at least one body", ("bodies",))
     names = [body.name for body in bodies]
     for i, name in enumerate(names):
+        if name == WORLD:
+            raise CreatureError(
+                f"{WORLD!r} is the name of the fixed world. Rename the body", ("bodies", i, "name")
+            )
         if name in names[:i]:
             raise CreatureError(f"two bodies are called {name!r}", ("bodies", i, "name"))
     roots = [i for i, body in enumerate(bodies) if body.joint is None]
     if len(roots) > 1:
         raise CreatureError(
-            f"bodies {names[roots[0]]!r} and {names[roots[1]]!r} both have no joint. "
-            "Allowed: one body without a joint, the root",
+            f"bodies {names[roots[0]]!r} and {names[roots[1]]!r} are both roots. Allowed: one body "
+            f"without a joint, or with a joint whose parent is {WORLD!r}",
             ("bodies", roots[1], "joint"),
         )
     for i, body in enumerate(bodies):

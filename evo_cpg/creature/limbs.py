@@ -4,7 +4,7 @@ The **trunk** contains the root, and all bodies along the median plane y = 0 of 
 head, spine, tail, and fins on the back. A **limb** is a branch that leaves the trunk sideways: its
 centre of mass is off the median plane by more than 1 % of the creature's length. A branch in the
 median plane is also a limb if it has an equal sideways branch on the same body, such as the front
-arm of a starfish. All bodies of a branch belong to one limb.
+arm of a starfish. All bodies of a branch belong to one limb. Further parts of a body go with it.
 """
 
 import math
@@ -36,17 +36,21 @@ def limbs(creature: Creature) -> tuple[Limb, ...]:
     """Return the limbs from front to back, and of equal places the left one first."""
     centres, turns = (np.asarray(each, float) for each in neutral_pose(creature))
     masses = np.array([float(body.mass) for body in creature.bodies])
+    parts: dict[int, list[int]] = {i: [] for i in range(len(creature.bodies))}
     width = _SIDEWAYS * float(length_of(creature))
     children: dict[int, list[int]] = {i: [] for i in range(len(creature.bodies))}
     root = 0
     for i, body in enumerate(creature.bodies):
         if body.joint is None:
             root = i
+        elif body.whole is not None:
+            parts[creature.body_index(body.whole)].append(i)
         else:
             children[creature.body_index(body.joint.parent)].append(i)
 
     def branch(body: int) -> tuple[int, ...]:
-        return (body, *(each for child in children[body] for each in branch(child)))
+        further = (each for child in children[body] for each in branch(child))
+        return (body, *parts[body], *further)
 
     found, trunk = [], [root]
     for body in trunk:

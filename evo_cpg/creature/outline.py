@@ -25,7 +25,7 @@ from jaxtyping import Float
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Barrel
 from evo_cpg.spatial.decisions import chosen
-from evo_cpg.spatial.numerics import Number, Numbers, xp
+from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 
 # Bounds between which bodies cease to be in line. Cosine of the angle between their axes.
 _TURN = (0.9, 0.72)
@@ -122,8 +122,7 @@ def outlines(
 
 def fade(x: Number, full: float, none: float) -> Number:
     """Return a smooth step from 1 at one bound to 0 at the other."""
-    fraction = xp.clip((x - none) / (full - none), 0.0, 1.0)
-    return fraction * fraction * (3.0 - 2.0 * fraction)
+    return smooth_step((x - none) / (full - none))
 
 
 def _links(creature: Creature, pose: tuple[Numbers, Numbers]) -> list[_Link]:
@@ -134,7 +133,8 @@ def _links(creature: Creature, pose: tuple[Numbers, Numbers]) -> list[_Link]:
             centres[i] + rotations[i] @ xp.array(body.joint.child_anchor),
         )
         for i, body in enumerate(creature.bodies)
-        if body.joint is not None
+        # A body and its parts are no neighbours at a joint.
+        if body.joint is not None and body.whole is None
     ]
 
 

@@ -2,6 +2,7 @@
 
 The rule includes all pairs except neighbours at a joint, bodies that overlap in the neutral pose,
 and bodies that can never meet (`evo_cpg.creature.reach`). Bodies count as their `RoundedBox`.
+Bodies that are welded together never touch, and are neighbours of each other's neighbours.
 """
 
 import dataclasses
@@ -116,7 +117,9 @@ def left_out(creature: Creature, tree: Tree, settings: SelfCollision) -> LeftOut
     """
     assert settings.only is not None
     every = [
-        pair for pair in _ruled(tree, settings) if pair not in _indices(tree.names, settings.only)
+        pair
+        for pair in _ruled(creature, tree, settings)
+        if pair not in _indices(tree.names, settings.only)
     ]
     centre, half = _boxes(creature, tree)
     apart: list[tuple[int, int, int]] = []
@@ -151,23 +154,38 @@ def _candidates(
 ) -> tuple[list[tuple[int, int]], set[tuple[int, int]]]:
     """Return the pairs that can meet, and those of them that overlap in the neutral pose."""
     are_apart = keeps_apart(tree, _boxes(creature, tree))
-    candidates = [pair for pair in _ruled(tree, settings) if not are_apart(*pair)]
+    candidates = [pair for pair in _ruled(creature, tree, settings) if not are_apart(*pair)]
     passing = passing_at_rest(creature, tree, settings, candidates)
     return candidates, {pair for pair, passes in zip(candidates, passing, strict=True) if passes}
 
 
-def _ruled(tree: Tree, settings: SelfCollision) -> list[tuple[int, int]]:
-    """Return the pairs that the rule keeps if they can meet and do not overlap in neutral pose."""
-    every = set(itertools.combinations(range(len(tree.names)), 2))
+def _ruled(creature: Creature, tree: Tree, settings: SelfCollision) -> list[tuple[int, int]]:
+    """Return the pairs that the rule keeps if they can meet and do not overlap in neutral pose.
+
+    Bodies that are welded together never touch. If a joint links two of them, none of the bodies
+    welded to one touches one that is welded to the other.
+    """
+    shaped = [i for i, body in enumerate(creature.bodies_of(tree.names)) if body.shape.exists]
+    owners = tree.owners
+    every = {
+        (one, two) for one, two in itertools.combinations(shaped, 2) if owners[one] != owners[two]
+    }
     excluded, included = (_indices(tree.names, x) for x in (settings.exclude, settings.include))
-    joined = {(parent, body) for body, parent in enumerate(tree.parents) if parent >= 0}
-    return sorted((every - joined - excluded) | included)
+    links = {
+        (owners[parent], owners[body]) for body, parent in enumerate(tree.parents) if parent >= 0
+    }
+    joined = {
+        (one, two)
+        for one, two in every
+        if {(owners[one], owners[two]), (owners[two], owners[one])} & links
+    }
+    return sorted((every - joined - excluded) | (included & every))
 
 
 def _boxes(creature: Creature, tree: Tree) -> tuple[Numbers, Numbers]:
     """Return centres and half edges ``(3, b)`` of boxes around bodies, in working frames, m."""
     boxes = [body.shape.rounded_box for body in creature.bodies_of(tree.names)]
-    centre = tree.com + xp.array([box.centre for box in boxes]).T
+    centre = tree.centre + xp.array([box.centre for box in boxes]).T
     return centre, xp.array([box.half_extents + box.radius for box in boxes]).T
 
 

@@ -16,12 +16,12 @@ import abc
 import dataclasses
 import functools
 import itertools
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from typing_extensions import override
 
-from evo_cpg.spatial.decisions import chosen
+from evo_cpg.spatial.decisions import Condition, chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
 
 # Number n of discs that a capsule's cylinder is cut into. Together they have its second moment. The
@@ -31,14 +31,18 @@ _SLICES = 4
 # Largest component of a unit vector along the axis from which vectors across it are made.
 _NEARLY_ALONG = 0.9
 
-# Least length, so that a body without size has no 0 / 0, m.
-_LEAST = 1e-12
+# Least length, so that a body without size has no 0 / 0, m, and least semi-axis of `ellipsoid`.
+_LEAST, _LEAST_ELLIPSOID = 1e-12, 1e-9
 
 # Edge radius of a box in pictures, as a fraction of its smallest half size. Vertices along an
 # eighth of a circle: 6 look round on a body that fills a third of a frame.
 _ROUNDING, _QUARTER = 0.28, 6
 
-Profile = Literal["box", "ball", "disc", "polyhedron"]
+# Points on each rim of a cylinder that stand for it in pictures of contact, and corners of a rim in
+# pictures of the body.
+_RIM, _ROUND_RIM = 16, 48
+
+Profile = Literal["box", "ball", "disc", "cylinder", "polyhedron"]
 
 
 class Surface(NamedTuple):
@@ -54,7 +58,7 @@ class Cell(NamedTuple):
 
     Attributes:
         profile: distribution of height in a box, a ball stretched along the axes, an upright disc,
-            or a polyhedron.
+            a cylinder along x, or a polyhedron.
         centre: centre in the shape's frame, m.
         half_axes: half axes along x, y and z, m.
         volume: volume of the cell, m^3.
@@ -73,14 +77,14 @@ class FloorPart(NamedTuple):
     """Part of a shape that may touch the floor.
 
     Attributes:
-        kind: a box and a mesh touch the floor with corners, a ball and an ellipsoid with their
-            lowest point.
-        size: half edges ``(3,)`` of a box, corners ``(k, 3)`` of a mesh, the radius of a ball, or
-            semi-axes ``(3,)`` of an ellipsoid, m.
+        kind: a box and a mesh touch the floor with corners, a cylinder along x with its rims, a
+            ball and an ellipsoid with their lowest point.
+        size: half edges ``(3,)`` of a box, corners ``(k, 3)`` of a mesh, half length and radius
+            ``(2,)`` of a cylinder, the radius of a ball, or semi-axes ``(3,)`` of an ellipsoid, m.
         centre: centre in the shape's frame, m, or None for the frame's origin.
     """
 
-    kind: Literal["box", "mesh", "ball", "ellipsoid"]
+    kind: Literal["box", "mesh", "cylinder", "ball", "ellipsoid"]
     size: Any
     centre: Numbers | None = None
 
@@ -153,7 +157,15 @@ class Barrel(NamedTuple):
 
 
 class Shape(abc.ABC):
-    """A convex rigid shape, centred on its own frame."""
+    """A convex rigid shape, centred on its own frame.
+
+    Attributes:
+        exists: False only for `NoShape`.
+        blunt: whether it is round about its x axis, with flat ends.
+    """
+
+    exists: ClassVar[bool] = True
+    blunt: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod
@@ -187,8 +199,20 @@ class Shape(abc.ABC):
         return self.half_extents, xp.eye(3)
 
     @property
+    def ellipsoid(self) -> Numbers:
+        """Semi-axes ``(3,)`` of an ellipsoid of equal volume that carries as much water, m.
+
+        They are along the axes of `stretch`. By default they have the proportions of `stretch`.
+        """
+        half = xp.maximum(self.stretch[0], _LEAST_ELLIPSOID)
+        return half * (self.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
+
+    @property
     def rounded_box(self) -> "RoundedBox":
-        """Rounded box around the shape, equal to the shape except for ellipsoids and meshes."""
+        """Rounded box that stands for the shape where limbs touch each other.
+
+        It is equal to boxes, spheres and capsules, and around ellipsoids and meshes.
+        """
         return RoundedBox(np.zeros(3), self.half_extents, 0.0)
 
     @property
@@ -261,8 +285,11 @@ class Shape(abc.ABC):
         raise TypeError(f"no contact points for a {type(self).__name__}. Define obstacle_parts")
 
     @property
-    def corners(self) -> np.ndarray | None:
-        """Corners that may touch the floor ``(k, 3)``, m, or None for a round shape."""
+    def corners(self) -> Numbers | None:
+        """Corners, or points on edges, that may touch the floor ``(k, 3)``, m.
+
+        None for a shape without edges.
+        """
         return None
 
     def skin(self) -> Skin:
@@ -573,6 +600,228 @@ class Capsule(Shape):
         directions, signs, faces = _split_sphere()
         points = signs * [self.length / 2, 0, 0] + self.radius * directions
         return Skin(points, directions, faces)
+
+
+@dataclasses.dataclass(frozen=True)
+class Cylinder(Shape):
+    """Cylinder along x with flat ends.
+
+    Limbs that touch each other, and obstacles, see a long cylinder as a capsule of equal length and
+    radius, so its rims may enter by 0.41 radii. They see a disc as a square plate with round edges.
+
+    Attributes:
+        radius: radius, m.
+        length: length, m.
+    """
+
+    blunt: ClassVar[bool] = True
+
+    radius: Number
+    length: Number
+
+    @property
+    @override
+    def volume(self) -> Number:
+        return xp.pi * self.radius**2 * self.length
+
+    @property
+    @override
+    def half_extents(self) -> Numbers:
+        return xp.array([self.length / 2, self.radius, self.radius])
+
+    @property
+    @override
+    def reach(self) -> Number:
+        return xp.sqrt(self.length**2 / 4 + self.radius**2)
+
+    @override
+    def inertia(self, mass: Number) -> Numbers:
+        r, length = self.radius, self.length
+        across = mass * (length**2 / 12 + r**2 / 4)
+        return xp.array([mass * r**2 / 2, across, across])
+
+    @property
+    @override
+    def ellipsoid(self) -> Numbers:
+        """Semi-axes of an ellipsoid of equal volume.
+
+        A thin disc has its radius, so the added mass is 8/3 rho r^3. A long cylinder has its second
+        moment along the axis, so a rod that tumbles has rho pi r^2 L^3 / 12.
+        """
+        r, length = xp.maximum(self.radius, _LEAST), xp.maximum(self.length, _LEAST)
+        slender = length**2 / (length**2 + 4 * r**2)
+        along = length / 2 * (1.5 + (np.sqrt(5 / 3) - 1.5) * slender)
+        across = r * xp.sqrt(0.75 * length / along)
+        return xp.array([along, across, across])
+
+    @property
+    @override
+    def rounded_box(self) -> RoundedBox:
+        edge = xp.minimum(self.radius, self.length / 2)
+        along = self.length / 2 - edge
+        # A square of equal area stands for the flat part of a disc.
+        across = np.sqrt(np.pi) / 2 * (self.radius - edge)
+        return RoundedBox(np.zeros(3), xp.array([along, across, across]), edge)
+
+    @override
+    def distance(self, points: Numbers) -> Numbers:
+        around = xp.sqrt(xp.square(points[:, 1]) + xp.square(points[:, 2]))
+        excess = xp.stack([xp.abs(points[:, 0]) - self.length / 2, around - self.radius], 1)
+        outside = xp.linalg.norm(xp.maximum(excess, 0), axis=-1)
+        return outside + xp.minimum(excess.max(-1), 0)
+
+    @override
+    def support(self, direction: Numbers) -> Numbers:
+        around = direction * np.array([0.0, 1.0, 1.0])
+        size = xp.linalg.norm(around)
+        # The middle of an end is its farthest point if the axis lies along the direction.
+        outward = around / xp.where(size > 0, size, 1.0)
+        end = xp.array([xp.sign(direction[0]) * self.length / 2, 0.0, 0.0])
+        return end + self.radius * outward
+
+    @override
+    def height(self, directions: np.ndarray) -> np.ndarray:
+        across = np.hypot(directions[..., 1], directions[..., 2])
+        return np.abs(directions[..., 0]) * float(self.length) / 2 + across * float(self.radius)
+
+    @override
+    def surface(self, resolution: int) -> Surface:
+        """Return rings of points on the side and on both ends.
+
+        The rings of an end are Gauss points of the squared radius.
+        """
+        nodes, weights = np.polynomial.legendre.leggauss(resolution)
+        around = _ring(resolution)
+        count = len(around)
+        places = xp.repeat(nodes * self.length / 2, count)[:, None]
+        normals = xp.tile(xp.column_stack([xp.zeros(count), around]), (resolution, 1))
+        side = Surface(
+            xp.concatenate([places, self.radius * xp.tile(around, (resolution, 1))], 1),
+            normals,
+            xp.repeat(weights / 2 * 2 * xp.pi * self.radius * self.length / count, count),
+        )
+        radii = np.repeat(np.sqrt((nodes + 1) / 2), count)[:, None]
+        disc = self.radius * radii * xp.tile(around, (resolution, 1))
+        areas = xp.repeat(weights / 2 * xp.pi * self.radius**2 / count, count)
+        ends = [
+            Surface(
+                xp.concatenate([xp.full((len(disc), 1), sign * self.length / 2), disc], 1),
+                xp.tile(xp.array([[sign, 0.0, 0.0]]), (len(disc), 1)),
+                areas,
+            )
+            for sign in (1.0, -1.0)
+        ]
+        return _join([side, *ends])
+
+    @override
+    def cells(self) -> tuple[Cell, ...]:
+        return (Cell("cylinder", (0.0, 0.0, 0.0), as_vector(self.half_extents), self.volume),)
+
+    @override
+    def floor_parts(self) -> tuple[FloorPart, ...]:
+        return (FloorPart("cylinder", xp.array([self.length / 2, self.radius])),)
+
+    @override
+    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
+        """Return a capsule, or the ellipsoid in a disc, so that a wheel rolls over obstacles."""
+
+        def is_disc() -> Condition:
+            return self.length < 2 * self.radius
+
+        if chosen(lambda: bool(is_disc()), lambda made: is_disc() == made):
+            return (ObstaclePart("ellipsoid", np.zeros(3), self.half_extents, 0.0),)
+        return (ObstaclePart("line", *self.rounded_box),)
+
+    @property
+    @override
+    def corners(self) -> Numbers:
+        angles = 2 * np.pi * np.arange(_RIM) / _RIM
+        around = self.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        ends = [
+            xp.concatenate([xp.full((_RIM, 1), sign * self.length / 2), around], 1)
+            for sign in (1.0, -1.0)
+        ]
+        return xp.concatenate(ends)
+
+    @override
+    def skin(self) -> Skin:
+        """Return the side and both ends, with points of their own, so that the rims are sharp."""
+        angles = 2 * np.pi * np.arange(_ROUND_RIM) / _ROUND_RIM
+        around = np.column_stack([np.cos(angles), np.sin(angles)])
+        here, ahead = np.arange(_ROUND_RIM), np.roll(np.arange(_ROUND_RIM), -1)
+        points, normals, faces = [], [], []
+        for sign in (1.0, -1.0):
+            end = np.full((_ROUND_RIM, 1), sign * self.length / 2)
+            rim = np.column_stack([end, self.radius * around])
+            first = _ROUND_RIM * len(points)
+            points += [rim, rim]
+            normals += [
+                np.column_stack([0 * end, around]),
+                np.tile([sign, 0.0, 0.0], (_ROUND_RIM, 1)),
+            ]
+            fan = np.column_stack([0 * here[1:-1], here[1:-1], ahead[1:-1]])
+            faces.append(first + _ROUND_RIM + fan[:, :: int(sign)])
+        back = 2 * _ROUND_RIM
+        faces += [
+            np.column_stack([here, back + here, back + ahead]),
+            np.column_stack([here, back + ahead, ahead]),
+        ]
+        return Skin(np.concatenate(points), np.concatenate(normals), np.concatenate(faces))
+
+
+@dataclasses.dataclass(frozen=True)
+class NoShape(Shape):
+    """Shape of a body that has none: a point that nothing touches, wets or draws."""
+
+    exists: ClassVar[bool] = False
+
+    @property
+    @override
+    def volume(self) -> Number:
+        return 0.0
+
+    @property
+    @override
+    def half_extents(self) -> Numbers:
+        return np.zeros(3)
+
+    @override
+    def inertia(self, mass: Number) -> Numbers:
+        return 0.0 * mass * np.ones(3)
+
+    @override
+    def distance(self, points: Numbers) -> Numbers:
+        return xp.linalg.norm(points, axis=-1)
+
+    @override
+    def support(self, direction: Numbers) -> Numbers:
+        return 0.0 * direction
+
+    @override
+    def surface(self, resolution: int) -> Surface:
+        return Surface(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
+
+    @override
+    def cells(self) -> tuple[Cell, ...]:
+        return ()
+
+    @override
+    def floor_parts(self) -> tuple[FloorPart, ...]:
+        return ()
+
+    @override
+    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
+        return ()
+
+    @property
+    @override
+    def corners(self) -> Numbers:
+        return np.zeros((1, 3))
+
+    @override
+    def skin(self) -> Skin:
+        """Return one triangle without area, because pictures cannot draw nothing."""
+        return Skin(np.zeros((3, 3)), np.tile([1.0, 0.0, 0.0], (3, 1)), np.array([[0, 1, 2]]))
 
 
 def _nearest_first(direction: Numbers) -> np.ndarray:

@@ -5,16 +5,19 @@ bodies, and the distance from its nose sets the boundary layer.
 
 Two bodies are linked if the joint lies between them: the direction from one centre to the joint and
 on to the other centre turns by at most 45 degrees, and if neither body is four times as wide as the
-other. A body has at most two links, on opposite sides. Of several candidates it takes those whose
-widths are most alike its own. So a trunk continues in its tail and not in a fin. Equally alike
-candidates on the same side, such as the two lobes of a fluke, are a fork, which ends the chain.
-Every body belongs to exactly one chain, which may have one body only.
+other. A thin fin at the end may be wider, such as a caudal fin behind a peduncle: a body with one
+joint whose thickness is at most a quarter of its width. A body has at most two links, on opposite
+sides. Of several candidates it takes those whose widths are most alike its own. So a trunk
+continues in its tail and not in a fin. Equally alike candidates on the same side, such as the two
+lobes of a fluke, are a fork, which ends the chain. Every body belongs to exactly one chain, which
+may have one body only. A further part of a body is a chain of its own.
 
 The nose is the end that points forward, along +x. In a chain that stands across, such as a leg, it
 is the end nearer to the root.
 """
 
 import itertools
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -28,14 +31,20 @@ from evo_cpg.spatial.numerics import Number, Numbers, xp
 # Cosine of the largest turn at a link, and largest cosine between the two links of a body.
 _STRAIGHT, _OPPOSITE = 0.7, -0.5
 
-# Largest ratio of the widths of linked bodies.
+# Largest ratio of the widths of linked bodies, unless the wider one is a thin fin at the end.
 _SIMILAR = 4.0
+
+# Least ratio of width to thickness of a thin fin, as for its lift (`evo_cpg.physics.lift`).
+_THIN = 4.0
 
 # Ratio of the likeness of two candidates above which they count as equally alike.
 _EQUALLY = 0.99
 
 # Least length of a centreline, m. A body without size has no direction.
 _LEAST_LENGTH = 1e-12
+
+# Least number of bodies of a chain that bends as a wave. One or two rigid bodies cannot.
+LEAST_BODIES = 3
 
 # Cosine of the largest angle between a chain and +x at which its front end is the nose.
 _FORWARD = 0.5
@@ -107,7 +116,7 @@ def _joints(creature: Creature) -> list[_Link]:
     return [
         _Link(creature.body_index(body.joint.parent), i)
         for i, body in enumerate(creature.bodies)
-        if body.joint is not None
+        if body.joint is not None and body.whole is None
     ]
 
 
@@ -132,11 +141,25 @@ def _turn(creature: Creature, pose: tuple[Numbers, Numbers], link: _Link) -> Num
     return _unit(place - centres[link.parent]) @ _unit(centres[link.child] - place)
 
 
-def _width(shape: Shape, direction: np.ndarray) -> float:
-    """Return the largest extent of a shape across a unit vector of its frame, m."""
+def _extents(shape: Shape, direction: np.ndarray) -> tuple[float, float]:
+    """Return width and thickness of a shape across a unit vector of its frame, m."""
     half, axes = (np.asarray(x, float) for x in shape.stretch)
     across = axes - np.outer(direction, direction @ axes)
-    return float(2 * np.max(np.linalg.norm(across, axis=0) * half))
+    _, thickness, width = np.sort(2 * np.linalg.norm(across, axis=0) * half)
+    return float(width), float(thickness)
+
+
+def _fits(extents: list[tuple[float, float]], ends: list[bool]) -> bool:
+    """Return whether two bodies may be linked.
+
+    Args:
+        extents: width and thickness of each, m.
+        ends: whether each has no other joint.
+    """
+    (narrow, _, _), (wide, thickness, end) = sorted(
+        (*each, last) for each, last in zip(extents, ends, strict=True)
+    )
+    return wide < _SIMILAR * narrow or (end and narrow > 0 and wide >= _THIN * thickness)
 
 
 def _links(
@@ -144,18 +167,21 @@ def _links(
 ) -> list[_Link]:
     """Return the joints that continue a chain."""
     centres, rotations = pose
-    widths = {}
+    extents = {}
     for link in joints:
         place = _place(creature, pose, link)
-        widths[link] = [
-            _width(creature.bodies[body].shape, rotations[body].T @ _unit(place - centres[body]))
+        extents[link] = [
+            _extents(creature.bodies[body].shape, rotations[body].T @ _unit(place - centres[body]))
             for body in link
         ]
+    count = Counter(body for link in joints for body in link)
     straight = [
         link
-        for link, (one, other) in widths.items()
-        if _turn(creature, pose, link) > _STRAIGHT and max(one, other) < _SIMILAR * min(one, other)
+        for link, each in extents.items()
+        if _turn(creature, pose, link) > _STRAIGHT
+        and _fits(each, [count[body] == 1 for body in link])
     ]
+    widths = {link: [width for width, _ in each] for link, each in extents.items()}
 
     kept: list[set[_Link]] = []
     for body, centre in enumerate(centres):

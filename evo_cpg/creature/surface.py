@@ -21,7 +21,7 @@ from evo_cpg.creature.outline import outlines
 from evo_cpg.creature.outline_points import outline_surface
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
-from evo_cpg.spatial.numerics import Number, Numbers, xp
+from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 
 # Layout of the surface points of a model. "merged" leaves sheltered points out, and merges points
 # that move alike in the water. Bodies of a batch need one layout: "separate" merges nothing, and
@@ -224,7 +224,7 @@ def _nearness(
     centres, _ = pose
     radius = xp.array([body.shape.reach for body in creature.bodies])
     distance = xp.sqrt(xp.square(centres[:, None] - centres).sum(-1))
-    return distance / (radius[:, None] + radius + reach)
+    return distance / xp.maximum(radius[:, None] + radius + reach, _LEAST)
 
 
 def _exposed(
@@ -293,8 +293,7 @@ def _covered(
             gap = shape.distance(local.reshape(-1, 3)).reshape(local.shape[:-1]).min(0)
             size = _SUNK * xp.minimum(xp.sqrt(areas), xp.min(shape.half_extents))
             size = xp.maximum(size, _LEAST)
-            fraction = xp.clip(-gap / size, 0.0, 1.0)
-            found[i][int(j)] = fraction * fraction * (3.0 - 2.0 * fraction)
+            found[i][int(j)] = smooth_step(-gap / size)
     return found
 
 
@@ -303,9 +302,11 @@ def _largest_gap(creature: Creature, pose: tuple[Numbers, Numbers]) -> Number:
     centres, rotations = pose
     gaps = [0.0]
     for i, body in enumerate(creature.bodies):
-        if body.joint is None:
+        if body.joint is None or body.whole is not None:
             continue
         parent = creature.body_index(body.joint.parent)
+        if not (body.shape.exists and creature.bodies[parent].shape.exists):
+            continue
         world = body.shape.surface(8).points @ rotations[i].T + centres[i]
         local = (world - centres[parent]) @ rotations[parent]
         gaps.append(creature.bodies[parent].shape.distance(local).min())

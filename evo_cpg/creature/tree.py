@@ -2,7 +2,7 @@
 
 Bodies are ordered by depth in the tree (see `topological_order`). Adjacent bodies of one depth with
 limbs of the same build form a `Group`, which the recursions treat at once. The origin of a body's
-working frame is at its joint (the root's at its centre), with the axes of the body's own frame.
+working frame is at its joint (a free root's at its centre), with the axes of the body's own frame.
 
 | symbol | name |
 |---|---|
@@ -11,26 +11,31 @@ working frame is at its joint (the root's at its centre), with the axes of the b
 | I_i | ``inertia``: 6x6 spatial inertia about the working frame's origin, angular part first |
 """
 
+import bisect
 import dataclasses
 import functools
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
+from evo_cpg.creature.axis_laws import DryFriction, push_of, soft_limits
+from evo_cpg.creature.creature import (
+    AxisKind,
+    Body,
+    Creature,
+    DegreeOfFreedom,
+    JointKind,
+    neutral_pose,
+    topological_order,
+)
 from evo_cpg.creature.muscles import Muscles, muscles_of
+from evo_cpg.creature.tendons import Tendons, tendons_of
 from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
-
-# A soft limit is a critically damped spring on the effective inertia of the joint. A step of
-# 1/120 s resolves it. The spring also balances the joint's own motor, which would otherwise push
-# through. A motor that commands 1 rad/s, or 1 rad beyond the limit, gets 0.016 rad beyond it.
-LIMIT_FREQUENCY = 10.0
-LIMIT_DAMPING_RATIO = 1.0
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
 _LEAST_VOLUME = 1e-30
@@ -48,41 +53,46 @@ class Group(NamedTuple):
         dofs: slice of the tree's degrees of freedom.
         axes: number of joint axes of each body.
         parents: index of each body's parent.
+        kind: kind of the joints.
+        kinds: kinds of their axes.
     """
 
     bodies: slice
     dofs: slice
     axes: int
     parents: tuple[int, ...]
-
-
-class DryFriction(eqx.Module):
-    """Dry friction of the joint axes.
-
-    Attributes:
-        loss: largest torque, N m.
-        inertia: effective inertia of each axis in the neutral pose, with its rotor, kg m^2.
-    """
-
-    loss: Float[Numbers, " d"]
-    inertia: Float[Numbers, " d"]
+    kind: JointKind = "turns"
+    kinds: tuple[AxisKind, ...] = ()
 
 
 class Tree(eqx.Module):
-    """A free-floating tree of rigid bodies in the order of the recursions.
+    """A tree of rigid bodies in the order of the recursions.
+
+    The root floats freely, or hangs on the fixed world (`evo_cpg.physics.hanging`). The joint of a
+    root that hangs comes first among the degrees of freedom.
 
     Attributes:
         names: body names.
         parents: index of each body's parent, -1 for the root.
         groups: all bodies except the root, in groups that the recursions treat together.
+        hanging: the root as a group, if it hangs on the world, or None for a free root.
         dof_names: names of the degrees of freedom, ``body.axis``.
         dof_bodies: index of the body that each degree of freedom moves.
-        joint_offset: joint position in the parent's frame, m.
+        dof_kinds: kind of each degree of freedom.
+        owners: index of the body that each body is rigidly joined to, directly or by others: the
+            first one of a rigid group, often the body itself.
+        wholes: index of the body that each body is a part of, usually the body itself.
+        joint_offset: joint position in the parent's frame (a root's in the world's), m.
         joint_orientation: rotation from child frame to parent frame in the neutral pose.
         joint_axes: unit vectors in the child's neutral frame.
-        mass: mass of each body, kg.
+        joint_places: positions of the axes in the working frame, m, or None if all joints are of
+            the kinds "turns" and "ball", with axes at the origin.
+        mass: mass of each body, kg. A welded body has none: its owner has the mass of all bodies
+            that are welded together.
         volume: volume of each body, m^3.
-        com: centre of mass (and of volume) in the working frame, m.
+        com: centre of mass in the working frame, m.
+        root_centre: origin of the root's own frame in its working frame, m.
+        centre_of_volume: centre of the shape in the working frame, m, or None if it is ``com``.
         inertia: spatial inertia in the working frame, kg m^2, kg m and kg.
         stiffness: stiffness of the passive springs, N m/rad.
         rest: angles at which these springs are relaxed, rad, or None if all are 0.
@@ -98,19 +108,27 @@ class Tree(eqx.Module):
         muscles: muscles about the axes, or None if there are none.
         limit_stiffness: stiffness of the soft limits, N m/rad.
         limit_damping: damping of the soft limits, N m s/rad.
+        tendons: fixed tendons, or None if there are none.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
     parents: tuple[int, ...] = eqx.field(static=True)
     groups: tuple[Group, ...] = eqx.field(static=True)
+    hanging: Group | None = eqx.field(static=True)
     dof_names: tuple[str, ...] = eqx.field(static=True)
     dof_bodies: tuple[int, ...] = eqx.field(static=True)
+    dof_kinds: tuple[AxisKind, ...] = eqx.field(static=True)
+    owners: tuple[int, ...] = eqx.field(static=True)
+    wholes: tuple[int, ...] = eqx.field(static=True)
     joint_offset: Float[Numbers, "3 b"]
     joint_orientation: Float[Numbers, "3 3 b"]
     joint_axes: Float[Numbers, "3 d"]
+    joint_places: Float[Numbers, "3 d"] | None
     mass: Float[Numbers, " b"]
     volume: Float[Numbers, " b"]
     com: Float[Numbers, "3 b"]
+    root_centre: Float[Numbers, "3"]
+    centre_of_volume: Float[Numbers, "3 b"] | None
     inertia: Float[Numbers, "6 6 b"]
     stiffness: Float[Numbers, " d"]
     rest: Float[Numbers, " d"] | None
@@ -126,6 +144,7 @@ class Tree(eqx.Module):
     muscles: Muscles | None
     limit_stiffness: Float[Numbers, " d"]
     limit_damping: Float[Numbers, " d"]
+    tendons: Tendons | None = None
 
     @property
     def body_count(self) -> int:
@@ -137,11 +156,60 @@ class Tree(eqx.Module):
         """Number of joint axes, without the free root's six degrees of freedom."""
         return len(self.dof_names)
 
+    @property
+    def centre(self) -> Float[Numbers, "3 b"]:
+        """Centre of each body's shape, the centre of its volume, in the working frame, m."""
+        return self.com if self.centre_of_volume is None else self.centre_of_volume
+
+    @property
+    def rigid_mass(self) -> Float[Numbers, " b"]:
+        """Mass of all bodies that each body is welded to, and of the body itself, kg."""
+        if self.owners == tuple(range(len(self.names))):
+            return self.mass
+        return self.mass[np.array(self.owners)]
+
+    @property
+    def torque_driven(self) -> tuple[bool, ...]:
+        """Whether a torque motor, of the axis or of a tendon, follows each command."""
+        own = (False,) * self.dof_count if self.torque_motors is None else self.torque_motors.driven
+        if self.tendons is None:
+            return own
+        pulling = self.tendons.torque_gears
+        return tuple(driven or dof in pulling for dof, driven in enumerate(own))
+
+    @property
+    def gears(self) -> Float[Numbers, " d"] | None:
+        """Torque or force per unit of each command, 0 without a torque motor, None without any."""
+        if self.tendons is None or not self.tendons.torque_gears:
+            return None if self.torque_motors is None else self.torque_motors.gear
+        own = [0.0] * self.dof_count if self.torque_motors is None else self.torque_motors.gear
+        pulling = self.tendons.torque_gears
+        return xp.array([pulling.get(dof, gear) for dof, gear in enumerate(own)], float)
+
+    def of_commands(self, name: str) -> Float[Numbers, " d"]:
+        """Return a number of the law that each command acts on: of its axis or of its tendon.
+
+        Args:
+            name: field of axes and tendons, such as ``servo_stiffness`` or ``upper``.
+        """
+        own = getattr(self, name)
+        if self.tendons is None:
+            return own
+        each = zip(self.tendons.channels, getattr(self.tendons, name), strict=True)
+        pulling = dict(each)
+        return xp.array([pulling.get(dof, number) for dof, number in enumerate(own)], float)
+
+    @property
+    def root_slides(self) -> tuple[int, ...]:
+        """Degrees of freedom of the slides on which the root hangs."""
+        kinds = () if self.hanging is None else self.hanging.kinds
+        return tuple(i for i, kind in enumerate(kinds) if kind == "slide")
+
     def without_motors(self, axes: Bool[np.ndarray, " d"]) -> "Tree":
         """Return the tree with idle motors about some axes, and muscles without active fibres.
 
         Idle motors and muscles have no torque and cost no energy. The springs and dampers of
-        relaxed muscles stay.
+        relaxed muscles stay. The motor of a tendon is idle if any of the tendon's joints is.
         """
         others = ~axes
         limit, muscles = self.torque_limit, self.muscles
@@ -157,6 +225,7 @@ class Tree(eqx.Module):
             servo_stiffness=self.servo_stiffness * others,
             torque_limit=limit,
             muscles=muscles,
+            tendons=None if self.tendons is None else self.tendons.without_motors(axes),
         )
 
 
@@ -164,43 +233,59 @@ def build_tree(creature: Creature) -> Tree:
     """Arrange a creature's bodies for the recursions.
 
     Raises:
-        CreatureError: the bodies do not form one tree (see `topological_order`).
+        CreatureError: the bodies do not form one tree (see `topological_order`), or a tendon spans
+            no joints (see `tendons_of`).
     """
     order = topological_order(creature)
     bodies = [creature.bodies[i] for i in order]
     names = [body.name for body in bodies]
     parents = [names.index(body.joint.parent) if body.joint else -1 for body in bodies]
+    own = [creature.joint_of(body) for body in bodies]
     child_anchor = xp.array(
-        [body.joint.child_anchor if body.joint else (0.0, 0.0, 0.0) for body in bodies], float
+        [joint.child_anchor if joint else (0.0, 0.0, 0.0) for joint in own], float
     )
     # `parent_anchor` is in the parent's geometric frame. The origin of that frame is at
     # -child_anchor in the parent's working frame.
     parent_anchor = xp.array(
-        [body.joint.parent_anchor if body.joint else (0.0, 0.0, 0.0) for body in bodies], float
+        [joint.parent_anchor if joint else (0.0, 0.0, 0.0) for joint in own], float
     )
     jointed = np.array([[float(parent >= 0)] for parent in parents])
     offset = parent_anchor - jointed * child_anchor[np.array(parents)]
     orientation = xp.stack(
-        [xp.array(body.joint.orientation) if body.joint else np.eye(3) for body in bodies], axis=-1
+        [xp.array(joint.orientation) if joint else np.eye(3) for joint in own], axis=-1
     )
     mass = xp.array([body.mass for body in bodies])
-    com = -child_anchor
-    inertia = xp.stack(
-        [
-            spatial_inertia(m, c, body.shape.inertia_tensor(m))
-            for m, c, body in zip(mass, com, bodies, strict=True)
-        ],
-        axis=-1,
-    )
-    joints = [body.joint for body in bodies if body.joint]
-    dofs = [dof for joint in joints for dof in joint.dofs]
-    dof_bodies = [i for i, body in enumerate(bodies) if body.joint for _ in body.joint.dofs]
-    limit_rate = 2 * np.pi * LIMIT_FREQUENCY
+    com = centre = -child_anchor
+    if any(body.inertial is not None for body in bodies):
+        com = centre + xp.array(
+            [np.zeros(3) if body.inertial is None else body.inertial.centre for body in bodies]
+        )
+    about = [
+        body.inertia if body.inertial else body.shape.inertia_tensor(m)
+        for m, body in zip(mass, bodies, strict=True)
+    ]
+    inertias = [spatial_inertia(*own) for own in zip(mass, com, about, strict=True)]
+    owners = _owners(bodies, parents)
+    if owners != list(range(len(bodies))):
+        places = _places_in_owner(owners, parents, offset, orientation)
+        inertias = [
+            own if i == owner else spatial_inertia(m, p + turn @ c, turn @ tensor @ turn.T)
+            for i, (owner, own, m, c, tensor, (p, turn)) in enumerate(
+                zip(owners, inertias, mass, com, about, places, strict=True)
+            )
+        ]
+        within = [p + turn @ c for c, (p, turn) in zip(com, places, strict=True)]
+        mass, com, inertias = _merged(owners, mass, within, inertias, centre)
+    inertia = xp.stack(inertias, axis=-1)
+    dofs = [dof for joint in own if joint for dof in joint.dofs]
+    dof_bodies = [i for i, joint in enumerate(own) if joint for _ in joint.dofs]
     leverage = _effective_inertia(creature, order)
 
     def each(name: str) -> Float[Numbers, "d *rest"]:
         return xp.array([getattr(dof, name) for dof in dofs], float)
 
+    kinds = tuple(dof.kind for dof in dofs)
+    groups, hanging = _groups(bodies, parents, dof_bodies), _hanging(creature)
     rest, armature, loss = each("rest"), each("armature"), each("friction_loss")
     rubs = chosen(lambda: bool((loss != 0).any()), lambda made: made | ~(loss != 0).any())
     sprung = chosen(lambda: bool((rest != 0).any()), lambda made: made | ~(rest != 0).any())
@@ -210,26 +295,36 @@ def build_tree(creature: Creature) -> Tree:
         torque_motors_of([dof.torque_motor for dof in dofs]),
         each("torque_limit"),
     )
-    # A limit balances muscles and torque motors like a servo of that torque at 1 rad/s.
     push = gain + spring if muscles is None else gain + spring + muscles.strength
-    if torque_motors is not None:
-        full = xp.minimum(xp.abs(torque_motors.gear), torque_limit)
-        push = push + xp.where(np.array(torque_motors.driven), full, 0.0)
+    push = push_of(push, torque_limit, torque_motors)
+    limit_stiffness, limit_damping = soft_limits(leverage, push)
+    dof_names = _dof_names([names[i] for i in dof_bodies], dofs)
+    idle = tuple(motor is None for joint in own if joint for motor in joint.motors)
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
-        groups=_groups(bodies, parents, dof_bodies),
-        dof_names=tuple(
-            f"{bodies[i].name}.{chosen(functools.partial(_axis_name, dof.axis))}"
-            for i, dof in zip(dof_bodies, dofs, strict=True)
-        ),
+        groups=groups,
+        hanging=hanging,
+        dof_names=dof_names,
         dof_bodies=tuple(dof_bodies),
+        dof_kinds=kinds,
+        owners=tuple(owners),
+        wholes=tuple(
+            i if body.whole is None else names.index(body.whole) for i, body in enumerate(bodies)
+        ),
         joint_offset=offset.T,
         joint_orientation=orientation,
         joint_axes=each("axis").reshape(-1, 3).T,
+        joint_places=(
+            each("place").reshape(-1, 3).T
+            if any(group.kind == "chain" for group in (*groups, hanging) if group)
+            else None
+        ),
         mass=mass,
         volume=xp.maximum(xp.array([body.shape.volume for body in bodies]), _LEAST_VOLUME),
         com=com.T,
+        root_centre=-child_anchor[0],
+        centre_of_volume=None if com is centre else centre.T,
         inertia=inertia,
         stiffness=each("stiffness"),
         rest=rest if sprung else None,
@@ -243,9 +338,63 @@ def build_tree(creature: Creature) -> Tree:
         torque_limit=torque_limit,
         torque_motors=torque_motors,
         muscles=muscles,
-        limit_stiffness=leverage * limit_rate**2 + push * limit_rate,
-        limit_damping=2 * LIMIT_DAMPING_RATIO * leverage * limit_rate,
+        limit_stiffness=limit_stiffness,
+        limit_damping=limit_damping,
+        tendons=tendons_of(creature.tendons, dof_names, idle, leverage + armature),
     )
+
+
+def _owners(bodies: list[Body], parents: list[int]) -> list[int]:
+    """Return the index of the first body of the rigid group of each body."""
+    owners: list[int] = []
+    for i, (body, parent) in enumerate(zip(bodies, parents, strict=True)):
+        welded = body.joint is not None and parent >= 0 and not body.joint.dofs
+        owners.append(owners[parent] if welded else i)
+    return owners
+
+
+def _places_in_owner(
+    owners: list[int], parents: list[int], offset: Numbers, orientation: Numbers
+) -> list[tuple[Numbers, Numbers]]:
+    """Return the origin (m) and rotation of each body in the working frame of its owner."""
+    places: list[tuple[Numbers, Numbers]] = []
+    for i, owner in enumerate(owners):
+        if owner == i:
+            places.append((np.zeros(3), np.eye(3)))
+        else:
+            place, turn = places[parents[i]]
+            places.append((place + turn @ offset[i], turn @ orientation[..., i]))
+    return places
+
+
+def _merged(
+    owners: list[int],
+    mass: Numbers,
+    within: list[Numbers],
+    inertias: list[Numbers],
+    centre: Numbers,
+) -> tuple[Numbers, Numbers, list[Numbers]]:
+    """Return masses, centres of mass and inertias in which welded bodies have given theirs away.
+
+    Args:
+        owners: owner of each body.
+        mass: mass of each body, kg.
+        within: centre of mass of each body in the working frame of its owner, m.
+        inertias: spatial inertia of each body in the working frame of its owner.
+        centre: centre of each shape in its body's working frame, m.
+    """
+    total: list[Any] = [0.0] * len(owners)
+    moment: list[Any] = [np.zeros(3)] * len(owners)
+    tensor: list[Any] = [np.zeros((6, 6))] * len(owners)
+    for owner, m, place, own in zip(owners, mass, within, inertias, strict=True):
+        total[owner] = total[owner] + m
+        moment[owner] = moment[owner] + m * place
+        tensor[owner] = tensor[owner] + own
+    com = [
+        xp.where(m > 0, c / xp.where(m > 0, m, 1.0), own)
+        for m, c, own in zip(total, moment, centre, strict=True)
+    ]
+    return xp.array(total), xp.stack(com), tensor
 
 
 def spatial_inertia(mass: Number, com: Numbers, inertia: Numbers) -> Float[Numbers, "6 6"]:
@@ -270,11 +419,14 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     """Return the effective inertia ``(d,)`` of each axis in the neutral pose, kg m^2.
 
     The two halves of the creature on either side of the joint turn against each other. The
-    effective inertia is the product of their inertias about the axis, divided by the sum.
+    effective inertia is the product of their inertias about the axis, divided by the sum. Against
+    the fixed world, it is the inertia of the half that moves. Masses, kg, count for a slide.
     """
     centres, rotations = neutral_pose(creature)
     names = [body.name for body in creature.bodies]
-    jointed = [(i, joint) for i in order if (joint := creature.bodies[i].joint) is not None]
+    jointed = [
+        (i, joint) for i in order if (joint := creature.joint_of(creature.bodies[i])) is not None
+    ]
     distal = []
     for i, joint in jointed:
         beyond = {names[i]}
@@ -284,46 +436,90 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
                 beyond.add(names[j])
         distal += [[name in beyond for name in names]] * len(joint.dofs)
     moved = np.array([i for i, joint in jointed for _ in joint.dofs], int)
-    axes = xp.array([dof.axis for _, joint in jointed for dof in joint.dofs], float).reshape(-1, 3)
-    anchors = xp.array([joint.child_anchor for _, joint in jointed for _ in joint.dofs], float)
+    dofs = [(joint, dof) for _, joint in jointed for dof in joint.dofs]
+    axes = xp.array([dof.axis for _, dof in dofs], float).reshape(-1, 3)
+    anchors = xp.array([joint.child_anchor for joint, _ in dofs], float)
+    if any(joint.places for joint, _ in dofs):
+        anchors = anchors + xp.array([dof.place for _, dof in dofs], float)
     directions = xp.einsum("dij,dj->di", rotations[moved], axes)
     places = centres[moved] + xp.einsum("dij,dj->di", rotations[moved], anchors.reshape(-1, 3))
     mass = xp.array([body.mass for body in creature.bodies])
     own = xp.stack(
-        [body.shape.inertia_tensor(m) for m, body in zip(mass, creature.bodies, strict=True)]
+        [
+            body.inertia if body.inertial else body.shape.inertia_tensor(m)
+            for m, body in zip(mass, creature.bodies, strict=True)
+        ]
     )
     spin = rotations @ own @ xp.swapaxes(rotations, 1, 2)
+    if any(body.inertial is not None for body in creature.bodies):
+        within = [np.zeros(3) if x.inertial is None else x.inertial.centre for x in creature.bodies]
+        centres = centres + xp.einsum("bij,bj->bi", rotations, xp.array(within))
     lever = xp.cross(directions[:, None], centres[None] - places[:, None])
     about = xp.einsum("di,bij,dj->db", directions, spin, directions) + mass * (lever * lever).sum(
         -1
     )
+    slides = np.array([dof.kind == "slide" for _, dof in dofs], bool)
+    if slides.any():
+        about = xp.where(slides[:, None], mass, about)
     beyond = np.array(distal, bool).reshape(len(moved), len(names))
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
-    return outer * inner / (outer + inner)
+    if creature.root_joint is None:
+        return outer * inner / (outer + inner)
+    is_fixed = not creature.root_joint.dofs
+    against_world = np.array([is_fixed or root for root in beyond.all(1)], bool)
+    return xp.where(against_world, outer, outer * inner / (outer + inner))
 
 
 def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Group, ...]:
     depth = [0]
     for parent in parents[1:]:
         depth.append(depth[parent] + 1)
+    kinds: dict[int, tuple[JointKind, tuple[AxisKind, ...]]] = {
+        i: (body.joint.kind, tuple(dof.kind for dof in body.joint.dofs))
+        for i, body in enumerate(bodies)
+        if body.joint
+    }
     build: dict[int, tuple] = {}
     for i in reversed(range(1, len(bodies))):
         limbs = sorted(build[j] for j in range(i + 1, len(bodies)) if parents[j] == i)
-        build[i] = len(bodies[i].joint.dofs), *limbs
+        build[i] = kinds[i], *limbs
     groups: list[Group] = []
     for _, run in itertools.groupby(range(1, len(bodies)), lambda i: (depth[i], build[i])):
         members = list(run)
-        start, axes = members[0], len(bodies[members[0]].joint.dofs)
-        first_dof = dof_bodies.index(start)
+        start, (kind, own) = members[0], kinds[members[0]]
+        axes = len(own)
+        first_dof = bisect.bisect_left(dof_bodies, start)
         groups.append(
             Group(
                 bodies=slice(start, members[-1] + 1),
                 dofs=slice(first_dof, first_dof + axes * len(members)),
                 axes=axes,
                 parents=tuple(parents[i] for i in members),
+                kind=kind,
+                kinds=own,
             )
         )
     return tuple(groups)
+
+
+def _dof_names(bodies: list[str], dofs: list[DegreeOfFreedom]) -> tuple[str, ...]:
+    """Return the names of degrees of freedom, unique in each body."""
+    names: list[str] = []
+    for body, dof in zip(bodies, dofs, strict=True):
+        axis = chosen(functools.partial(_axis_name, dof.axis))
+        name = f"{body}.{axis}" if dof.kind == "turn" else f"{body}.{dof.kind}_{axis}"
+        again = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
+        names.append(next(free for free in again if free not in names))
+    return tuple(names)
+
+
+def _hanging(creature: Creature) -> Group | None:
+    """Return the root as a group, or None for a free root."""
+    joint = creature.root_joint
+    if joint is None:
+        return None
+    kinds = tuple(dof.kind for dof in joint.dofs)
+    return Group(slice(0, 1), slice(0, len(kinds)), len(kinds), (-1,), joint.kind, kinds)
 
 
 def _axis_name(axis: Triple) -> str:

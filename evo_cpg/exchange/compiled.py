@@ -1,4 +1,7 @@
-"""A file compiled by MuJoCo, with the names and lines of its elements."""
+"""A file compiled by MuJoCo, with the names, lines and places of its elements.
+
+All places are those of the neutral pose (``qpos0``), in world axes. MuJoCo computes them.
+"""
 
 import importlib
 import os
@@ -7,22 +10,18 @@ import stat
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-import pydantic
 
-from evo_cpg.config.allowed import key_of
-from evo_cpg.config.schema.section import Section
 from evo_cpg.exchange.refusals import ExchangeError, Refusal, Refusals, RefusedError
+from evo_cpg.exchange.urdf import read_urdf
 from evo_cpg.installation import command_for
-
-_Section = TypeVar("_Section", bound=Section)
 
 # Largest relative difference of values that count as equal, and number of digits that are written.
 TOLERANCE = 1e-6
-_DIGITS = 12
+_DIGITS = 14
 
 # MuJoCo's number of the body that holds the elements of the world.
 WORLD = 0
@@ -34,16 +33,20 @@ class Compiled(NamedTuple):
     Attributes:
         mujoco: the module.
         model: the compiled model.
+        data: places of all elements in the neutral pose, in world axes.
         source: the file, for messages.
         refusals: faults found so far, for which the file is refused.
         lines: known lines of the elements in the file, by kind and number.
+        urdf: whether the file is a URDF.
     """
 
     mujoco: Any
     model: Any
+    data: Any
     source: Path
     refusals: Refusals
     lines: Mapping[tuple[str, int], int]
+    urdf: bool = False
 
     def item(self, kind: str, number: int) -> "Item":
         """Return an element by its kind and number."""
@@ -105,45 +108,22 @@ class Item(NamedTuple):
         """Line of the element in the file, or None if it is unknown."""
         return self.compiled.lines.get((self.kind, self.number))
 
-    def refuse(self, problem: str, allowed: str) -> None:
+    def refuse(self, problem: str, allowed: str, vital: bool = False) -> None:
         """Record that no creature can have the element, and continue."""
-        self.compiled.refusals.add(self.refusal(problem, allowed).refusal)
+        self.compiled.refusals.add(self.refusal(problem, allowed, vital).refusal)
 
-    def refusal(self, problem: str, allowed: str) -> RefusedError:
+    def refusal(self, problem: str, allowed: str, vital: bool = False) -> RefusedError:
         """Return an error that ends the reading of the element."""
-        return RefusedError(Refusal(str(self), f"{problem}. Allowed: {allowed}", self.line))
-
-    def section(self, section: type[_Section], values: dict[str, Any], what: str = "") -> _Section:
-        """Return a section of the creature, made of the element.
-
-        Args:
-            section: class of the section.
-            values: values of its keys, or None for an unset key.
-            what: name of the element in messages, or empty for its own name.
-
-        Raises:
-            RefusedError: the values break the section's rules.
-        """
-        return make_section(section, values, what or str(self), self.line)
+        return RefusedError(Refusal(str(self), f"{problem}. Allowed: {allowed}", self.line, vital))
 
 
-def make_section(
-    section: type[_Section], values: dict[str, Any], what: str, line: int | None = None
-) -> _Section:
-    """Return a section of the creature, see `Item.section`."""
-    try:
-        return section(**{key: value for key, value in values.items() if value is not None})
-    except pydantic.ValidationError as error:
-        problem = error.errors()[0]
-    said = problem["msg"].removeprefix("Value error, ")
-    if problem["type"] != "value_error":
-        said = f"{problem['input']}: {said[:1].lower()}{said[1:]}"
-    key = ".".join(map(str, key_of(problem, values)))
-    raise RefusedError(Refusal(what, f"{key}: {said}" if key else said, line))
-
-
-def compile_model(path: Path) -> Compiled:
+def compile_model(path: Path, drop: bool = False, free: bool = False) -> Compiled:
     """Compile a file with MuJoCo.
+
+    Args:
+        path: MJCF or URDF file.
+        drop: whether the user accepts the loss of refused elements.
+        free: whether the first body is released from the world.
 
     Raises:
         ExchangeError: MuJoCo is missing or cannot load the file, or not all of it is text.
@@ -152,14 +132,21 @@ def compile_model(path: Path) -> Compiled:
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
         raise ExchangeError(
-            f"reading MJCF needs MuJoCo. Install it with `{command_for('mujoco')}`"
+            f"reading a model needs MuJoCo. Install it with `{command_for('mujoco')}`"
         ) from None
-    _require_mjcf(path)
+    urdf = _is_urdf(path)
+    refusals = Refusals(path, drop)
     try:
         with warnings.catch_warnings():
             # MuJoCo warns about attributes that it will drop.
             warnings.simplefilter("ignore")
-            spec = mujoco.MjSpec.from_file(os.fsdecode(path))
+            if urdf:
+                given = read_urdf(path, refusals)
+                spec = mujoco.MjSpec.from_string(given.text, assets=given.meshes)
+            else:
+                spec = mujoco.MjSpec.from_file(os.fsdecode(path))
+            if free:
+                _release(spec, path)
             model = spec.compile()
         bytes(model.names).decode()
     except UnicodeDecodeError as error:
@@ -167,11 +154,25 @@ def compile_model(path: Path) -> Compiled:
         before, after = error.object[: error.start], error.object[error.start :]
         word = re.split(rb"[\0\s'\"]", before)[-1] + re.split(rb"[\0\s'\"]", after)[0]
         raise ExchangeError(f"{path}: {word!r} is not UTF-8 text. Save the file as UTF-8") from None
-    except ValueError as error:
+    except (ValueError, mujoco.FatalError) as error:
         raise ExchangeError(
             f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}"
         ) from None
-    return Compiled(mujoco, model, path, Refusals(path), _lines(spec, path))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return Compiled(mujoco, model, data, path, refusals, _lines(spec, path), urdf)
+
+
+def _release(spec: Any, path: Path) -> None:
+    """Let the first body of the file move freely."""
+    first = spec.worldbody.first_body()
+    if first is None:
+        raise ExchangeError(f"{path}: it holds no body")
+    if any(joint.type == 0 for joint in first.joints):
+        return
+    if first.joints:
+        raise ExchangeError(f"{path}: --free: the body {first.name!r} hangs on joints already")
+    first.add_freejoint()
 
 
 def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
@@ -200,8 +201,8 @@ def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
     return lines
 
 
-def _require_mjcf(path: Path) -> None:
-    """Check that a file is readable and no URDF, with clearer messages than MuJoCo's."""
+def _is_urdf(path: Path) -> bool:
+    """Return whether a file is a URDF. Check that it is readable, in clearer words than MuJoCo."""
     try:
         mode = path.stat().st_mode
         # Reading a pipe or a device might never end.
@@ -215,16 +216,8 @@ def _require_mjcf(path: Path) -> None:
         raise ExchangeError(f"{path}: cannot be read ({error.strerror})") from None
     except (ElementTree.ParseError, LookupError, ValueError):
         # MuJoCo reports the fault.
-        return
-    if first is not None and first.tag == "robot":
-        raise ExchangeError(f"{path}: it is a URDF. Allowed: MJCF, as MuJoCo saves it")
-
-
-def rotation(compiled: Compiled, quaternion: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix ``(3, 3)`` of a quaternion of the model."""
-    matrix = np.zeros(9)
-    compiled.mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
+        return False
+    return first is not None and first.tag == "robot"
 
 
 def tidy(value: float) -> float:
@@ -232,6 +225,7 @@ def tidy(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}") + 0.0
 
 
-def tidy_vector(values: np.ndarray) -> tuple[float, ...]:
+def tidy_vector(values: np.ndarray) -> list[float]:
     """Return coordinates after `tidy`. A tiny remainder of numbers that cancel becomes 0."""
-    return tuple(0.0 if abs(value) <= 10.0**-_DIGITS else tidy(value) for value in values)
+    least = 10.0**-_DIGITS * max(1.0, float(np.abs(values).max(initial=0.0)))
+    return [0.0 if abs(value) <= least else tidy(value) for value in np.ravel(values)]

@@ -4,12 +4,17 @@
 |---|---|---|
 | body, in its working frame at the joint | ``body``; the root's stands at its centre | |
 | shape and density | one ``geom``, centred at ``-child_anchor`` | `mjcf_shapes` |
-| joint | ``hinge``s | `mjcf_joints` |
+| further part of a body, and welded body | a ``body`` without a joint | |
+| mass and inertia in numbers | ``inertial`` | |
+| joint | ``hinge``s, ``slide``s or a ``ball`` | `mjcf_joints` |
+| root | a ``freejoint``; a root that hangs on the world has its own joints, or none | |
 | motor | ``position`` or ``velocity`` | `mjcf_motors` |
+| tendon | ``fixed`` tendon | `mjcf_tendons` |
 | ground | ``geom``s of the world | `mjcf_ground` |
 | buoyancy | ``gravcomp``: density of the water over that of the body | |
 | friction of a body on the ground | a ``pair`` of the two geoms | |
 | pair of bodies that push each other apart | a ``pair`` without friction (``condim`` 1) | |
+| eyes, restitution, muscles and other numbers of ours | a ``text`` for the import | `mjcf_custom` |
 | a start in another pose than the neutral one | a ``key`` named ``start`` | |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are equal on both sides.
@@ -19,26 +24,31 @@ softness of MuJoCo's defaults.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from evo_cpg.creature.creature import Body, Creature, topological_order
+from evo_cpg.creature.creature import Body, Creature, Inertial, topological_order
+from evo_cpg.exchange.mjcf_custom import add_custom
 from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
-from evo_cpg.exchange.mjcf_joints import add_hinges, joint_names
+from evo_cpg.exchange.mjcf_joints import add_joints, joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
 from evo_cpg.exchange.mjcf_shapes import add_meshes, shape_attributes
+from evo_cpg.exchange.mjcf_tendons import add_tendons
+from evo_cpg.exchange.mujoco_state import ball_quaternion
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.contact_model import Ground, combine
 from evo_cpg.physics.water import Water
-
-# Name of the immovable body that every MuJoCo model has.
-_WORLD = "world"
+from evo_cpg.spatial.rotation import euler_to_matrix
 
 # Name of the keyframe that holds the initial pose.
 _START = "start"
+
+# Largest distance of a buoyancy from the centre of mass, as a fraction of the body's size.
+_CENTRED = 1e-9
 
 
 def mjcf_model(
@@ -52,6 +62,7 @@ def mjcf_model(
     pairs: Sequence[tuple[str, str]] = (),
     orientation: Sequence[float] | None = None,
     angles: Sequence[float] | None = None,
+    sensors: Sequence[Mapping[str, Any]] = (),
 ) -> Element:
     """Return the ``mujoco`` element of a creature in its world.
 
@@ -60,24 +71,21 @@ def mjcf_model(
         gravity: gravity along -z, m/s^2.
         ground: ground that every body may touch.
         water: water whose buoyancy carries the bodies, unless it has a surface.
-        start: initial place of the root's centre, m.
-        heading: initial turn of the root about z, rad.
+        start: initial place of the root's centre, m, or of the frame on which the root hangs.
+        heading: initial turn of the root or that frame about z, rad.
         time_step: time step, s, or None for MuJoCo's own.
         pairs: names of bodies that push each other apart, without friction.
-        orientation: initial orientation of the root, unit quaternion (w, x, y, z), if the initial
-            pose is not the neutral one.
+        orientation: initial orientation of a free root, unit quaternion (w, x, y, z), if the
+            initial pose is not the neutral one.
         angles: angles of the joints in that pose, rad, in the order of the creature's `Tree`.
+        sensors: keys of the animal's sensors that are neither eyes, gauges nor pressure sensors.
 
     Raises:
         CreatureError: the bodies do not form one tree.
-        ExchangeError: MJCF cannot hold a body's name, a shape or a part of the ground.
+        ExchangeError: MJCF cannot hold a shape or a part of the ground.
     """
-    order = topological_order(creature)
+    topological_order(creature)
     names = [body.name for body in creature.bodies]
-    if _WORLD in names:
-        raise ExchangeError(
-            f"body {_WORLD!r}: MuJoCo reserves this name for the fixed world. Rename the body"
-        )
     root = Element("mujoco", model=creature.name)
     SubElement(root, "compiler", angle="radian")
     # The servos are too stiff for MuJoCo's other integrators at our steps.
@@ -89,13 +97,15 @@ def mjcf_model(
     # pairs.
     default = SubElement(root, "default")
     SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
+    add_custom(root, creature, heading, sensors)
     add_meshes(root, creature)
     place = SubElement(root, "worldbody")
     parts = add_ground(root, place, ground, names) if ground else []
     _add_bodies(place, creature, water, start, heading)
     contact = SubElement(root, "contact") if ground or pairs else None
     if ground and contact is not None:
-        for part, body in itertools.product(parts, creature.bodies):
+        solid = [body for body in creature.bodies if body.shape.exists]
+        for part, body in itertools.product(parts, solid):
             friction = combine(
                 ground.friction_rule, body.material.dynamic_friction, ground.dynamic_friction
             )
@@ -106,18 +116,44 @@ def mjcf_model(
         SubElement(contact, "pair", geom1=first, geom2=second, condim="1")
     actuator = SubElement(root, "actuator")
     for body in creature.bodies:
-        motors = body.joint.motors if body.joint else ()
-        for name, motor in zip(joint_names(body), motors, strict=True):
+        joint = creature.joint_of(body)
+        if joint is None:
+            continue
+        names = joint_names(body, joint)
+        for name, motor, dof in zip(names, joint.motors, joint.dofs, strict=True):
             if motor:
-                add_motor(actuator, name, motor)
-    if orientation is not None and angles is not None:
-        hinges = [name for i in order for name in joint_names(creature.bodies[i])]
-        pose = dict(zip(hinges, angles, strict=True))
+                axis = dof.axis if dof.kind == "ball" else None
+                add_motor(actuator, name, motor, axis=axis)
+    add_tendons(root, actuator, creature)
+    if angles is not None:
+        pose = _positions(creature, angles)
         # MuJoCo orders joints as in the file, limb by limb. The tree orders them by depth.
-        bends = [pose[joint.get("name", "")] for joint in place.iter("joint")]
+        bends = [x for joint in place.iter("joint") for x in pose[joint.get("name", "")]]
+        free = () if orientation is None else (*start, *orientation)
         keyframe = SubElement(root, "keyframe")
-        SubElement(keyframe, "key", name=_START, qpos=number_text(*start, *orientation, *bends))
+        SubElement(keyframe, "key", name=_START, qpos=number_text(*free, *bends))
     return root
+
+
+def _positions(creature: Creature, q: Sequence[float]) -> dict[str, list[float]]:
+    """Return MuJoCo's position of each joint, by its name.
+
+    Args:
+        creature: the creature.
+        q: coordinates of its joints, in the order of its `Tree`.
+    """
+    found: dict[str, list[float]] = {}
+    values = iter(q)
+    for body in (creature.bodies[i] for i in topological_order(creature)):
+        joint = creature.joint_of(body)
+        if joint is None:
+            continue
+        names, own = joint_names(body, joint), [next(values) for _ in joint.dofs]
+        if joint.kind == "ball":
+            found[names[0]] = ball_quaternion(np.array(joint.axes, float).T, np.array(own)).tolist()
+        else:
+            found |= {name: [x] for name, x in zip(names, own, strict=True)}
+    return found
 
 
 def mjcf_text(model: Element) -> str:
@@ -139,7 +175,7 @@ def _add_bodies(
 
     def add(outer: Element, body: Body, parent_anchor: tuple[float, float, float]) -> None:
         """Add a body in its parent's MJCF frame, whose origin is ``parent_anchor`` in our frame."""
-        joint = body.joint
+        joint = creature.joint_of(body)
         own_anchor = joint.child_anchor if joint else (0.0, 0.0, 0.0)
         element = SubElement(outer, "body", name=body.name)
         if joint is None:
@@ -147,28 +183,71 @@ def _add_bodies(
             if heading:
                 element.set("euler", number_text(0.0, 0.0, heading))
         else:
-            element.set("pos", place_text(np.subtract(joint.parent_anchor, parent_anchor)))
-            turn = np.array(joint.orientation)
+            at, turn = np.subtract(joint.parent_anchor, parent_anchor), np.array(joint.orientation)
+            if body.joint is None:
+                ahead = euler_to_matrix(0.0, 0.0, heading)
+                at, turn = start + ahead @ at, ahead @ turn
+            element.set("pos", place_text(at))
             if not np.array_equal(turn, np.eye(3)):
                 element.set("xyaxes", place_text(turn[:, :2].T.ravel()))
         if water is not None and water.surface is None:
-            element.set("gravcomp", number_text(water.density / body.material.density))
+            lift = _buoyancy(creature, body, water.density)
+            if lift:
+                element.set("gravcomp", number_text(lift))
         if joint is None:
             SubElement(element, "freejoint")
         else:
-            add_hinges(element, body, joint)
-        _add_geom(element, body, own_anchor)
+            add_joints(element, body, joint)
+        if body.inertial is not None and body.inertial.mass:
+            _add_inertial(element, body.inertial, own_anchor)
+        if body.shape.exists:
+            _add_geom(element, body, own_anchor)
         for child in children.get(body.name, []):
             add(element, child, own_anchor)
 
     add(place, children[""][0], (0.0, 0.0, 0.0))
 
 
+def _buoyancy(creature: Creature, body: Body, density: float) -> float:
+    """Return the buoyancy of a body over its weight, in deep water.
+
+    Raises:
+        ExchangeError: the body's buoyancy does not act at its centre of mass.
+    """
+    if body.inertial is None:
+        return density / body.material.density
+    if not body.inertial.mass:
+        return 0.0
+    volume, moment = body.shape.volume, np.zeros(3)
+    for part in creature.bodies:
+        if part.whole == body.name and part.joint is not None:
+            turn = np.array(part.joint.orientation)
+            place = part.joint.parent_anchor - turn @ np.array(part.joint.child_anchor)
+            volume, moment = volume + part.shape.volume, moment + part.shape.volume * place
+    off = moment / volume - body.inertial.centre if volume else np.zeros(3)
+    if np.linalg.norm(off) > _CENTRED * np.linalg.norm(body.shape.half_extents):
+        raise ExchangeError(
+            f"body {body.name!r}: its buoyancy acts {np.linalg.norm(off):.3g} m from its centre of "
+            "mass, but MuJoCo's gravcomp acts at the centre of mass"
+        )
+    return density * volume / body.inertial.mass
+
+
+def _add_inertial(element: Element, own: Inertial, anchor: tuple[float, float, float]) -> None:
+    a, b, c = own.inertia
+    inertial = SubElement(element, "inertial", pos=place_text(np.subtract(own.centre, anchor)))
+    inertial.set("mass", number_text(own.mass))
+    inertial.set("fullinertia", number_text(a[0], b[1], c[2], a[1], a[2], b[2]))
+
+
 def _add_geom(element: Element, body: Body, anchor: tuple[float, float, float]) -> None:
     geom = SubElement(element, "geom", {"name": body.name, **shape_attributes(body)})
     if any(anchor):
         geom.set("pos", place_text(np.negative(anchor)))
-    geom.set("density", number_text(body.material.density))
+    if body.inertial is None:
+        geom.set("density", number_text(body.material.density))
+    else:
+        geom.set("mass", "0")
     geom.set("friction", number_text(body.material.dynamic_friction))
     if body.color:
         red, green, blue = (int(body.color[i : i + 2], 16) / 255 for i in (1, 3, 5))

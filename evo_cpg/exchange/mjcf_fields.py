@@ -3,54 +3,82 @@
 | table | a field is |
 |---|---|
 | `READ`, `READ_LIMITS` | part of a creature, and must hold numbers |
-| `COMPUTED` | computed by MuJoCo from others, and checked or read |
-| `NEUTRAL` | refused, unless it has this value |
-| `REFUSED_COUNTS` | a number of elements, all of which are refused |
-| `OPTIONS_LEFT_OUT`, `LEFT_OUT_COUNTS` | left out, by name |
+| `COMPUTED` | computed by MuJoCo from others, and read |
+| `REFUSED` | refused, unless it has this value, because it changes the motion |
+| `LEFT_OUT` | left out, by name, unless it has this value: softness and rules of contacts |
+| `COUNTS` | a number of elements that are left out, by name |
+| `OPTIONS_LEFT_OUT` | an option that is left out, by name |
 
 All other fields do not affect the animal's motion, or hold the addresses of other fields. A test
 covers every field of the installed MuJoCo, so a new field is noticed. Fields that older versions
-lack are skipped.
+lack are skipped. The page "Bring your own model" prints these tables.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
-from evo_cpg.exchange.compiled import TOLERANCE, Compiled
-from evo_cpg.exchange.refusals import Refusal
+from evo_cpg.exchange.compiled import TOLERANCE, Compiled, Item
 
-# Kind of elements in MJCF and their attribute, for each field of the compiled model.
+
+class Source(NamedTuple):
+    """A field that is read.
+
+    Attributes:
+        kind: kind of the elements with the field, ``dof`` for degrees of freedom of joints.
+        word: the attribute in MJCF.
+        key: place of the value in a configuration, for the docs.
+    """
+
+    kind: str
+    word: str
+    key: str
+
+
 READ = {
-    "body_pos": ("body", "pos"),
-    "body_quat": ("body", "orientation"),
-    "body_gravcomp": ("body", "gravcomp"),
-    "geom_pos": ("geom", "pos"),
-    "geom_quat": ("geom", "orientation"),
-    "geom_size": ("geom", "size"),
-    "geom_friction": ("geom", "friction"),
-    "geom_rgba": ("geom", "rgba"),
-    "jnt_pos": ("joint", "pos"),
-    "jnt_axis": ("joint", "axis"),
-    "jnt_range": ("joint", "range"),
-    "jnt_stiffness": ("joint", "stiffness"),
-    "dof_damping": ("dof", "damping"),
-    "dof_armature": ("dof", "armature"),
-    "actuator_gear": ("actuator", "gear"),
-    "actuator_gainprm": ("actuator", "gain"),
-    "actuator_biasprm": ("actuator", "bias"),
+    "body_pos": Source("body", "pos", "`joint.at`, `joint.child_at`"),
+    "body_quat": Source("body", "quat, euler, axisangle, xyaxes, zaxis", "`joint.rotation_deg`"),
+    "body_gravcomp": Source("body", "gravcomp", "buoyancy or gravity, if equal for all bodies"),
+    "geom_pos": Source("geom", "pos, fromto", "origin of the body's frame, or `at` of a part"),
+    "geom_quat": Source(
+        "geom", "quat, euler, ...", "axes of the body, or `rotation_deg` of a part"
+    ),
+    "geom_size": Source("geom", "size", "`shape`"),
+    "geom_friction": Source(
+        "geom", "friction (first number)", "`static_friction`, `dynamic_friction`"
+    ),
+    "geom_rgba": Source("geom", "rgba, material", "`color`"),
+    "jnt_pos": Source("joint", "pos", "`joint.child_at`, or `at` of an axis"),
+    "jnt_axis": Source("joint", "axis", "`joint.axes`"),
+    "jnt_range": Source("joint", "range, ref", "`limits_deg`, or `limits_m` of a slide"),
+    "jnt_stiffness": Source("joint", "stiffness", "`joint.stiffness`"),
+    "qpos_spring": Source("joint", "springref", "`joint.rest_deg`, or `rest_m` of a slide"),
+    "dof_damping": Source("dof", "damping", "`joint.damping`"),
+    "dof_armature": Source("dof", "armature", "`joint.armature`"),
+    "dof_frictionloss": Source("dof", "frictionloss", "`joint.friction_loss`"),
+    "actuator_gear": Source("actuator", "gear", "`actuator.gear`, `gain`, `stiffness`"),
+    "actuator_gainprm": Source("actuator", "kp, gain, gainprm", "`actuator`"),
+    "actuator_biasprm": Source("actuator", "kp, kv, bias, biasprm", "`actuator`"),
+    "tendon_stiffness": Source("tendon", "stiffness", "`tendons.stiffness`"),
+    "tendon_damping": Source("tendon", "damping", "`tendons.damping`"),
+    "tendon_armature": Source("tendon", "armature", "`tendons.armature`"),
+    "tendon_frictionloss": Source("tendon", "frictionloss", "`tendons.friction_loss`"),
+    "tendon_range": Source("tendon", "range", "`tendons.limits`"),
+    "tendon_lengthspring": Source("tendon", "springlength", "`tendons.rest`"),
+    "wrap_prm": Source("wrap", "coef", "`tendons.joints`"),
 }
 # These values may be infinite. An infinite value limits nothing.
 READ_LIMITS = {
-    "jnt_actfrcrange": ("joint", "actuatorfrcrange"),
-    "actuator_forcerange": ("actuator", "forcerange"),
-    "actuator_ctrlrange": ("actuator", "ctrlrange"),
+    "jnt_actfrcrange": Source("joint", "actuatorfrcrange", "`actuator.torque_limit`"),
+    "actuator_forcerange": Source("actuator", "forcerange", "`actuator.torque_limit`"),
+    "actuator_ctrlrange": Source("actuator", "ctrlrange", "`actuator.torque_limit` of a motor"),
 }
 COMPUTED = {
-    "body_mass": ("body", "mass"),
-    "body_ipos": ("body", "centre of mass"),
-    "body_iquat": ("body", "inertia"),
-    "body_inertia": ("body", "inertia"),
+    "body_mass": Source("body", "mass, density", "`mass`, or density of the material"),
+    "body_ipos": Source("body", "inertial pos", "`centre_of_mass`"),
+    "body_iquat": Source("body", "inertial quat", "`inertia`"),
+    "body_inertia": Source("body", "diaginertia, fullinertia", "`inertia`"),
 }
 
 
@@ -60,7 +88,7 @@ class Neutral(NamedTuple):
     Attributes:
         kind: kind of the elements with the field, ``dof`` for degrees of freedom of joints.
         word: the attribute in MJCF.
-        values: the only allowed values.
+        values: the only values without effect.
     """
 
     kind: str
@@ -72,16 +100,28 @@ class Neutral(NamedTuple):
 # own.
 _SOLREF, _SOLIMP = (0.02, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0)
 
-NEUTRAL = {
-    "body_mocapid": Neutral("body", "mocap", -1.0),
-    "jnt_margin": Neutral("joint", "margin"),
-    "jnt_solref": Neutral("joint", "solreflimit", _SOLREF),
-    "jnt_solimp": Neutral("joint", "solimplimit", _SOLIMP),
+REFUSED = {
     "jnt_actgravcomp": Neutral("joint", "actuatorgravcomp"),
     "jnt_stiffnesspoly": Neutral("joint", "stiffness polynomial"),
     "jnt_springyield": Neutral("joint", "springyield"),
     "jnt_plasticadr": Neutral("joint", "plastic state", -1.0),
     "dof_dampingpoly": Neutral("dof", "damping polynomial"),
+    "actuator_delay": Neutral("actuator", "delay"),
+    "actuator_damping": Neutral("actuator", "damping"),
+    "actuator_dampingpoly": Neutral("actuator", "damping polynomial"),
+    "actuator_armature": Neutral("actuator", "armature"),
+    "tendon_stiffnesspoly": Neutral("tendon", "stiffness polynomial"),
+    "tendon_dampingpoly": Neutral("tendon", "damping polynomial"),
+    "tendon_springyield": Neutral("tendon", "springyield"),
+    "tendon_plasticadr": Neutral("tendon", "plastic state", -1.0),
+}
+
+LEFT_OUT = {
+    "jnt_margin": Neutral("joint", "margin"),
+    "jnt_solref": Neutral("joint", "solreflimit", _SOLREF),
+    "jnt_solimp": Neutral("joint", "solimplimit", _SOLIMP),
+    "dof_solref": Neutral("dof", "solreffriction", _SOLREF),
+    "dof_solimp": Neutral("dof", "solimpfriction", _SOLIMP),
     "geom_margin": Neutral("geom", "margin"),
     "geom_gap": Neutral("geom", "gap"),
     "geom_solref": Neutral("geom", "solref", _SOLREF),
@@ -91,31 +131,22 @@ NEUTRAL = {
     "geom_condim": Neutral("geom", "condim", 3.0),
     "geom_adhesion": Neutral("geom", "adhesion"),
     "geom_surfacevel": Neutral("geom", "surfacevel"),
-    "actuator_delay": Neutral("actuator", "delay"),
-    "actuator_damping": Neutral("actuator", "damping"),
-    "actuator_dampingpoly": Neutral("actuator", "damping polynomial"),
-    "actuator_armature": Neutral("actuator", "armature"),
+    "tendon_margin": Neutral("tendon", "margin"),
+    "tendon_solref_lim": Neutral("tendon", "solreflimit", _SOLREF),
+    "tendon_solimp_lim": Neutral("tendon", "solimplimit", _SOLIMP),
+    "tendon_solref_fri": Neutral("tendon", "solreffriction", _SOLREF),
+    "tendon_solimp_fri": Neutral("tendon", "solimpfriction", _SOLIMP),
 }
 
-# Values of a contact pair that only keeps two bodies apart, by field.
-PLAIN_PAIR: dict[str, float | tuple[float, ...]] = {
-    "pair_solref": _SOLREF,
-    "pair_solimp": _SOLIMP,
-    "pair_margin": 0.0,
-    "pair_gap": 0.0,
-    "pair_adhesion": 0.0,
-}
-
-# Counts of elements that no creature has, and their names.
+# Counts of elements that no creature has, and their names. All of them change the motion.
 REFUSED_COUNTS = {
     "neq": "equality",
-    "ntendon": "tendon",
     "nflex": "flex",
     "nplugin": "plugin",
 }
 
 # Counts of elements without a part in the motion.
-LEFT_OUT_COUNTS = {
+COUNTS = {
     "nlight": "light",
     "ncam": "camera",
     "nsite": "site",
@@ -124,17 +155,23 @@ LEFT_OUT_COUNTS = {
     "nkey": "keyframe",
 }
 
-# Flags of the option element that must keep their defaults. Older versions of MuJoCo have "passive"
-# for springs and dampers.
-ENABLED_FLAGS = ("constraint", "passive", "spring", "damper", "limit", "actuation")
-DISABLED_FLAGS = ("override", "sleep", "diagexact", "ipc", "speculative")
+# Flags of the option element that are honoured: they switch a part of the model off.
+FLAGS = {
+    "gravity": "`world.gravity: 0`",
+    "limit": "joints without limits",
+    "constraint": "no limits, no friction loss, no contact",
+    "contact": "no ground, no self-collision",
+    "frictionloss": "no `friction_loss`",
+    "spring": "no `stiffness`",
+    "damper": "no `damping`",
+    "passive": "no `stiffness`, no `damping`",
+    "actuation": "no motors",
+    "equality": "equality constraints are ignored",
+    "clampctrl": "`ctrlrange` is ignored",
+}
 
-# Fields of the option element that belong to the world, and values of them that are not reported.
+# Fields of the option element that are left out, and values of them that are not reported.
 OPTIONS_LEFT_OUT: dict[str, tuple[float, ...]] = {
-    "gravity": (0.0, 0.0, 0.0),
-    "density": (0.0,),
-    "viscosity": (0.0,),
-    "wind": (0.0, 0.0, 0.0),
     # Euler and implicitfast, which our own export chooses.
     "integrator": (0.0, 3.0),
     "cone": (0.0,),
@@ -150,65 +187,69 @@ def require_numbers(compiled: Compiled) -> None:
         ExchangeError: such elements exist, so that no other check is possible.
     """
     for fields in (READ | READ_LIMITS, COMPUTED):
-        for field, (kind, word) in fields.items():
-            values = np.asarray(getattr(compiled.model, field))
+        for field, (kind, word, _) in fields.items():
+            if kind == "wrap" or field == "qpos_spring":
+                continue
+            values = np.asarray(getattr(compiled.model, field, np.zeros(0)))
             limits = field in READ_LIMITS
             wrong = np.isnan(values) if limits else ~np.isfinite(values)
             allowed = "numbers" if limits else "finite numbers"
             for item, place in compiled.owners(kind, wrong):
-                item.refuse(f"its {word} holds {values[place]:g}", allowed)
+                item.refuse(f"its {word} holds {values[place]:g}", allowed, vital=True)
         compiled.refusals.check()
 
 
 def refuse_fields(compiled: Compiled) -> None:
-    """Refuse elements of the animal with a field that has another value than in `NEUTRAL`."""
-    model = compiled.model
-    for field, (kind, word, values) in NEUTRAL.items():
-        found = getattr(model, field, None)
+    """Refuse elements of the animal with a field that has another value than in `REFUSED`."""
+    for word, item in _unusual(compiled, REFUSED):
+        item.refuse(f"it has {word}", f"no {word}")
+
+
+def leave_out_fields(compiled: Compiled) -> None:
+    """Name fields of contacts and limits with other values than in `LEFT_OUT`."""
+    for word, item in _unusual(compiled, LEFT_OUT):
+        compiled.refusals.leave_out(word, str(item))
+
+
+def _unusual(compiled: Compiled, table: dict[str, Neutral]) -> Iterator[tuple[str, Item]]:
+    """Yield the attribute and the element of each value with an effect."""
+    for field, (kind, word, values) in table.items():
+        found = getattr(compiled.model, field, None)
         if found is None or not len(found):
             continue
         wrong = ~np.isclose(found, values, rtol=TOLERANCE, atol=0)
-        for item, place in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
-            if np.any(values) and np.min(values) >= 0:
-                problem = f"its {word} is {_text(np.ravel(found[place]))}"
-                allowed = _text(np.ravel(values))
-            else:
-                problem, allowed = f"it has {word}", f"no {word}"
-            item.refuse(problem, allowed)
+        for item, _ in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
+            yield word, item
 
 
 def refuse_elements(compiled: Compiled) -> None:
-    """Refuse elements and flags that no creature has."""
+    """Refuse elements that no creature has."""
+    model = compiled.model
     for count, kind in REFUSED_COUNTS.items():
-        for number in range(int(getattr(compiled.model, count, 0))):
-            compiled.item(kind, number).refuse("a creature cannot have it", f"no {kind}")
-    for flag in filter(compiled.disabled, ENABLED_FLAGS):
-        compiled.refusals.add(Refusal(f"flag {flag!r}", "it is disabled. Allowed: enable"))
-    for flag in filter(compiled.enabled, DISABLED_FLAGS):
-        compiled.refusals.add(Refusal(f"flag {flag!r}", "it is enabled. Allowed: disable"))
+        for number in range(int(getattr(model, count, 0))):
+            idle = compiled.disabled("equality") or compiled.disabled("constraint")
+            if kind == "equality" and (idle or not model.eq_active0[number]):
+                continue
+            vital = kind == "flex"
+            compiled.item(kind, number).refuse("a creature cannot have it", f"no {kind}", vital)
+    for body in np.flatnonzero(model.body_mocapid >= 0).tolist():
+        compiled.item("body", body).refuse("it is a mocap body, moved from outside", "no mocap")
+    for flag in ("override", "sleep", "diagexact", "ipc", "speculative"):
+        if compiled.enabled(flag):
+            compiled.refusals.leave_out(f"flag {flag}")
 
 
-def left_out_options(compiled: Compiled) -> list[str]:
-    """Return names of the world's options that have unusual values, to be reported as left out."""
-    found = []
+def leave_out_elements(compiled: Compiled) -> None:
+    """Name options with unusual values and elements without a part in the motion."""
     for name, allowed in OPTIONS_LEFT_OUT.items():
         value = np.ravel(getattr(compiled.model.opt, name, allowed))
-        usual = value.tolist() == list(allowed) if len(value) > 1 else value[0] in allowed
-        if not usual:
-            found.append(name)
-    return found
-
-
-def left_out_counts(compiled: Compiled) -> list[str]:
-    """Return the numbers of elements without a part in the motion, such as ``2 sites``."""
-    counts = {kind: int(getattr(compiled.model, n, 0)) for n, kind in LEFT_OUT_COUNTS.items()}
-    return [text for kind, number in counts.items() for text in counted(number, kind)]
+        if value[0] not in allowed:
+            compiled.refusals.leave_out(f"option {name}")
+    for count, kind in COUNTS.items():
+        for phrase in counted(int(getattr(compiled.model, count, 0)), kind):
+            compiled.refusals.leave_out(phrase)
 
 
 def counted(number: int, kind: str) -> list[str]:
     """Return a phrase for a number of elements, or an empty list for none."""
     return [f"{number} {kind}{'s' if number > 1 else ''}"] if number else []
-
-
-def _text(values: np.ndarray) -> str:
-    return " ".join(f"{value:g}" for value in values)

@@ -1,255 +1,403 @@
-"""Import of a MuJoCo model (MJCF) as a creature.
+"""Import of a MuJoCo model (MJCF or URDF) as an experiment.
 
 MuJoCo compiles the file, which resolves defaults, classes, includes, units and orientations. The
-import reads the compiled model. It takes all parts that a creature can have. Parts that do not
-affect its motion are left out, by name. Everything else is refused, by name:
+import reads the compiled model. Parts that do not affect the animal's motion are left out, by
+name. Everything else that a creature cannot have is refused, by name, unless the user accepts the
+loss.
 
 | in MJCF | becomes | table |
 |---|---|---|
-| the body with a ``freejoint`` | the root, which stands in the world's axes | |
-| one to three ``hinge``s of a body | the joint | `mjcf_joints` |
-| one ``geom``, which gives the body its mass | the shape | `mjcf_shapes` |
-| ``position``, ``velocity``, ``motor`` | the motor | `mjcf_motors` |
-| first friction of the ``geom`` | static and dynamic friction | |
+| bodies that are welded together | a body | `rigid` |
+| ``geom``s | shape and parts of a body | `mjcf_shapes` |
+| mass and inertia | density, or numbers | this module |
+| ``joint``s | the joint | `mjcf_joints` |
+| ``actuator``s | motors | `mjcf_motors` |
+| fixed ``tendon``s | tendons | `mjcf_tendons` |
+| rules of contacts, planes | ground, self-collision | `mjcf_contact` |
+| gravity, medium | world | `mjcf_world` |
+| our ``custom`` text | sensors, muscles, restitution | `mjcf_custom` |
 | any other field | refused or left out | `mjcf_fields` |
 """
 
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
-from evo_cpg.config.schema.creature import BodyConfig, CreatureConfig, MaterialConfig
-from evo_cpg.exchange.compiled import TOLERANCE, WORLD, Compiled, compile_model, make_section, tidy
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import check_config
+from evo_cpg.config.schema.creature import CreatureConfig
+from evo_cpg.config.schema.shape import ShapeConfig
+from evo_cpg.creature.creature import CreatureError, lowest_height
+from evo_cpg.creature.shapes import Shape
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.exchange.compiled import WORLD, Compiled, compile_model, tidy, tidy_vector
+from evo_cpg.exchange.mjcf_contact import (
+    read_color,
+    read_ground,
+    read_material,
+    read_self_collision,
+)
+from evo_cpg.exchange.mjcf_custom import (
+    Custom,
+    read_custom,
+    restore_muscles,
+    restored_material,
+    restored_mesh,
+    root_axes,
+)
 from evo_cpg.exchange.mjcf_fields import (
-    PLAIN_PAIR,
-    counted,
-    left_out_counts,
-    left_out_options,
+    leave_out_elements,
+    leave_out_fields,
     refuse_elements,
     refuse_fields,
     require_numbers,
 )
-from evo_cpg.exchange.mjcf_joints import check_joints, joints_of, read_joint
-from evo_cpg.exchange.mjcf_motors import command_ranges, read_motors
-from evo_cpg.exchange.mjcf_shapes import Placed, only_geom, place_body, uniform_density
+from evo_cpg.exchange.mjcf_joints import read_joint
+from evo_cpg.exchange.mjcf_motors import read_motors
+from evo_cpg.exchange.mjcf_shapes import Placed, Solid, body_keys, place_body
+from evo_cpg.exchange.mjcf_tendons import read_tendons
+from evo_cpg.exchange.mjcf_world import experiment, read_world
 from evo_cpg.exchange.refusals import ExchangeError
+from evo_cpg.exchange.rigid import Rigid, rigid_bodies, scenery
 
-# MuJoCo's colour of a geom without one.
-_GREY = (0.5, 0.5, 0.5, 1.0)
+# Density of bodies whose mass is given in numbers, kg/m^3. It has no effect.
+_ANY_DENSITY = 1000.0
 
-# Flags that decide which bodies touch.
-_OF_COLLISIONS = ("contact", "filterparent")
+# Relative difference of mass and moments from those of a uniform shape, within which the density
+# describes both. Files have this many digits after rounding in the compiler.
+_UNIFORM, _MESH_UNIFORM = 1e-11, 1e-5
 
-# Springs, dampers and rotors of the root against the world, by their field and their attribute.
-_OF_ROOT = {"dof_damping": "damping", "dof_armature": "armature", "jnt_stiffness": "stiffness"}
+_SHAPE = TypeAdapter(ShapeConfig)
+
+# Keys and values of a material.
+Material = tuple[tuple[str, float], ...]
 
 
 class Imported(NamedTuple):
     """Result of reading a file.
 
     Attributes:
-        creature: configuration of the creature.
-        left_out: names of parts of the file that are not in the creature, because they belong to
-            the world or do not affect the motion.
+        experiment: keys of the experiment.
+        left_out: names of parts of the file that are left out without harm.
+        dropped: sentences about refused parts whose loss the user accepted.
+        joints: MuJoCo's numbers of the joints of each body, by its name, in the order of its axes.
+        exported: whether the file is our own export, whose meshes are exact.
+        warnings: sentences about what a user may have to change before training.
+        place: origin of the root's frame in the file's neutral pose, m.
     """
 
-    creature: CreatureConfig
+    experiment: dict[str, Any]
     left_out: tuple[str, ...]
+    dropped: tuple[str, ...]
+    joints: dict[str, tuple[int, ...]]
+    exported: bool
+    warnings: tuple[str, ...]
+    place: tuple[float, float, float]
 
 
-def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
-    """Read a creature from a file that MuJoCo can load.
+def read_model(
+    path: Path | str, motor_gain: float | None = None, drop: bool = False, free: bool = False
+) -> Imported:
+    """Read an experiment from a file that MuJoCo can load.
 
     Args:
         path: the file.
         motor_gain: gain of the velocity servos that replace torque motors, N m s/rad, or None to
             keep torque motors.
+        drop: whether the user accepts the loss of refused parts.
+        free: whether the first body is released from the world.
 
     Raises:
         ExchangeError: MuJoCo is missing or cannot load the file, or a part of the file cannot be
             part of a creature.
     """
-    compiled = compile_model(Path(path))
-    model = compiled.model
+    compiled = compile_model(Path(path), drop, free)
+    refusals = compiled.refusals
     require_numbers(compiled)
+    custom = read_custom(compiled)
     refuse_elements(compiled)
     refuse_fields(compiled)
-    root = _find_root(compiled)
-    motors = read_motors(compiled, motor_gain)
-    names = _body_names(compiled)
-    bodies = [i for i in range(root, model.nbody) if model.body_rootid[i] == root]
-    placed, made_of = _read_shapes(compiled, bodies)
-    for body in bodies[1:]:
-        check_joints(compiled, body)
-    fluid = 0.0
-    if len(placed) == len(bodies):
-        with compiled.refusals.collecting():
-            fluid = _buoyancy(compiled, placed)
-    compiled.refusals.check()
-    materials: dict[MaterialConfig, str] = {}
-    entries = []
-    for body in bodies:
-        material = materials.setdefault(made_of[body], f"material{len(materials) + 1}")
-        entry = {"name": names[body], "shape": placed[body].shape, "material": material}
-        entry["color"] = _color(model, int(model.body_geomadr[body]))
-        with compiled.refusals.collecting():
-            if body != root:
-                entry["joint"] = read_joint(compiled, body, placed, names, motors)
-            entries.append(compiled.item("body", body).section(BodyConfig, entry))
-    compiled.refusals.check()
-    name = _model_name(compiled)
-    made = {name: made_of for made_of, name in materials.items()}
-    whole = {"name": name, "materials": made, "bodies": entries}
-    with compiled.refusals.collecting():
-        creature = make_section(CreatureConfig, whole, f"model {name!r}")
-        return Imported(creature, _left_out(compiled, fluid))
-    compiled.refusals.check()
-    raise AssertionError("unreachable")
+    motors, tendon_motors = read_motors(compiled, motor_gain)
+    rigids: list[Rigid] = []
+    with refusals.collecting():
+        rigids = rigid_bodies(compiled)
+    if not rigids:
+        refusals.check()
+    names, axes = _body_names(compiled, rigids), root_axes(custom)
+    placed = [place_body(compiled, rigid, names[rigid.lead], axes) for rigid in rigids]
+    placed = [_with_exact_meshes(body, custom) for body in placed]
+    carrier = {body.rigid.lead: body for body in placed}
+    creature: dict[str, Any] = {"name": _model_name(compiled), "materials": {}, "bodies": []}
+    materials: dict[Material, str] = {}
+    volumes = []
+    for own in placed:
+        shapes = _shapes(compiled, own)
+        volumes.append(sum(float(shape.volume) for shape in shapes))
+        entry = {"name": own.name} | _substance(compiled, own, shapes, custom, materials)
+        creature["bodies"].append(entry)
+        if not own.rigid.free:
+            with refusals.collecting():
+                parent = None if own.rigid.parent is None else carrier[own.rigid.parent]
+                entry["joint"] = read_joint(compiled, own, parent, motors)
+                restore_muscles(custom, own.name, entry["joint"])
+    creature["materials"] = {name: dict(keys) for keys, name in materials.items()}
+    ground, others = read_ground(compiled, placed, scenery(compiled, rigids))
+    _set_senses(creature, custom, bool(ground))
+    creature["self_collision"] = read_self_collision(compiled, placed)
+    world = read_world(compiled, placed, volumes, ground, bool(custom))
+    _leave_out_scenery(compiled, others, placed)
+    leave_out_fields(compiled)
+    leave_out_elements(compiled)
+    joints = {body.name: body.rigid.joints for body in placed if body.rigid.joints}
+    if compiled.model.ntendon and (drop or not refusals.found):
+        built = _checked_creature(compiled, creature)
+        tendons = read_tendons(compiled, _dof_names(built, joints), tendon_motors)
+        if tendons:
+            creature["tendons"] = tendons
+    refusals.check()
+    built = _checked_creature(compiled, creature)
+    data = experiment(
+        _run_name(creature["name"]),
+        creature,
+        world,
+        _clearance(built, placed[0], world),
+        bool(placed[0].rigid.joints) or placed[0].rigid.free,
+        any("stiffness" in motor for motor in (*motors.values(), *tendon_motors.values())),
+    )
+    return Imported(
+        data,
+        tuple(refusals.left_out),
+        tuple(refusals.dropped),
+        joints,
+        bool(custom),
+        tuple(_warnings(compiled, placed[0], bool(motors or tendon_motors))),
+        tuple(placed[0].centre.tolist()),
+    )
 
 
-def _read_shapes(
-    compiled: Compiled, bodies: list[int]
-) -> tuple[dict[int, Placed], dict[int, MaterialConfig]]:
-    """Return shapes and materials of the bodies, except refused ones."""
-    placed: dict[int, Placed] = {}
-    made_of: dict[int, MaterialConfig] = {}
-    for body in bodies:
-        with compiled.refusals.collecting():
-            geom = only_geom(compiled, body)
-            placed[body] = own = place_body(compiled, body, geom, body == bodies[0])
-            density = uniform_density(compiled, body, geom, own)
-            made_of[body] = _material(compiled, geom, density)
-    return placed, made_of
+def _warnings(compiled: Compiled, root: Placed, driven: bool) -> Iterator[str]:
+    """Yield sentences about what a user may have to change before training."""
+    if not driven:
+        yield "no joint has a motor. Give joints an actuator before training"
+    if not (root.rigid.joints or root.rigid.free):
+        hint = ". The option --free releases the first body" if compiled.urdf else ""
+        yield f"the root {root.name!r} does not move, so use a task of your own{hint}"
 
 
-def _find_root(compiled: Compiled) -> int:
-    """Return the body at the top of the tree."""
-    model = compiled.model
-    tops = [i for i in range(1, model.nbody) if model.body_parentid[i] == WORLD]
-    if not tops:
-        raise ExchangeError(f"{compiled.source}: the worldbody holds no body. Allowed: one")
-    root = tops[0]
-    for other in tops[1:]:
-        problem = f"it is in the worldbody together with {compiled.item('body', root)}"
-        compiled.item("body", other).refuse(problem, "one body there, the root")
-    joints = joints_of(model, root)
-    free = compiled.mujoco.mjtJoint.mjJNT_FREE
-    if [int(model.jnt_type[joint]) for joint in joints] != [free]:
-        compiled.item("body", root).refuse("the root does not float freely", "a freejoint")
-        return root
-    dofs = slice(int(model.jnt_dofadr[joints[0]]), int(model.jnt_dofadr[joints[0]]) + 6)
-    for field, word in _OF_ROOT.items():
-        places = dofs if field.startswith("dof") else joints[0]
-        if np.any(getattr(model, field)[places]):
-            compiled.item("joint", joints[0]).refuse(f"it has {word}", f"no {word}")
-    return root
-
-
-def _body_names(compiled: Compiled) -> dict[int, str]:
+def _body_names(compiled: Compiled, rigids: Sequence[Rigid]) -> dict[int, str]:
+    """Return a unique name for each rigid body. A body without a name has that of its joint."""
     mujoco, model = compiled.mujoco, compiled.model
-    given = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, i) for i in range(model.nbody)]
-    names = {}
-    for i, name in enumerate(given):
-        if name and "{i}" in name:
-            problem = "its name contains {i}, which stands for a number in our names"
-            compiled.item("body", i).refuse(problem, "a name without {i}")
-        invented = f"body{i}"
-        while invented in given:
-            invented += "_"
-        names[i] = name or invented
+    names: dict[int, str] = {}
+    for rigid in rigids:
+        given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, rigid.lead)
+        if rigid.lead == WORLD:
+            given = "base"
+        elif not given and rigid.joints:
+            given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, rigid.joints[0])
+        # Braces stand for numbers in our names, and these two words for all bodies and no body.
+        name = re.sub(r"[{}*]", "_", given or f"body{rigid.lead}")
+        name = f"{name}_" if name in ("all", "world") else name
+        while name in names.values():
+            name += "_"
+        names[rigid.lead] = name
     return names
 
 
-def _material(compiled: Compiled, geom: int, density: float) -> MaterialConfig:
-    friction = tidy(compiled.model.geom_friction[geom, 0])
-    values = {
-        "density": tidy(density),
-        "static_friction": friction,
-        "dynamic_friction": friction,
-    }
-    return compiled.item("geom", geom).section(MaterialConfig, values)
+def _with_exact_meshes(body: Placed, custom: Custom) -> Placed:
+    """Return a body whose meshes have the precision of our export."""
+    solids = tuple(
+        solid._replace(shape=restored_mesh(custom, name, solid.shape))
+        for name, solid in zip(body.shape_names, body.solids, strict=True)
+    )
+    return body._replace(solids=solids)
 
 
-def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
-    """Name parts that belong to the world, or do not affect the motion.
+def _shapes(compiled: Compiled, body: Placed) -> list[Shape]:
+    """Return the shapes of a body. Refuse impossible ones."""
+    shapes = []
+    for solid in body.solids:
+        try:
+            shapes.append(_SHAPE.validate_python(solid.shape).build())
+        except ValidationError as error:
+            problem = error.errors()[0]
+            key = ".".join(map(str, problem["loc"][1:]))
+            said = problem["msg"].removeprefix("Value error, ")
+            compiled.item("geom", solid.geom).refuse(
+                f"{key}: {problem['input']}: {said}"[:200], "sizes of a body"
+            )
+    return shapes
+
+
+def _substance(
+    compiled: Compiled,
+    own: Placed,
+    shapes: Sequence[Shape],
+    custom: Custom,
+    materials: dict[Material, str],
+) -> dict[str, Any]:
+    """Return the keys of a body's shapes, materials, mass and inertia.
 
     Args:
         compiled: the model.
-        fluid: density of the fluid whose buoyancy carries the bodies, kg/m^3.
+        own: the body.
+        shapes: its shapes.
+        custom: numbers of our export.
+        materials: names of the materials so far, which grow.
     """
-    model = compiled.model
-    options = left_out_options(compiled)
-    found = []
-    if _has_weight(compiled):
-        gravity = ", ".join(f"{value:g}" for value in model.opt.gravity)
-        found.append(f"gravity ({gravity}) m/s^2")
-    ground = [i for i in range(model.ngeom) if model.geom_bodyid[i] == WORLD]
-    found += [str(compiled.item("geom", geom)) for geom in ground]
-    if fluid:
-        found.append(f"the buoyancy of a fluid of {fluid:g} kg/m^3")
-    medium = [name for name in ("density", "viscosity") if name in options]
-    if medium:
-        found.append(f"drag of the fluid (option {', '.join(medium)})")
-    found += [f"option {name}" for name in options if name not in ("gravity", *medium)]
-    found += _collisions(compiled)
-    ranges = command_ranges(compiled)
-    if len(ranges) == 1:
-        found.append(f"the ctrlrange of {compiled.item('actuator', ranges[0])}")
-    elif ranges:
-        found.append(f"the ctrlrange of {len(ranges)} actuators")
-    return (*found, *left_out_counts(compiled))
+    mass, centre, inertia = _mass_properties(compiled, own)
+    density = None
+    if len(shapes) == 1 and own.own_shape:
+        exact = own.solids[0].shape["type"] != "mesh"
+        alike = _UNIFORM if exact else _MESH_UNIFORM if custom else 0.0
+        if _is_uniform(shapes[0], own.solids[0], (mass, centre, inertia), alike):
+            density = mass / float(shapes[0].volume)
+    named = []
+    for name, solid in zip(own.shape_names, own.solids, strict=True):
+        made = read_material(compiled, solid.geom, _ANY_DENSITY if density is None else density)
+        made = restored_material(custom, name, made, density is not None)
+        key = tuple(made.items())
+        named.append(materials.setdefault(key, f"material{len(materials) + 1}"))
+    if not named:
+        key = (("density", _ANY_DENSITY),)
+        named.append(materials.setdefault(key, f"material{len(materials) + 1}"))
+    colors = [read_color(compiled, solid.geom) for solid in own.solids]
+    keys = body_keys(own, named, colors)
+    if not mass:
+        # Only a fixed root has no mass in MuJoCo. Any mass does.
+        any_mass = {"mass": 1.0, "inertia": [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]}
+        return keys if shapes else keys | any_mass
+    if density is None:
+        keys["mass"] = tidy(mass)
+        keys["centre_of_mass"] = tidy_vector(centre)
+        keys["inertia"] = _inertia_keys(inertia)
+    return keys
 
 
-def _collisions(compiled: Compiled) -> list[str]:
-    """Name settings of contacts, which `self_collision` replaces in a creature."""
-    model = compiled.model
-    own = model.geom_bodyid != WORLD
-    bits = np.stack([model.geom_contype, model.geom_conaffinity], 1)
-    # Contact bits of MuJoCo's default, and of our own export.
-    usual = (bits == [1, 1]).all(1) | (bits == [0, 1]).all(1)
-    unusual = int((own & ~usual).sum())
-    # A pair with the ground belongs to the ground. `self_collision` gives pairs without friction.
-    among = own[model.pair_geom1] & own[model.pair_geom2]
-    plain = model.pair_dim == 1
-    for field, value in PLAIN_PAIR.items():
-        close = np.isclose(getattr(model, field, value), value)
-        plain &= close.all(axis=tuple(range(1, close.ndim)))
-    pairs = (among & ~plain).sum()
-    found = [f"contype and conaffinity of {unusual} geom{'s' * (unusual > 1)}"] if unusual else []
-    found += counted(int(pairs), "contact pair") + counted(int(model.nexclude), "contact exclude")
-    return found + [f"flag {flag}" for flag in _OF_COLLISIONS if compiled.disabled(flag)]
+def _mass_properties(compiled: Compiled, own: Placed) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return mass (kg), centre of mass (m) and inertia about it (kg m^2), in the body's frame."""
+    model, data = compiled.model, compiled.data
+    members = list(own.rigid.members)
+    masses = np.array(model.body_mass[members], float)
+    mass = float(masses.sum())
+    if not mass:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    places = np.array(data.xipos[members]).reshape(-1, 3)
+    centre = masses @ places / mass
+    inertia = np.zeros((3, 3))
+    for member, own_mass, place in zip(members, masses, places, strict=True):
+        axes = np.array(data.ximat[member]).reshape(3, 3)
+        arm = place - centre
+        inertia += axes @ np.diag(model.body_inertia[member]) @ axes.T
+        inertia += own_mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return mass, own.turn.T @ (centre - own.centre), own.turn.T @ inertia @ own.turn
 
 
-def _has_weight(compiled: Compiled) -> bool:
-    return bool(np.any(compiled.model.opt.gravity)) and not compiled.disabled("gravity")
+def _is_uniform(
+    shape: Shape, solid: Solid, found: tuple[float, np.ndarray, np.ndarray], alike: float
+) -> bool:
+    """Return whether a uniform density of the shape gives the mass properties."""
+    mass, centre, inertia = found
+    if not alike or not mass or not shape.volume:
+        return False
+    expected = np.asarray(shape.inertia_tensor(mass), float)
+    middle = _SHAPE.validate_python(solid.shape).centre
+    reach = float(np.linalg.norm(shape.half_extents))
+    if np.abs(centre - middle).max() > alike * reach:
+        return False
+    # Compare in the principal frame, where the moments of a thin rod do not hide one another.
+    moments, frame = np.linalg.eigh(expected)
+    off = np.abs(frame.T @ inertia @ frame - np.diag(moments))
+    within = alike * np.sqrt(np.outer(moments, moments)) + 1e-15 * moments.max()
+    return bool((off <= within).all())
 
 
-def _buoyancy(compiled: Compiled, placed: dict[int, Placed]) -> float:
-    """Return the density of the fluid that carries all bodies, kg/m^3, or 0."""
-    if not _has_weight(compiled):
+def _inertia_keys(inertia: np.ndarray) -> list[float]:
+    """Return xx, yy, zz, xy, xz, yz of an inertia, without remainders of numbers that cancel."""
+    i, k = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+    values = (inertia + inertia.T)[i, k] / 2
+    least = 1e-15 * float(np.trace(inertia))
+    return [0.0 if abs(value) < least else tidy(value) for value in values]
+
+
+def _set_senses(creature: dict[str, Any], custom: Custom, on_ground: bool) -> None:
+    """Give the creature the sensors of our export, or pressure sensors on ground."""
+    if not custom:
+        if not on_ground:
+            creature["pressure_sensors"] = []
+        return
+    named = custom["sensors"].get("pressure_sensors", [])
+    bodies = [body["name"] for body in creature["bodies"]]
+    creature["pressure_sensors"] = "all" if set(named) == set(bodies) else named
+    for kind in ("light_sensors", "depth_sensors", "sensors"):
+        if found := custom["sensors"].get(kind):
+            creature[kind] = found
+
+
+def _leave_out_scenery(compiled: Compiled, geoms: Sequence[int], placed: Sequence[Placed]) -> None:
+    """Name the fixed geoms, and the geoms that only draw the animal."""
+    for geom in geoms:
+        compiled.refusals.leave_out("scenery", str(compiled.item("geom", geom)))
+    members = {member for body in placed for member in body.rigid.members}
+    shown = {solid.geom for body in placed for solid in body.solids}
+    for geom, owner in enumerate(compiled.model.geom_bodyid.tolist()):
+        if owner in members and geom not in shown and geom not in geoms:
+            compiled.refusals.leave_out("drawing", str(compiled.item("geom", geom)))
+
+
+def _checked_creature(compiled: Compiled, keys: Mapping[str, Any]) -> CreatureConfig:
+    """Return the creature.
+
+    Raises:
+        ExchangeError: its keys break a rule of creatures.
+    """
+    data = {"name": "imported", "creature": keys}
+    try:
+        config = check_config(data, compiled.source).creature
+        config.build()
+    except ConfigError as error:
+        where = [str(part) for part in error.key[1:]]
+        owner = keys["name"]
+        if len(where) > 1 and where[0] == "bodies" and where[1].isdigit():
+            owner, where = keys["bodies"][int(where[1])]["name"], where[2:]
+        key = f"{'.'.join(where)}: " if where else ""
+        raise ExchangeError(f"{compiled.source}: {owner!r}: {key}{error.problem}") from None
+    except CreatureError as error:
+        raise ExchangeError(f"{compiled.source}: {error}") from None
+    return config
+
+
+def _dof_names(config: CreatureConfig, joints: Mapping[str, tuple[int, ...]]) -> dict[int, str]:
+    """Return the name of the degree of freedom of each of MuJoCo's joints that has only one."""
+    tree = build_tree(config.build())
+    found: dict[str, list[str]] = {}
+    for body, dof in zip(tree.dof_bodies, tree.dof_names, strict=True):
+        found.setdefault(tree.names[body], []).append(dof)
+    return {
+        joint: dof
+        for name, numbers in joints.items()
+        if len(numbers) == len(found.get(name, ()))
+        for joint, dof in zip(numbers, found[name], strict=True)
+    }
+
+
+def _clearance(config: CreatureConfig, root: Placed, world: Mapping[str, Any]) -> float:
+    """Return the height of the animal above level ground in the neutral pose, m, or 0."""
+    ground = world.get("ground")
+    if not ground or "slope_deg" in ground.get("floor", {}):
         return 0.0
-    model = compiled.model
-    bodies = list(placed)
-    volumes = [placed[body].shape.build().volume for body in bodies]
-    fluid = model.body_gravcomp[bodies] * model.body_mass[bodies] / volumes
-    alike = np.isclose(fluid, fluid[0], rtol=TOLERANCE, atol=0)
-    wrong = np.flatnonzero(~alike | (fluid < 0))
-    if wrong.size:
-        raise compiled.item("body", bodies[int(wrong[0])]).refusal(
-            "its gravcomp is not the buoyancy of a fluid around all bodies",
-            "gravcomp in inverse proportion to the density, or none",
-        )
-    return tidy(fluid[0])
-
-
-def _color(model: Any, geom: int) -> str | None:
-    rgba = model.geom_rgba[geom]
-    if np.allclose(rgba, _GREY):
-        return None
-    return "#" + "".join(f"{round(255 * float(value)):02x}" for value in np.clip(rgba[:3], 0, 1))
+    lowest = float(lowest_height(config.build()))
+    return float(root.centre[2]) + lowest - ground.get("floor", {}).get("height", 0.0)
 
 
 def _model_name(compiled: Compiled) -> str:
     name = bytes(compiled.model.names).split(b"\0", 1)[0].decode()
     return compiled.source.stem if name in ("", "MuJoCo Model") else name
+
+
+def _run_name(name: str) -> str:
+    """Return a name that a folder can have."""
+    return re.sub(r"[/\\\x00-\x1f\x7f]", "_", name).lstrip(".") or "imported"

@@ -1,14 +1,18 @@
-"""Joints of a creature as hinges of an MJCF body, and back.
+"""Joints of a creature as joints of an MJCF body, and back.
 
 | here | in MJCF |
 |---|---|
-| each axis of a joint | a ``hinge`` at the body's origin, named `body.1`, `body.2`, ... |
+| each turning axis of a joint | a ``hinge`` at its place, named `body.1`, `body.2`, ... |
+| each sliding axis | a ``slide``, named alike |
+| a ball | a ``ball``, `body.1` |
+| a joint without axes | no joint |
 | limits of an axis | ``range``, or none |
-| stiffness, damping, armature, friction loss of an axis | the same attribute of its hinge |
+| stiffness, damping, armature, friction loss of an axis | the same attribute of its joint |
 | angle of the relaxed spring | ``springref`` |
 | passive stiffness and damping of muscles | added to those of every hinge |
 
-Hinges of one body at different places are refused.
+In the import an axis may have a place of its own, and may be a slide. Angles and lengths count from
+the neutral pose, where MuJoCo counts from ``ref``.
 """
 
 from collections.abc import Iterable, Mapping
@@ -17,36 +21,45 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from evo_cpg.config.schema.joint import JointConfig
 from evo_cpg.creature.creature import NO_LIMIT, Body, Joint
-from evo_cpg.exchange.compiled import (
-    TOLERANCE,
-    Compiled,
-    rotation,
-    tidy,
-    tidy_vector,
-)
+from evo_cpg.exchange.compiled import Compiled, tidy, tidy_vector
 from evo_cpg.exchange.mjcf_ground import number_text, place_text
-from evo_cpg.exchange.mjcf_motors import Driver
 from evo_cpg.exchange.mjcf_shapes import Placed
 from evo_cpg.spatial.rotation import matrix_to_euler
 
+# Limits (rad or m) from which on a joint counts as unlimited.
+_UNLIMITED = 1e4
 
-def joint_names(body: Body) -> list[str]:
-    """Return the names of a body's hinges, in the order of its axes."""
-    count = len(body.joint.dofs) if body.joint else 0
-    return [f"{body.name}.{i + 1}" for i in range(count)]
+# Largest distance of an axis from the joint's place, m, at which it counts as through it.
+_AT_PLACE = 1e-12
+
+# Type of the MJCF joint of each kind of axis.
+_TYPES = {"turn": "hinge", "slide": "slide", "ball": "ball"}
 
 
-def add_hinges(element: Element, body: Body, joint: Joint) -> None:
+def joint_names(body: Body, joint: Joint | None) -> list[str]:
+    """Return the name of the MJCF joint of each axis of a body's joint, in their order.
+
+    All axes of a ball have the same name.
+    """
+    dofs = joint.dofs if joint else ()
+    return [f"{body.name}.{1 if dof.kind == 'ball' else i + 1}" for i, dof in enumerate(dofs)]
+
+
+def add_joints(element: Element, body: Body, joint: Joint) -> None:
     """Add the joint of a body to its element."""
-    for name, dof in zip(joint_names(body), joint.dofs, strict=True):
-        direction = place_text(np.array(dof.axis))
-        hinge = SubElement(element, "joint", name=name, type="hinge", axis=direction)
+    # The axes of a ball have the same name and the same values.
+    for name, dof in dict(zip(joint_names(body, joint), joint.dofs, strict=True)).items():
+        hinge = SubElement(element, "joint", name=name, type=_TYPES[dof.kind])
+        if dof.kind != "ball":
+            hinge.set("axis", place_text(np.array(dof.axis)))
+        if any(dof.place):
+            hinge.set("pos", place_text(np.array(dof.place)))
         limited = dof.upper < NO_LIMIT
         hinge.set("limited", "true" if limited else "false")
         if limited:
-            hinge.set("range", number_text(dof.lower, dof.upper))
+            lower = 0.0 if dof.kind == "ball" else dof.lower
+            hinge.set("range", number_text(lower, dof.upper))
         muscle = dof.muscle
         values = {
             "stiffness": dof.stiffness + (muscle.rest_stiffness if muscle else 0.0),
@@ -60,92 +73,110 @@ def add_hinges(element: Element, body: Body, joint: Joint) -> None:
                 hinge.set(key, number_text(value))
 
 
-def joints_of(model: Any, body: int) -> list[int]:
-    """Return the numbers of a body's joints."""
-    first = int(model.body_jntadr[body])
-    return list(range(first, first + int(model.body_jntnum[body])))
-
-
-def check_joints(compiled: Compiled, body: int) -> None:
-    """Refuse joints of a body that cannot be one joint of a creature."""
-    model = compiled.model
-    joints = joints_of(model, body)
-    if not 1 <= len(joints) <= 3:
-        problem = f"it has {len(joints)} joints" if joints else "it is welded to its parent"
-        compiled.item("body", body).refuse(problem, "one to three hinges")
-    if not all(_is_plain_hinge(compiled, joint) for joint in joints):
-        return
-    for joint in joints[1:]:
-        first = joints[0]
-        if np.abs(model.jnt_pos[joint] - model.jnt_pos[first]).max() > TOLERANCE:
-            problem = f"its pos differs from {compiled.item('joint', first)}"
-            allowed = "the same pos for all hinges of a body"
-            compiled.item("joint", joint).refuse(problem, allowed)
-
-
-def _is_plain_hinge(compiled: Compiled, joint: int) -> bool:
-    """Return whether a joint is a hinge, and refuse its other faults."""
-    model, kinds, item = compiled.model, compiled.mujoco.mjtJoint, compiled.item("joint", joint)
-    kind = int(model.jnt_type[joint])
-    if kind != kinds.mjJNT_HINGE:
-        word = str(kinds(kind).name).removeprefix("mjJNT_").lower()
-        allowed = "one to three hinges at one place, which turn one after the other"
-        item.refuse(f"it is a {word} joint", allowed)
-        return False
-    return True
-
-
 def read_joint(
-    compiled: Compiled,
-    body: int,
-    placed: Mapping[int, Placed],
-    names: Mapping[int, str],
-    motors: Mapping[int, Driver | None],
-) -> JointConfig:
-    """Return the joint of a body whose hinges `check_joints` accepted.
+    compiled: Compiled, own: Placed, parent: Placed | None, motors: Mapping[int, dict[str, Any]]
+) -> dict[str, Any]:
+    """Return the keys of the joint of a body.
 
     Args:
         compiled: the model.
-        body: number of the body.
-        placed: shapes of the bodies, with their frames.
-        names: names of the bodies.
-        motors: motors by joint.
+        own: the body.
+        parent: the body that carries it, or None for the world.
+        motors: keys of the motors, by MuJoCo's number of the joint.
     """
-    above = int(compiled.model.body_parentid[body])
-    own, parent = placed[body], placed[above]
-    model = compiled.model
-    joints = joints_of(model, body)
-    first, limits, rest = joints[0], [], []
+    model, data, kinds = compiled.model, compiled.data, compiled.mujoco.mjtJoint
+    joints = own.rigid.joints
+    turning = [j for j in joints if int(model.jnt_type[j]) != kinds.mjJNT_SLIDE]
+    place = own.centre
+    if joints:
+        place = np.array(data.xanchor[(turning or joints)[0]])
+    at = [0.0, 0.0, 0.0] if parent is None else parent.place(place)
+    keys: dict[str, Any] = {"parent": "world" if parent is None else parent.name, "at": at}
+    keys |= {"child_at": own.place(place), "axes": []}
+    if parent is not None:
+        turn = np.rad2deg(matrix_to_euler(parent.turn.T @ own.turn))
+        if np.any(turn := tidy_vector(turn)):
+            keys["rotation_deg"] = turn
+    balls = [j for j in joints if int(model.jnt_type[j]) == kinds.mjJNT_BALL]
+    if balls and len(joints) > 1:
+        raise compiled.item("joint", balls[0]).refusal(
+            "it shares its body with other joints", "a ball joint alone in its body"
+        )
+    if not joints:
+        return keys
+    limits, rests = [], []
     for joint in joints:
-        # MuJoCo counts angles from the file's reference, and we count from the neutral pose.
-        neutral = model.qpos0[model.jnt_qposadr[joint]]
-        limit = tidy_vector(np.rad2deg(model.jnt_range[joint] - neutral))
-        limits.append(limit if model.jnt_limited[joint] else None)
-        spring = model.qpos_spring[model.jnt_qposadr[joint]] - neutral
-        rest.append(tidy(np.rad2deg(spring)) if model.jnt_stiffness[joint] else 0.0)
-    dofs = model.jnt_dofadr[joints]
-    loss = model.dof_frictionloss[dofs] * (not compiled.disabled("frictionloss"))
-    place = np.array(model.jnt_pos[first])
-    turn = rotation(compiled, model.body_quat[body])
-    at = np.array(model.body_pos[body]) + turn @ place
-    euler = np.rad2deg(matrix_to_euler(parent.turn.T @ turn @ own.turn))
+        limit, rest = _limits(compiled, joint), _rest(compiled, joint)
+        if joint in balls:
+            keys["axes"] = "ball"
+            limits.append(limit and tidy_vector(np.rad2deg(limit)))
+            rests.append(0.0)
+            continue
+        direction = _axis(own.direction(np.array(data.xaxis[joint])))
+        if int(model.jnt_type[joint]) == kinds.mjJNT_SLIDE:
+            slide = {"slide": direction, "limits_m": limit and tidy_vector(np.array(limit))}
+            keys["axes"].append(slide | ({"rest_m": tidy(rest)} if rest else {}))
+            limits.append(None)
+            rests.append(0.0)
+            continue
+        anchor = np.array(data.xanchor[joint])
+        apart = np.abs(anchor - place).max() > _AT_PLACE
+        entry = {"turn": direction, "at": own.place(anchor)} if apart else direction
+        keys["axes"].append(entry)
+        limits.append(limit and tidy_vector(np.rad2deg(limit)))
+        rests.append(tidy(np.rad2deg(rest)))
+    if keys["axes"] == "ball":
+        keys["limits_deg"] = limits[0]
+    else:
+        keys["limits_deg"] = _one_or_each(limits)
+    keys |= _passive(compiled, joints, rests)
+    driven = [motors.get(joint) for joint in joints]
+    if any(driven):
+        keys["actuator"] = _one_or_each(driven)
+    return keys
+
+
+def _passive(compiled: Compiled, joints: Iterable[int], rests: list[float]) -> dict[str, Any]:
+    """Return springs, dampers, rotors and dry friction, except those that are 0."""
+    model = compiled.model
+    every = list(joints)
+    dofs = model.jnt_dofadr[every]
+    sprung = not (compiled.disabled("spring") or compiled.disabled("passive"))
+    damped = not (compiled.disabled("damper") or compiled.disabled("passive"))
+    rubbed = not (compiled.disabled("frictionloss") or compiled.disabled("constraint"))
     values = {
-        "parent": names[above],
-        "at": tidy_vector(parent.turn.T @ (at - parent.centre)),
-        "child_at": tidy_vector(own.turn.T @ (place - own.centre)),
-        "axes": [_axis(own.turn.T @ model.jnt_axis[joint]) for joint in joints],
-        # A section that is built from None would have its default.
-        "limits_deg": _one_or_each(limits) or limits,
-        "rotation_deg": tidy_vector(euler),
-        "stiffness": _one_or_each(map(tidy, model.jnt_stiffness[joints])),
-        "rest_deg": _one_or_each(rest),
-        "damping": _one_or_each(map(tidy, model.dof_damping[dofs])),
-        "armature": _one_or_each(map(tidy, model.dof_armature[dofs])),
-        "friction_loss": _one_or_each(map(tidy, loss)),
-        "actuator": _one_or_each(map(motors.get, joints)),
+        "stiffness": model.jnt_stiffness[every] * sprung,
+        "rest_deg": rests,
+        "damping": model.dof_damping[dofs] * damped,
+        "armature": model.dof_armature[dofs],
+        "friction_loss": model.dof_frictionloss[dofs] * rubbed,
     }
-    item = compiled.item("body", body)
-    return item.section(JointConfig, values, f"joint of {item}")
+    return {name: _one_or_each(map(tidy, value)) for name, value in values.items() if np.any(value)}
+
+
+def _limits(compiled: Compiled, joint: int) -> list[float] | None:
+    """Return the limits of a joint, counted from the neutral pose, or None."""
+    model = compiled.model
+    off = compiled.disabled("limit") or compiled.disabled("constraint")
+    if off or not model.jnt_limited[joint]:
+        return None
+    lower, upper = map(float, model.jnt_range[joint])
+    if int(model.jnt_type[joint]) == compiled.mujoco.mjtJoint.mjJNT_BALL:
+        return None if upper >= np.pi else [0.0, upper]
+    if lower <= -_UNLIMITED and upper >= _UNLIMITED:
+        return None
+    neutral = float(model.qpos0[model.jnt_qposadr[joint]])
+    return [max(lower, -_UNLIMITED) - neutral, min(upper, _UNLIMITED) - neutral]
+
+
+def _rest(compiled: Compiled, joint: int) -> float:
+    """Return where the spring of a joint is relaxed, counted from the neutral pose."""
+    model = compiled.model
+    place = int(model.jnt_qposadr[joint])
+    sprung = model.jnt_stiffness[joint] and not (
+        compiled.disabled("spring") or compiled.disabled("passive")
+    )
+    return float(model.qpos_spring[place] - model.qpos0[place]) if sprung else 0.0
 
 
 def _one_or_each(values: Iterable[Any]) -> Any:
@@ -154,9 +185,9 @@ def _one_or_each(values: Iterable[Any]) -> Any:
     return every[0] if all(value == every[0] for value in every) else every
 
 
-def _axis(direction: np.ndarray) -> str | tuple[float, ...]:
-    vector = tidy_vector(direction)
+def _axis(vector: list[float]) -> str | list[float]:
     for name, unit in zip("xyz", np.eye(3), strict=True):
-        if np.array_equal(vector, unit):
-            return name
+        for sign, word in ((1.0, name), (-1.0, f"-{name}")):
+            if np.array_equal(vector, sign * unit):
+                return word
     return vector

@@ -7,34 +7,52 @@
 | torque limit | ``forcerange`` |
 | torque motor | ``motor``: ``gear`` is its gear |
 | velocity servo with the caller's gain | ``motor`` with limits, in the import on request |
+| motor of a tendon | the same, with ``tendon`` |
 | muscles | ``motor``: ``gear`` is their strength, the command is ML - MR |
+
+A command has another meaning here: the target of a ``general`` with an affine bias is an angle or a
+rate, whatever its gain. Time constants of actuators and limits of servos' commands are left out.
 
 The passive stiffness and damping of muscles are those of the hinge. MJCF leaves out the stiffness
 of active muscles and Hill's law.
 """
 
-from collections.abc import Container
+from typing import Any
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from evo_cpg.config.schema.joint import ActuatorConfig, TorqueMotorConfig
 from evo_cpg.config.schema.section import LARGEST
 from evo_cpg.creature.creature import Actuator, Muscle, TorqueMotor
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
+from evo_cpg.exchange.mjcf_fields import counted
 from evo_cpg.exchange.mjcf_ground import number_text
-
-# Motors that an import makes.
-Driver = ActuatorConfig | TorqueMotorConfig
+from evo_cpg.spatial.numerics import Triple
 
 # Number of actuator groups that MuJoCo can disable.
 _GROUPS = 31
 
 
-def add_motor(actuator: Element, joint: str, motor: Actuator | TorqueMotor | Muscle) -> None:
-    """Add the motor or the muscles of a hinge."""
+def add_motor(
+    actuator: Element,
+    name: str,
+    motor: Actuator | TorqueMotor | Muscle,
+    of: str = "joint",
+    axis: Triple | None = None,
+) -> None:
+    """Add the motor or the muscles of an axis, or the motor of a tendon.
+
+    Args:
+        actuator: the section of actuators.
+        name: name of the MJCF joint or the tendon.
+        motor: motor or muscles.
+        of: kind of the driven part, ``joint`` or ``tendon``.
+        axis: axis of a ball that the motor turns, or None for a part with one coordinate.
+    """
+    own = name if axis is None else f"{name}.{'xyz'[int(np.abs(axis).argmax())]}"
+    driven = {"name": own, of: name}
     if isinstance(motor, Muscle):
-        element = SubElement(actuator, "motor", name=joint, joint=joint)
+        element = SubElement(actuator, "motor", driven)
         element.set("gear", number_text(motor.strength))
         element.set("ctrlrange", number_text(-1.0, 1.0))
         return
@@ -42,100 +60,163 @@ def add_motor(actuator: Element, joint: str, motor: Actuator | TorqueMotor | Mus
     if isinstance(motor, TorqueMotor):
         # MuJoCo limits the force before the gear.
         limit = limit / abs(motor.gear)
-        element = SubElement(actuator, "motor", name=joint, joint=joint)
+        element = SubElement(actuator, "motor", driven)
         element.set("gear", number_text(motor.gear))
     else:
         kind = "position" if motor.stiffness else "velocity"
-        element = SubElement(actuator, kind, name=joint, joint=joint)
+        element = SubElement(actuator, kind, driven)
         if motor.stiffness:
             element.set("kp", number_text(motor.stiffness))
         element.set("kv", number_text(motor.gain))
+    if axis is not None:
+        gear = motor.gear if isinstance(motor, TorqueMotor) else 1.0
+        element.set("gear", number_text(*(gear * x for x in axis)))
     if np.isfinite(limit):
         element.set("forcerange", number_text(-limit, limit))
 
 
-def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, Driver | None]:
-    """Return the motor of every driven joint, or None for a refused motor, which is recorded."""
-    motors: dict[int, Driver | None] = {}
+def read_motors(
+    compiled: Compiled, motor_gain: float | None
+) -> tuple[dict[int, dict[str, Any]], dict[int, dict[str, Any]]]:
+    """Return the keys of the motors, by joint and by tendon. Refused motors are recorded."""
+    of_joints: dict[int, dict[str, Any]] = {}
+    of_tendons: dict[int, dict[str, Any]] = {}
+    if compiled.disabled("actuation"):
+        for phrase in counted(len(compiled.model.actuator_trnid), "actuator"):
+            compiled.refusals.leave_out(phrase)
+        return of_joints, of_tendons
     for number in range(len(compiled.model.actuator_trnid)):
         with compiled.refusals.collecting():
-            joint = _driven_joint(compiled, number, motors)
-            motors[joint] = None
-            motors[joint] = _read_motor(compiled, number, joint, motor_gain)
-    return motors
+            kind, target = _target(compiled, number)
+            motors = of_joints if kind == "joint" else of_tendons
+            if target in motors:
+                driven = compiled.item(kind, target)
+                compiled.item("actuator", number).refuse(
+                    f"it is the second actuator of {driven}", "one"
+                )
+                continue
+            motors[target] = _read_motor(compiled, number, kind, target, motor_gain)
+    if compiled.urdf:
+        of_joints |= _motors_of_efforts(compiled)
+    return of_joints, of_tendons
 
 
-def _driven_joint(compiled: Compiled, number: int, driven: Container[int]) -> int:
-    """Return the hinge that an actuator drives."""
-    model, item = compiled.model, compiled.item("actuator", number)
-    joint, group = int(model.actuator_trnid[number, 0]), int(model.actuator_group[number])
+def _target(compiled: Compiled, number: int) -> tuple[str, int]:
+    """Return the kind and the number of what an actuator drives."""
+    mujoco, model, item = compiled.mujoco, compiled.model, compiled.item("actuator", number)
+    group = int(model.actuator_group[number])
     if 0 <= group < _GROUPS and model.opt.disableactuator >> group & 1:
         problem = f"actuatorgroupdisable disables its group, {group}"
         raise item.refusal(problem, "an enabled group")
-    on_joint = int(model.actuator_trntype[number]) == compiled.mujoco.mjtTrn.mjTRN_JOINT
-    if not on_joint or int(model.jnt_type[joint]) != compiled.mujoco.mjtJoint.mjJNT_HINGE:
-        raise item.refusal("it drives no hinge", "joint=, a hinge")
-    if joint in driven:
-        driven_one = compiled.item("joint", joint)
-        raise item.refusal(f"it is the second actuator of {driven_one}", "one")
-    return joint
+    transmission, target = int(model.actuator_trntype[number]), int(model.actuator_trnid[number, 0])
+    if transmission == mujoco.mjtTrn.mjTRN_TENDON:
+        return "tendon", target
+    on_joint = transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    kinds = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
+    if on_joint and int(model.jnt_type[target]) in kinds:
+        return "joint", target
+    raise item.refusal("it drives no hinge, slide or tendon", "joint= or tendon=")
 
 
-def _read_motor(compiled: Compiled, number: int, joint: int, motor_gain: float | None) -> Driver:
+def _read_motor(
+    compiled: Compiled, number: int, kind: str, target: int, motor_gain: float | None
+) -> dict[str, Any]:
     """Read one motor. The gear scales the angle and multiplies the force."""
     mujoco, model, item = compiled.mujoco, compiled.model, compiled.item("actuator", number)
     gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
     strength = float(model.actuator_gainprm[number, 0])
     offset, stiffness, damping = (-model.actuator_biasprm[number, :3]).tolist()
     affine = int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_AFFINE
-    simple = (
-        gear != 0
-        and (affine or int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_NONE)
-        and int(model.actuator_dyntype[number]) == mujoco.mjtDyn.mjDYN_NONE
-        and int(model.actuator_gaintype[number]) == mujoco.mjtGain.mjGAIN_FIXED
-    )
-    follows = offset == 0 and stiffness >= 0 and strength == (stiffness or damping)
-    if not simple or (affine and not follows):
-        raise item.refusal(
-            "its law is not a servo's",
-            "position, velocity, motor, without actuator dynamics",
-        )
-    limits = [
-        (gear * model.actuator_forcerange[number], model.actuator_forcelimited[number]),
-        (model.jnt_actfrcrange[joint], model.jnt_actfrclimited[joint]),
-    ]
     if not affine:
-        command = gear * strength * model.actuator_ctrlrange[_place(compiled, "ctrl", number)]
-        limits.append((command, _limits_commands(compiled, number)))
-    elif not damping > 0:
-        raise item.refusal("it has no damping", "a kv of more than 0")
-    else:
+        offset = stiffness = damping = 0.0
+    _require_simple(compiled, number, affine)
+    if gear == 0 or strength == 0:
+        raise item.refusal("its gear or gain is 0", "a gear and a gain other than 0")
+    if stiffness < 0 or damping < 0:
+        raise item.refusal("it pushes away from its target", "a bias that is not positive")
+    servo = stiffness > 0 or damping > 0
+    if offset and not servo:
+        raise item.refusal("it has a constant force", "a bias of 0, or a stiffness")
+    limit = _torque_limit(compiled, number, kind, target, servo, gear * strength)
+    if int(model.actuator_dyntype[number]) != mujoco.mjtDyn.mjDYN_NONE:
+        compiled.refusals.leave_out("time constant", str(item))
+    if servo:
+        if _limits_commands(compiled, number):
+            compiled.refusals.leave_out("ctrlrange", str(item))
         # The square of the gear could overflow.
-        gain, stiffness = (gear * (gear * value) for value in (damping, stiffness))
-    torques = [torque for torque, given in limits if given and not _boundless(torque)]
-    if not affine and motor_gain is not None and not torques:
+        gain, spring = (gear * (gear * value) for value in (damping, stiffness))
+        keys: dict[str, Any] = {"gain": tidy(gain), "torque_limit": limit}
+        return keys | ({"stiffness": tidy(spring)} if spring else {})
+    if motor_gain is None:
+        return {"type": "torque", "gear": tidy(gear * strength), "torque_limit": limit}
+    if limit is None:
         # The servo's limit is the largest torque of the motor.
         raise item.refusal("it has no limits", "ctrlrange or forcerange")
-    for lower, upper in torques:
+    return {"gain": motor_gain, "torque_limit": limit}
+
+
+def _require_simple(compiled: Compiled, number: int, affine: bool) -> None:
+    """Refuse a motor whose force is no linear law of the angle and the rate.
+
+    Raises:
+        RefusedError: the motor has another law.
+    """
+    mujoco, model = compiled.mujoco, compiled.model
+    dynamics = mujoco.mjtDyn
+    known = dynamics.mjDYN_NONE, dynamics.mjDYN_FILTER, dynamics.mjDYN_FILTEREXACT
+    known = *known, dynamics.mjDYN_INTEGRATOR
+    simple = (
+        (affine or int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_NONE)
+        and int(model.actuator_dyntype[number]) in known
+        and int(model.actuator_gaintype[number]) == mujoco.mjtGain.mjGAIN_FIXED
+    )
+    if not simple:
+        raise compiled.item("actuator", number).refusal(
+            "its law is not linear",
+            "motor, position, velocity, intvelocity, or general with fixed gain and affine bias",
+        )
+
+
+def _torque_limit(
+    compiled: Compiled, number: int, kind: str, target: int, servo: bool, strength: float
+) -> float | None:
+    """Return the largest force of a motor, or None. Name limits of unequal size as left out."""
+    model, item = compiled.model, compiled.item("actuator", number)
+    gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
+    limits = [(gear * model.actuator_forcerange[number], model.actuator_forcelimited[number])]
+    prefix = "jnt" if kind == "joint" else "tendon"
+    if hasattr(model, f"{prefix}_actfrcrange"):
+        whole = getattr(model, f"{prefix}_actfrcrange"), getattr(model, f"{prefix}_actfrclimited")
+        limits.append((whole[0][target], whole[1][target]))
+    if not servo:
+        command = strength * model.actuator_ctrlrange[_place(compiled, "ctrl", number)]
+        limits.append((command, _limits_commands(compiled, number)))
+    largest = []
+    for torque, given in limits:
+        if not given or _boundless(np.asarray(torque)):
+            continue
+        lower, upper = sorted(map(float, torque))
         if not np.isclose(-lower, upper, rtol=TOLERANCE):
-            raise item.refusal(
-                f"its limits {lower:g} and {upper:g} differ in size", "limits of equal size"
-            )
-    limit = tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None
-    if not affine:
-        if motor_gain is None:
-            values = {"type": "torque", "gear": tidy(gear * strength), "torque_limit": limit}
-            return item.section(TorqueMotorConfig, values)
-        gain, stiffness = motor_gain, 0.0
-    values = {"gain": tidy(gain), "stiffness": tidy(stiffness), "torque_limit": limit}
-    return item.section(ActuatorConfig, values)
+            compiled.refusals.leave_out("smaller one of two force limits", str(item))
+        largest.append(max(abs(lower), abs(upper)))
+    if not largest:
+        return None
+    if not min(largest) > 0:
+        raise item.refusal("its limits are 0", "a limit above 0")
+    return tidy(min(largest))
 
 
-def command_ranges(compiled: Compiled) -> list[int]:
-    """Return the numbers of servos whose commands have limits. Our servos lack such limits."""
+def _motors_of_efforts(compiled: Compiled) -> dict[int, dict[str, Any]]:
+    """Return torque motors for the joints of a URDF that have an effort."""
     model = compiled.model
-    affine = model.actuator_biastype == compiled.mujoco.mjtBias.mjBIAS_AFFINE
-    return [i for i in range(len(affine)) if affine[i] and _limits_commands(compiled, i)]
+    kinds = compiled.mujoco.mjtJoint.mjJNT_HINGE, compiled.mujoco.mjtJoint.mjJNT_SLIDE
+    motors = {}
+    for joint in range(model.njnt):
+        effort = float(model.jnt_actfrcrange[joint, 1])
+        limited = model.jnt_actfrclimited[joint] and 0 < effort < LARGEST
+        if limited and int(model.jnt_type[joint]) in kinds:
+            motors[joint] = {"type": "torque", "gear": tidy(effort), "torque_limit": tidy(effort)}
+    return motors
 
 
 def _limits_commands(compiled: Compiled, number: int) -> bool:

@@ -3,35 +3,38 @@
 | here | in MJCF |
 |---|---|
 | box, sphere, ellipsoid | ``geom`` of the same ``type``, with half sizes |
-| capsule, along x | ``geom`` of the same ``type``, along z |
-| mesh | ``mesh`` asset with the body's name, which holds its vertices and faces |
-| density | ``density``. MuJoCo's mass and inertia must belong to a uniform shape |
+| capsule, cylinder, along x | ``geom`` of the same ``type``, along z |
+| mesh | ``mesh`` asset, which holds its vertices and faces |
+| shape of a body | its largest ``geom``. Our frame is at its centre, along its axes |
+| parts | the other ``geom``s |
+
+A body has the shapes of its colliding geoms, or of all its geoms if none collides. Drawings beside
+colliding geoms are left out: every shape costs time, and would touch the ground. A root keeps
+the axes of the world, because its x axis is the animal's forward direction. A mesh becomes the hull
+of its corners, as in MuJoCo's collisions.
 """
 
 import itertools
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from evo_cpg.config.schema.shape import (
-    BoxConfig,
-    CapsuleConfig,
-    EllipsoidConfig,
-    MeshConfig,
-    ShapeConfig,
-    SphereConfig,
-)
 from evo_cpg.creature.creature import Body, Creature
 from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
-from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_vector
+from evo_cpg.creature.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
+from evo_cpg.exchange.compiled import Compiled, tidy, tidy_vector
 from evo_cpg.exchange.mjcf_ground import number_text
 from evo_cpg.exchange.refusals import ExchangeError
+from evo_cpg.exchange.rigid import Rigid, is_flat
+from evo_cpg.spatial.rotation import matrix_to_euler
 
-# Rounding error of an inertia tensor that was rotated, as a fraction of the largest moment. A mesh
-# has corners in single precision, so `TOLERANCE` applies to its inertia.
-_ROUNDING = 1e-12
+# Most corners of a mesh. Contact and buoyancy use fewer (`evo_cpg.creature.mesh`).
+_MOST_CORNERS = 100
+
+# Largest difference from the world's axes of a root's shape.
+_ALIGNED = 1e-12
 
 # Proper rotations that map the axes of a box onto each other. Columns are the new axes in the old
 # ones.
@@ -43,12 +46,57 @@ _TURNS = [
 ]
 
 
-class Placed(NamedTuple):
-    """A body's shape, and the origin (m) and axes of our body frame in MuJoCo's body frame."""
+class Solid(NamedTuple):
+    """A shape of the file.
 
-    shape: ShapeConfig
+    Attributes:
+        geom: MuJoCo's number of the geom.
+        shape: its keys in a configuration.
+        centre: origin of its frame in the neutral pose, in the world, m.
+        turn: rotation from its frame to the world ``(3, 3)``.
+        size: volume of the box around it, m^3.
+    """
+
+    geom: int
+    shape: dict[str, Any]
     centre: np.ndarray
     turn: np.ndarray
+    size: float
+
+
+class Placed(NamedTuple):
+    """A rigid body with our frame.
+
+    Attributes:
+        rigid: its parts in the file.
+        name: its name.
+        centre: origin of our frame in the neutral pose, in the world, m.
+        turn: rotation from our frame to the world ``(3, 3)``.
+        solids: its shapes. The first one is in our frame, if ``own_shape``.
+        own_shape: whether the first shape is the body's own, and not a part.
+    """
+
+    rigid: Rigid
+    name: str
+    centre: np.ndarray
+    turn: np.ndarray
+    solids: tuple[Solid, ...]
+    own_shape: bool
+
+    def place(self, point: np.ndarray) -> list[float]:
+        """Return coordinates in our frame of a point in the world."""
+        return tidy_vector(self.turn.T @ (point - self.centre))
+
+    def direction(self, vector: np.ndarray) -> list[float]:
+        """Return components in our axes of a vector in the world's."""
+        return tidy_vector(self.turn.T @ vector)
+
+    @property
+    def shape_names(self) -> list[str]:
+        """Names that the shapes have as bodies of the tree."""
+        first = 1 if self.own_shape else 2
+        numbers = range(first, first + len(self.solids))
+        return [self.name if i == 1 else f"{self.name}/{i}" for i in numbers]
 
 
 def add_meshes(root: Element, creature: Creature) -> None:
@@ -75,108 +123,204 @@ def shape_attributes(body: Body) -> dict[str, str]:
         return {"type": "sphere", "size": number_text(shape.radius)}
     if isinstance(shape, Ellipsoid):
         return {"type": "ellipsoid", "size": number_text(*shape.half_extents)}
-    if isinstance(shape, Capsule):
+    if isinstance(shape, Capsule | Cylinder):
+        kind = "capsule" if isinstance(shape, Capsule) else "cylinder"
         size = number_text(shape.radius, shape.length / 2)
-        return {"type": "capsule", "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
+        return {"type": kind, "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
     if isinstance(shape, ConvexMesh):
         return {"type": "mesh", "mesh": body.name}
     raise ExchangeError(
         f"a {type(shape).__name__} cannot be written as MJCF. "
-        "Allowed: Box, Sphere, Ellipsoid, Capsule, ConvexMesh"
+        "Allowed: Box, Sphere, Ellipsoid, Capsule, Cylinder, ConvexMesh"
     )
 
 
-def only_geom(compiled: Compiled, body: int) -> int:
-    """Return the only geom of a body. Refuse a body with none or several."""
-    model = compiled.model
-    count = int(model.body_geomnum[body])
-    if count != 1:
-        raise compiled.item("body", body).refusal(f"it has {count} geoms", "one, its shape")
-    return int(model.body_geomadr[body])
+def place_body(compiled: Compiled, rigid: Rigid, name: str, axes: np.ndarray) -> Placed:
+    """Return the shapes of a rigid body, and its frame.
 
+    The frame is at the centre of the largest shape, turned as little from MuJoCo's as the shape
+    allows. A root without a shape along its axes has all its shapes as parts.
 
-def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Placed:
-    """Place our frame at the geom's centre, turned as little from the body's as its shape allows.
-
-    The root's frame is turned as little as possible from the world's. Both must agree in the
-    neutral pose.
+    Args:
+        compiled: the model.
+        rigid: the body.
+        name: its name.
+        axes: axes of the root in the world ``(3, 3)``.
     """
-    model, kinds = compiled.model, compiled.mujoco.mjtGeom
-    size = model.geom_size[geom]
-    outer = rotation(compiled, model.body_quat[body]) if is_root else np.eye(3)
-    turn = outer @ rotation(compiled, model.geom_quat[geom])
-    kind = int(model.geom_type[geom])
-    item = compiled.item("geom", geom)
+    is_root = rigid.parent is None
+    solids = []
+    for geom in _chosen_geoms(compiled, rigid):
+        with compiled.refusals.collecting():
+            outer = axes if is_root else np.array(compiled.data.xmat[rigid.lead]).reshape(3, 3)
+            solids.append(read_solid(compiled, geom, outer, is_root))
+    solids.sort(key=lambda solid: -solid.size)
+    fit = solids
+    if is_root:
+        fit = [solid for solid in solids if np.abs(solid.turn - axes).max() < _ALIGNED]
+    if fit:
+        first = fit[0]
+        ordered = (first, *(solid for solid in solids if solid is not first))
+        return Placed(rigid, name, first.centre, first.turn, ordered, True)
+    centre, turn = np.zeros(3), axes
+    if rigid.lead:
+        centre = np.array(compiled.data.xpos[rigid.lead])
+        if not is_root:
+            turn = np.array(compiled.data.xmat[rigid.lead]).reshape(3, 3)
+    return Placed(rigid, name, centre, turn, tuple(solids), False)
+
+
+def body_keys(
+    placed: Placed, materials: Sequence[str], colors: Sequence[str | None]
+) -> dict[str, Any]:
+    """Return the keys of a body that describe its shapes.
+
+    Args:
+        placed: the body.
+        materials: name of the material of each shape, or of the body alone without shapes.
+        colors: colour of each shape, or None.
+    """
+    keys: dict[str, Any] = {"shape": None, "material": materials[0]}
+    color = colors[0] if colors else None
+    if color:
+        keys["color"] = color
+    if placed.own_shape:
+        keys["shape"] = placed.solids[0].shape
+    parts = []
+    first = int(placed.own_shape)
+    for solid, material, own_color in zip(
+        placed.solids[first:], materials[first:], colors[first:], strict=False
+    ):
+        part: dict[str, Any] = {"shape": solid.shape, "at": placed.place(solid.centre)}
+        angles = tidy_vector(np.rad2deg(matrix_to_euler(placed.turn.T @ solid.turn)))
+        if np.any(angles):
+            part["rotation_deg"] = angles
+        if material != materials[0]:
+            part["material"] = material
+        if own_color and own_color != color:
+            part["color"] = own_color
+        parts.append(part)
+    return keys | ({"parts": parts} if parts else {})
+
+
+def read_solid(compiled: Compiled, geom: int, outer: np.ndarray, keeps_axes: bool) -> Solid:
+    """Return the shape of a geom. Its frame is turned as little as possible from its body's.
+
+    Args:
+        compiled: the model.
+        geom: MuJoCo's number of the geom.
+        outer: axes of its body in the world ``(3, 3)``.
+        keeps_axes: whether the corners of a mesh are turned instead of its frame.
+
+    Raises:
+        RefusedError: no shape of ours is like it.
+    """
+    model, data, kinds = compiled.model, compiled.data, compiled.mujoco.mjtGeom
+    size = np.array(model.geom_size[geom])
+    centre = np.array(data.geom_xpos[geom])
+    turn = np.array(data.geom_xmat[geom]).reshape(3, 3)
+    inner = outer.T @ turn
+    kind, item = int(model.geom_type[geom]), compiled.item("geom", geom)
     if kind == kinds.mjGEOM_SPHERE:
-        values = {"type": "sphere", "radius": tidy(size[0])}
-        shape, turn = item.section(SphereConfig, values), np.eye(3)
-    elif kind == kinds.mjGEOM_CAPSULE:
+        shape = {"type": "sphere", "radius": tidy(size[0])}
+        return Solid(geom, shape, centre, outer, float((2 * size[0]) ** 3))
+    if kind in (kinds.mjGEOM_CAPSULE, kinds.mjGEOM_CYLINDER):
         # MuJoCo's capsules lie along z, ours along x. Either end may be the front.
-        turn = _shortest_turn(turn[:, 2] if turn[0, 2] >= 0 else -turn[:, 2])
-        values = {"type": "capsule", "radius": tidy(size[0]), "length": tidy(2 * size[1])}
-        shape = item.section(CapsuleConfig, values)
-    elif kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
-        best = max(_TURNS, key=lambda own: np.trace(turn @ own))
-        turn, size = turn @ best, np.abs(best.T @ size)
+        own = _shortest_turn(inner[:, 2] if inner[0, 2] >= 0 else -inner[:, 2])
+        word = "capsule" if kind == kinds.mjGEOM_CAPSULE else "cylinder"
+        shape = {"type": word, "radius": tidy(size[0]), "length": tidy(2 * size[1])}
+        return Solid(geom, shape, centre, outer @ own, float(8 * size[0] ** 2 * size[1]))
+    if kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
+        best = max(_TURNS, key=lambda own: np.trace(inner @ own))
+        sides = np.abs(best.T @ size)
         if kind == kinds.mjGEOM_BOX:
-            values = {"type": "box", "size": tuple(map(tidy, 2 * size))}
-            shape = item.section(BoxConfig, values)
+            shape = {"type": "box", "size": [tidy(2 * side) for side in sides]}
         else:
-            values = {"type": "ellipsoid", "radii": tuple(map(tidy, size))}
-            shape = item.section(EllipsoidConfig, values)
-    elif kind == kinds.mjGEOM_MESH:
-        # MuJoCo has turned the mesh to its principal axes.
-        shape, turn = _read_mesh(compiled, geom, turn), np.eye(3)
-    else:
-        word = str(kinds(kind).name).removeprefix("mjGEOM_").lower()
-        raise item.refusal(f"it is a {word}", "box, sphere, ellipsoid, capsule, mesh")
-    if is_root and not np.allclose(turn, np.eye(3), rtol=0, atol=TOLERANCE):
-        raise item.refusal(
-            f"the root's {shape.type} is rotated in the world",
-            "edges and axes along x, y and z, a capsule's along x",
-        )
-    return Placed(shape, np.array(model.geom_pos[geom]), outer.T @ turn)
+            shape = {"type": "ellipsoid", "radii": [tidy(side) for side in sides]}
+        return Solid(geom, shape, centre, turn @ best, float(8 * np.prod(size)))
+    if kind == kinds.mjGEOM_MESH:
+        return _read_mesh(compiled, geom, outer if keeps_axes else None)
+    word = str(kinds(kind).name).removeprefix("mjGEOM_").lower()
+    raise item.refusal(
+        f"it is a {word} on the animal", "box, sphere, ellipsoid, capsule, cylinder, mesh"
+    )
 
 
-def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> float:
-    """Return the density of a body, kg/m^3. Refuse a body without uniform density."""
+def _chosen_geoms(compiled: Compiled, rigid: Rigid) -> list[int]:
+    """Return the colliding geoms of a body, or all if none collides."""
     model = compiled.model
-    shape = own.shape.build()
-    mass = float(model.body_mass[body])
-    axes = rotation(compiled, model.body_iquat[body])
-    found = axes @ np.diag(model.body_inertia[body]) @ axes.T
-    expected = own.turn @ shape.inertia_tensor(mass) @ own.turn.T
-    reach = float(np.linalg.norm(shape.half_extents))
-    off_centre = np.abs(model.body_ipos[body] - own.centre).max() > TOLERANCE * reach
-    # Compare in the principal frame, where the moments of a thin rod do not hide one another.
-    moments, frame = np.linalg.eigh(expected)
-    off = np.abs(frame.T @ found @ frame - np.diag(moments))
-    rounding = TOLERANCE if own.shape.type == "mesh" else _ROUNDING
-    within = np.maximum(TOLERANCE * np.sqrt(np.outer(moments, moments)), rounding * moments.max())
-    if off_centre or (off > within).any():
-        raise compiled.item("body", body).refusal(
-            f"its centre of mass or inertia does not match its {own.shape.type}",
-            "uniform density, without an inertial element",
-        )
-    return mass / shape.volume if shape.volume else float("inf")
+    every = [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] in rigid.members and not is_flat(compiled, geom)
+    ]
+    paired = {*map(int, model.pair_geom1), *map(int, model.pair_geom2)}
+    solid = [
+        geom
+        for geom in every
+        if model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
+    ]
+    return solid or every
 
 
-def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
-    """Return the mesh of a geom about its centre of mass, in axes rotated by ``turn``."""
-    model, item = compiled.model, compiled.item("geom", geom)
+def _read_mesh(compiled: Compiled, geom: int, axes: np.ndarray | None) -> Solid:
+    """Return the hull of a mesh, in the frame of its file, or with the origin there and own axes.
+
+    MuJoCo has moved the mesh to its centre and turned it to its principal axes.
+    """
+    model, data = compiled.model, compiled.data
     mesh = int(model.geom_dataid[geom])
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
-    vertices = np.array(model.mesh_vert[first : first + count], float) @ turn.T
-    first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    faces = np.array(model.mesh_face[first : first + count], int)
+    vertices = np.array(model.mesh_vert[first : first + count], float)
+    moved = np.zeros(9)
+    compiled.mujoco.mju_quat2Mat(moved, model.mesh_quat[mesh])
+    back = moved.reshape(3, 3)
+    turn = np.array(data.geom_xmat[geom]).reshape(3, 3) @ back.T
+    centre = np.array(data.geom_xpos[geom]) - turn @ np.array(model.mesh_pos[mesh])
+    vertices = vertices @ back.T + np.array(model.mesh_pos[mesh])
+    if axes is not None:
+        vertices, turn = vertices @ (axes.T @ turn).T, axes
     try:
-        _, centre = convex_mesh(vertices, faces)
+        shape = hull(vertices)
+        convex_mesh(np.array(shape["vertices"]), np.array(shape["faces"]))
     except MeshError as error:
-        raise item.refusal(f"its mesh: {error}", "a closed convex mesh") from None
-    # MuJoCo keeps vertices in single precision.
-    vertices = tuple(tidy_vector(vertex) for vertex in vertices - centre)
-    values = {"type": "mesh", "vertices": vertices, "faces": faces.tolist()}
-    return item.section(MeshConfig, values)
+        raise compiled.item("geom", geom).refusal(
+            f"its mesh cannot be a body: {error}", "a solid mesh of 1 mm to 100 m"
+        ) from None
+    return Solid(geom, shape, centre, turn, float(np.prod(np.ptp(vertices, axis=0))))
+
+
+def hull(vertices: np.ndarray) -> dict[str, Any]:
+    """Return the convex hull of points as a shape, with at most `_MOST_CORNERS` corners.
+
+    Raises:
+        MeshError: the points lie in a plane.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        points = vertices[ConvexHull(vertices).vertices]
+        if len(points) > _MOST_CORNERS:
+            points = points[_far_apart(points, _MOST_CORNERS)]
+        found = ConvexHull(points)
+    except QhullError:
+        raise MeshError("its corners lie in a plane") from None
+    corners, faces = points[found.vertices], []
+    number = {int(old): new for new, old in enumerate(found.vertices)}
+    for face, plane in zip(found.simplices, found.equations, strict=True):
+        a, b, c = points[face]
+        outwards = np.cross(b - a, c - a) @ plane[:3] > 0
+        faces.append([number[int(i)] for i in (face if outwards else face[::-1])])
+    return {"type": "mesh", "vertices": np.round(corners, 9).tolist(), "faces": faces}
+
+
+def _far_apart(points: np.ndarray, count: int) -> list[int]:
+    """Return points of which each is the farthest from those before, the outermost first."""
+    chosen = [int(np.linalg.norm(points - points.mean(0), axis=1).argmax())]
+    distance = np.full(len(points), np.inf)
+    while len(chosen) < count:
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        chosen.append(int(distance.argmax()))
+    return chosen
 
 
 def _shortest_turn(direction: np.ndarray) -> np.ndarray:

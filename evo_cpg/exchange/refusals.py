@@ -1,8 +1,12 @@
-"""Collect refused elements while a file is read, and report all of them at once."""
+"""Collect refused elements while a file is read, and report all of them at once.
+
+The caller may accept the loss of refused elements (``drop``). They are then listed, not refused.
+Faults without which nothing is left, such as a file without a moving body, are always refused.
+"""
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,11 +27,13 @@ class Refusal(NamedTuple):
         element: name of the element in messages.
         problem: fault of the element, and allowed values.
         line: line of the element in the file, or None if unknown.
+        vital: whether the model is useless without the element, so that it cannot be dropped.
     """
 
     element: str
     problem: str
     line: int | None = None
+    vital: bool = False
 
 
 class RefusedError(ExchangeError):
@@ -44,16 +50,31 @@ class Refusals:
 
     Attributes:
         source: the file.
+        drop: whether the user accepts the loss of refused elements.
         found: faults in the order of their discovery.
+        lost: elements that lose something without harm, by its name and their kind.
     """
 
     source: Path
+    drop: bool = False
     found: list[Refusal] = dataclasses.field(default_factory=list)
+    lost: dict[tuple[str, str], list[str]] = dataclasses.field(default_factory=dict)
 
     def add(self, refusal: Refusal) -> None:
         """Record a fault, once."""
         if refusal not in self.found:
             self.found.append(refusal)
+
+    def leave_out(self, what: str, *elements: str) -> None:
+        """Record something that is left out without harm, of some elements or of the model."""
+        for element in elements or ("",):
+            owners = self.lost.setdefault((what, _kind(element)), [])
+            owners += [element] * bool(element and element not in owners)
+
+    @property
+    def left_out(self) -> list[str]:
+        """Phrases about what is left out without harm, such as ``margin of 3 geoms``."""
+        return [_lost(what, elements) for (what, _), elements in self.lost.items()]
 
     @contextlib.contextmanager
     def collecting(self) -> Iterator[None]:
@@ -63,25 +84,36 @@ class Refusals:
         except RefusedError as error:
             self.add(error.refusal)
 
+    @property
+    def dropped(self) -> list[str]:
+        """Sentences about the elements whose loss the user accepts."""
+        return _sentences([refusal for refusal in self.found if not refusal.vital])
+
     def check(self) -> None:
-        """Report all faults.
+        """Report all faults, except those that the user accepts.
 
         Raises:
             ExchangeError: there are faults.
         """
-        if not self.found:
+        vital = [refusal for refusal in self.found if refusal.vital]
+        said = _sentences(vital if self.drop else self.found)
+        if not said:
             return
-        groups: dict[tuple[str, str], list[Refusal]] = {}
-        for refusal in self.found:
-            kind = refusal.element.removeprefix("unnamed ").partition(" ")[0]
-            groups.setdefault((kind, refusal.problem), []).append(refusal)
-        said = [_words(group) for group in groups.values()]
+        hint = "" if vital else "\nThe option --drop imports the model without them."
         if len(said) == 1:
-            raise ExchangeError(f"{self.source}: {said[0]}")
+            raise ExchangeError(f"{self.source}: {said[0]}{hint}")
         lines = "".join(f"\n  {words}" for words in said)
         raise ExchangeError(
-            f"{self.source}: a creature cannot have these {len(said)} things:{lines}"
+            f"{self.source}: a creature cannot have these {len(said)} things:{lines}{hint}"
         )
+
+
+def _sentences(refusals: Sequence[Refusal]) -> list[str]:
+    """Return a sentence for each fault, about all elements of a kind that share it."""
+    groups: dict[tuple[str, str], list[Refusal]] = {}
+    for refusal in refusals:
+        groups.setdefault((_kind(refusal.element), refusal.problem), []).append(refusal)
+    return [_words(group) for group in groups.values()]
 
 
 def _words(group: list[Refusal]) -> str:
@@ -91,3 +123,15 @@ def _words(group: list[Refusal]) -> str:
     lines = [str(refusal.line) for refusal in group[:_NAMED] if refusal.line]
     where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines)})" if lines else ""
     return f"{named}{more}: {group[0].problem}{where}"
+
+
+def _lost(what: str, elements: list[str]) -> str:
+    """Return a phrase about something that elements lose."""
+    if len(elements) < 2:
+        return " of ".join([what, *elements])
+    return f"{what} of {len(elements)} {_kind(elements[0])}s"
+
+
+def _kind(element: str) -> str:
+    """Return the kind of an element, from its name in messages."""
+    return element.removeprefix("unnamed ").partition(" ")[0]

@@ -19,6 +19,7 @@ Both programs solve the same equations of motion. They differ in these points:
 - If friction differs from trial to trial, MuJoCo uses the friction of the configuration.
 """
 
+import dataclasses
 import functools
 import importlib
 import operator
@@ -36,22 +37,32 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.muscles import Muscles
 from evo_cpg.exchange.carried_inertia import CarriedInertia, step_with_inertia
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
+from evo_cpg.exchange.mujoco_state import (
+    dof_order,
+    joint_state,
+    load_state,
+    motor_order,
+    root_dofs,
+    root_rotation,
+)
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.fusion.engine import using
 from evo_cpg.installation import command_for
+from evo_cpg.physics import root
 from evo_cpg.physics.force_law import in_body_axes
-from evo_cpg.physics.joint_torque import MotorCommand
+from evo_cpg.physics.hanging import Base
+from evo_cpg.physics.joint_torque import Laws, MotorCommand
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.muscle import Pull, pull_of
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.weight import buoyancy_alone
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.control_step import act, begin_episode, sense
+from evo_cpg.simulation.control_step import act, begin_episode, motor_command, sense
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
+from evo_cpg.spatial.numerics import Numbers
 
 # Least upward component of the root's z axis in an upright animal: the cosine of 60 degrees.
 _UPRIGHT = 0.5
@@ -75,7 +86,7 @@ class Opinion(NamedTuple):
         airborne: fraction of the time in which nothing touches the ground and no body's centre is
             under water. None without ground or with water everywhere, because it has no meaning
             then.
-        joint_angle: angles, rad, in our order of degrees of freedom.
+        joint_angle: angles, rad, and displacements, m, in our order of degrees of freedom.
     """
 
     program: str
@@ -144,13 +155,7 @@ class Brain:
             force[2, point] = borne[body]
         here = jax.tree.map(lambda x: np.asarray(x, np.float32)[..., None], state)
         self._nerves, command = jax.device_get(self._think(here, self._nerves, force))
-        rate, angle, activation = command.target_rate, command.target_angle, command.activation
-        return MotorCommand(
-            rate,
-            np.zeros_like(rate) if angle is None else angle,
-            jnp.zeros((2, *rate.shape)) if activation is None else activation,
-            np.zeros_like(rate) if command.torque is None else command.torque,
-        )
+        return motor_command(command).filled()
 
 
 def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
@@ -187,16 +192,17 @@ def second_opinion(
         ExchangeError: MuJoCo is missing or refuses the model, MJCF cannot hold the world, or
             MuJoCo's animal diverged.
     """
-    mujoco, model, finer = _compile(simulation, creature, hard)
+    before = jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before)
+    mujoco, model, finer = _compile(simulation, creature, before.base, hard)
     world, substeps = simulation.world, simulation.substeps
     player = _Player(mujoco, model, world, simulation.step_length)
-    player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
+    player.begin(before)
     pushes = _pushes(steps)
     recorded = steps.target_rate, steps.target_angle, steps.activation, steps.commanded_torque
     commands, active = player.commands(MotorCommand(*recorded))
-    poses, held = [player.data.qpos.copy()], []
+    states, held = [before], []
     for index in range(steps.torque.shape[-1]):
-        player.data.qvel[:3] += pushes[:, index]
+        player.push(pushes[:, index])
         if brain is not None and index % substeps == 0:
             own = player.commands(brain.think(player.state(), player.weight_borne()))
             commands[index : index + substeps], active[index : index + substeps] = own
@@ -204,19 +210,21 @@ def second_opinion(
         if not np.isfinite(player.data.qpos).all():
             raise ExchangeError("MuJoCo's animal diverged")
         if (index + 1) % substeps == 0:
-            poses.append(player.data.qpos.copy())
+            states.append(player.state())
             held.append(player.is_held())
-    poses = np.array(poses).T
+    poses = jax.tree.map(lambda *each: np.stack(each, -1), *states)
     return Opinion(
         "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None),
-        poses[:3],
-        _upright_fraction(poses[3:7, 1:]),
+        poses.position,
+        _upright_fraction(poses.orientation[:, 1:]),
         _airborne(world, np.array(held)),
-        poses[7 + player.dofs, 1:],
+        poses.q[:, 1:],
     )
 
 
-def _compile(simulation: Simulation, creature: Creature, hard: bool) -> tuple[Any, Any, int]:
+def _compile(
+    simulation: Simulation, creature: Creature, base: Base | None, hard: bool
+) -> tuple[Any, Any, int]:
     """Return MuJoCo, its model of the animal and world, and its number of steps in one of ours."""
     try:
         mujoco = importlib.import_module("mujoco")
@@ -229,8 +237,12 @@ def _compile(simulation: Simulation, creature: Creature, hard: bool) -> tuple[An
     if _applied(world) or world.tree.muscles is not None:
         longest = min(longest, _LAW_STEP)
     finer = int(np.ceil(h / longest - 1e-9))
+    place: dict[str, Any] = {}
+    if base is not None:
+        w, _, _, z = base.orientation
+        place = {"start": base.position, "heading": 2 * np.arctan2(z, w)}
     element = mjcf_model(
-        creature, world.gravity, world.ground, time_step=h / finer, pairs=world.pair_names
+        creature, world.gravity, world.ground, time_step=h / finer, pairs=world.pair_names, **place
     )
     try:
         model = mujoco.MjModel.from_xml_string(mjcf_text(element))
@@ -261,12 +273,19 @@ class _Player:
         self._bodies = np.array([model.body(name).id for name in world.tree.names])
         self._animal = np.isin(model.geom_bodyid, self._bodies)
         self._structure = jax.tree.structure(resting_state(world.tree))
-        self._laws = _law_forces(world, h) if _applied(world) else None
+        # MuJoCo's welded bodies have centres of mass of their own.
+        centres = world.tree.com
+        if world.tree.centre_of_volume is not None:
+            centres = np.asarray(model.body_ipos)[self._bodies].T
+        self._laws = _law_forces(world, h, centres) if _applied(world) else None
         self._pull = None if world.tree.muscles is None else _pull_forces(world.tree.muscles)
         self._surface = world.water_level
+        self._start = resting_state(world.tree)
+        self._placed = jax.jit(lambda state: state.placed(world.tree))
 
     def begin(self, state: State) -> None:
         """Set MuJoCo's animal to the initial state of ours."""
+        self._start = state
         load_state(self.model, self.data, self.tree, state)
         self.mujoco.mj_forward(self.model, self.data)
 
@@ -277,20 +296,12 @@ class _Player:
 
         The commands give our motors' torques. Those of muscles change within a step, see `advance`.
         """
-        tree, target_rate = self.tree, np.asarray(command.target_rate)
-        target_angle = np.asarray(command.target_angle)
-        gain, stiffness = (
-            np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)
-        )
-        springy = stiffness > 0
-        along = gain / np.where(springy, stiffness, 1.0) * target_rate
-        driven = np.where(springy, target_angle + along, target_rate)
-        if tree.torque_motors is not None:
-            gear = np.asarray(tree.torque_motors.gear, float)[:, None]
-            share = np.asarray(command.torque) / np.where(gear == 0, 1.0, gear)
-            driven = np.where(np.array(tree.torque_motors.driven)[:, None], share, driven)
-        driven = driven[self._motors].T
-        return np.asarray(driven, float), np.moveaxis(np.asarray(command.activation, float), -1, 0)
+        tendons, driven = self.tree.tendons, _shares(self.tree, command)
+        if tendons is not None:
+            own = command.to(np.maximum(tendons.channels, 0))
+            driven = np.concatenate([driven, _shares(tendons, own)])
+        active = np.moveaxis(np.asarray(command.activation, float), -1, 0)
+        return driven[self._motors].T, active
 
     def advance(
         self,
@@ -320,12 +331,18 @@ class _Player:
         """Set strength, stiffness and damping of the muscles' hinges and motors."""
         tree, model, muscles = self.tree, self.model, self.tree.muscles
         assert muscles is not None
-        hinges = 6 + self.dofs
+        hinges = root_dofs(tree) + self.dofs
         model.jnt_stiffness[model.dof_jntid[hinges]] = tree.stiffness + pull.stiffness
         model.dof_damping[hinges] = tree.damping + pull.damping
-        own = np.array(muscles.driven)[self._motors]
+        (own,) = np.nonzero(np.isin(self._motors, np.flatnonzero(muscles.driven)))
         share = pull.drive / np.where(muscles.driven, muscles.strength, 1.0)
-        self.data.ctrl[own] = share[self._motors][own]
+        self.data.ctrl[own] = share[self._motors[own]]
+
+    def push(self, change: Float[np.ndarray, " v"]) -> None:
+        """Change the velocities, given as for `State.rates`."""
+        if self.tree.hanging is None:
+            self.data.qvel[:3] += root.linear(root.root_part(change))
+        self.data.qvel[root_dofs(self.tree) + self.dofs] += root.joint_part(change)
 
     def is_held(self) -> bool:
         """Return whether the animal touches something other than itself, or swims.
@@ -350,14 +367,18 @@ class _Player:
 
     def state(self) -> State:
         """Return the animal's state in our form."""
-        data = self.data
+        data, tree = self.data, self.tree
+        joints = joint_state(self.model, tree, data.qpos, data.qvel)
+        if tree.hanging is not None:
+            with jax.enable_x64(True):
+                moved = dataclasses.replace(self._start, q=joints[0], qd=joints[1])
+                return jax.device_get(self._placed(moved))
         spin = root_rotation(data.qpos[3:7]) @ data.qvel[3:6]
         parts: tuple[Any, ...] = (
             data.qpos[:3].copy(),
             data.qpos[3:7].copy(),
             np.concatenate([spin, data.qvel[:3]]),
-            data.qpos[7 + self.dofs],
-            data.qvel[6 + self.dofs],
+            *joints,
         )
         # Double precision, as in states from `jax.device_get`.
         return jax.tree.unflatten(self._structure, parts)
@@ -366,6 +387,22 @@ class _Player:
 def _applied(world: World) -> bool:
     """Return whether the world has forces that MJCF cannot hold."""
     return world.water is not None or bool(world.forces)
+
+
+def _shares(laws: Laws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
+    """Return MuJoCo's commands that give the force of our motors."""
+    target_rate, target_angle = np.asarray(command.target_rate), np.asarray(command.target_angle)
+    gain, stiffness = (
+        np.asarray(x, float)[:, None] for x in (laws.servo_gain, laws.servo_stiffness)
+    )
+    springy = stiffness > 0
+    along = gain / np.where(springy, stiffness, 1.0) * target_rate
+    driven = np.where(springy, target_angle + along, target_rate)
+    if laws.torque_motors is not None:
+        gear = np.asarray(laws.torque_motors.gear, float)[:, None]
+        share = np.asarray(command.torque) / np.where(gear == 0, 1.0, gear)
+        driven = np.where(np.array(laws.torque_motors.driven)[:, None], share, driven)
+    return np.asarray(driven, float)
 
 
 def _pull_forces(muscles: Muscles) -> Callable[[np.ndarray, State], Pull]:
@@ -380,12 +417,17 @@ def _pull_forces(muscles: Muscles) -> Callable[[np.ndarray, State], Pull]:
 
 
 def _law_forces(
-    world: World, h: float
+    world: World, h: float, centres: Float[Numbers, "3 b"]
 ) -> Callable[[State], tuple[np.ndarray, CarriedInertia | None]]:
     """Return a function for the effect of laws and buoyancy on the bodies.
 
     It returns force (N) and moment (N m) at body centres, without those by the accelerations of
     degrees of freedom, and the inertia of the laws, or None without such inertia.
+
+    Args:
+        world: our world of the animal.
+        h: length of our physics step, s.
+        centres: MuJoCo's centres of mass of the bodies, in their working frames, m.
     """
 
     def forces(state: State) -> tuple[Float[Array, "6 b"], CarriedInertia | None]:
@@ -402,7 +444,7 @@ def _law_forces(
             bias = in_body_axes(kin.rotation, kin.bias_angular, kin.bias_linear)
             wrench = wrench - matvec(inertia, bias)
             carried = CarriedInertia(inertia, kin.rotation, kin.origin)
-        arm = expand_dims_like(world.tree.com, wrench[3:])
+        arm = expand_dims_like(centres, wrench[3:])
         moment = wrench[:3] - cross(arm, wrench[3:])
         turned = jnp.concatenate([matvec(kin.rotation, x) for x in (wrench[3:], moment)])
         return turned, carried
@@ -417,13 +459,11 @@ def _law_forces(
     return compute
 
 
-def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
-    """Return the random change of the root's velocity before each step, m/s."""
-    linear = np.asarray(steps.before.linear_velocity, float)
-    came = np.concatenate(
-        [linear[:, :1], np.asarray(steps.after.linear_velocity[:, :-1], float)], 1
-    )
-    return linear - came
+def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "v t"]:
+    """Return the random change of the velocities before each step, as for `State.rates`."""
+    rates = np.asarray(steps.before.rates, float)
+    came = np.concatenate([rates[:, :1], np.asarray(steps.after.rates[:, :-1], float)], 1)
+    return rates - came
 
 
 def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:

@@ -24,12 +24,16 @@ from evo_cpg.simulation.simulation import Simulation
 # Powers of the size with which numbers of a creature grow. Torques of motors and springs grow with
 # the moment of inertia of a body of the same density. So a motor follows its command equally well
 # in all sizes. Muscles keep their stress, so their torque grows with the third power.
-_LENGTH, _AREA, _INERTIA = 1, 2, 5
+_LENGTH, _AREA, _VOLUME, _INERTIA = 1, 2, 3, 5
 _POWERS = {
     "shape": _LENGTH,
     "at": _LENGTH,
     "child_at": _LENGTH,
     "position": _LENGTH,
+    "distance": _LENGTH,
+    "centre_of_mass": _LENGTH,
+    "mass": _VOLUME,
+    "inertia": _INERTIA,
     "full_scale": _LENGTH,
     "fibre_length": _LENGTH,
     "arm": _LENGTH,
@@ -130,6 +134,11 @@ def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> Exper
     if size != 1:
         data = config.model_dump(mode="json")
         data["creature"] = _scaled(data["creature"], float(size))
+        # The animal sees a light from as many of its lengths as before.
+        trials = data["simulation"]["trials"]
+        for place in (data["task"], *(trials if isinstance(trials, list) else ())):
+            if place.get("light"):
+                place["light"] = _scaled(place["light"], float(size))
         config = check_config(data, source)
     numbers = {key: float(value) for key, value in setting.items() if "." in key}
     water = config.world.water

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.analysis.rhythm import cycle_starts, frequency_of, mean_phase
 from evo_cpg.control import matsuoka
 from evo_cpg.control.controller import Observation
 from evo_cpg.fusion.fuse import fuse
@@ -124,7 +125,7 @@ def steps_of(frequency: Float[np.ndarray, " n"], h: float) -> int:
 def rest_frequency(outputs: Float[np.ndarray, " t"], h: float) -> float:
     """Return the frequency of an oscillator before the bending, Hz, NaN without a rhythm."""
     first, last = round((_REST - _MEASURED_REST) / h), round(_REST / h)
-    return frequency_of(crossings(outputs[first:last], h))
+    return frequency_of(cycle_starts(outputs[first:last], h))
 
 
 def locking(
@@ -142,28 +143,16 @@ def locking(
     begin = _REST + (CYCLES - MEASURED) / frequency
     window = slice(math.floor(begin / h), math.ceil((_REST + CYCLES / frequency) / h) + 1)
     start = (window.start + 1) * h - _REST
-    times = [crossings(one, h) + start for one in outputs[window].T]
+    times = [cycle_starts(one, h) + start for one in outputs[window].T]
     own = frequency_of(times[first])
     ratios = np.array([frequency_of(each) for each in times]) / frequency
     if not np.isfinite(ratios).all():
         return Locking(own, math.nan, math.nan, math.nan, False)
     followed = float(ratios[np.abs(ratios - 1).argmax()])
-    turns = np.exp(2j * np.pi * frequency * times[first])
-    mean = turns.mean()
-    scatter = math.sqrt(max(0.0, -2 * math.log(max(abs(mean), 1e-12)))) / (2 * math.pi)
-    phase = float(np.angle(mean) / (2 * np.pi)) if scatter <= LARGEST_PHASE_SCATTER else math.nan
+    mean, scatter = mean_phase(frequency * times[first])
+    phase = mean if scatter <= LARGEST_PHASE_SCATTER else math.nan
     entrained = abs(followed - 1) < SAME_FREQUENCY and scatter < LARGEST_SCATTER
     return Locking(own, followed, phase, scatter, bool(entrained))
-
-
-def crossings(signal: Float[np.ndarray, " t"], h: float) -> Float[np.ndarray, " k"]:
-    """Return the times at which a signal crosses its mid-range upwards, s."""
-    middle = 0.5 * (signal.max() + signal.min())
-    if not signal.max() - signal.min() > 1e-6:
-        return np.zeros(0)
-    level = signal - middle
-    up = np.flatnonzero((level[:-1] < 0) & (level[1:] >= 0))
-    return (up + level[up] / (level[up] - level[up + 1])) * h
 
 
 def entrained_range(
@@ -184,10 +173,3 @@ def entrained_range(
     while high < len(given) - 1 and locked[high + 1]:
         high += 1
     return float(given[low]), float(given[high])
-
-
-def frequency_of(times: Float[np.ndarray, " k"]) -> float:
-    """Return the frequency of a rhythm whose cycles begin at some times, Hz, or NaN."""
-    if len(times) < 3:
-        return math.nan
-    return float((len(times) - 1) / (times[-1] - times[0]))

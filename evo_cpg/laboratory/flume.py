@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from evo_cpg.analysis.cycles import last_cycles
 from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
 from evo_cpg.laboratory.settings import Setting, worded
-from evo_cpg.laboratory.tow import directions, whole_cycles
+from evo_cpg.laboratory.tow import directions
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
@@ -15,7 +16,8 @@ from evo_cpg.simulation.simulation import Simulation
 def ground_speed(simulation: Simulation, recording: Recording, numbers: GaitNumbers) -> Quantity:
     """Return the speed over ground along the initial heading, over whole cycles."""
     # A mean velocity over k steps needs k + 1 positions.
-    last = whole_cycles(len(recording.time) - 1, numbers)
+    count = len(recording.time) - 1
+    last = last_cycles(numbers.first, count, numbers.step, numbers.frequency)
     path = recording.position.mean(1) @ directions(simulation)[0]
     speed = (path[last.stop] - path[last.start]) / (numbers.step * (last.stop - last.start))
     definition = "mean velocity of all bodies along the initial heading, over whole cycles"

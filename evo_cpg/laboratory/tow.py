@@ -16,9 +16,11 @@ from collections.abc import Mapping
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
+from evo_cpg.analysis.cycles import last_cycles
 from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
+from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.laboratory.settings import LabError
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.step import needs_iteration
@@ -36,6 +38,8 @@ def held(world: World) -> World:
     Raises:
         LabError: a step of the world needs iteration, which holds no root.
     """
+    if world.tree.hanging is not None:
+        raise LabError("tow: needs a free root, but this root hangs on the world")
     if world.contact_model is not None:
         raise LabError("tow: an animal on the ground cannot be towed. Leave out world.ground")
     if world.pairs is not None:
@@ -63,7 +67,8 @@ def tow_numbers(
         speed: U, m/s.
         drag: D, drag of the straight body, N.
     """
-    last = whole_cycles(len(frames["energy"]) - 1, numbers)
+    count = len(frames["energy"]) - 1
+    last = last_cycles(numbers.first, count, numbers.step, numbers.frequency)
     ahead, aside = directions(simulation)
     holding = frames["holding"][:-1][last, :, 0]
     force, side, yaw = holding[:, 3:] @ ahead, holding[:, 3:] @ aside, holding[:, 2]
@@ -90,26 +95,20 @@ def tow_numbers(
     ]  # fmt: skip
 
 
-def whole_cycles(count: int, numbers: GaitNumbers) -> slice:
-    """Return the last samples that hold whole cycles of the second half of a trial."""
-    first = numbers.first
-    if numbers.frequency > 0:
-        cycles = math.floor((count - first) * numbers.step * numbers.frequency + 1e-6)
-        if cycles:
-            first = count - round(cycles / (numbers.frequency * numbers.step))
-    return slice(first, count)
-
-
 def straight_drag(simulation: Simulation) -> float:
     """Return the drag of the animal in its initial pose, at rest in the current, N."""
     world = simulation.world
     start = starting_state(simulation.situations, None, world.tree, (), jnp.dtype(jnp.float32))
-    bodies = world.bodies(kinematics(world.tree, start), simulation.step_length)
-    force = np.zeros(3)
-    for law in world.forces:
-        own = np.asarray(law.wrench(bodies))[3:]
-        force += np.einsum("ijb,jb->i", np.asarray(bodies.kin.rotation), own)
-    return float(-force @ directions(simulation)[0])
+
+    @quick_jit
+    def force() -> Float[Array, "3"]:
+        bodies = world.bodies(kinematics(world.tree, start), simulation.step_length)
+        own = sum(law.wrench(bodies) for law in world.forces)
+        return (
+            jnp.einsum("ijb,jb->i", bodies.kin.rotation, own[3:]) if world.forces else jnp.zeros(3)
+        )
+
+    return float(-np.asarray(force()) @ directions(simulation)[0])
 
 
 def directions(simulation: Simulation) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:

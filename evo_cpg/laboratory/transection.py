@@ -18,10 +18,10 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.gait_numbers import Quantity
+from evo_cpg.analysis.rhythm import cycle_starts, frequency_of, mean_phase
 from evo_cpg.control.couplings import axis_directions, axis_parents
 from evo_cpg.creature.tree import Tree
 from evo_cpg.laboratory.bodies import joints_of
-from evo_cpg.laboratory.entrain import crossings, frequency_of
 from evo_cpg.laboratory.settings import NOTHING, Setting
 from evo_cpg.simulation.recording import Recording
 
@@ -85,7 +85,7 @@ def sides(front: Float[np.ndarray, " t"], behind: Float[np.ndarray, " t"], step:
         behind: angle behind the cut, rad.
         step: time between samples, s.
     """
-    begins, follows = crossings(front, step), crossings(behind, step)
+    begins, follows = cycle_starts(front, step), cycle_starts(behind, step)
     own = frequency_of(begins), frequency_of(follows)
     if not np.isfinite(own).all():
         return Sides(*own, math.nan, math.nan)
@@ -93,6 +93,5 @@ def sides(front: Float[np.ndarray, " t"], behind: Float[np.ndarray, " t"], step:
     if not len(within):
         return Sides(*own, math.nan, math.nan)
     phase = np.interp(within, begins, np.arange(len(begins)))
-    mean = np.exp(2j * np.pi * phase).mean()
-    scatter = math.sqrt(max(0.0, -2 * math.log(max(abs(mean), 1e-12)))) / (2 * math.pi)
-    return Sides(*own, float(np.degrees(np.angle(mean))), scatter)
+    mean, scatter = mean_phase(phase)
+    return Sides(*own, 360 * mean, scatter)

@@ -117,8 +117,8 @@ def added_inertia(creature: Creature, tree: Tree, density: Number) -> Float[Numb
     """
     shapes = {body.name: body.shape for body in creature.bodies}
     inertias = []
-    for name, com in zip(tree.names, tree.com.T, strict=True):
-        x, y, z = com
+    for name, centre in zip(tree.names, tree.centre.T, strict=True):
+        x, y, z = centre
         shift = xp.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
         to_centre = xp.block([[np.eye(3), np.zeros((3, 3))], [shift, np.eye(3)]])
         turn = np.kron(np.eye(2), shapes[name].stretch[1])
@@ -138,10 +138,7 @@ def ellipsoid(shape: Shape) -> Float[Numbers, " 6"]:
     Returns:
         Three values about the axes of `Shape.stretch` (m^5), then three along the axes (m^3).
     """
-    half, _ = shape.stretch
-    half = xp.maximum(half, _LEAST)
-    axes = half * (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
-    axes = xp.maximum(axes, _LEAST)
+    axes = xp.maximum(shape.ellipsoid, _LEAST)
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     # l = a^2 (x / (1 - x))^2 maps (0, 1) to (0, infinity) and leaves a smooth integrand.
     x = (nodes + 1) / 2

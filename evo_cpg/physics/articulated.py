@@ -32,11 +32,12 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics import root
-from evo_cpg.physics.joints import Joints
+from evo_cpg.physics.joints import joints_of
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import PerBody, in_dof_order
 from evo_cpg.physics.spatial_algebra import (
     Inertia,
+    Motion,
     Wrench,
     inertia_at_parent,
     motion_at_child,
@@ -48,7 +49,8 @@ class Accelerations(NamedTuple):
     """Accelerations in addition to the velocity-product accelerations of `Kinematics`.
 
     Attributes:
-        root: acceleration of the root's velocity: angular, rad/s^2, then linear, m/s^2.
+        root: acceleration of the root's velocity: angular, rad/s^2, then linear, m/s^2. It is zero
+            if the root hangs on the world, because its joint moves it.
         qdd: joint accelerations, rad/s^2.
     """
 
@@ -78,7 +80,7 @@ def solve(
     """
     batch_ndim = torque.ndim - 1
     I_A, p_A = PerBody.of(inertia, batch_ndim), PerBody.of(bias, batch_ndim)
-    joints = [(i, Joints.of(i, kin.axes, torque, torque_derivative)) for i in tree.groups]
+    joints = [(i, joints_of(i, kin.axes, torque, torque_derivative)) for i in tree.groups]
     eliminated = []
 
     # Second pass, from the tips to the root: articulated-body inertias and bias forces.
@@ -89,11 +91,20 @@ def solve(
         eliminated.append(felt)
 
     # Third pass, from the root to the tips: accelerations.
-    free = root.solved(I_A.root(), p_A.root())
-    a = PerBody([jax.tree.map(jnp.zeros_like, free) if held else free], batch_ndim)
     qdd = [jnp.zeros((0, *torque.shape[1:]), torque.dtype)]
+    if tree.hanging is None:
+        free = root.solved(I_A.root(), p_A.root())
+        a = PerBody([jax.tree.map(jnp.zeros_like, free) if held else free], batch_ndim)
+        of_root = root.vector(a.root())
+    else:
+        joint = joints_of(tree.hanging, kin.axes, torque, torque_derivative)
+        still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
+        a_0, x = joint.accelerations(joint.condensed(I_A[:1], p_A[:1]), still)
+        a = PerBody.of(a_0, batch_ndim)
+        qdd.append(in_dof_order(x, batch_ndim))
+        of_root = jnp.zeros((root.ROOT_DOFS, *torque.shape[1:]), torque.dtype)
     for (i, joint), felt in zip(joints, reversed(eliminated), strict=True):
         a_i, x = joint.accelerations(felt, motion_at_child(a[i.parents], kin.offset[:, i.bodies]))
         a = a.followed_by(a_i)
         qdd.append(in_dof_order(x, batch_ndim))
-    return Accelerations(root.vector(a.root()), jnp.concatenate(qdd))
+    return Accelerations(of_root, jnp.concatenate(qdd))

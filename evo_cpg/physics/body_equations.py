@@ -15,6 +15,7 @@ torque at the start by O(h).
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.tree import Tree
@@ -146,7 +147,12 @@ def gyroscopic_change(
     momentum = matvec(inertia, angular)
     torque = cross(angular, momentum)
     derivative = matmul(skew(angular), inertia) - skew(momentum)
-    change = _solve(inertia + 0.5 * h * derivative, -h * torque)
+    matrix, empty = inertia + 0.5 * h * derivative, tree.mass <= 0
+    if is_traced(empty) or empty.any():
+        # A welded body has no inertia, and no such torque.
+        ones = np.eye(3)[..., None] * xp.where(empty, 1.0, 0.0)[None, None]
+        matrix = matrix + expand_dims_like(ones, angular, angular.ndim + 1)
+    change = _solve(matrix, -h * torque)
     return expand_dims_like(0.5 / scale, angular[0])[None] * matvec(derivative, change)
 
 

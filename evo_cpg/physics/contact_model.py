@@ -27,7 +27,7 @@ Combination = Literal["multiply", "average", "geometric", "min", "max"]
 # 0.75 and 0.77 % of the points of tumbling quadrupeds are more than 1 mm deep with 50, 60 and 100.
 STIFFNESS = 60.0
 
-# Contact points of a box (corners of its lowest face) and of a mesh.
+# Contact points of a box (corners of its lowest face), a mesh and a cylinder.
 CORNERS = 4
 
 # Nearest obstacles of each kind that a part of a creature may touch.
@@ -131,18 +131,20 @@ class ContactModel(NamedTuple):
 
     A box has only four contact points: the corners of the face that looks down most. The other four
     corners are at least a third of the box's height above them. The order of points on the floor is
-    boxes, meshes (`evo_cpg.physics.contact_points`), balls (ends of capsules, and spheres),
-    ellipsoids. Obstacles add the corners of meshes again, then the points of `Solids`.
+    boxes, meshes, cylinders (`evo_cpg.physics.contact_points`), balls (ends of capsules, and
+    spheres), ellipsoids. Obstacles add the corners of meshes again, then the points of `Solids`.
 
     Attributes:
         ground: ground under the creature.
         bodies: index in the tree of each contact point's body.
         boxes: half edges, m, one column for the four contact points of each box.
         meshes: corners of each mesh, m. Shorter lists repeat the last corner.
+        cylinders: half length and radius of each cylinder along x, m.
         radii: radii of the balls, m.
         semi_axes: semi-axes of the ellipsoids, m.
         solids: parts that may touch obstacles, or None without obstacles.
-        centre: centre of each box and mesh (once), ball and ellipsoid, body's working frame, m.
+        centre: centre of each box, mesh and cylinder (once), ball and ellipsoid, body's working
+            frame, m.
         restitution: restitution of the body on this ground, for every contact point.
         static_friction: static friction of the body on this ground, for every contact point.
         dynamic_friction: dynamic friction of the body on this ground, for every contact point.
@@ -153,6 +155,7 @@ class ContactModel(NamedTuple):
     bodies: tuple[int, ...]
     boxes: Float[np.ndarray, "3 boxes"]
     meshes: Float[np.ndarray, "3 corners meshes"]
+    cylinders: Float[np.ndarray, "2 cylinders"]
     radii: Float[np.ndarray, " balls"]
     semi_axes: Float[np.ndarray, "3 ellipsoids"]
     solids: Solids | None
@@ -188,17 +191,24 @@ class ContactPoints(NamedTuple):
 
 def make_contact_model(creature: Creature, tree: Tree, ground: Ground) -> ContactModel:
     """Return the contact points of a creature on a ground."""
-    found: dict[str, list] = {"box": [], "mesh": [], "ball": [], "ellipsoid": []}
+    found: dict[str, list] = {
+        "box": [],
+        "mesh": [],
+        "cylinder": [],
+        "ball": [],
+        "ellipsoid": [],
+    }
     every = creature.bodies_of(tree.names)
     for i, body in enumerate(every):
         for part in body.shape.floor_parts():
-            centre = tree.com[:, i]
+            centre = tree.centre[:, i]
             place = centre if part.centre is None else centre + part.centre
             found[part.kind].append((i, place, part.size))
-    boxes, meshes, balls, ellipsoids = found.values()
-    corners = [i for i, *_ in boxes for _ in range(CORNERS)]
-    of_meshes = [i for i, *_ in meshes for _ in range(CORNERS)]
-    bodies = corners + of_meshes + [i for i, *_ in balls + ellipsoids]
+    boxes, meshes, cylinders, balls, ellipsoids = found.values()
+    corners, of_meshes, rims = (
+        [i for i, *_ in parts for _ in range(CORNERS)] for parts in (boxes, meshes, cylinders)
+    )
+    bodies = corners + of_meshes + rims + [i for i, *_ in balls + ellipsoids]
     solids = None
     if ground.obstacles:
         solids = _make_solids(creature, tree, ground.obstacles)
@@ -217,14 +227,15 @@ def make_contact_model(creature: Creature, tree: Tree, ground: Ground) -> Contac
         tuple(bodies),
         sizes(boxes).reshape(-1, 3).T,
         _equally_many([corners for *_, corners in meshes]),
+        sizes(cylinders).reshape(-1, 2).T,
         sizes(balls),
         sizes(ellipsoids).reshape(-1, 3).T,
         solids,
-        xp.array([centre for _, centre, _ in boxes + meshes + balls + ellipsoids]).T,
+        xp.array([centre for part in found.values() for _, centre, _ in part]).T,
         pairs(ground.restitution_rule, "restitution"),
         pairs(ground.friction_rule, "static_friction"),
         pairs(ground.friction_rule, "dynamic_friction"),
-        STIFFNESS * xp.sqrt(tree.mass.sum() * tree.mass[np.array(bodies)]),
+        STIFFNESS * xp.sqrt(tree.mass.sum() * tree.rigid_mass[np.array(bodies)]),
     )
 
 
@@ -252,7 +263,7 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
         axes = [np.eye(3) if part.axes is None else part.axes for _, part in found]
         return Parts(
             bodies,
-            tree.com[:, np.array(bodies, int)] + centre,
+            tree.centre[:, np.array(bodies, int)] + centre,
             np.stack(axes, -1) if turned else None,
             xp.array([part.half_extents for _, part in found], float).reshape(-1, 3).T,
             xp.array([part.radius for _, part in found], float),

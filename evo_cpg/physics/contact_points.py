@@ -1,8 +1,8 @@
 """Points of a creature that are nearest to the ground, or deepest in it.
 
-Every body has a few contact points: the lowest corners of a box or a mesh, the ends of a capsule,
-or the lowest point of a ball or an ellipsoid. Obstacles add the points of
-`evo_cpg.physics.obstacles`. The contact laws are in `evo_cpg.physics.contact`.
+Every body has a few contact points: the lowest corners of a box or a mesh, the lowest point of each
+rim of a cylinder, the ends of a capsule, or the lowest point of a ball or an ellipsoid. Obstacles
+add the points of `evo_cpg.physics.obstacles`. The contact laws are in `evo_cpg.physics.contact`.
 """
 
 import jax
@@ -24,6 +24,13 @@ from evo_cpg.spatial.numerics import Numbers, xp
 # Slope up to which corners of a mesh count as low as the lowest one. The corners of a body that
 # falls flat at 5 rad/s are found 5 steps ahead.
 _TILT = 0.1
+
+# Angle of tilt (rad) below which the points on the rims of an upright cylinder keep their places.
+# The lowest of them is at most 5e-5 radii above the lowest point of the rim.
+_UPRIGHT = 1e-4
+
+# Angle between the lowest point on a cylinder's lower rim and two more points, which let it stand.
+_THIRD = 2 * np.pi / 3
 
 # Squared length (m^2) added under a root, so that the root has a gradient at zero.
 _FLOOR = 1e-20
@@ -62,9 +69,10 @@ def contact_points(contact_model: ContactModel, kin: Kinematics, h: float = 0.0)
 
 def _lowest(contact_model: ContactModel, kin: Kinematics, h: float) -> list[ContactPoints]:
     """Return the lowest points of all bodies, relative to the floor below the bodies' centres."""
-    boxes, meshes, balls, ellipsoids = _counts(contact_model)
-    # A box and a mesh have several contact points, all other parts one.
-    angular = boxes + meshes
+    boxes, meshes, cylinders, balls, ellipsoids = _counts(contact_model)
+    # A box, a mesh and a cylinder have several contact points, all other parts one.
+    cornered = boxes + meshes
+    angular = cornered + cylinders
     once = CORNERS * angular + balls + ellipsoids
     bodies = np.array(contact_model.bodies[:once])
     bodies = np.concatenate([bodies[: CORNERS * angular : CORNERS], bodies[CORNERS * angular :]])
@@ -105,11 +113,18 @@ def _lowest(contact_model: ContactModel, kin: Kinematics, h: float) -> list[Cont
         )
         found.append(_material(offset, *on_floor(own, offset)))
     if meshes:
-        own = slice(boxes, angular)
+        own = slice(boxes, cornered)
         offset = _offsets_of_meshes(
             contact_model, rotation[:, :, own], centre[:, own], later[:, own]
         )
         found.append(_material(offset, *on_floor(own, offset)))
+    if cylinders:
+        own = slice(cornered, angular)
+        extent = expand_dims_like(contact_model.cylinders, centre)
+        offset, material = _lowest_of_rims(
+            rotation[:, :, own], centre[:, own], extent, up[:, own], h * spin[:, own]
+        )
+        found.append(_material(offset, *on_floor(own, offset), material=material))
     if balls:
         own = slice(angular, angular + balls)
         radii = expand_dims_like(contact_model.radii, above)
@@ -157,16 +172,21 @@ def _corners_on_obstacles(
 
 
 def _counts(contact_model: ContactModel) -> tuple[int, ...]:
-    """Return the numbers of boxes, meshes, balls and ellipsoids."""
-    kinds = contact_model.boxes, contact_model.meshes, contact_model.radii, contact_model.semi_axes
+    """Return the numbers of boxes, meshes, cylinders, balls and ellipsoids."""
+    model = contact_model
+    kinds = model.boxes, model.meshes, model.cylinders, model.radii, model.semi_axes
     return tuple(kind.shape[-1] for kind in kinds)
 
 
 def _sizes(contact_model: ContactModel) -> Numbers:
-    """Return the largest radii of boxes, meshes, balls and ellipsoids about their centres, m."""
-    boxes, meshes = (xp.sqrt((x * x).sum(0)) for x in (contact_model.boxes, contact_model.meshes))
+    """Return the largest radii about their centres of the parts that `_counts` counts, m."""
+    boxes, meshes, cylinders = (
+        xp.sqrt((x * x).sum(0))
+        for x in (contact_model.boxes, contact_model.meshes, contact_model.cylinders)
+    )
     ends = (
         meshes.max(0, initial=0.0),
+        cylinders,
         contact_model.radii,
         contact_model.semi_axes.max(0, initial=0.0),
     )
@@ -231,6 +251,48 @@ def _lowest_corners(
     )
     corners = jnp.stack(signs, 2)
     return corners.reshape(3, -1, *corners.shape[3:])
+
+
+def _lowest_of_rims(
+    rotation: Float[Array, "3 3 c *n"], centre: Array, size: Array, up: Array, turn: Array
+) -> tuple[Float[Array, "3 p *n"], Float[Array, "3 p *n"]]:
+    """Return points on the rims of cylinders along x, and the material points that turn with them.
+
+    The four points of a cylinder are the lowest ones of the lower and of the upper rim, and two
+    more on the lower rim. The lowest point of a rim stays below the axis of a lying cylinder, and
+    turns with an upright one.
+
+    Args:
+        rotation: axes of the cylinders, as columns.
+        centre: vectors from the bodies' origins to the centres, m.
+        size: half lengths and radii ``(2, c, *n)``, m.
+        up: normals of the ground.
+        turn: rotation of the bodies until the end of the step, rad.
+    """
+    half, radius = size
+    axis = rotation[:, 0]
+    # Where the axis points at the end of the step. Rolling does not move the lowest points.
+    later = axis + cross(turn, axis)
+    rise = dot(later, up)
+    level = up - rise[None] * later
+    level = level - dot(level, axis)[None] * axis
+    level = level + (_UPRIGHT * rise * rise)[None] * rotation[:, 1]
+    down = level * (-1.0 / jnp.sqrt(dot(level, level) + _FLOOR))[None]
+    aside = cross(axis, down)
+    end = (half * jnp.where(rise > 0, -1.0, 1.0))[None] * axis
+    arm = radius[None] * down
+    third = radius[None] * (np.cos(_THIRD) * down)
+    swing = radius[None] * (np.sin(_THIRD) * aside)
+    lower, upper = centre + end, centre - end
+    points = lower + arm, upper + arm, lower + third + swing, lower + third - swing
+    turning = (dot(axis, up) ** 2)[None] * arm
+    materials = lower + turning, upper + turning, *points[2:]
+
+    def in_order(vectors: tuple[Array, ...]) -> Array:
+        stacked = jnp.stack(vectors, 2)
+        return stacked.reshape(3, -1, *stacked.shape[3:])
+
+    return in_order(points), in_order(materials)
 
 
 def _lowest_of_meshes(meshes: np.ndarray, up: Float[Array, "3 m *n"]) -> Float[Array, "3 c *n"]:

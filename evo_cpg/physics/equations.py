@@ -3,11 +3,14 @@
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from evo_cpg.fusion.frontend.symmetric_solve import solve_symmetric
 from evo_cpg.physics.articulated import Accelerations, solve
 from evo_cpg.physics.body_equations import bias_of_mean, body_equations
 from evo_cpg.physics.contact import Contacts, find_contacts
+from evo_cpg.physics.generalized import generalized_force, mass_matrix
 from evo_cpg.physics.joint_torque import (
     MotorCommand,
     MotorTorque,
@@ -17,8 +20,16 @@ from evo_cpg.physics.joint_torque import (
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics, motion_of_bodies
 from evo_cpg.physics.pair_contacts import PairContacts, find_pair_contacts
+from evo_cpg.physics.root import (
+    joint_block,
+    joint_part,
+    plus_joint_diagonal,
+    plus_torque,
+    root_part,
+)
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench, plus
 from evo_cpg.physics.state import State
+from evo_cpg.physics.tendon import TendonLaws, tendon_laws
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 
@@ -33,6 +44,7 @@ class Equations(NamedTuple):
         motor: torques that motors and muscles command.
         contacts: contacts with the ground, or None without ground.
         pairs: contacts between bodies of the creature, or None if no bodies can touch each other.
+        tendons: laws of the tendons, or None without tendons.
     """
 
     state: State
@@ -44,6 +56,7 @@ class Equations(NamedTuple):
     motor: MotorTorque
     contacts: Contacts | None
     pairs: PairContacts | None
+    tendons: TendonLaws | None = None
 
 
 class ContactForces(NamedTuple):
@@ -90,11 +103,12 @@ class StepSolution(NamedTuple):
     Attributes:
         root: acceleration of the root, as in `Accelerations`.
         qdd: joint accelerations, rad/s^2.
-        torque: torques that the motors applied, N m.
+        torque: torques that the motors of joints applied, N m.
         contact: forces of the ground, or None without ground.
         pairs: forces between pairs of bodies, N, or None if no bodies can touch each other.
         residual: residual of `evo_cpg.physics.step_solver`, or None for linear equations.
         warmstart: start of the next step's search, or None for linear equations.
+        tension: forces that the motors of tendons applied, or None without tendons.
     """
 
     root: Float[Array, "6 *n"]
@@ -104,6 +118,7 @@ class StepSolution(NamedTuple):
     pairs: Float[Array, "k *n"] | None = None
     residual: Residual | None = None
     warmstart: Warmstart | None = None
+    tension: Float[Array, "t *n"] | None = None
 
 
 def prepare(world: World, h: float, state: State, command: MotorCommand) -> Equations:
@@ -122,7 +137,9 @@ def prepare(world: World, h: float, state: State, command: MotorCommand) -> Equa
         pairs = (
             None if world.pairs is None else find_pair_contacts(tree, world.pairs, kin, state.qd, h)
         )
-    return Equations(state, kin, inertia, bias, passive, derivative, motor, contacts, pairs)
+        tendons = tendon_laws(tree.tendons, state, command, h)
+    forces = passive, derivative, motor, contacts, pairs, tendons
+    return Equations(state, kin, inertia, bias, *forces)
 
 
 def with_mean_products(
@@ -161,4 +178,14 @@ def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations
     torque = equations.passive + motor.start + stop
     derivative = equations.derivative + h * (motor.derivative(tree, h) + stop_derivative)
     kin, inertia, bias = equations.kin, equations.inertia, equations.bias
-    return solve(tree, kin, inertia, bias, torque, derivative, world.held)
+    if equations.tendons is None:
+        return solve(tree, kin, inertia, bias, torque, derivative, world.held)
+    matrix = plus_joint_diagonal(mass_matrix(tree, kin, inertia), derivative)
+    force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
+    pulls = equations.tendons.expected(h)
+    matrix, force = pulls.added_to(matrix, plus_torque(force, torque))
+    if world.held:
+        qdd = solve_symmetric(joint_block(matrix), joint_part(force))
+        return Accelerations(jnp.zeros_like(root_part(force)), qdd)
+    y = solve_symmetric(matrix, force)
+    return Accelerations(root_part(y), joint_part(y))

@@ -165,10 +165,9 @@ def make_patches(
     if law == "isotropic":
         skin = form
     placed = [
-        # The geometric centre is the centre of mass: densities are uniform.
         (
-            form[name]._replace(points=form[name].points + tree.com[None, :, i]),
-            skin[name]._replace(points=skin[name].points + tree.com[None, :, i]),
+            form[name]._replace(points=form[name].points + tree.centre[None, :, i]),
+            skin[name]._replace(points=skin[name].points + tree.centre[None, :, i]),
         )
         for i, name in enumerate(tree.names)
     ]

@@ -38,18 +38,18 @@ class Bodies:
     """Poses and motion of the bodies, and the water if any, for force laws.
 
     All vectors are in the axes of their body unless stated otherwise. The origin of a body is its
-    joint. The origin of the root is its centre of mass.
+    joint. The origin of the root is the centre of its shape.
 
     Attributes:
         tree: the creature: ``tree.mass`` (kg), ``tree.com`` (from the origin to the centre of mass,
-            m), ``tree.volume`` (m^3).
+            m), ``tree.centre`` (to the centre of the shape, m), ``tree.volume`` (m^3).
         gravity: gravitational acceleration, m/s^2.
         water: the water, or None on dry land.
         cells: simple volumes that make up the bodies. Empty without a water surface.
         h: length of the physics step, s.
         kin: positions, rotations and velocities in world axes, at the start of the step.
         velocity: velocity of every origin: angular (rad/s), then linear (m/s).
-        stream: velocity of the water at the centres of mass, m/s, or 0 on dry land.
+        stream: velocity of the water at the centres of the shapes, m/s, or 0 on dry land.
         pose: upward unit vector, then the height of the origin above the surface, m. It is None
             without a surface.
         displaced: volume under water of each body (m^3), and its first moment (m^4). It is None
@@ -74,9 +74,9 @@ class Bodies:
 
     @property
     def through_water(self) -> Float[Array, "3 b *n"]:
-        """Velocity of the centres of mass relative to the water, m/s."""
+        """Velocity of the centres of the shapes relative to the water, m/s."""
         relative = self.relative
-        return relative[3:] + cross(relative[:3], expand_dims_like(self.tree.com, relative))
+        return relative[3:] + cross(relative[:3], expand_dims_like(self.tree.centre, relative))
 
     @property
     def up(self) -> Float[Array, "3 b *n"]:
@@ -140,7 +140,7 @@ def bodies_in(
     if water is None:
         stream = jnp.zeros((3, 1) + (1,) * (velocity.ndim - 2), velocity.dtype)
     else:
-        centres = kin.origin + matvec(kin.rotation, expand_dims_like(tree.com, kin.origin))
+        centres = kin.origin + matvec(kin.rotation, expand_dims_like(tree.centre, kin.origin))
         stream = matvec_t(kin.rotation, water.velocity(centres))
         if water.surface is not None:
             pose = jnp.concatenate([kin.rotation[2], (kin.origin[2] - water.surface)[None]])

@@ -13,6 +13,13 @@ flow has
 
 The constant c gives ``1.25 - 0.785 / (1 + (p/q - 1) / 6)`` at ``l = q``.
 
+Cylinders with flat ends have their own values. Along the axis, x being ``l/q``,
+
+    C = C_plate (1 - 0.28 x^3 / (0.5 + x^3)).
+
+Across it they are round, with ``1.19 - 0.58 / (1 + e / (12 + 0.1 e))`` at ``l = q``,
+``e = p/q - 1``.
+
 So a sphere has 0.46, a long cylinder 1.25, a cube 1.06, a long bar 2.0, and a rod along the flow
 0.83. The values are those of a laminar boundary layer, without friction. `docs/models/fluid.md`
 compares them with measurements.
@@ -26,6 +33,8 @@ from evo_cpg.spatial.numerics import Number, Numbers, xp
 _LONG_PLATE, _PLATE_LOSS, _PLATE_RATIO, _PLATE_POWER = 2.0, 0.87, 26.0, 1.3
 _LONG_CYLINDER, _END_LOSS, _END_RATIO = 1.25, 0.785, 6.0
 _ROUND_POWER, _BOX_LOSS, _BOX_DEPTH = 1.1, 0.27, 0.55
+_FLAT_LOSS, _FLAT_DEPTH = 0.28, 0.5
+_FLAT_CYLINDER, _FLAT_END_LOSS, _FLAT_RATIO, _FLAT_SLOPE = 1.19, 0.58, 12.0, 0.1
 
 # Corrections of the points' coefficients. Boxes need one.
 _ROUNDS = 12
@@ -34,12 +43,17 @@ _ROUNDS = 12
 _TINY = 1e-12
 
 
-def form_drag_coefficients(sizes: Float[Numbers, " 3"], sharpness: Number) -> Float[Numbers, " 3"]:
+def form_drag_coefficients(
+    sizes: Float[Numbers, " 3"],
+    sharpness: Number,
+    bluntness: Float[Numbers, " 3"] | None = None,
+) -> Float[Numbers, " 3"]:
     """Return C for flow along each axis of a shape.
 
     Args:
         sizes: lengths of the shape along its axes, m.
         sharpness: 0 for round shapes, 1 for boxes. Values between mix the two coefficients.
+        bluntness: fraction that consists of cylinders along each axis, or None without cylinders.
     """
     found = []
     for axis in range(3):
@@ -51,6 +65,14 @@ def form_drag_coefficients(sizes: Float[Numbers, " 3"], sharpness: Number) -> Fl
         cylinder = _LONG_CYLINDER - _END_LOSS / (1 + excess / _END_RATIO)
         rounded = plate / (1 + (plate / cylinder - 1) * depth**_ROUND_POWER)
         box = plate * (1 - _BOX_LOSS * loss * (1 - 1 / (1 + (_BOX_DEPTH * depth) ** 2)))
+        if bluntness is not None:
+            total, cube = bluntness.sum(), depth**3
+            ends = plate * (1 - _FLAT_LOSS * cube / (_FLAT_DEPTH + cube))
+            slope = excess / (_FLAT_RATIO + _FLAT_SLOPE * excess)
+            cylinder = _FLAT_CYLINDER - _FLAT_END_LOSS / (1 + slope)
+            side = plate / (1 + (plate / cylinder - 1) * depth**_ROUND_POWER)
+            flat = bluntness[axis] * ends + (total - bluntness[axis]) * side
+            rounded = (1 - total) * rounded + flat
         found.append((1 - sharpness) * rounded + sharpness * box)
     return xp.array(found)
 

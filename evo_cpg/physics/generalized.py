@@ -33,15 +33,21 @@ from evo_cpg.physics.spatial_algebra import (
     motion_at_child,
     wrench_at_parent,
 )
+from evo_cpg.spatial.linear import expand_dims_like
 
 
 def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
     """Return the accelerations ``(3, b, *n)`` of all bodies, without those of `Kinematics`."""
     batch_ndim, qdd = y.ndim - 1, root.joint_part(y)
     a = PerBody([root.acceleration(y)], batch_ndim)
+    if tree.hanging is not None:
+        still = Motion(*(jnp.zeros_like(kin.offset[:, :1]) for _ in range(2)))
+        i = tree.hanging
+        S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
+        a = PerBody.of(joints.accelerated(still, S, x), batch_ndim)
     for i in tree.groups:
         a_i = motion_at_child(a[i.parents], kin.offset[:, i.bodies])
-        S, x = (of_joints(value, i, batch_ndim) for value in (kin.axes, qdd))
+        S, x = kin.axes.of(i, batch_ndim), of_joints(qdd, i, batch_ndim)
         a = a.followed_by(joints.accelerated(a_i, S, x))
     return a.stacked()
 
@@ -52,10 +58,15 @@ def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Arra
     f, torques = PerBody.of(wrench, batch_ndim), []
     for i in reversed(tree.groups):
         f_i = f[i.bodies]
-        torque = joints.torque_of(of_joints(kin.axes, i, batch_ndim), f_i)
+        torque = joints.torque_of(kin.axes.of(i, batch_ndim), f_i)
         torques.append(in_dof_order(torque, batch_ndim))
         f = f.plus(i.parents, wrench_at_parent(f_i, kin.offset[:, i.bodies]))
-    return root.vector(f.root(), torques[::-1])
+    on_root = f.root()
+    if tree.hanging is not None:
+        S = kin.axes.of(tree.hanging, batch_ndim)
+        torques.append(in_dof_order(joints.torque_of(S, f[:1]), batch_ndim))
+        on_root = jax.tree.map(jnp.zeros_like, on_root)
+    return root.vector(on_root, torques[::-1])
 
 
 def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "v v *n"]:
@@ -64,6 +75,9 @@ def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "
     for i in reversed(tree.groups):
         I_c = I_c.plus(i.parents, inertia_at_parent(I_c[i.bodies], kin.offset[:, i.bodies]))
     block, size = root.mass_block(I_c.root()), root.size_of(tree.dof_count)
+    if tree.hanging is not None:
+        one = expand_dims_like(np.eye(len(block)), block)
+        block = jnp.broadcast_to(one, block.shape).astype(block.dtype)
     H = jnp.zeros((size, size, *block.shape[2:]), block.dtype)
     H = H.at[: len(block), : len(block)].set(block)
     if not tree.dof_count:
@@ -79,7 +93,8 @@ def _joint_elements(
     """Return the joint elements of the mass matrix on and below its diagonal.
 
     ``f = I^c S`` of every degree of freedom is moved from body to body up to the root. At each body
-    its product with the axes of the body's joint gives elements.
+    its product with the axes of the body's joint gives elements. The components of a free root are
+    elements, too.
 
     Returns:
         Rows and columns, ``(m, 2)``, and the elements.
@@ -96,11 +111,13 @@ def _joint_elements(
             if owner == body[one] and other <= dof
         ]
         one, other = np.array(met, int).reshape(-1, 2).T
-        values.append(joints.torque_on_each(take(kin.axes, other), f, one))
+        values.append(joints.torque_on_each(kin.axes.take(other), f, one))
         places.append(root.joint_rows(np.stack([dofs[one], other], 1)))
         f, body = wrench_at_parent(f, take(kin.offset, body)), np.array(tree.parents)[body]
         top, below = np.flatnonzero(body == 0), np.flatnonzero(body > 0)
-        for k, part in enumerate(root.components(f)):
+        if tree.hanging is not None:
+            top, below = top[:0], np.flatnonzero(body >= 0)
+        for k, part in enumerate(root.components(f) if len(top) else []):
             values.append(take(part, top, 0))
             places.append(np.stack([root.joint_rows(dofs[top]), np.full(len(top), k)], 1))
         f = Wrench(take(f.moment, below), take(f.force, below))

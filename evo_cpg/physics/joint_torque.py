@@ -1,5 +1,8 @@
 """Torques on the joint axes: motors, passive spring and damper, soft limits.
 
+Motors, limits and dry friction of tendons obey the same laws, with the tendon's length for the
+angle and its force for the torque (`evo_cpg.physics.tendon`).
+
 Each law gives its torque at the present rates and its derivative. The implicit step uses
 ``tau_end = tau - T qdd`` with the diagonal T below.
 
@@ -19,19 +22,44 @@ Each law gives its torque at the present rates and its derivative. The implicit 
 - Muscles: `evo_cpg.physics.muscle`, without a limit.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
+from evo_cpg.creature.tendons import Tendons
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.muscle import pull_of
-from evo_cpg.physics.state import State
+from evo_cpg.physics.per_body import take
 from evo_cpg.spatial.linear import expand_dims_like
 
 # Resistance of a joint that sticks by dry friction, times the step, relative to its inertia.
 _STICKING = 1000.0
+
+# Torques count as equal if they differ by less than this fraction of the motor's limit.
+_SAME_TORQUE = 1e-3
+
+# Torque that counts as zero, N m.
+_NONE = 1e-12
+
+
+# Numbers of the laws of joint axes or tendons.
+Laws = Tree | Tendons
+
+
+class Coordinates(Protocol):
+    """Angles and rates of joints (`evo_cpg.physics.state.State`), or lengths of tendons."""
+
+    @property
+    def q(self) -> Float[Array, "d *n"]:
+        """Angles, rad, or lengths."""
+        ...
+
+    @property
+    def qd(self) -> Float[Array, "d *n"]:
+        """Rates of angles, rad/s, or of lengths."""
+        ...
 
 
 class MotorCommand(NamedTuple):
@@ -50,6 +78,26 @@ class MotorCommand(NamedTuple):
     activation: Float[Array, "2 d *n"] | None = None
     torque: Float[Array, "d *n"] | None = None
 
+    def filled(self) -> "MotorCommand":
+        """Return the command with zeros in place of parts that are None."""
+        none = jnp.zeros_like(self.target_rate)
+        return MotorCommand(
+            self.target_rate,
+            none if self.target_angle is None else self.target_angle,
+            jnp.zeros((2, *none.shape), none.dtype) if self.activation is None else self.activation,
+            none if self.torque is None else self.torque,
+        )
+
+    def to(self, dofs: Int[np.ndarray, " t"]) -> "MotorCommand":
+        """Return the commands to some degrees of freedom, without activations."""
+        rate, angle, _, torque = self
+        return MotorCommand(
+            take(rate, dofs, 0),
+            None if angle is None else take(angle, dofs, 0),
+            None,
+            None if torque is None else take(torque, dofs, 0),
+        )
+
 
 class MotorTorque(NamedTuple):
     """Commanded torque of motors and muscles in a step, without limit.
@@ -63,7 +111,7 @@ class MotorTorque(NamedTuple):
     start: Float[Array, "d *n"]
     of_muscles: Float[Array, "d *n"] | None = None
 
-    def derivative(self, tree: Tree, h: float) -> Float[Array, "d *n"]:
+    def derivative(self, tree: Laws, h: float) -> Float[Array, "d *n"]:
         """Return the torque decrease per final rate (N m s/rad), always positive.
 
         A servo's decrease is ``g + h k_m``.
@@ -72,13 +120,13 @@ class MotorTorque(NamedTuple):
         every = servo if self.of_muscles is None else servo + self.of_muscles
         return jnp.maximum(every, jnp.finfo(self.start.dtype).tiny)
 
-    def at(self, tree: Tree, qdd: Float[Array, "d *n"], h: float) -> Float[Array, "d *n"]:
+    def at(self, tree: Laws, qdd: Float[Array, "d *n"], h: float) -> Float[Array, "d *n"]:
         """Return the torque at the end of a step of h (s) with joint accelerations qdd, N m."""
         return self.start - h * self.derivative(tree, h) * qdd
 
 
 def passive_torque(
-    tree: Tree, state: State, h: float
+    tree: Tree, state: Coordinates, h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *#n"]]:
     """Return the torque (N m) and T (kg m^2) of springs and dampers over a step of h (s)."""
     stiffness, damping = (expand_dims_like(x, state.q) for x in (tree.stiffness, tree.damping))
@@ -89,7 +137,7 @@ def passive_torque(
 
 
 def limit_torque(
-    tree: Tree, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
+    tree: Laws, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of the soft limits (N m), and its decrease per rate (N m s/rad).
 
@@ -116,7 +164,7 @@ def limit_torque(
 
 
 def friction_torque(
-    tree: Tree, rate: Float[Array, "d *n"], h: float
+    tree: Laws, rate: Float[Array, "d *n"], h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of dry friction (N m), and its decrease per rate (N m s/rad).
 
@@ -133,8 +181,66 @@ def friction_torque(
     return -jnp.clip(sticking, -loss, loss), jnp.where(slides, 0.0, resistance)
 
 
+def linearized_torque(
+    tree: Laws,
+    motor: MotorTorque,
+    state: Coordinates,
+    qdd: Float[Array, "d *n"],
+    h: float,
+) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
+    """Return the torque of motors, limits and friction, linearized at accelerations.
+
+    Args:
+        tree: the creature.
+        motor: commanded torque.
+        state: angles and rates at the start of the step.
+        qdd: accelerations, rad/s^2.
+        h: step, s.
+
+    Returns:
+        Torque at zero acceleration (N m), and its decrease per end-of-step rate (N m s/rad).
+    """
+    commanded = motor.at(tree, qdd, h)
+    over = overloaded(tree, commanded)
+    torque = jnp.where(over, clamp_torque(tree, commanded), motor.start)
+    derivative = jnp.where(over, 0.0, motor.derivative(tree, h))
+    change = h * qdd
+    stop, stop_derivative = limit_torque(tree, state.q, state.qd + change, h)
+    torque, derivative = torque + stop + stop_derivative * change, derivative + stop_derivative
+    if tree.dry_friction is not None:
+        rub, rub_derivative = friction_torque(tree, state.qd + change, h)
+        torque, derivative = torque + rub + rub_derivative * change, derivative + rub_derivative
+    return torque, derivative
+
+
+def changes_overload(
+    tree: Laws,
+    motor: MotorTorque,
+    state: Coordinates,
+    qdd: Float[Array, "d *n"],
+    h: float,
+) -> Bool[Array, "*n"]:
+    """Return for which individuals accelerations overload other motors than zero acceleration.
+
+    It counts joints that begin to stick or slide, too. The arguments are those of
+    `linearized_torque`.
+    """
+    commanded = motor.at(tree, qdd, h)
+    given = clamp_torque(tree, commanded)
+    stays = jnp.where(overloaded(tree, motor.start), clamp_torque(tree, motor.start), commanded)
+    least = _SAME_TORQUE * expand_dims_like(tree.torque_limit, given) + _NONE
+    changes = (jnp.abs(given - stays) > least).any(0)
+    if tree.dry_friction is None:
+        return changes
+    rate, change = state.qd, h * qdd
+    before, slope = friction_torque(tree, rate, h)
+    after, _ = friction_torque(tree, rate + change, h)
+    least = _SAME_TORQUE * expand_dims_like(tree.dry_friction.loss, after) + _NONE
+    return changes | (jnp.abs(after - before + slope * change) > least).any(0)
+
+
 def expected_limit_torque(
-    tree: Tree, state: State, h: float
+    tree: Laws, state: Coordinates, h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of the limits and its decrease per rate, for a step of one solve."""
     q, rate = state.q, state.qd
@@ -148,7 +254,7 @@ def expected_limit_torque(
     return torque, jnp.where(beyond, damping + h * stiffness, 0.0)
 
 
-def motor_torque(tree: Tree, state: State, command: MotorCommand, h: float) -> MotorTorque:
+def motor_torque(tree: Laws, state: Coordinates, command: MotorCommand, h: float) -> MotorTorque:
     """Return the commanded torque of motors and muscles.
 
     Args:
@@ -173,18 +279,18 @@ def motor_torque(tree: Tree, state: State, command: MotorCommand, h: float) -> M
     return MotorTorque(torque + pull.torque(state.q, rates), pull.derivative(h))
 
 
-def has_springs(tree: Tree) -> bool:
+def has_springs(tree: Laws) -> bool:
     """Return whether any motor pulls towards an angle."""
     stiffness = tree.servo_stiffness
     return not isinstance(stiffness, np.ndarray) or bool(stiffness.any())
 
 
-def overloaded(tree: Tree, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:
+def overloaded(tree: Laws, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:
     """Return which axes have a commanded torque above its limit."""
     return jnp.abs(torque) > expand_dims_like(tree.torque_limit, torque)
 
 
-def clamp_torque(tree: Tree, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+def clamp_torque(tree: Laws, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
     """Return the motors' torque clamped to its limit, N m."""
     limit = expand_dims_like(tree.torque_limit, torque)
     return jnp.clip(torque, -limit, limit)

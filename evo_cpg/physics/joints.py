@@ -1,8 +1,8 @@
 """Joints of a tree: frames across them, their motion subspace, and their elimination.
 
-A joint has one to three degrees of freedom. Each one turns about an axis through the origin of the
-joint's body, in the frame after the preceding turns. So its world axis defines a degree of freedom,
-and S, the motion per rate, has no linear part.
+A joint has up to three degrees of freedom, and a weld has none. Each one turns about an axis
+through the origin of the joint's body, in the frame after the preceding turns. So its world axis
+defines a degree of freedom, and S, the motion per rate, has no linear part.
 
 Every recursion over a tree (`kinematics`, `articulated`, `generalized`, `statics`, contacts between
 limbs) uses joints through these functions. Torques are in `evo_cpg.physics.joint_torque`.
@@ -16,21 +16,26 @@ limbs) uses joints through these functions. Torques are in `evo_cpg.physics.join
 | ``K = G^-1 U^T`` | yielding of the joint to its parent's acceleration |
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Group, Tree
 from evo_cpg.fusion.fuse import symmetric
-from evo_cpg.physics.per_body import PerBody, of_joints, take
+from evo_cpg.physics.per_body import PerBody, in_dof_order, of_joints, take
 from evo_cpg.physics.spatial_algebra import (
     BodyMotion,
     Inertia,
     Motion,
     Wrench,
     make_inertia,
+    motion_at_child,
+    motion_product,
 )
 from evo_cpg.spatial.linear import (
     cross,
@@ -44,81 +49,242 @@ from evo_cpg.spatial.linear import (
     t_matmul,
     transpose,
 )
-from evo_cpg.spatial.rotation import axis_rotation
+from evo_cpg.spatial.rotation import (
+    axis_rotation,
+    quaternion_product,
+    quaternion_to_matrix,
+    quaternion_to_rotation_vector,
+    rotation_vector_to_quaternion,
+)
 
-# Number of axes of a joint that can turn in any direction.
-_BALL_AXES = 3
+# Number of axes that span all rotations.
+_SPANNING = 3
 
 
 # Position.
 
 
-def moved(q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float) -> Float[Array, "d *n"]:
-    """Return the joint angles after h seconds (negative: before) at constant rates."""
-    return q + h * rate
+def moved(
+    tree: Tree, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
+) -> Float[Array, "d *n"]:
+    """Return the coordinates after h seconds (negative: before) at constant rates."""
+    return displaced(tree, q, h * rate)
 
 
-def displaced(q: Float[Array, " d"], x: Float[Array, " d"]) -> Float[Array, " d"]:
-    """Return joint angles displaced by the joints' static coordinates x."""
-    return q + x
+def displaced(tree: Tree, q: Float[Array, " d *n"], x: Float[Array, " d *n"]) -> Array:
+    """Return coordinates displaced by x: angles and lengths add up, rotations of balls compose."""
+    there, starts = q + x, _balls(tree)
+    if not len(starts):
+        return there
+    rows = starts[None] + np.arange(_SPANNING)[:, None]
+    one, other = (
+        rotation_vector_to_quaternion(jnp.stack([take(v, row, 0) for row in rows])) for v in (q, x)
+    )
+    return there.at[rows].set(quaternion_to_rotation_vector(quaternion_product(one, other)))
+
+
+def _balls(tree: Tree) -> np.ndarray:
+    """Return the first degree of freedom of each ball joint."""
+    return np.flatnonzero(np.array(tree.dof_kinds) == "ball")[::_SPANNING]
 
 
 def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3 c *n"]]:
-    """Return columns: every body's rotation to its parent, then joint axes in the parent's frame.
+    """Return columns in the frame of every body's parent, for `placed`.
 
-    Joints with equal axes are computed together.
+    They are the axes of the body's frame, then the joint's axes. A chain has its body's origin
+    between them, and after them the vectors from the origin to the places of the axes. Joints with
+    equal axes are computed together.
     """
     sine, cosine = jnp.sin(q), jnp.cos(q)
-    alike: dict[tuple[bytes | int, bytes | int], list[int]] = {}
-    first_dof = {body: i for i, body in reversed(list(enumerate(tree.dof_bodies)))}
-    axis_count = np.bincount(tree.dof_bodies, minlength=tree.body_count)
-    for body, dof in sorted(first_dof.items()):
-        axes = tree.joint_axes[:, dof : dof + axis_count[body]]
-        orientation = tree.joint_orientation[:, :, body]
-        alike.setdefault((_key(axes, body), _key(orientation, body)), []).append(body)
+    alike: dict[tuple[Any, ...], list[int]] = {}
+    own_groups = (tree.hanging, *tree.groups) if tree.hanging else tree.groups
+    group_of = {i: group for group in own_groups for i in _range(group.bodies)}
+    for body, group in sorted(group_of.items()):
+        dofs, key = _dofs(group, body), [_key(tree.joint_orientation[:, :, body], body)]
+        fixed = [tree.joint_axes[:, dofs]]
+        if group.kind == "chain":
+            assert tree.joint_places is not None
+            fixed += [tree.joint_offset[:, body], tree.joint_places[:, dofs]]
+        key += [_key(x, body) for x in fixed]
+        alike.setdefault((group.kind, group.kinds, *key), []).append(body)
     frames = {}
-    for bodies in alike.values():
-        dof, count = first_dof[bodies[0]], axis_count[bodies[0]]
-        orientation = expand_dims_like(tree.joint_orientation[:, :, bodies[0]], q, q.ndim + 2)
+    for (kind, *_), bodies in alike.items():
+        first, group = bodies[0], group_of[bodies[0]]
+        rows = np.array(
+            [[_dofs(group_of[i], i).start + k for i in bodies] for k in range(group.axes)]
+        )
+        orientation = expand_dims_like(tree.joint_orientation[:, :, first], q, q.ndim + 2)
         columns = [orientation[:, j] for j in range(3)]
-        directions = []
-        for k in range(count):
-            dofs = np.array([first_dof[body] + k for body in bodies])
-            columns, direction = _turn(
-                columns, tree.joint_axes[:, dof + k], take(sine, dofs, 0), take(cosine, dofs, 0)
-            )
-            directions.append(direction)
+        own = tree.joint_axes[:, _dofs(group, first)]
+        if kind == "ball":
+            found = _rolled(columns, own, jnp.stack([take(q, row, 0) for row in rows]))
+        elif kind == "chain":
+            found = _shifted(tree, group, first, columns, q, rows)
+        else:
+            directions = []
+            for k, row in enumerate(rows):
+                columns, direction = _turn(
+                    columns, own[:, k], take(sine, row, 0), take(cosine, row, 0)
+                )
+                directions.append(direction)
+            found = columns + directions
         shape = (3, len(bodies), *q.shape[1:])
-        packed = jnp.stack([jnp.broadcast_to(c, shape) for c in columns + directions], 1)
+        packed = jnp.stack([jnp.broadcast_to(c, shape) for c in found], 1)
         frames.update(zip(bodies, jnp.unstack(packed, axis=2), strict=True))
-    # The root has no joint, so its frame is not used.
-    values: list[Any] = [None, *(frames[body] for body in range(1, tree.body_count))]
+    # A free root has no joint, so its frame is not used.
+    values: list[Any] = [frames.get(body) for body in range(tree.body_count)]
     return PerBody(values, q.ndim - 1)
 
 
-def world_frames(
-    parent_rotation: Float[Array, "3 3 b *n"], local: Float[Array, "3 c b *n"]
-) -> tuple[Float[Array, "3 3 b *n"], Float[Array, "3 k b *n"]]:
-    """Return the rotations and the world axes of bodies from `local_frames`."""
+def _rolled(columns: list[Array], axes: Any, q: Float[Array, "3 b *n"]) -> list[Array]:
+    """Return the columns of a ball joint's frame and axes."""
+    frame = jnp.stack(jnp.broadcast_arrays(*columns), 1)
+    basis = expand_dims_like(axes, q, q.ndim + 1)
+    turn = quaternion_to_matrix(rotation_vector_to_quaternion(matvec(basis, q)))
+    turned = matmul(frame, turn)
+    directions = matmul(turned, basis)
+    return [x[:, j] for x in (turned, directions) for j in range(3)]
+
+
+def _shifted(
+    tree: Tree,
+    group: Group,
+    body: int,
+    columns: list[Array],
+    q: Float[Array, "d *n"],
+    rows: np.ndarray,
+) -> list[Array]:
+    """Return the columns of a chain's frame (see `local_frames`).
+
+    Args:
+        tree: the creature.
+        group: the group of the body.
+        body: the first of some bodies with equal axes.
+        columns: axes of the frame in the neutral pose.
+        q: all coordinates.
+        rows: coordinates of the bodies, one row for each axis.
+    """
+    assert tree.joint_places is not None
+    dofs = _dofs(group, body)
+    origin = expand_dims_like(tree.joint_offset[:, body], q, q.ndim + 1)
+    directions, places = [], []
+    for k, kind in enumerate(group.kinds):
+        axis, place = tree.joint_axes[:, dofs][:, k], tree.joint_places[:, dofs][:, k]
+        value, frame = take(q, rows[k], 0), jnp.stack(jnp.broadcast_arrays(*columns), 1)
+        arm = matvec(frame, expand_dims_like(place, q, q.ndim + 1))
+        if kind == "turn":
+            there = origin + arm
+            columns, direction = _turn(columns, axis, jnp.sin(value), jnp.cos(value))
+            frame = jnp.stack(jnp.broadcast_arrays(*columns), 1)
+            origin = there - matvec(frame, expand_dims_like(place, q, q.ndim + 1))
+        else:
+            direction = matvec(frame, expand_dims_like(axis, q, q.ndim + 1))
+            there, origin = origin, origin + direction * value[None]
+        directions.append(direction)
+        places.append(there)
+    return [*columns, origin, *directions, *(place - origin for place in places)]
+
+
+def placed(
+    tree: Tree, group: Group, parent_rotation: Float[Array, "3 3 b *n"], local: Array
+) -> tuple[Float[Array, "3 3 b *n"], Float[Array, "3 b *n"], "Subspace"]:
+    """Return rotations, offsets from the parents' origins, and S of the bodies of a group.
+
+    Args:
+        tree: the creature.
+        group: the group of bodies.
+        parent_rotation: rotations of their parents.
+        local: their columns from `local_frames`.
+    """
+    if group.kind != "chain":
+        offset = matvec(
+            parent_rotation, expand_dims_like(tree.joint_offset[:, group.bodies], local[:, 0])
+        )
+        frame = matmul(parent_rotation, local)
+        return frame[:, :3], offset, Subspace(frame[:, 3:], None, group.kind == "ball")
     frame = matmul(parent_rotation, local)
-    return frame[:, :3], frame[:, 3:]
+    directions, arms = frame[:, 4 : 4 + group.axes], frame[:, 4 + group.axes :]
+    none = jnp.zeros_like(directions[:, 0])
+    turns = [kind == "turn" for kind in group.kinds]
+    columns = [
+        (directions[:, k], cross(arms[:, k], directions[:, k]))
+        if turns[k]
+        else (none, directions[:, k])
+        for k in range(group.axes)
+    ]
+    angular, linear = (jnp.stack(x, 1) for x in zip(*columns, strict=True))
+    return frame[:, :3], frame[:, 3], Subspace(angular, linear)
 
 
 # Motion subspace.
 
 
-def carried(
-    parent: Any, offset: Float[Array, "3 b *n"], axes: Float[Array, "3 k b *n"], rates: Array
-) -> BodyMotion:
-    """Return the motion of bodies that their parents carry and their joints turn.
+class Subspace(eqx.Module):
+    """S: motion of bodies per rate of each degree of freedom, at the bodies' origins.
+
+    Attributes:
+        angular: angular parts, in the world, ``(3, k, ..., *n)``.
+        linear: linear parts, in the world, or None if all are zero.
+        at_once: whether the axes turn at once, and not one after the other.
+    """
+
+    angular: Array
+    linear: Array | None = None
+    at_once: bool = eqx.field(static=True, default=False)
+
+    def of(self, group: Group, batch_ndim: int) -> "Subspace":
+        """Return a group's part ``(3, k, b, *n)`` of a subspace of all degrees of freedom."""
+        linear = self.linear if group.kind == "chain" else None
+        angular, linear = (
+            None if x is None else of_joints(x, group, batch_ndim) for x in (self.angular, linear)
+        )
+        assert angular is not None
+        return Subspace(angular, linear, group.kind == "ball")
+
+    def take(self, dofs: np.ndarray) -> "Subspace":
+        """Return the columns of some degrees of freedom."""
+        return jax.tree.map(lambda x: take(x, dofs), self)
+
+
+def subspace(parts: Sequence[Subspace], like: Float[Array, "3 *n"]) -> Subspace:
+    """Return S of all degrees of freedom, ``(3, d, *n)``, from the parts of the groups.
+
+    Args:
+        parts: S of each group, in the order of the tree.
+        like: vector with the shape of one column.
+    """
+    none, batch_ndim = jnp.zeros((3, 0, *like.shape[1:]), like.dtype), like.ndim - 1
+    angular = [in_dof_order(S.angular, batch_ndim) for S in parts]
+    if all(S.linear is None for S in parts):
+        return Subspace(jnp.concatenate([none, *angular], 1))
+    linear = [
+        jnp.zeros_like(turning) if S.linear is None else in_dof_order(S.linear, batch_ndim)
+        for S, turning in zip(parts, angular, strict=True)
+    ]
+    return Subspace(*(jnp.concatenate([none, *x], 1) for x in (angular, linear)))
+
+
+def carried(parent: Any, offset: Float[Array, "3 b *n"], S: Subspace, rates: Array) -> BodyMotion:
+    """Return the motion of bodies that their parents carry and their joints move.
+
+    The axes of a joint move the body one after the other. Each adds ``v x S_k qd_k`` to the
+    acceleration, with the motion v before it.
 
     Args:
         parent: motion of each body's parent, with the attributes of `BodyMotion`.
         offset: vectors from the parents' origins to the bodies' origins, m.
-        axes: S, world axes of the degrees of freedom.
-        rates: rates of the k degrees of freedom of each of b bodies, ``(k, b, *n)``, rad/s.
+        S: motion per rate of each degree of freedom.
+        rates: rates of the k degrees of freedom of each of b bodies, ``(k, b, *n)``.
     """
-    spin, spin_rate = _across(axes * rates[None])
+    if S.linear is not None or S.at_once or not S.angular.shape[1]:
+        bias = Motion(parent.bias_angular, parent.bias_linear)
+        velocity = motion_at_child(Motion(parent.angular, parent.linear), offset)
+        bias = motion_at_child(bias, offset)
+        for across in _one_after_the_other(S, rates):
+            bias = jax.tree.map(jnp.add, bias, motion_product(velocity, across))
+            velocity = jax.tree.map(jnp.add, velocity, across)
+        return BodyMotion(*velocity, *bias)
+    spin, spin_rate = _across(S.angular * rates[None])
     linear = parent.linear + cross(parent.angular, offset)
     return BodyMotion(
         parent.angular + spin,
@@ -128,70 +294,91 @@ def carried(
     )
 
 
-def accelerated(motion: Motion, axes: Float[Array, "3 k b *n"], x: Array) -> Motion:
+def _one_after_the_other(S: Subspace, rates: Array) -> list[Motion]:
+    """Return the motions across joints, of each axis, or of all axes that turn at once."""
+    angular = S.angular * rates[None]
+    linear = jnp.zeros_like(angular) if S.linear is None else S.linear * rates[None]
+    if S.at_once:
+        return [Motion(angular.sum(1), linear.sum(1))]
+    return [Motion(angular[:, k], linear[:, k]) for k in range(angular.shape[1])]
+
+
+def accelerated(motion: Motion, S: Subspace, x: Array) -> Motion:
     """Return the accelerations ``a + S x`` of bodies whose joints accelerate by x.
 
     Args:
         motion: a, accelerations of the bodies with locked joints.
-        axes: S, world axes of the degrees of freedom.
+        S: motion per rate of each degree of freedom.
         x: accelerations of the degrees of freedom, ``(k, b, *n)``.
     """
-    return motion._replace(angular=motion.angular + matvec(axes, x))
+    angular, linear = motion.angular + matvec(S.angular, x), motion.linear
+    return Motion(angular, linear if S.linear is None else linear + matvec(S.linear, x))
 
 
-def torque_of(axes: Float[Array, "3 k b *n"], wrench: Wrench) -> Float[Array, "k b *n"]:
-    """Return ``S^T f`` of wrenches on bodies, N m."""
-    return matvec_t(axes, wrench.moment)
+def torque_of(S: Subspace, wrench: Wrench) -> Float[Array, "k b *n"]:
+    """Return ``S^T f`` of wrenches on bodies, N m or N."""
+    torque = matvec_t(S.angular, wrench.moment)
+    return torque if S.linear is None else torque + matvec_t(S.linear, wrench.force)
 
 
 def torque_on_each(
-    axes: Float[Array, "3 k *n"], wrench: Wrench, which: np.ndarray | None = None
+    S: Subspace, wrench: Wrench, which: np.ndarray | None = None
 ) -> Float[Array, "k *n"]:
     """Return ``S^T f``, with a wrench for each degree of freedom.
 
     Args:
-        axes: S, world axes of the degrees of freedom.
+        S: motion per rate of each degree of freedom, ``(3, k, *n)``.
         wrench: wrenches about the origin of the joint's body.
         which: indices of the wrenches, or None for all in order.
     """
-    return dot(axes, wrench.moment if which is None else take(wrench.moment, which))
+    if which is not None:
+        wrench = Wrench(*(take(x, which) for x in wrench))
+    torque = dot(S.angular, wrench.moment)
+    return torque if S.linear is None else torque + dot(S.linear, wrench.force)
 
 
-def momentum(inertia: Inertia, axes: Float[Array, "3 k *rest"]) -> Wrench:
+def momentum(inertia: Inertia, S: Subspace) -> Wrench:
     """Return ``I S``: k wrenches."""
-    return Wrench(matmul(inertia.angular, axes), t_matmul(inertia.mixed, axes))
+    moment, force = matmul(inertia.angular, S.angular), t_matmul(inertia.mixed, S.angular)
+    if S.linear is None:
+        return Wrench(moment, force)
+    return Wrench(
+        moment + matmul(inertia.mixed, S.linear), force + matmul(inertia.linear, S.linear)
+    )
 
 
-def momentum_of_each(inertia: Inertia, axes: Float[Array, "3 d *n"]) -> Wrench:
+def momentum_of_each(inertia: Inertia, S: Subspace) -> Wrench:
     """Return ``I S``, with an inertia for each degree of freedom: d wrenches."""
-    found = momentum(inertia, axes[:, None])
+    found = momentum(inertia, jax.tree.map(lambda x: x[:, None], S))
     return Wrench(found.moment[:, 0], found.force[:, 0])
 
 
 def speed_along(
-    axes: Float[Array, "3 d *n"], offset: Float[Array, "3 p d *n"], normal: Float[Array, "3 p *n"]
+    S: Subspace, offset: Float[Array, "3 p d *n"], normal: Float[Array, "3 p *n"]
 ) -> Float[Array, "p d *n"]:
     """Return the speed of points along their normals, per rate of each degree of freedom.
 
     Args:
-        axes: S, world axes of the degrees of freedom.
+        S: motion per rate of each degree of freedom, ``(3, d, *n)``.
         offset: vectors from the origins of the joints' bodies to the points, m.
         normal: unit normals.
     """
-    lever = cross(offset, jnp.broadcast_to(normal[:, :, None], offset.shape))
-    return dot(axes[:, None], lever)
+    along = jnp.broadcast_to(normal[:, :, None], offset.shape)
+    speed = dot(S.angular[:, None], cross(offset, along))
+    return speed if S.linear is None else speed + dot(S.linear[:, None], along)
 
 
 def about(
-    axes: Float[Array, "3 d *n"], origins: Float[Array, "3 d *n"]
+    S: Subspace, origins: Float[Array, "3 d *n"]
 ) -> tuple[Float[Array, "3 d *n"], Float[Array, "3 d *n"]]:
     """Return the motion S about a common point: angular parts, and minus the linear parts.
 
     Args:
-        axes: S, world axes of the degrees of freedom.
+        S: motion per rate of each degree of freedom, ``(3, d, *n)``.
         origins: vectors from the common point to the origins of the joints' bodies, m.
     """
-    return axes, cross(axes, origins)
+    moments = cross(S.angular, origins)
+    return S.angular, moments if S.linear is None else moments - S.linear
 
 
 # Elimination.
@@ -213,42 +400,49 @@ class Condensed(NamedTuple):
     free: Array
 
 
+def joints_of(
+    group: Group,
+    S: Subspace,
+    torque: Float[Array, "d *n"],
+    torque_derivative: Float[Array, "d *n"],
+) -> "Joints | Chain":
+    """Return the joints of a group (see `evo_cpg.physics.articulated.solve`).
+
+    Args:
+        group: the group.
+        S: motion per rate of all degrees of freedom, ``(3, d, *n)``.
+        torque: tau of all degrees of freedom.
+        torque_derivative: the diagonal T.
+    """
+    own = S.of(group, torque.ndim - 1)
+    tau, diagonal = (of_joints(x, group, torque.ndim - 1) for x in (torque, torque_derivative))
+    if group.kind == "chain" or not group.axes:
+        return Chain(own, tau, diagonal)
+    identity = expand_dims_like(np.eye(group.axes), tau, tau.ndim + 1)
+    if group.axes != _SPANNING:
+        return Joints(own, tau, identity * diagonal[None], None)
+    to_q = _inverse_columns(own.angular)
+    derivative = symmetric(t_matmul(to_q, diagonal[:, None] * to_q))
+    return Joints(Subspace(identity), matvec_t(to_q, tau), derivative, to_q)
+
+
 class Joints(NamedTuple):
-    """Joints of a group, in their own coordinates x.
+    """Joints of a group that turn at one place, in their own coordinates x.
 
     For one or two axes x is ``q``. For three axes x is the rotation across the joint in world axes,
     and S is 1.
 
     Attributes:
-        axes: S, world axes of the degrees of freedom, (3, k, bodies, ...).
+        S: motion per rate of each degree of freedom, without linear parts.
         torque: tau, in the coordinates x.
         derivative: T, in the coordinates x.
         to_q: matrix from x to ``q``, or None if x is ``q``.
     """
 
-    axes: Array
+    S: Subspace
     torque: Array
     derivative: Array
     to_q: Array | None
-
-    @classmethod
-    def of(
-        cls,
-        group: Group,
-        axes: Float[Array, "3 d *n"],
-        torque: Float[Array, "d *n"],
-        torque_derivative: Float[Array, "d *n"],
-    ) -> "Joints":
-        """Return the joints of a group (see `evo_cpg.physics.articulated.solve`)."""
-        axes, tau, diagonal = (
-            of_joints(x, group, torque.ndim - 1) for x in (axes, torque, torque_derivative)
-        )
-        identity = expand_dims_like(np.eye(group.axes), tau, tau.ndim + 1)
-        if group.axes != _BALL_AXES:
-            return cls(axes, tau, identity * diagonal[None], None)
-        to_q = _inverse_columns(axes)
-        derivative = symmetric(t_matmul(to_q, diagonal[:, None] * to_q))
-        return cls(identity, matvec_t(to_q, tau), derivative, to_q)
 
     def condensed(self, inertia: Inertia, bias: Wrench) -> Condensed:
         """Eliminate the joints: ``I^a = I^A - U K`` and ``p^a = p^A + K^T u``.
@@ -260,9 +454,10 @@ class Joints(NamedTuple):
             inertia: I^A of the bodies.
             bias: p^A of the bodies.
         """
-        U = momentum(inertia, self.axes)
-        G_inverse = inverse_symmetric(t_matmul(self.axes, U.moment) + self.derivative)
-        u = self.torque - torque_of(self.axes, bias)
+        axes = self.S.angular
+        U = momentum(inertia, self.S)
+        G_inverse = inverse_symmetric(t_matmul(axes, U.moment) + self.derivative)
+        u = self.torque - torque_of(self.S, bias)
         K = Motion(matmul_t(G_inverse, U.moment), matmul_t(G_inverse, U.force))
         linear = inertia.linear - matmul(U.force, K.linear)
         if self.to_q is None:
@@ -270,7 +465,7 @@ class Joints(NamedTuple):
             mixed = inertia.mixed - matmul(U.moment, K.linear)
         else:
             P = matmul(self.derivative, G_inverse)
-            K = Motion(self.axes - transpose(P), K.linear)
+            K = Motion(axes - transpose(P), K.linear)
             angular, mixed = matmul(P, inertia.angular), matmul(P, inertia.mixed)
         felt = make_inertia(angular, mixed, linear)
         moment, force = matvec_t(K.angular, u), matvec_t(K.linear, u)
@@ -286,8 +481,66 @@ class Joints(NamedTuple):
         """
         K = condensed.yielding
         x = condensed.free - matvec(K.angular, motion.angular) - matvec(K.linear, motion.linear)
-        moved = accelerated(motion, self.axes, x)
+        moved = accelerated(motion, self.S, x)
         return moved, x if self.to_q is None else matvec(self.to_q, x)
+
+
+class Chain(NamedTuple):
+    """Joints of a group with any axes, eliminated one by one, the last axis first.
+
+    The axes are those of a chain of bodies without mass whose origins coincide. G of one axis is a
+    number. A weld has no axes.
+
+    Attributes:
+        S: motion per rate of each degree of freedom.
+        torque: tau.
+        derivative: the diagonal T.
+    """
+
+    S: Subspace
+    torque: Array
+    derivative: Array
+
+    def condensed(self, inertia: Inertia, bias: Wrench) -> Condensed:
+        """Eliminate the joints. The arguments are those of `Joints.condensed`."""
+        found = []
+        for k in reversed(range(len(self.torque))):
+            S = self._axis(k)
+            U = momentum(inertia, S)
+            G = torque_of(S, Wrench(U.moment[:, 0], U.force[:, 0]))[0] + self.derivative[k]
+            G_inverse = (1.0 / G)[None]
+            u = self.torque[k] - torque_of(S, bias)[0]
+            moment, force = U.moment[:, 0], U.force[:, 0]
+            K = Motion(G_inverse * moment, G_inverse * force)
+            felt = make_inertia(
+                inertia.angular - moment[:, None] * K.angular[None],
+                inertia.mixed - moment[:, None] * K.linear[None],
+                inertia.linear - force[:, None] * K.linear[None],
+            )
+            inertia = felt
+            bias = Wrench(bias.moment + K.angular * u[None], bias.force + K.linear * u[None])
+            found.append((K, G_inverse[0] * u))
+        yields = [K for K, _ in reversed(found)]
+        angular, linear = (
+            jnp.stack(x) if x else self.S.angular.swapaxes(0, 1)
+            for x in ([K.angular for K in yields], [K.linear for K in yields])
+        )
+        free = jnp.stack([x for _, x in reversed(found)]) if found else self.torque
+        return Condensed(inertia, bias, Motion(angular, linear), free)
+
+    def accelerations(self, condensed: Condensed, motion: Motion) -> tuple[Motion, Array]:
+        """Return the accelerations. The arguments are those of `Joints.accelerations`."""
+        K, found = condensed.yielding, []
+        for k in range(len(self.torque)):
+            x = condensed.free[k] - dot(K.angular[k], motion.angular)
+            x = x - dot(K.linear[k], motion.linear)
+            motion = accelerated(motion, self._axis(k), x[None])
+            found.append(x)
+        return motion, jnp.stack(found) if found else condensed.free
+
+    def _axis(self, k: int) -> Subspace:
+        """Return one column of S."""
+        return jax.tree.map(lambda x: x[:, k : k + 1], self.S)
 
 
 def _inverse_columns(m: Float[Array, "3 3 *rest"]) -> Float[Array, "3 3 *rest"]:
@@ -295,6 +548,16 @@ def _inverse_columns(m: Float[Array, "3 3 *rest"]) -> Float[Array, "3 3 *rest"]:
     a, b, c = m[:, 0], m[:, 1], m[:, 2]
     rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
     return rows * (1.0 / dot(a, rows[0]))[None, None]
+
+
+def _range(bodies: slice) -> range:
+    return range(bodies.start, bodies.stop)
+
+
+def _dofs(group: Group, body: int) -> slice:
+    """Return the degrees of freedom of a body of a group."""
+    start = group.dofs.start + (body - group.bodies.start) * group.axes
+    return slice(start, start + group.axes)
 
 
 def _key(values: Any, body: int) -> bytes | int:

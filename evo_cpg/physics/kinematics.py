@@ -8,12 +8,12 @@ the body's joint, so the shift from parent to child is a pure translation by ``o
 |---|---|
 | R_i | ``rotation``: body to world |
 | p_i, d_i | ``origin``; ``offset`` from the parent's origin |
-| S_i | ``axes``: world unit vectors of the joint axes |
+| S_i | ``axes``: motion of the body per rate of each degree of freedom |
 | w_i, v_i | ``angular``, ``linear`` velocity at the origin |
 | A0_i | ``bias_angular``, ``bias_linear``: acceleration at constant velocities of the tree |
 
-A0_i is a spatial acceleration. A material point has the acceleration A0 plus ``w x v``. The root's
-A0 is ``-w x v``.
+A0_i is a spatial acceleration. A material point has the acceleration A0 plus ``w x v``. A free
+root's A0 is ``-w x v``. A root that hangs on the world is carried by it as by a parent.
 """
 
 from typing import NamedTuple
@@ -22,11 +22,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics import joints, root
-from evo_cpg.physics.per_body import PerBody, in_dof_order, of_joints
+from evo_cpg.physics import hanging, joints, root
+from evo_cpg.physics.joints import Subspace
+from evo_cpg.physics.links import Link, linked
+from evo_cpg.physics.per_body import PerBody, of_joints
 from evo_cpg.physics.spatial_algebra import BodyMotion
 from evo_cpg.physics.state import State
-from evo_cpg.spatial.linear import expand_dims_like, matvec
 
 
 class Kinematics(NamedTuple):
@@ -35,22 +36,11 @@ class Kinematics(NamedTuple):
     rotation: Float[Array, "3 3 b *n"]
     origin: Float[Array, "3 b *n"]
     offset: Float[Array, "3 b *n"]
-    axes: Float[Array, "3 d *n"]
+    axes: Subspace
     angular: Float[Array, "3 b *n"]
     linear: Float[Array, "3 b *n"]
     bias_angular: Float[Array, "3 b *n"]
     bias_linear: Float[Array, "3 b *n"]
-
-
-class _Body(NamedTuple):
-    """Poses and motion of one or several bodies (see `Kinematics`)."""
-
-    rotation: Array
-    origin: Array
-    angular: Array
-    linear: Array
-    bias_angular: Array
-    bias_linear: Array
 
 
 def kinematics(tree: Tree, state: State) -> Kinematics:
@@ -59,23 +49,29 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
     Each line holds for one body and for a group of like limbs side by side (`PerBody`).
     """
     batch_ndim = state.q.ndim - 1
-    rest, rotation = jnp.zeros_like(state.position), root.rotation(state.orientation)
-    first = _Body(rotation, state.position, *root.motion(state.velocity))
-    bodies, local = PerBody([first], batch_ndim), joints.local_frames(tree, state.q)
-    offsets, axes = [rest[:, None]], [jnp.zeros((3, 0, *rest.shape[1:]), rest.dtype)]
+    local = joints.local_frames(tree, state.q)
+    if tree.hanging is None:
+        rest, rotation = jnp.zeros_like(state.position), root.rotation(state.orientation)
+        first = Link(rotation, state.position, *root.motion(state.velocity))
+        bodies = PerBody([first], batch_ndim)
+        offsets, axes = [rest[:, None]], []
+    else:
+        i, world = tree.hanging, hanging.fixed_link(hanging.base_of(state.base))
+        first, offset, S = linked(tree, i, world, local[i.bodies], state.qd)
+        bodies = PerBody[Link]([], batch_ndim).followed_by(first)
+        offsets, axes = [offset], [S]
     for i in tree.groups:
-        parent = bodies[i.parents]
-        offset = matvec(
-            parent.rotation, expand_dims_like(tree.joint_offset[:, i.bodies], parent.origin)
-        )
-        rotation, S = joints.world_frames(parent.rotation, local[i.bodies])
-        motion = joints.carried(parent, offset, S, of_joints(state.qd, i, batch_ndim))
-        bodies = bodies.followed_by(_Body(rotation, parent.origin + offset, *motion))
+        body, offset, S = linked(tree, i, bodies[i.parents], local[i.bodies], state.qd)
+        bodies = bodies.followed_by(body)
         offsets.append(offset)
-        axes.append(in_dof_order(S, batch_ndim))
+        axes.append(S)
     rotation, origin, *motion = bodies.stacked()
     return Kinematics(
-        rotation, origin, jnp.concatenate(offsets, 1), jnp.concatenate(axes, 1), *motion
+        rotation,
+        origin,
+        jnp.concatenate(offsets, 1),
+        joints.subspace(axes, state.position),
+        *motion,
     )
 
 
@@ -87,13 +83,20 @@ def motion_of_bodies(
     Args:
         tree: the creature.
         kin: kinematics with the poses of the bodies.
-        velocity: velocity of the root, as in `State`.
+        velocity: velocity of a free root, as in `State`.
         qd: joint rates, rad/s.
     """
     batch_ndim = qd.ndim - 1
-    bodies = PerBody([root.motion(velocity)], batch_ndim)
+    if tree.hanging is None:
+        bodies = PerBody([root.motion(velocity)], batch_ndim)
+    else:
+        i, offset = tree.hanging, kin.offset[:, :1]
+        still = BodyMotion(*(jnp.zeros_like(offset) for _ in range(4)))
+        S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
+        first = joints.carried(still, offset, S, rates)
+        bodies = PerBody[BodyMotion]([], batch_ndim).followed_by(first)
     for i in tree.groups:
         parent, offset = bodies[i.parents], kin.offset[:, i.bodies]
-        S, rates = (of_joints(x, i, batch_ndim) for x in (kin.axes, qd))
+        S, rates = kin.axes.of(i, batch_ndim), of_joints(qd, i, batch_ndim)
         bodies = bodies.followed_by(joints.carried(parent, offset, S, rates))
     return bodies.stacked()

@@ -47,15 +47,14 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
-from evo_cpg.creature.slender import slender_chains
+from evo_cpg.creature.slender import LEAST_BODIES, slender_chains
 from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
 from evo_cpg.physics.per_body import spread, take
-from evo_cpg.physics.reactive_thrust import LEAST_BODIES
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
-from evo_cpg.spatial.numerics import Number, Numbers, xp
+from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 
 # Reduction of the potential slope, and vortex lift of a rectangular plate. Polhamus's 3.14 is for
 # deltas, and too large for rectangles.
@@ -160,7 +159,7 @@ class PlateLift(ForceLaw):
         return spread(own, self.bodies, bodies.tree.body_count)
 
     def _centre(self, bodies: Bodies) -> Float[Array, "3 p *#n"]:
-        return expand_dims_like(bodies.tree.com[:, np.array(self.bodies)], bodies.velocity)
+        return expand_dims_like(bodies.tree.centre[:, np.array(self.bodies)], bodies.velocity)
 
     def _resistance(self, bodies: Bodies) -> tuple[Float[Array, "6 p *n"], Float[Array, "p *n"]]:
         """Return the row of the normal velocity, and the force over this velocity, N s/m."""
@@ -284,8 +283,7 @@ def _weight(shape: Shape) -> Number:
     half, _ = shape.stretch
     thickness, width, _ = xp.sort(half)
     ratio = thickness / xp.maximum(width, 1e-12)
-    x = xp.clip((_THICK - ratio) / (_THICK - _THIN), 0.0, 1.0)
-    return xp.where(width > 0, x * x * (3.0 - 2.0 * x), 0.0)
+    return xp.where(width > 0, smooth_step((_THICK - ratio) / (_THICK - _THIN)), 0.0)
 
 
 def _plate(shape: Shape) -> tuple[Numbers, Numbers, Number]:

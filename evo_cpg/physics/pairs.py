@@ -185,7 +185,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
         chosen(why, stay_left_out)
     if not first:
         return None
-    one, two = (tree.mass[np.array(bodies)] for bodies in _owners(first, second, runs))
+    one, two = (tree.rigid_mass[np.array(bodies)] for bodies in _owners(first, second, runs))
     stiffness = _STIFFNESS * xp.sqrt(one * two)
     if settings.only is not None:
         pairs = list(zip(first, second, strict=True))
@@ -196,7 +196,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
         first,
         second,
         runs,
-        tree.com + xp.array([box.centre for box in boxes]).T,
+        tree.centre + xp.array([box.centre for box in boxes]).T,
         xp.array([box.half_extents for box in boxes]).T,
         xp.array([box.radius for box in boxes]),
         stiffness,

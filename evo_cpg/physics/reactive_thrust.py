@@ -44,18 +44,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature, neutral_pose
-from evo_cpg.creature.slender import SlenderChain, slender_chains
+from evo_cpg.creature.slender import LEAST_BODIES, SlenderChain, slender_chains
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part, blocks
 from evo_cpg.physics.per_body import spread, take
 from evo_cpg.physics.sections import Sections, chain_inertia, sections
 from evo_cpg.spatial.decisions import Condition, chosen
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like
-from evo_cpg.spatial.numerics import Number, Numbers, xp
-
-# Least number of bodies of a chain with reactive thrust, and without lift of plates
-# (`evo_cpg.physics.lift`). One or two rigid bodies cannot form a wave.
-LEAST_BODIES = 3
+from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 
 # Ratio u / |w| at which an edge sheds all water, 79 degrees from the tangent.
 _ALL_SHED = 0.2
@@ -166,8 +162,7 @@ class ReactiveThrust(ForceLaw):
         along = dot(tangent, velocity)
         across = (directions * velocity[:, None]).sum(0)
         speed = jnp.sqrt((across * across).sum(0) + _SPEED_FLOOR)
-        part = jnp.clip(along / (_ALL_SHED * speed), 0.0, 1.0)
-        shed = part * part * (3.0 - 2.0 * part)
+        shed = smooth_step(along / (_ALL_SHED * speed))
         if bodies.displaced is not None:
             shed = shed * take(bodies.under_water, np.array(self.bodies), 0)
         return _Flow(velocity, tangent, directions, masses * shed[None], along, across)
@@ -212,7 +207,7 @@ def reactive_water(
         inertias |= chain_inertia(tree, creature, chain, found)
         for k, toward_tail, masses in _shedding(chain, found, rotations, every_edge):
             body = tree.names.index(creature.bodies[chain.bodies[k]].name)
-            point = (chain.rear if toward_tail else chain.front)[k] + tree.com[:, body]
+            point = (chain.rear if toward_tail else chain.front)[k] + tree.centre[:, body]
             tangent = chain.tangents[k] if toward_tail else -chain.tangents[k]
             places.append(body)
             edges.append((point, tangent, found.directions[k].T, masses))

@@ -1,11 +1,13 @@
 """The root of a tree: its degrees of freedom, its motion, and its place in generalized vectors.
 
-The root moves freely in space. Its velocity is angular (rad/s), then linear at its centre (m/s), in
+The root moves freely in space, or hangs on the fixed world (`evo_cpg.physics.hanging`). Its
+velocity is angular (rad/s), then linear at its centre (m/s), in
 world axes. Its pose is the position of its centre (m) and a unit quaternion (w, x, y, z).
 
 A generalized vector ``(v, *n)`` holds the root's `ROOT_DOFS` components, then the joints' in the
-tree's order. Other modules rely only on the root coming first and, in static coordinates, on
-displacement before rotation (`evo_cpg.physics.statics`).
+tree's order. A root that hangs moves by the first of the joints' components: its own components
+are zero, with a mass matrix of 1. Other modules rely only on the root coming first and, in static
+coordinates, on displacement before rotation (`evo_cpg.physics.statics`).
 """
 
 from collections.abc import Sequence
@@ -152,6 +154,11 @@ def mass_block(inertia: Inertia) -> Float[Array, "6 6 *n"]:
 def plus_torque(force: Float[Array, "v *n"], torque: Float[Array, "d *n"]) -> Float[Array, "v *n"]:
     """Add joint torques to a generalized force."""
     return force.at[JOINTS].add(torque)
+
+
+def joint_block(matrix: Float[Array, "v v *n"]) -> Float[Array, "d d *n"]:
+    """Return the joints' part of a generalized matrix."""
+    return matrix[JOINTS, JOINTS]
 
 
 def plus_joint_block(

@@ -88,7 +88,7 @@ def chain_inertia(
         section = xp.einsum(
             "k,ki,kj->ij", found.masses[k], found.directions[k], found.directions[k]
         )
-        middle = (chain.front[k] + chain.rear[k]) / 2 + tree.com[:, i]
+        middle = (chain.front[k] + chain.rear[k]) / 2 + tree.centre[:, i]
         # Two Gauss points are exact: M is quadratic along the centreline.
         reach = chain.tangents[k] * chain.lengths[k] / np.sqrt(12)
         total = 0.0

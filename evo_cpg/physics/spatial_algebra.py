@@ -97,6 +97,14 @@ def motion_at_child(motion: Motion, offset: Float[Array, "3 *#rest"]) -> Motion:
     return Motion(motion.angular, motion.linear + cross(motion.angular, offset))
 
 
+def motion_product(velocity: Motion, motion: Motion) -> Motion:
+    """Return ``v x m``: the rate of change of a motion that moves with a velocity."""
+    return Motion(
+        cross(velocity.angular, motion.angular),
+        cross(velocity.angular, motion.linear) + cross(velocity.linear, motion.angular),
+    )
+
+
 def wrench_at_parent(wrench: Wrench, offset: Float[Array, "3 *#rest"]) -> Wrench:
     """Return a wrench about a point that is ``-offset`` away."""
     return Wrench(wrench.moment + cross(offset, wrench.force), wrench.force)

@@ -10,7 +10,7 @@ F and M are the sums of forces and of moments about the root's centre. M_outward
 moments on all bodies beyond a joint. The forces are weight, buoyancy, the ground, and all force
 laws except the water's. Springs, soft limits and motors exert the torques. The motors hold their
 joints at the neutral angle. Muscles are relaxed. Q vanishes at an equilibrium, and -dQ/dx is its
-stiffness.
+stiffness. The joint of a root that hangs on the world bears F and M, which then are zero.
 
 The ground has the stiffness of a resting contact in a step of the simulation
 (`resting_stiffness`). The simulation therefore finds no motion in an equilibrium found here.
@@ -44,6 +44,7 @@ from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.tendon import static_force, torque_of
 from evo_cpg.physics.weight import weight
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
@@ -103,7 +104,7 @@ def static_forces(
     Returns:
         Forces (N) and torques (N m), and the state of the contact points.
     """
-    tree, state = world.tree, base.displaced(x)
+    tree, state = world.tree, base.displaced(world.tree, x)
     kin = kinematics(tree, state)
     bodies = world.bodies(kin, h)
     wrench = weight(bodies)
@@ -127,6 +128,8 @@ def static_forces(
     on_joints = joints.torque_on_each(kin.axes, beyond)
     total, turning = force.sum(1), about.sum(1)
     on_root = total, turning - cross(state.position, total)
+    if tree.hanging is not None:
+        on_root = jnp.zeros_like(total), jnp.zeros_like(turning)
     return jnp.concatenate([*on_root, on_joints + joint_torque(tree, state.q)]), touch
 
 
@@ -174,11 +177,13 @@ def next_friction(
 
 
 def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
-    """Return the torque of springs, soft limits and motors that hold the neutral angle, N m."""
+    """Return the torque of springs, limits, tendons and motors that hold the neutral pose, N m."""
     zero = jnp.zeros_like(q)
     state = resting_state(tree, (), q.dtype, angles=q)
     motor = clamp_torque(tree, motor_torque(tree, state, MotorCommand(zero), 0.0).start)
-    return passive_torque(tree, state, 0.0)[0] + limit_torque(tree, q, zero, 0.0)[0] + motor
+    own = passive_torque(tree, state, 0.0)[0] + limit_torque(tree, q, zero, 0.0)[0] + motor
+    tendons = tree.tendons
+    return own if tendons is None else own + torque_of(tendons, static_force(tendons, q), len(q))
 
 
 def radius_of_gyration(tree: Tree) -> float:

@@ -27,10 +27,11 @@ from evo_cpg.physics.equations import (
     with_mean_products,
 )
 from evo_cpg.physics.holding import holding_wrench
-from evo_cpg.physics.joint_torque import MotorCommand
+from evo_cpg.physics.joint_torque import Laws, MotorCommand
 from evo_cpg.physics.muscle import metabolic_power
 from evo_cpg.physics.state import State, integrate
 from evo_cpg.physics.step_solver import coldstart, solve_step
+from evo_cpg.physics.tendon import length_of, torque_of
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 
@@ -39,7 +40,8 @@ class Effort(NamedTuple):
     """Motor and contact forces of one step.
 
     Attributes:
-        torque: torque of the motor or the muscles on each axis at the end of the step, N m.
+        torque: torque of the motor or the muscles on each axis at the end of the step, and of
+            motors that pull by tendons, N m.
         energy: energy of all motors, the sum of |torque x rate| over the step, and metabolic energy
             of all muscles (`evo_cpg.physics.muscle.metabolic_power`), J.
         contact_frame_force: force of the ground on every contact point, in its contact frame (two
@@ -51,6 +53,8 @@ class Effort(NamedTuple):
         warmstart: warm start of the next step, or None if no iteration is needed.
         holding: moment (N m) and force (N) that hold the root still, in world axes, or None for a
             free root.
+        tension: forces of the motors of tendons (`evo_cpg.creature.creature.Tendon`), or None
+            without tendons.
     """
 
     torque: Float[Array, "d *n"]
@@ -61,6 +65,7 @@ class Effort(NamedTuple):
     residual: Residual | None = None
     warmstart: Warmstart | None = None
     holding: Float[Array, "6 *n"] | None = None
+    tension: Float[Array, "t *n"] | None = None
 
 
 def step(
@@ -97,8 +102,10 @@ def first_warmstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> W
 
 def needs_iteration(world: World) -> bool:
     """Return whether steps of a world need iteration, because the force laws have kinks."""
-    contact = world.contact_model is not None or world.pairs is not None
-    return contact or world.tree.dry_friction is not None or _can_overload(world.tree)
+    if world.contact_model is not None or world.pairs is not None:
+        return True
+    each = world.tree, world.tree.tendons
+    return any(x is not None and (x.dry_friction is not None or _can_overload(x)) for x in each)
 
 
 def _step(
@@ -122,8 +129,9 @@ def _step(
         equations = with_mean_products(world, h, equations, *first)
         # Both solves have the same matrix, only their forces differ.
         found = solve_at_once(world, h, equations)
-    motor = equations.motor.at(world.tree, found.qdd, h)
-    solution = StepSolution(found.root, found.qdd, motor)
+    motor, tendons = equations.motor.at(world.tree, found.qdd, h), equations.tendons
+    tension = None if tendons is None else tendons.commanded(found.qdd, h)
+    solution = StepSolution(found.root, found.qdd, motor, tension=tension)
     new_state, effort = _finish(world.tree, h, state, command, solution)
     if world.held:
         effort = effort._replace(
@@ -139,20 +147,23 @@ def _finish(
 ) -> tuple[State, Effort]:
     """Return the state after the step, and the forces."""
     with jax.named_scope("integrate"):
-        new_state = integrate(state, solution.root, solution.qdd, h)
+        new_state = integrate(tree, state, solution.root, solution.qdd, h)
     power = jnp.abs(solution.torque * 0.5 * (state.qd + new_state.qd))
     if tree.muscles is not None:
         driven = expand_dims_like(np.array(tree.muscles.driven), power).astype(bool)
         rate = 0.5 * (state.qd + new_state.qd)
         power = jnp.where(driven, metabolic_power(tree.muscles, command.activation, rate), power)
-    energy = h * power.sum(0)
+    energy, torque = h * power.sum(0), solution.torque
+    if tree.tendons is not None and solution.tension is not None:
+        pull = torque_of(tree.tendons, solution.tension, len(torque))
+        rate = length_of(tree.tendons, 0.5 * (state.qd + new_state.qd))
+        energy, torque = energy + h * jnp.abs(solution.tension * rate).sum(0), torque + pull
     forces = (None, None) if solution.contact is None else solution.contact
-    return new_state, Effort(
-        solution.torque, energy, *forces, solution.pairs, solution.residual, solution.warmstart
-    )
+    ends = solution.pairs, solution.residual, solution.warmstart
+    return new_state, Effort(torque, energy, *forces, *ends, tension=solution.tension)
 
 
-def _can_overload(tree: Tree) -> bool:
+def _can_overload(tree: Laws) -> bool:
     """Return whether any motor may have a torque limit. Traced limits count as limits."""
     gains = tree.servo_gain, tree.servo_stiffness
     if not isinstance(tree.torque_limit, np.ndarray):

@@ -12,6 +12,7 @@ derivatives of the potentials are the laws at the end of the step:
 - friction: Huber's function, which sticks up to the radius of the friction cone and then slides,
 - dry friction of a joint: Huber's function, too, with a given torque,
 - motors: the servo's torque up to the torque limit. Muscles have no limit.
+- tendons: the laws of joints, with the tendon's length for the angle.
 
 The problem has generalized coordinates (`evo_cpg.physics.generalized`), because there are few. The
 points have the Jacobian J and the velocities ``v = v_0 + h J y``. Laws linearized as
@@ -46,7 +47,7 @@ from evo_cpg.physics.contact import (
 )
 from evo_cpg.physics.equations import Equations
 from evo_cpg.physics.generalized import body_accelerations, generalized_force, mass_matrix
-from evo_cpg.physics.joint_torque import clamp_torque, friction_torque, limit_torque, overloaded
+from evo_cpg.physics.joint_torque import changes_overload, linearized_torque
 from evo_cpg.physics.pair_contacts import PairForces
 from evo_cpg.physics.root import (
     joint_part,
@@ -55,16 +56,14 @@ from evo_cpg.physics.root import (
     plus_torque,
 )
 from evo_cpg.physics.spatial_algebra import Wrench
+from evo_cpg.physics.tendon import TendonForce
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import dot, expand_dims_like, matvec, where_each
+from evo_cpg.spatial.linear import dot, matvec, where_each
 from evo_cpg.spatial.numerics import Number, xp
 
 # Fraction of the other forces (drag, springs, velocity products) in the norm of all forces. It
 # matters only if there is neither weight nor load nor torque.
 _OTHER_FORCES = 1e-3
-
-# Torques count as equal if they differ by less than this fraction of the motor's limit.
-_SAME_TORQUE = 1e-3
 
 # Turn of a joint in a step (rad) beyond which the initial mass matrix is wrong at the end.
 _LARGEST_TURN = 0.3
@@ -85,12 +84,14 @@ class Linearization(NamedTuple):
         derivative: decrease of that torque per end-of-step rate, N m s/rad.
         contact: laws of the contact points, or None without ground.
         pairs: forces of the pairs, or None if no pair can touch.
+        tendons: force of motors, limits and friction of tendons, or None without tendons.
     """
 
     torque: Float[Array, "d *n"]
     derivative: Float[Array, "d *n"]
     contact: ContactLinearization | None
     pairs: PairForces | None
+    tendons: TendonForce | None = None
 
 
 class StepProblem(NamedTuple):
@@ -117,6 +118,8 @@ class StepProblem(NamedTuple):
         mass = plus_joint_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
         force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
         force = plus_torque(force, equations.passive)
+        if equations.tendons is not None:
+            mass, force = equations.tendons.springs().added_to(mass, force)
         return cls(world, h, equations, mass, force)
 
     def with_restitution(self, restitution: Float[Array, "*n"]) -> "StepProblem":
@@ -164,22 +167,15 @@ class StepProblem(NamedTuple):
         """
         tree, equations = self.world.tree, self.equations
         state, motor = equations.state, equations.motor
-        commanded = self.commanded_torque(qdd)
-        over = overloaded(tree, commanded)
-        torque = jnp.where(over, clamp_torque(tree, commanded), motor.start)
-        derivative = jnp.where(over, 0.0, motor.derivative(tree, self.h))
-        change = self.h * qdd
-        stop, stop_derivative = limit_torque(tree, state.q, state.qd + change, self.h)
-        torque, derivative = torque + stop + stop_derivative * change, derivative + stop_derivative
-        if tree.dry_friction is not None:
-            rub, rub_derivative = friction_torque(tree, state.qd + change, self.h)
-            torque, derivative = torque + rub + rub_derivative * change, derivative + rub_derivative
+        torque, derivative = linearized_torque(tree, motor, state, qdd, self.h)
         contact_model, contacts, linear = self.world.contact_model, self.equations.contacts, None
         if contact_model is not None and contacts is not None and velocity is not None:
             linear = linearize_contacts(contact_model, contacts, radius, velocity, self.h)
         apart = self.equations.pairs
         pushes = None if apart is None else apart.at(qdd)
-        return Linearization(torque, derivative, linear, pushes)
+        tendons = equations.tendons
+        pulls = None if tendons is None else tendons.linearized(qdd, self.h)
+        return Linearization(torque, derivative, linear, pushes, pulls)
 
     def motion(self, linear: Linearization) -> Float[Array, "v *n"]:
         """Return the accelerations under linearized laws.
@@ -187,8 +183,9 @@ class StepProblem(NamedTuple):
         Elimination in generalized coordinates loses digits with the number of joints in a chain.
         With 40 joints on the ground float32 has none left. Long creatures are therefore solved body
         by body, except in steps in which pairs push, because these join branches of the tree.
+        Tendons join branches in every step.
         """
-        if not _is_long(self.world.tree):
+        if linear.tendons is not None or not _is_long(self.world.tree):
             return self._by_elimination(linear)
         free = self._body_by_body(linear)
         if linear.pairs is None:
@@ -213,6 +210,8 @@ class StepProblem(NamedTuple):
         if linear.pairs is not None:
             pushes, stiffening = linear.pairs.newton()
             torque, matrix = torque + pushes, plus_joint_block(matrix, stiffening)
+        if linear.tendons is not None:
+            matrix, force = linear.tendons.added_to(matrix, force)
         return solve_symmetric(matrix, plus_torque(force, torque))
 
     def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
@@ -268,8 +267,11 @@ class StepProblem(NamedTuple):
         return matvec(self.mass, y) - self.force
 
     def torque(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "d *n"]:
-        """Return the torque of motors and limits of joints under linearized laws, N m."""
-        return linear.torque - self.h * linear.derivative * joint_part(y)
+        """Return the torque of motors and limits of joints and tendons, linearized, N m."""
+        torque = linear.torque - self.h * linear.derivative * joint_part(y)
+        if linear.tendons is None:
+            return torque
+        return torque + linear.tendons.torque(joint_part(y))
 
     def coulomb_error(
         self,
@@ -343,19 +345,10 @@ class StepProblem(NamedTuple):
         `step_solver.free_motion` holds motors at their limits, and joints at sticking or sliding.
         Its torques are then wrong.
         """
-        tree, without = self.world.tree, self.equations.motor.start
-        commanded = self.commanded_torque(joint_part(y))
-        given = clamp_torque(tree, commanded)
-        stays = jnp.where(overloaded(tree, without), clamp_torque(tree, without), commanded)
-        least = _SAME_TORQUE * expand_dims_like(tree.torque_limit, given) + _NONE
-        changes = (jnp.abs(given - stays) > least).any(0)
-        if tree.dry_friction is None:
-            return changes
-        rate, change = self.equations.state.qd, self.h * joint_part(y)
-        before, slope = friction_torque(tree, rate, self.h)
-        after, _ = friction_torque(tree, rate + change, self.h)
-        least = _SAME_TORQUE * expand_dims_like(tree.dry_friction.loss, after) + _NONE
-        return changes | (jnp.abs(after - before + slope * change) > least).any(0)
+        equations, qdd, h = self.equations, joint_part(y), self.h
+        found = changes_overload(self.world.tree, equations.motor, equations.state, qdd, h)
+        tendons = equations.tendons
+        return found if tendons is None else found | tendons.changes_overload(qdd, h)
 
     def commanded_torque(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Return the torques that motors and muscles command at the end of the step, N m."""

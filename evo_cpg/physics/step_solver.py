@@ -335,7 +335,10 @@ def _solution(
     solved = jax.lax.stop_gradient(problem.residual(y, linear))
     friction = jax.lax.stop_gradient(problem.coulomb_error(radius, allowed, velocity, linear))
     motor = clamp_torque(problem.world.tree, problem.commanded_torque(qdd))
+    tendons, tension = problem.equations.tendons, None
+    if tendons is not None:
+        tension = clamp_torque(tendons.tendons, tendons.commanded(qdd, problem.h))
     push = None if linear.pairs is None else linear.pairs.force
     warmstart = Warmstart(qdd, velocity, allowed)
     residual = Residual(solved, solved + friction)
-    return StepSolution(root_part(y), qdd, motor, forces, push, residual, warmstart)
+    return StepSolution(root_part(y), qdd, motor, forces, push, residual, warmstart, tension)

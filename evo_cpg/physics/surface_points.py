@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.spatial.decisions import Condition, all_hold, chosen
-from evo_cpg.spatial.numerics import Numbers, xp
+from evo_cpg.spatial.numerics import Numbers, smooth_step, xp
 
 # Decimals to which equal numbers are rounded, and tolerance for numbers to stay equal (m, m^2).
 _DECIMALS, _SAME = 9, 1e-9
@@ -50,8 +50,7 @@ def wet_fraction(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[A
     steepness = normals @ up
     spread = extents[:, None] * jnp.sqrt(1.0 - (1.0 - _LEAST_SLOPE**2) * steepness * steepness)
     # Points with the same normal and area share the quotient.
-    fraction = jnp.clip(0.5 - (height + points @ up) * (0.5 / spread), 0.0, 1.0)
-    return fraction * fraction * (3.0 - 2.0 * fraction)
+    return smooth_step(0.5 - (height + points @ up) * (0.5 / spread))
 
 
 def alike(surfaces: Sequence[tuple[tuple[Numbers, ...], ...]]) -> list[tuple[int, ...]]:

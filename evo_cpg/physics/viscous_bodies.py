@@ -81,7 +81,10 @@ def make_viscous_drag(
     wetted: list[Wetted] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
     places: list[Places] = [None] * tree.body_count  # pyright: ignore[reportAssignmentType]
     runs_along = [xp.zeros(2)] * tree.body_count
+    mass = tree.rigid_mass
     for chain in slender_chains(creature):
+        if not creature.bodies[chain.bodies[0]].shape.exists:
+            continue
         shape = outline(creature, chain)
         names = [creature.bodies[body].name for body in chain.bodies]
         fine = creature.bodies[chain.bodies[0]].shape.surface(_FINE)
@@ -91,24 +94,29 @@ def make_viscous_drag(
         for i, name in enumerate(names):
             k = tree.names.index(name)
             surface, coefficients = points[i]
-            placed = surface._replace(points=surface.points + tree.com[None, :, k])
+            placed = surface._replace(points=surface.points + tree.centre[None, :, k])
             places[k] = places_of(placed)
             area, own = coefficients * surface.areas, skin[name]
             if len(names) == 1:
                 own = own._replace(areas=own.areas * _excess(own, fine))
-            wetted[k] = _wetted(shape, i, tree.com[:, k], placed, area, own, creep[i], tree.mass[k])
+            wetted[k] = _wetted(shape, i, tree.centre[:, k], placed, area, own, creep[i], mass[k])
             runs_along[k] = runs_here[i]
-    keys = [(tuple(own), tuple(place)) for own, place in zip(wetted, places, strict=True)]
-    groups = (
+    wet = [k for k, own in enumerate(wetted) if own is not None]
+    keys = [(tuple(wetted[k]), tuple(places[k])) for k in wet]
+    found = (
         chosen(lambda: alike(keys), lambda found: still_alike(keys, found))
         if layout == "merged"
         else [(i,) for i in range(len(keys))]
     )
+    groups = [tuple(wet[i] for i in bodies) for bodies in found]
     patches = []
     for bodies in groups:
         own = wetted[bodies[0]]
         if layout == "merged" and not surfacing:
             normal, area = merge_alike(own.normal, own.form)
+            if len(own.dip) > 1:
+                _, dip = merge_alike(own.normal, own.form * own.dip)
+                own = own._replace(dip=dip / xp.maximum(area, _TINY**2))
             own = own._replace(normal=normal, form=area)
         forward, backward = xp.stack([runs_along[body] for body in bodies], -1)
         patches.append(
@@ -145,7 +153,7 @@ def _form_points(
     """
     normals = [surface.normals @ turn for surface, turn in zip(surfaces, shape.axes, strict=True)]
     every, areas = xp.concatenate(normals), xp.concatenate([s.areas for s in surfaces])
-    coefficients = form_drag_coefficients(shape.sizes, shape.sharpness)
+    coefficients = form_drag_coefficients(shape.sizes, shape.sharpness, shape.bluntness)
     fronts = xp.stack([0.5 * s.areas @ xp.abs(n) for s, n in zip(surfaces, normals, strict=True)])
     total = fronts.sum(0)
     if len(surfaces) == 1:
@@ -217,7 +225,7 @@ def _runs_along(shape: Outline) -> Float[Numbers, "n 2"]:
 def _wetted(
     shape: Outline,
     i: int,
-    com: Float[Numbers, " 3"],
+    middle: Float[Numbers, " 3"],
     placed: Surface,
     form: Float[Numbers, " p"],
     skin: Surface,
@@ -226,10 +234,10 @@ def _wetted(
 ) -> Wetted:
     """Return the constants of a body of a chain in its working frame."""
     turn, half = shape.axes[i], xp.maximum(shape.halves[i], _TINY)
-    along = xp.concatenate([xp.cross(com[None], turn.T), turn.T], 1)
+    along = xp.concatenate([xp.cross(middle[None], turn.T), turn.T], 1)
     motion = xp.concatenate([along, xp.concatenate([turn.T, np.zeros((3, 3))], 1)])
     normal, _, _ = velocity_rows(placed)
-    _, first, second = velocity_rows(skin._replace(points=skin.points + com))
+    _, first, second = velocity_rows(skin._replace(points=skin.points + middle))
     friction = (first.T * skin.areas) @ first + (second.T * skin.areas) @ second
     axes = xp.concatenate([motion[3:], motion[:3]])
     # The path of the water across the centreline is that around the body. A chain that is shorter
@@ -243,6 +251,10 @@ def _wetted(
     turning = xp.array([[0.0 if j == k else spread[3 - j - k] for k in range(3)] for j in range(3)])
     # The inertia of an ellipsoid of these sizes.
     inertia = xp.concatenate([0.2 * mass * (square.sum() - square), xp.stack([mass] * 3)])
+    dip = xp.array([_DIP * (1 - shape.sharpness)])
+    if shape.blunt[i]:
+        # The flow leaves flat ends at their edge, at any speed.
+        dip = dip * (1 - xp.square(placed.normals[:, 0]))
     return Wetted(
         normal=normal,
         form=form,
@@ -255,5 +267,5 @@ def _wetted(
         fade=xp.array([_CREEPING * xp.sqrt(inverse[1] * inverse[2])]),
         transition=xp.array([_TRANSITION if len(shape.axes) > 1 else _TRANSITION / _ALONE]),
         diameter=xp.array([2 * xp.sqrt(half[1] * half[2])]),
-        dip=xp.array([_DIP * (1 - shape.sharpness)]),
+        dip=dip,
     )

@@ -71,7 +71,7 @@ class Wetted(NamedTuple):
         fade: rate below which the boundary layer fades out, over the kinematic viscosity, 1/m^2.
         transition: Re_x of the transition to turbulent friction.
         diameter: thickness of the body, m.
-        dip: depth of the dip of form drag.
+        dip: depth of the dip of form drag, for the body or for each of its points.
     """
 
     normal: Float[Numbers, "p 6"]
@@ -85,7 +85,7 @@ class Wetted(NamedTuple):
     fade: Float[Numbers, " 1"]
     transition: Float[Numbers, " 1"]
     diameter: Float[Numbers, " 1"]
-    dip: Float[Numbers, " 1"]
+    dip: Float[Numbers, " q"]
 
 
 class ViscousPatch(NamedTuple):
@@ -140,6 +140,10 @@ class ViscousDrag(ForceLaw):
             for run in runs(patch.bodies):
                 part = [x[:, run] for x in inputs]
                 pieces.append((run.start, *self._patch(bodies, patch, run, *part)))
+        batch, dtype = velocity.shape[2:], velocity.dtype
+        none = jnp.zeros((6, 1, *batch), dtype), jnp.zeros((3, 3, 3, 1, *batch), dtype)
+        wet = {body for patch in self.patches for body in patch.bodies}
+        pieces += [(body, *none) for body in range(velocity.shape[1]) if body not in wet]
         _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
         derivative = jnp.concatenate(derivatives, 3)
         return (Part(jnp.concatenate(wrenches, 1), bodies.h * derivative),)
@@ -190,7 +194,10 @@ class ViscousDrag(ForceLaw):
         rate = jnp.sqrt(product(own.rate, squares) + squares[:1] * along + _RATE_FLOOR)
         friction = (self.factor * density) * _friction(own, speed, rate, viscosity)
         y = jnp.sqrt(speed) * (own.diameter[0] / (_DIP_RE * viscosity))
-        below = own.dip[0] * y / ((1.0 + y) * (1.0 + y))
+        # Flat ends have no dip, so each point of a cylinder has its own.
+        of_points = len(own.dip) > 1
+        depth = own.dip[:, None] if of_points else own.dip[0]
+        below = depth * y / ((1.0 + y) * (1.0 + y))
         dip = 1.0 - 4.0 * below
         # Half the slope of dip * speed^2.
         in_step = dip - 2.0 * below * (1.0 - y) / (1.0 + y)
@@ -202,9 +209,15 @@ class ViscousDrag(ForceLaw):
             pressure = pressure * wet_fraction(patch.places, pose)
             friction, creep = friction * under.reshape(1, -1), creep * under.reshape(1, -1)
         form = (0.5 * self.factor * self.form_drag) * density * own.form
-        wrench = dip * -product(own.normal.T * form[None], pressure * normal)
+        if of_points:
+            wrench = -product(own.normal.T * form[None], dip * pressure * normal)
+        else:
+            wrench = dip * -product(own.normal.T * form[None], pressure * normal)
         wrench = wrench - friction * product(own.friction, flat) - creep * product(own.creep, flat)
-        derivative = in_step * product(patch.outer * form[None], pressure)
+        if of_points:
+            derivative = product(patch.outer * form[None], in_step * pressure)
+        else:
+            derivative = in_step * product(patch.outer * form[None], pressure)
         derivative = derivative + (_FRICTION_IN_STEP * friction) * _blocks(own.friction, flat)
         z = bodies.h * self.factor * self.viscosity * own.decay[0]
         derivative = derivative + ((1 + z) / (2 + z) * creep) * _blocks(own.creep, flat)

@@ -5,6 +5,7 @@ import math
 from typing import TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -64,6 +65,11 @@ class World(eqx.Module):
     def law(self, kind: type[_Law]) -> _Law | None:
         """Return the first force law of a kind, or None if there is none."""
         return next((law for law in self.forces if isinstance(law, kind)), None)
+
+    @property
+    def weight(self) -> Float[Array, ""]:
+        """Weight of the animal out of the water, N."""
+        return jnp.asarray(self.tree.mass).sum() * self.gravity
 
     @property
     def water_level(self) -> Number:

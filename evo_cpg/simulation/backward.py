@@ -16,6 +16,7 @@ horizontal position's gradient.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeVar
@@ -25,10 +26,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import Literal
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from evo_cpg.fusion import machine_constants
 from evo_cpg.physics.state import State
+from evo_cpg.spatial.linear import expand_dims_like
 
 Carry = TypeVar("Carry")
 Values = TypeVar("Values")
@@ -50,11 +52,14 @@ class Backward(NamedTuple):
         copies: number of copies of the trial that `jax.vmap` computes at once in the same memory.
         rough: True for motion over ground, where gradients may grow a millionfold in 0.1 s. Their
             norm is then limited, and the gradient of the height fades, too.
+        slides: degrees of freedom on which a root slides. Their gradients are those of its
+            position, so they neither fade nor are limited.
     """
 
     retention: Float[Array, " *#n"] | float | None = None
     copies: int = 1
     rough: bool = False
+    slides: tuple[int, ...] = ()
 
     def scan(self, advance: Callable, carry: Carry, steps: int) -> Carry:
         """Run `jax.lax.scan` over the step numbers 0, 1, ..., and return the last carry.
@@ -98,11 +103,14 @@ class Backward(NamedTuple):
             kept = jnp.asarray(self.retention, state.q.dtype)
             moving = {name: getattr(state, name) for name in _FADING}
             moving, nerves = _fading((moving, nerves), kept)
+            if self.slides:
+                stays = expand_dims_like(_is_slide(self.slides, state.q), state.q)
+                moving["q"] = jnp.where(stays, state.q, moving["q"])
             if self.rough:
                 height = _fading(state.position[2:], kept)
                 moving["position"] = jnp.concatenate([state.position[:2], height])
             state = dataclasses.replace(state, **moving)
-        return _cut(state) if self.rough else state, nerves
+        return _cut(self.slides, state) if self.rough else state, nerves
 
 
 def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[np.ndarray, " *n"]:
@@ -150,22 +158,33 @@ def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> t
     return x, factor.reshape(*rows, *factor.shape) * gradient
 
 
-@jax.custom_vjp
-def _cut(state: State) -> State:
+def _is_slide(slides: tuple[int, ...], q: Float[Array, "d *n"]) -> Bool[np.ndarray, " d"]:
+    """Return which degrees of freedom are slides of the root."""
+    return np.isin(np.arange(len(q)), slides)
+
+
+@functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
+def _cut(slides: tuple[int, ...], state: State) -> State:
     """Return the state unchanged, with the norm of its gradient limited by `_STEEPEST`.
 
-    If the gradient of the horizontal position is zero, there is no limit.
+    If the gradient of the horizontal position, or of the slides, is zero, there is no limit.
     """
+    del slides
     return state
 
 
-def _cut_forward(state: State) -> tuple[State, None]:
+def _cut_forward(slides: tuple[int, ...], state: State) -> tuple[State, None]:
+    del slides
     return state, None
 
 
-def _cut_backward(_: None, gradient: State) -> tuple[State]:
+def _cut_backward(slides: tuple[int, ...], _: None, gradient: State) -> tuple[State]:
     place, height = gradient.position[:2], gradient.position[2:]
     moving = {name: getattr(gradient, name) for name in _FADING}
+    stays = expand_dims_like(_is_slide(slides, gradient.q), gradient.q)
+    if slides:
+        place = jnp.concatenate([place, gradient.q[np.array(slides)]])
+        moving["q"] = jnp.where(stays, 0.0, gradient.q)
     size = jnp.sqrt(sum((x * x).sum(0) for x in (height, *moving.values())))
     horizontal = jnp.sqrt((place * place).sum(0))
     most = jnp.where(horizontal > 0, _STEEPEST * horizontal, jnp.inf)
@@ -177,7 +196,13 @@ def _cut_backward(_: None, gradient: State) -> tuple[State]:
 
     place = jnp.where(jnp.isfinite(place), place, 0.0)
     cut = {name: shrink(x) for name, x in moving.items()}
-    return (State(position=jnp.concatenate([place, shrink(height)]), **cut),)
+    if slides:
+        whole = jnp.where(jnp.isfinite(gradient.q), gradient.q, 0.0)
+        cut["q"] = jnp.where(stays, whole, cut["q"])
+        place = place[:2]
+    return (
+        dataclasses.replace(gradient, position=jnp.concatenate([place, shrink(height)]), **cut),
+    )
 
 
 _cut.defvjp(_cut_forward, _cut_backward)

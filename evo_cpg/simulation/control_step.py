@@ -187,7 +187,8 @@ def push(
     duration = 1.0 / simulation.control_rate
 
     def disturb(state: State, keys: Array | None) -> State:
-        return disturb_motion(simulation.noise, state, keys, index, duration)
+        tree = simulation.world.tree
+        return disturb_motion(simulation.noise, tree, state, keys, index, duration)
 
     ndim = animal.state.position.ndim - 1
     return animal._replace(
@@ -243,6 +244,13 @@ def act(
     return fuse(controller.act, *given, batch_ndim=ndim, name=name)
 
 
+def motor_command(command: Command) -> MotorCommand:
+    """Return the part of a controller's command that moves motors and muscles."""
+    return MotorCommand(
+        command.target_rate, command.target_angle, command.activation, command.torque
+    )
+
+
 def move(
     simulation: Simulation,
     constants: EpisodeConstants,
@@ -254,9 +262,7 @@ def move(
     """Take the physics steps of a control step (see `control_step`)."""
     world, h, state = simulation.world, simulation.step_length, animal.state
     batch = state.position.shape[1:]
-    motors = MotorCommand(
-        command.target_rate, command.target_angle, command.activation, command.torque
-    )
+    motors = motor_command(command)
 
     def advance(carry, _):
         before, warmstart, energy, airborne, forces, ground_force, residual = carry

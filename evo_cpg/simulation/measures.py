@@ -13,6 +13,8 @@ place of the root's centre. If there is ground, only the horizontal distance cou
 | ``duty_factor`` | fraction of time on the ground, mean of the bodies that ever touch it | - |
 | ``limb_duty_factor`` | the same of whole limbs, without trunk and tail | - |
 | ``airborne`` | fraction of time in which nothing touches the ground | - |
+| ``relative_slip`` | slip speed on the ground / speed (`evo_cpg.simulation.foot_slip`) | - |
+| ``stride_length`` | distance / number of strides, from ``frequency`` | m |
 | ``frequency`` | sign changes of a joint's velocity / (2 x duration), mean of all joints | Hz |
 | ``amplitude`` | standard deviation of the joints' angles, mean of all joints | rad |
 | ``turning`` | mean angular velocity of the root about the vertical, to the left | rad/s |
@@ -29,6 +31,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, PyTree
 
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.foot_slip import Slip, no_slip, slip_of_step
 from evo_cpg.simulation.task import Transition
 
 # Smallest distance (m) to divide by, so that an animal that stays in place has a finite cost.
@@ -120,9 +123,8 @@ class CostOfTransport(Measure):
 
     def finish(self, tally: Spent, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
-        weight = jnp.asarray(trial.world.tree.mass).sum() * trial.world.gravity
         moved = distance(tally.displacement, trial.world)
-        return tally.energy / (weight * jnp.maximum(moved, _NOWHERE))
+        return tally.energy / (trial.world.weight * jnp.maximum(moved, _NOWHERE))
 
 
 class _Total(Measure):
@@ -205,6 +207,31 @@ class Frequency(Measure):
         return tally.changes.sum(0) / (2.0 * tally.changes.shape[0] * trial.duration)
 
 
+class Stepped(NamedTuple):
+    """Strides so far, and displacement of the root."""
+
+    strides: Strides
+    displacement: Displacement
+
+
+class StrideLength(Measure):
+    """Distance divided by the number of strides, m. Less than one stride counts as one."""
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Stepped:
+        """See `Measure.begin`."""
+        return Stepped(Frequency().begin(world, batch, dtype), no_displacement(batch, dtype))
+
+    def update(self, tally: Stepped, transition: Transition) -> Stepped:
+        """See `Measure.update`."""
+        displacement = Speed().update(tally.displacement, transition)
+        return Stepped(Frequency().update(tally.strides, transition), displacement)
+
+    def finish(self, tally: Stepped, trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        strides = Frequency().finish(tally.strides, trial) * trial.duration
+        return distance(tally.displacement, trial.world) / jnp.maximum(strides, 1.0)
+
+
 class Swing(NamedTuple):
     """Time integrals of the joints' angles and of their squares."""
 
@@ -230,6 +257,31 @@ class Amplitude(Measure):
         mean = tally.angle / trial.duration
         variance = jnp.maximum(tally.square / trial.duration - mean * mean, 0.0)
         return jnp.sqrt(variance).sum(0) / variance.shape[0]
+
+
+class Slid(NamedTuple):
+    """Sums of the slip so far, and displacement of the root."""
+
+    slip: Slip
+    displacement: Displacement
+
+
+class RelativeSlip(Measure):
+    """Slip speed of everything that touches the ground, divided by the speed."""
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Slid:
+        """See `Measure.begin`."""
+        return Slid(no_slip(batch, dtype), no_displacement(batch, dtype))
+
+    def update(self, tally: Slid, transition: Transition) -> Slid:
+        """See `Measure.update`."""
+        displacement = Speed().update(tally.displacement, transition)
+        return Slid(tally.slip.plus(slip_of_step(transition)), displacement)
+
+    def finish(self, tally: Slid, trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        moved = jnp.maximum(distance(tally.displacement, trial.world), _NOWHERE)
+        return tally.slip.speed() * trial.duration / moved
 
 
 class DutyFactor(Measure):
@@ -287,13 +339,15 @@ MEASURES: dict[str, type[Measure]] = {
     "frequency": Frequency,
     "limb_duty_factor": LimbDutyFactor,
     "power": Power,
+    "relative_slip": RelativeSlip,
     "speed": Speed,
+    "stride_length": StrideLength,
     "tilt": Tilt,
     "turning": Turning,
 }
 
 # Measures that mean nothing without ground.
-GROUND_MEASURES = ("airborne", "duty_factor", "limb_duty_factor")
+GROUND_MEASURES = ("airborne", "duty_factor", "limb_duty_factor", "relative_slip")
 
 
 class Measures(eqx.Module):

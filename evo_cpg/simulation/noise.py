@@ -6,10 +6,15 @@ the trial alone (see `evo_cpg.training.experiment.trial_keys`).
 
 The friction of the ground varies between trials. It is constant within a trial.
 
+A root that hangs on the world has no tilt, and a push moves it along its slides only. Slides start
+without noise. If the noise would let the animal penetrate the ground, the root is lifted, or the
+frame on which it hangs.
+
 The push is a random walk added to the root's velocity. Its standard deviation over a time t is
 ``push sqrt(t)``, for any length of a control step.
 """
 
+import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
@@ -19,6 +24,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Shaped, UInt32
 
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics import hanging
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
@@ -72,27 +79,30 @@ def disturb_start(
         return state
     tree = world.tree
     turn, bend = jnp.split(_normals(keys, _START, 2 + tree.dof_count), [2])
+    if "slide" in tree.dof_kinds:
+        turns = np.array([kind != "slide" for kind in tree.dof_kinds], float)
+        bend = bend * expand_dims_like(turns, bend)
     # Rotate by the rotation vector: an angular velocity of this size for one second.
     tilt = noise.tilt * jnp.concatenate([turn, jnp.zeros_like(turn[:1])])
     lower, upper = (expand_dims_like(limit, state.q) for limit in (tree.lower, tree.upper))
-    state = State(
-        state.position,
-        state.orientation
-        if _is_none(noise.tilt)
-        else integrate_quaternion(state.orientation, tilt, 1.0),
-        state.velocity,
-        jnp.clip(state.q + noise.joint_angle * bend, lower, upper),
-        state.qd,
-    )
+    orientation = state.orientation
+    if not _is_none(noise.tilt):
+        orientation = integrate_quaternion(orientation, tilt, 1.0)
+    q = jnp.clip(state.q + noise.joint_angle * bend, lower, upper)
+    state = dataclasses.replace(state, orientation=orientation, q=q).placed(tree)
     if world.contact_model is None:
         return state
     depth = -clearance(world.contact_model, kinematics(tree, state)).min(0)
     lift = [jnp.zeros_like(state.position[:2]), jnp.maximum(depth, 0.0)[None]]
+    if state.base is not None:
+        base = state.base._replace(position=state.base.position + jnp.concatenate(lift))
+        return dataclasses.replace(state, base=base).placed(tree)
     return eqx.tree_at(lambda s: s.position, state, state.position + jnp.concatenate(lift))
 
 
 def disturb_motion(
     noise: Noise,
+    tree: Tree,
     state: State,
     keys: UInt32[Array, "w *n"] | None,
     index: Array,
@@ -102,6 +112,7 @@ def disturb_motion(
 
     Args:
         noise: sizes of the noise.
+        tree: the creature.
         state: state before the push.
         keys: raw random keys of the trials, or None without noise.
         index: number of the control step.
@@ -110,6 +121,10 @@ def disturb_motion(
     if keys is None or _is_none(noise.push):
         return state
     push = noise.push * float(np.sqrt(duration)) * _normals(keys, _PUSH, 3, index)
+    if state.base is not None:
+        slides = np.array(tree.root_slides, int)
+        along = hanging.pushed(tree, state.base, state.q, push) if len(slides) else push[:0]
+        return dataclasses.replace(state, qd=state.qd.at[slides].add(along)).placed(tree)
     velocity = state.velocity + jnp.concatenate([jnp.zeros_like(push), push])
     return eqx.tree_at(lambda s: s.velocity, state, velocity)
 

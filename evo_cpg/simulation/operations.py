@@ -121,10 +121,9 @@ def _counts(simulation: Simulation) -> dict[str, dict[str, float]]:
 
 def _on_ground(tree: Tree, contact_model: ContactModel) -> dict[str, float]:
     meshes = contact_model.meshes.shape[-1]
-    boxes, balls, ellipsoids = (
-        part.shape[-1]
-        for part in (contact_model.boxes, contact_model.radii, contact_model.semi_axes)
-    )
+    # A cylinder has as many points as a box.
+    boxes = contact_model.boxes.shape[-1] + contact_model.cylinders.shape[-1]
+    balls, ellipsoids = contact_model.radii.shape[-1], contact_model.semi_axes.shape[-1]
     points = CORNERS * (boxes + meshes) + balls + ellipsoids
     return {
         "body": tree.body_count,

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.state import State
+from evo_cpg.simulation.control_step import motor_command
 from evo_cpg.simulation.observer import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
 
@@ -29,7 +30,7 @@ class PhysicsSteps(NamedTuple):
             the controller commands none.
         commanded_torque: commanded torque of each torque motor, N m, or 0 if the controller
             commands none.
-        torque: torque of the motors and muscles, N m.
+        torque: torque of the motors and muscles, those of tendons included, N m.
         contact_force: force of the ground on every contact point, world axes, N. No points without
             ground.
         pair_force: force between touching limbs, N. Empty if no limbs can touch.
@@ -38,6 +39,7 @@ class PhysicsSteps(NamedTuple):
         coulomb_residual: residual of Coulomb's law (`evo_cpg.physics.equations.Residual`), 0 if the
             physics solves each step exactly, without iterations.
         light: light seen by each eye in the control step, 0 to 1.
+        tension: forces of the motors of tendons, or None without tendons.
     """
 
     before: State
@@ -52,6 +54,7 @@ class PhysicsSteps(NamedTuple):
     solved_residual: Float[Array, " t"]
     coulomb_residual: Float[Array, " t"]
     light: Float[Array, "e t"]
+    tension: Float[Array, "k t"] | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,18 +72,11 @@ class EachPhysicsStep(Observer):
         command, observation = seen.effects.command, seen.effects.observation
         assert seen.effects.physics is not None
         before, after, effort = seen.effects.physics
-        rate, angle, activation = command.target_rate, command.target_angle, command.activation
-        none_given = jnp.zeros_like(rate)
-        relaxed = jnp.zeros((2, *rate.shape), rate.dtype)
-        held = (
-            rate,
-            none_given if angle is None else angle,
-            relaxed if activation is None else activation,
-            none_given if command.torque is None else command.torque,
-            observation.light,
+        held = *motor_command(command).filled(), observation.light
+        rates, angles, active, torques, light = jax.tree.map(
+            lambda x: x[None].repeat(len(before.q), 0), held
         )
-        rates, angles, active, torques, light = (x[None].repeat(len(before.q), 0) for x in held)
-        none = jnp.zeros((len(before.q), 0, *rate.shape[1:]), rate.dtype)
+        none = jnp.zeros_like(rates[:, :0])
         exact, residual = jnp.zeros_like(effort.energy), effort.residual
         steps = PhysicsSteps(
             before,
@@ -95,6 +91,7 @@ class EachPhysicsStep(Observer):
             exact if residual is None else residual.solved,
             exact if residual is None else residual.coulomb,
             light,
+            effort.tension,
         )
         return jax.tree.map(lambda x: x[..., 0], steps)
 

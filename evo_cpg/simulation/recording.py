@@ -187,9 +187,9 @@ def _frame(simulation: Simulation, full: bool, effects: Effects) -> dict[str, Ar
     world = simulation.world
     tree = world.tree
     kin = kinematics(tree, effects.before)
-    com = expand_dims_like(tree.com, kin.origin)
+    centre = expand_dims_like(tree.centre, kin.origin)
     residual = {} if effects.residual is None else effects.residual._asdict()
-    lever = (kin.rotation * com[None]).sum(1)
+    lever = (kin.rotation * centre[None]).sum(1)
     frame = {
         "position": kin.origin + lever,
         "rotation": kin.rotation,

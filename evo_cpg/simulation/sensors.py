@@ -55,7 +55,7 @@ def place_sensors(creature: Creature, tree: Tree) -> Sensors:
     ) -> tuple[tuple[int, ...], Numbers]:
         bodies = tuple(tree.names.index(sensor.body) for sensor in carried)
         positions = xp.array([sensor.position for sensor in carried], float).reshape(-1, 3).T
-        return bodies, positions + tree.com[:, np.array(bodies, int)]
+        return bodies, positions + tree.centre[:, np.array(bodies, int)]
 
     eye_bodies, eye_positions = place(eyes)
     depth_bodies, depth_positions = place(gauges)
@@ -91,12 +91,12 @@ def pressure_readings(
     bodies = np.array(sensors.pressure_bodies, int)
     if force is None or world.contact_model is None or not len(bodies):
         return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
-    owners = np.array(world.contact_model.bodies)
+    owners = _touching_bodies(world)
     normal = jnp.stack([take(force[2], np.flatnonzero(owners == i), 0).sum(0) for i in bodies])
     pressing = jnp.zeros_like(normal)
     if world.water is not None and world.water.surface is not None:
-        depth = _depth(world.water.surface, kin, bodies, world.tree.com[:, bodies])
-        area = expand_dims_like(world.tree.volume[bodies] ** (2 / 3), depth)
+        depth = _depth(world.water.surface, kin, bodies, world.tree.centre[:, bodies])
+        area = expand_dims_like(_volumes(world.tree)[bodies] ** (2 / 3), depth)
         pressing = world.water.density * world.gravity * jnp.maximum(depth, 0.0) * area
     return (normal > pressing).astype(normal.dtype)
 
@@ -113,9 +113,9 @@ def body_loads(world: World, force: Float[Array, "3 p *n"]) -> Float[Array, "b *
     count, none = len(world.tree.names), jnp.zeros_like(force[0, :0].sum(0))
     if world.contact_model is None:
         return jnp.stack([none] * count)
-    owners = np.array(world.contact_model.bodies)
+    owners = _touching_bodies(world)
     upward = [np.flatnonzero(owners == body) for body in range(count)]
-    weight = jnp.asarray(world.tree.mass, force.dtype).sum() * world.gravity
+    weight = jnp.asarray(world.weight, force.dtype)
     of_bodies = [take(force[2], own, 0).sum(0) if len(own) else none for own in upward]
     heavy = weight > 0
     return jnp.where(heavy, jnp.maximum(jnp.stack(of_bodies), 0.0), 0.0) / jnp.where(
@@ -134,6 +134,20 @@ def depth_readings(sensors: Sensors, world: World, kin: Kinematics) -> Float[Arr
         return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
     depth = _depth(world.water.surface, kin, bodies, sensors.depth_positions)
     return jnp.clip(depth / expand_dims_like(sensors.depth_scales, depth), 0.0, 1.0)
+
+
+def _touching_bodies(world: World) -> np.ndarray:
+    """Return the index of the body of each contact point. A further part counts as its body."""
+    assert world.contact_model is not None
+    return np.array(world.tree.wholes)[np.array(world.contact_model.bodies)]
+
+
+def _volumes(tree: Tree) -> Numbers:
+    """Return the volume of each body with its further parts, m^3."""
+    wholes = np.array(tree.wholes)
+    if (wholes == np.arange(len(wholes))).all():
+        return tree.volume
+    return xp.array([tree.volume[np.flatnonzero(wholes == i)].sum() for i in range(len(wholes))])
 
 
 def _depth(

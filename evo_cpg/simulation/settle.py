@@ -9,6 +9,8 @@ Feet slip only where friction cannot hold them.
 3. *Saddles.* A negative eigenvalue of the stiffness marks a saddle, such as a square log that
    floats on a flat side. Tip the creature in that direction and search again.
 
+A root that hangs on the world moves only by its own joint.
+
 Motors hold the neutral angle. Passive joints and motors with a spring yield under the load. A motor
 without a spring would hold any angle, so its joint stays fixed.
 
@@ -29,6 +31,7 @@ from jaxtyping import Array, Float, Int
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics import root
+from evo_cpg.physics.hanging import Base
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.statics import (
     FrictionState,
@@ -151,9 +154,8 @@ class Settling:
         self.world, self.h = world, h
         # Coordinates y are lengths in radii of gyration, and angles in rad. Forces are in units of
         # the weight, and moments in units of the weight times the radius of gyration.
-        self.free = np.flatnonzero(
-            np.concatenate([np.ones(root.ROOT_DOFS, bool), _is_compliant(tree)])
-        )
+        floats = np.full(root.ROOT_DOFS, tree.hanging is None)
+        self.free = np.flatnonzero(np.concatenate([floats, _is_compliant(tree)]))
         self.size = radius_of_gyration(tree)
         # If there is no gravity, forces keep their unit, N. Only springs act then, and they are at
         # rest already.
@@ -216,7 +218,7 @@ class Settling:
         self._require_hold(here.total)
         stiff = np.abs(values) > _SOFTEST
         give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
-        if _is_alike_everywhere(self.world):
+        if self.world.tree.hanging is None and _is_alike_everywhere(self.world):
             state, friction = _put_back(start, state, friction)
         tilt = _tilt(start, state)
         if tilt > _LARGEST_TILT:
@@ -344,7 +346,7 @@ class _Search:
             if world.contact_model is not None:
                 friction = next_friction(world.contact_model, h, friction, touch)
             x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
-            return base.displaced(x), friction
+            return base.displaced(world.tree, x), friction
 
         def chord(given: tuple, base: State, friction: FrictionState, give: Array) -> Array:
             return optimistix.fixed_point(
@@ -388,16 +390,25 @@ def settled(
             lambda leaf: jnp.asarray(leaf, displacement.dtype), (state, found.friction)
         )
         turn = jnp.asarray(situation.start_heading - heading, displacement.dtype)
-        base, friction = _carried(base, friction, displacement, turn)
+        if base.base is None:
+            base, friction = _carried(base, friction, displacement, turn)
+        else:
+            moved = jax.tree.map(
+                lambda leaf: jnp.asarray(leaf, displacement.dtype),
+                Base(jnp.array(situation.start_position), jnp.array(situation.orientation)),
+            )
+            base = dataclasses.replace(base, base=moved).placed(world.tree)
         still = jnp.zeros(len(found.give), displacement.dtype)
         force, _ = static_forces(world, h, base, friction, still)
-        state = base.displaced(jnp.asarray(found.give, displacement.dtype) @ force)
-        if alike_everywhere:
+        state = base.displaced(world.tree, jnp.asarray(found.give, displacement.dtype) @ force)
+        if alike_everywhere and world.tree.hanging is None:
             state, _ = _put_back(base, state, friction)
     position, orientation, angles = (
         tuple(values if is_traced(values) else values.tolist())
         for values in (state.position, state.orientation, state.q)
     )
+    if world.tree.hanging is not None:
+        return situation._replace(start_angles=angles)
     return situation._replace(
         start_position=position, start_orientation=orientation, start_angles=angles
     )
@@ -426,6 +437,9 @@ def _require_support(world: World) -> None:
         NoRestError: nothing can carry it.
     """
     tree, water = world.tree, world.water
+    if tree.hanging is not None:
+        # The joint of the root may carry it.
+        return
     if not world.gravity or not all(law.of_water for law in world.forces):
         # A user's force law may carry it.
         return

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.hanging import Base
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.spatial.linear import array_of, cosine_sine
@@ -22,8 +23,9 @@ class Situation(NamedTuple):
     """Initial pose and light of one trial.
 
     Attributes:
-        start_position: initial position of the root's centre, m.
-        start_heading: initial turn about z, rad.
+        start_position: initial position of the root's centre, m, or of the frame on which a root
+            hangs.
+        start_heading: initial turn of the root or that frame about z, rad.
         light: place of the light, m, or None for the task's light.
         start_orientation: initial orientation of the root, unit quaternion (w, x, y, z), or None
             for a turn about z by ``start_heading``.
@@ -75,13 +77,9 @@ def starting_state(
         angles = _chosen(array_of(poses), trial, dtype)
     positions = array_of([situation.start_position for situation in situations])
     turns = array_of([situation.orientation for situation in situations])
-    return State(
-        _chosen(positions, trial, dtype),
-        _chosen(turns, trial, dtype),
-        state.velocity,
-        angles,
-        state.qd,
-    )
+    place = _chosen(positions, trial, dtype), _chosen(turns, trial, dtype)
+    base = None if tree.hanging is None else Base(*place)
+    return State(*place, state.velocity, angles, state.qd, base).placed(tree)
 
 
 def starting_pose(
@@ -97,7 +95,7 @@ def starting_pose(
     order = [tree.names.index(name) for name in names]
     kin = kinematics(tree, starting_state((situation,), None, tree, (), jnp.dtype(jnp.float32)))
     rotation = np.moveaxis(np.asarray(kin.rotation, float), -1, 0)
-    centre = np.asarray(kin.origin, float).T + np.einsum("bij,jb->bi", rotation, tree.com)
+    centre = np.asarray(kin.origin, float).T + np.einsum("bij,jb->bi", rotation, tree.centre)
     return centre[order], rotation[order]
 
 

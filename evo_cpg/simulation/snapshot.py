@@ -19,6 +19,7 @@ from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
+from evo_cpg.spatial.numerics import Numbers
 
 
 class Forces(NamedTuple):
@@ -69,12 +70,12 @@ class Snapshot:
 
     @functools.cached_property
     def position(self) -> Float[Array, "3 b *n"]:
-        """Centres of mass of the bodies in the world, m."""
+        """Centres of the bodies in the world, m: centres of mass of bodies of uniform density."""
         return self.kinematics.origin + self._lever
 
     @functools.cached_property
     def velocity(self) -> Float[Array, "3 b *n"]:
-        """Velocities of the bodies' centres of mass, m/s."""
+        """Velocities of the bodies' centres, m/s."""
         return self.kinematics.linear + cross(self.kinematics.angular, self._lever)
 
     @property
@@ -85,12 +86,17 @@ class Snapshot:
     @functools.cached_property
     def centre_of_mass(self) -> Float[Array, "3 *n"]:
         """Centre of mass of the whole animal, m."""
-        return self._mean(self.position)
+        if self.world.tree.centre_of_volume is None:
+            return self._mean(self.position)
+        return self._mean(self.kinematics.origin + self._lever_of(self.world.tree.com))
 
     @functools.cached_property
     def centre_of_mass_velocity(self) -> Float[Array, "3 *n"]:
         """Velocity of the whole animal's centre of mass, m/s."""
-        return self._mean(self.velocity)
+        if self.world.tree.centre_of_volume is None:
+            return self._mean(self.velocity)
+        kin = self.kinematics
+        return self._mean(kin.linear + cross(kin.angular, self._lever_of(self.world.tree.com)))
 
     @property
     def contact_bodies(self) -> Int[np.ndarray, " p"]:
@@ -135,17 +141,22 @@ class Snapshot:
         return _index(self.world.tree.dof_names, name, "degree of freedom")
 
     def contacts_of(self, names: Sequence[str]) -> Int[np.ndarray, " k"]:
-        """Return the indices of the contact points of some bodies.
+        """Return the indices of the contact points of some bodies, with their further parts.
 
         Raises:
             ValueError: no body has that name.
         """
-        return np.flatnonzero(np.isin(self.contact_bodies, [self.body(name) for name in names]))
+        wholes = np.array(self.world.tree.wholes)[self.contact_bodies]
+        return np.flatnonzero(np.isin(wholes, [self.body(name) for name in names]))
 
     @property
     def _lever(self) -> Array:
-        """Vectors from the bodies' origins to their centres of mass, world axes."""
-        return matvec(self.rotation, expand_dims_like(self.world.tree.com, self.kinematics.origin))
+        """Vectors from the bodies' origins to their centres, world axes."""
+        return self._lever_of(self.world.tree.centre)
+
+    def _lever_of(self, place: Float[Numbers, "3 b"]) -> Array:
+        """Return vectors from the bodies' origins to places on them, world axes."""
+        return matvec(self.rotation, expand_dims_like(place, self.kinematics.origin))
 
     @functools.cached_property
     def _lowest(self) -> tuple[Array, Array]:

@@ -1,5 +1,6 @@
 """Track of a trial: columns of its motion at given times, as from a camera or motion tracker."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import jax.numpy as jnp
@@ -29,10 +30,12 @@ def beginning_names(simulation: Simulation) -> tuple[str, ...]:
     """Return the names of changes to the initial state.
 
     ``velocity.x`` (m/s), ``spin.x`` (rad/s, world axes), ``angle.DOF`` (rad) and ``rate.DOF``
-    (rad/s) are added to the configuration's state.
+    (rad/s) are added to the configuration's state. A root that hangs on the world has only the
+    last two.
     """
-    dofs = simulation.world.tree.dof_names
-    axes = {"velocity": POSITION, "spin": POSITION, "angle": dofs, "rate": dofs}
+    tree = simulation.world.tree
+    dofs, free = tree.dof_names, POSITION if tree.hanging is None else ()
+    axes = {"velocity": free, "spin": free, "angle": dofs, "rate": dofs}
     return tuple(f"{kind}.{axis}" for kind in BEGINNINGS for axis in axes[kind])
 
 
@@ -69,7 +72,8 @@ def track(
             else:
                 i = POSITION.index(axis) + (3 if kind == "velocity" else 0)
                 velocity = velocity.at[i].add(value)
-        return State(state.position, state.orientation, velocity, q, qd)
+        changed = dataclasses.replace(state, velocity=velocity, q=q, qd=qd)
+        return changed.placed(simulation.world.tree)
 
     states = rollout(simulation, genes, observers=States(), begin=begin)
     length = 1.0 / float(simulation.control_rate)

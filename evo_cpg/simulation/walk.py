@@ -210,8 +210,7 @@ def _slip(transition: Transition) -> Slip:
 
 def _cost(transition: Transition) -> Float[Array, " *n"]:
     """Return the energy of a control step over the weight, m."""
-    world = transition.before.world
-    return transition.energy / (jnp.asarray(world.tree.mass).sum() * world.gravity)
+    return transition.energy / transition.before.world.weight
 
 
 def _measured(displacement: Displacement) -> dict[str, Float[Array, " *n"]]:

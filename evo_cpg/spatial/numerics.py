@@ -94,6 +94,12 @@ else:
     Numbers = np.ndarray | jax.Array
 
 
+def smooth_step(x: Number) -> Number:
+    """Return 0 for x up to 0, 1 for x from 1 on, and the cubic x^2 (3 - 2 x) in between."""
+    x = xp.clip(x, 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x)
+
+
 def is_number(leaf: Any) -> bool:
     """Return whether a leaf of a model is a known real number or an array of real numbers."""
     real = isinstance(leaf, np.ndarray) and np.issubdtype(leaf.dtype, np.floating)

@@ -35,6 +35,25 @@ def quaternion_to_matrix(q: Float[Array, "4 *rest"]) -> Float[Array, "3 3 *rest"
     ).reshape(3, 3, *q.shape[1:])
 
 
+def matrix_to_quaternion(r: Float[Array, "3 3 *rest"]) -> Float[Array, "4 *rest"]:
+    """Return the unit quaternion ``(w, x, y, z)`` of a rotation matrix.
+
+    The rows of ``4 q q^T`` are sums of the matrix's elements. The row with the largest diagonal
+    element is normalised, so no digits are lost at any angle (Shepperd 1978).
+    """
+    trace = r[0, 0] + r[1, 1] + r[2, 2]
+    a, b, c = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    d, e, f = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
+    x, y, z = (1.0 + 2.0 * r[i, i] - trace for i in range(3))
+    best = jnp.stack([1.0 + trace, a, b, c])
+    largest = best[0]
+    for diagonal, row in ((x, (a, x, d, e)), (y, (b, d, y, f)), (z, (c, e, f, z))):
+        better = diagonal > largest
+        best = jnp.where(better[None], jnp.stack(row), best)
+        largest = jnp.where(better, diagonal, largest)
+    return best / jnp.sqrt((best * best).sum(0, keepdims=True))
+
+
 def quaternion_product(
     a: Float[Array, "4 *rest"], b: Float[Array, "4 *rest"]
 ) -> Float[Array, "4 *rest"]:
@@ -56,14 +75,36 @@ def integrate_quaternion(
 
     The result is exact for a constant ``omega``. It is normalised, so rounding does not accumulate.
     """
-    half = 0.5 * h * omega
+    turned = quaternion_product(_exponential(0.5 * h * omega), q)
+    return turned / jnp.sqrt((turned * turned).sum(0, keepdims=True))
+
+
+def rotation_vector_to_quaternion(vector: Float[Array, "3 *rest"]) -> Float[Array, "4 *rest"]:
+    """Return the unit quaternion of a rotation vector (rad)."""
+    return _exponential(0.5 * vector)
+
+
+def quaternion_to_rotation_vector(q: Float[Array, "4 *rest"]) -> Float[Array, "3 *rest"]:
+    """Return the rotation vector of a unit quaternion, of at most pi (rad)."""
+    q = jnp.where(q[:1] < 0, -q, q)
+    w, vector = q[0], q[1:]
+    squared = (vector * vector).sum(0)
+    small = squared < _SMALL_ANGLE_SQUARED
+    size = jnp.sqrt(jnp.where(small, 1.0, squared))
+    cosine = jnp.where(small, w, 1.0)
+    ratio = jnp.where(small, squared, 0.0) / (cosine * cosine)
+    near = (1.0 - ratio / 3.0) / cosine
+    return 2.0 * jnp.where(small, near, jnp.arctan2(size, w) / size)[None] * vector
+
+
+def _exponential(half: Float[Array, "3 *rest"]) -> Float[Array, "4 *rest"]:
+    """Return the unit quaternion of half a rotation vector (rad)."""
     squared = (half * half).sum(0)
     small = squared < _SMALL_ANGLE_SQUARED
     angle = jnp.sqrt(jnp.where(small, 1.0, squared))
     sinc = jnp.where(small, 1.0 - squared / 6.0, jnp.sin(angle) / angle)
     cosine = jnp.where(small, 1.0 - squared / 2.0, jnp.cos(angle))
-    turned = quaternion_product(jnp.concatenate([cosine[None], sinc[None] * half]), q)
-    return turned / jnp.sqrt((turned * turned).sum(0, keepdims=True))
+    return jnp.concatenate([cosine[None], sinc[None] * half])
 
 
 def axis_rotation(

@@ -36,7 +36,9 @@ def card(workshop: Workshop, rows: Sequence[Row]) -> list[Table]:
     questions = list({id(row.question): row.question for row in rows}.values())
     answers = {id(question): _ask(workshop, question) for question in questions}
     verdicts = [Verdict(row, list(row.measure(answers[id(row.question)]))) for row in rows]
-    bars = [Bar(one.row.name, one.row.rule.low, one.row.rule.high, one.values) for one in verdicts]
+    bars = [
+        Bar(row.name, *row.rule, values, bool(row.rule.holds(values))) for row, values in verdicts
+    ]
     workshop.draw(card_figure(bars))
     places = {question.animal: _place(workshop, question.animal) for question in questions}
     return card_tables(verdicts, places)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from evo_cpg.analysis.allometry import running_cost
 from evo_cpg.analysis.gait import fourier_component
+from evo_cpg.analysis.rhythm import mean_phase, upward_crossings
 from evo_cpg.laboratory.ask import Answer
 from evo_cpg.laboratory.settings import Setting
 from evo_cpg.simulation.recording import Recording
@@ -79,13 +80,13 @@ def at_best(key: str, best: str, over: str, scale: float = 1.0) -> Measure:
     return found
 
 
-def slope(y: str, x: str, over: str, low: float = 0.0, high: float = math.inf) -> Measure:
-    """Return a measure: exponent of a power law y ~ x^n, for each value of a knob.
+def slope(y: str, x: str, over: Sequence[str], low: float = 0.0, high: float = math.inf) -> Measure:
+    """Return a measure: exponent of a power law y ~ x^n, for each combination of some knobs.
 
     Args:
         y: quantity.
         x: quantity.
-        over: knob with one law for each of its values.
+        over: knobs with one law for each combination of their values.
         low: least Reynolds number, 0 for any.
         high: largest Reynolds number.
     """
@@ -103,8 +104,10 @@ def slope_at_best(y: str, x: str, best: str, over: str) -> Measure:
     return found
 
 
-def prefactor(y: str, x: str, over: str, power: float, low: float, high: float) -> Measure:
-    """Return a measure: geometric mean of y / x^power, for each value of a knob (see `slope`)."""
+def prefactor(
+    y: str, x: str, over: Sequence[str], power: float, low: float, high: float
+) -> Measure:
+    """Return a measure: geometric mean of y / x^power, for each combination as in `slope`."""
     return lambda answers: [
         float(np.exp(np.mean(np.log(y) - power * np.log(x)))) if len(x) else math.nan
         for x, y in _pairs(answers, y, x, over, low, high)
@@ -122,15 +125,16 @@ def turbulent(make: Callable[..., Measure], *arguments: object) -> Measure:
 
 
 def _pairs(
-    answers: Sequence[Answer], y: str, x: str, over: str, low: float, high: float
+    answers: Sequence[Answer], y: str, x: str, over: Sequence[str], low: float, high: float
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     found = []
     for answer in answers:
-        for value in dict.fromkeys(row[over] for row in answer.rows):
+        for values in dict.fromkeys(tuple(row[k] for k in over) for row in answer.rows):
             pairs = [
                 (row.get(x, math.nan), row.get(y, math.nan))
                 for row in answer.rows
-                if row[over] == value and (not low or low <= row.get("reynolds", 0.0) < high)
+                if tuple(row[k] for k in over) == values
+                and (not low or low <= row.get("reynolds", 0.0) < high)
             ]
             own = np.array([pair for pair in pairs if min(pair) > 0], float).reshape(-1, 2)
             found.append((own[:, 0], own[:, 1]))
@@ -199,32 +203,37 @@ def _phases(recording: Recording, row: Setting, signal: str) -> Float[np.ndarray
     return np.unwrap(np.angle(fourier_component(values, step, frequency))) / (2 * np.pi)
 
 
+def _places(answer: Answer, number: int) -> Float[np.ndarray, " d"]:
+    """Return the distance of each joint from the first one along the body, body lengths."""
+    tree = answer.simulations[number].world.tree
+    apart = np.linalg.norm(np.asarray(tree.joint_offset, float), axis=0)
+    behind = np.zeros(len(apart))
+    for body, parent in enumerate(tree.parents):
+        behind[body] = behind[parent] + apart[body] if parent >= 0 else 0.0
+    joints = behind[list(tree.dof_bodies)]
+    return (joints - joints[0]) / answer.rows[number]["length"]
+
+
+def _delay(answer: Answer, number: int, signal: str) -> float:
+    """Return the delay of a wave along the body, cycles per body length."""
+    phase = _phases(answer.recordings[number], answer.rows[number], signal)
+    if not np.isfinite(phase).all():
+        return math.nan
+    return -float(np.polyfit(_places(answer, number), phase, 1)[0])
+
+
 def outrunning(answers: Sequence[Answer]) -> list[float]:
     """Return the speed of the wave of muscle activity over the speed of the wave of bending."""
-    found = []
-    for answer in answers:
-        for row, recording in zip(answer.rows, answer.recordings, strict=True):
-            place = np.arange(recording.joint_angle.shape[1])
-            lags = [
-                np.polyfit(place, phase, 1)[0] if np.isfinite(phase).all() else math.nan
-                for phase in (
-                    _phases(recording, row, name) for name in ("joint_angle", "cpg_output")
-                )
-            ]
-            found.append(lags[0] / lags[1])
-    return found
+    return [
+        _delay(one, i, "joint_angle") / _delay(one, i, "cpg_output")
+        for one in answers
+        for i in range(len(one.rows))
+    ]
 
 
 def activity_speed(answers: Sequence[Answer]) -> list[float]:
     """Return the speed of the wave of muscle activity, body lengths in a cycle."""
-    found = []
-    for answer in answers:
-        for row, recording in zip(answer.rows, answer.recordings, strict=True):
-            phase = _phases(recording, row, "cpg_output")
-            place = np.arange(len(phase)) / len(phase)
-            lag = np.polyfit(place, phase, 1)[0] if np.isfinite(phase).all() else math.nan
-            found.append(-1.0 / lag if lag else math.nan)
-    return found
+    return [1.0 / _delay(one, i, "cpg_output") for one in answers for i in range(len(one.rows))]
 
 
 def lead_grows(answers: Sequence[Answer]) -> list[float]:
@@ -279,7 +288,7 @@ def cycles_to_return(joint: str, intact: Setting, cut: Setting) -> Measure:
             for one, other in zip(whole.recordings, parted.recordings, strict=True):
                 usual = _lags(one, joint)
                 usual = usual[len(usual) // 2 :]
-                mean = np.angle(np.exp(2j * np.pi * usual).mean()) / (2 * np.pi)
+                mean, _ = mean_phase(usual)
                 apart = _lags(other, joint) - mean
                 apart = np.abs(apart - np.round(apart))
                 late = np.flatnonzero(~(apart < _RETURNED))
@@ -294,8 +303,7 @@ def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
     """Return the lag of an oscillator on the one before it, in each cycle of the latter, cycles."""
     k = recording.dof_names.index(joint)
     before, behind = np.asarray(recording.cpg_output, float)[:, [k - 1, k]].T
-    starts = _upward(before)
-    own = _upward(behind)
+    starts, own = upward_crossings(before), upward_crossings(behind)
     lags = []
     for start, end in itertools.pairwise(starts):
         later = own[own >= start]
@@ -303,12 +311,6 @@ def _lags(recording: Recording, joint: str) -> Float[np.ndarray, " c"]:
         if len(later):
             lags.append((later[0] - start) / (end - start))
     return np.array(lags)
-
-
-def _upward(signal: Float[np.ndarray, " t"]) -> Float[np.ndarray, " c"]:
-    """Return the instants at which a signal crosses 0 upwards, samples, linearly interpolated."""
-    k = np.flatnonzero((signal[:-1] < 0) & (signal[1:] >= 0))
-    return k + signal[k] / (signal[k] - signal[k + 1])
 
 
 # Mechanical work over metabolic energy of whole animals (secondary source).

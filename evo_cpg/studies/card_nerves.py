@@ -7,6 +7,13 @@ _U, _B = (0.4, 0.6, 0.8), (7.0,)
 _INTACT, _CUT = {"cut": "none"}, {"cut": "middle1"}
 SYRUP = Question("eel", {"u": _U, "b": _B, "feedback": (0.0, 1.0), "viscosity": (1.0, 10.0)}, 10.0)
 FELT = Question("eel", {"u": _U, "b": _B, "feedback": (0.0, 0.5, 1.0)}, 10.0)
+# Neighbours act on each other nearly alike, so the lag of the cord is small. The shipped eel has a
+# weight of 0.1.
+EVEN = Question(
+    "eel",
+    {"u": _U, "b": (6.0, 7.0, 8.0), "controller.cpg.child_weight": (0.3,), "feedback": (0.0,)},
+    10.0,
+)
 # The cord behind the cut keeps its own drive, as in the source's model.
 PARTED = Question(
     "eel",
@@ -118,6 +125,17 @@ MUSCLES = [
         m.outrunning,
         "9 settings",
         "ours is the eel",
+    ),
+    Row(
+        "leech: speed of the wave of muscle activity over that of bending. "
+        "Ours: neighbours couple nearly alike",
+        "2 to 3",
+        _LEECH,
+        within(2.0, 3.0),
+        EVEN,
+        m.outrunning,
+        "9 settings",
+        "the couplings were chosen for this row",
     ),
     Row(
         "mackerel and saithe: speed of the wave of activity, body lengths a cycle",

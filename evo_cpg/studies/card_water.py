@@ -4,6 +4,7 @@ from evo_cpg.studies import card_measures as m
 from evo_cpg.studies.card import (
     Question,
     Row,
+    Rule,
     above,
     below,
     exponent,
@@ -16,16 +17,54 @@ from evo_cpg.studies.card import (
 DRIVE = Question(
     "eel", {"u": (0.2, 0.4, 0.6, 0.8, 1.0), "b": (4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0)}, 10.0
 )
+# From Re 10 to that of whales. The fish beats slowly and widely, like larvae. Its pectoral fins are
+# still.
 THICK = Question(
     "eel",
-    {"u": (0.4, 0.6, 0.8), "b": (7.0,), "viscosity": tuple(10 ** (k / 2) for k in range(-2, 9))},
+    {"u": (0.4, 0.6, 0.8), "b": (7.0,), "viscosity": tuple(10 ** (k / 2) for k in range(-6, 8))},
     10.0,
 )
+WIDE = Question(
+    "fish",
+    {
+        "u": (0.7, 0.85, 1.0),
+        "b": (2.5, 3.0, 4.0),
+        "viscosity": tuple(10 ** (k / 2) for k in range(-6, 1))
+        + tuple(10 ** (k / 4) for k in range(3, 14)),
+        "undriven": ("*_pectoral",),
+    },
+    8.0,
+)
+SLOW = Question("eel", {"u": (0.8, 0.9, 1.0), "b": (3.0, 3.25, 3.5), "feedback": (0.25,)}, 10.0)
 _BEST = "at its best efficiency"
 _GAZZOLA = "Gazzola, Argentina, Mahadevan 2014, Nat. Phys., secondary source"
 _AMPLITUDE = "Sw takes the excursion of the tail from side to side"
 _TUNED = "the eel was tuned by hand for this number"
 _WAKE = "the power is that of the muscles: our water has no wake"
+
+
+def _gazzola(
+    animal: str, asked: Question, over: tuple[str, ...], ours: str, missing: str
+) -> list[Row]:
+    """Return the rows of an animal's Reynolds number over its swimming number."""
+    axes = "reynolds", "swimming_number", over
+
+    def row(quantity: str, figure: str, rule: Rule, measure: m.Measure, *about: str) -> Row:
+        words = ". ".join((*about, _AMPLITUDE))
+        name = f"swimmers: {quantity}. Ours: the {animal}"
+        return Row(name, figure, _GAZZOLA, rule, asked, measure, ours, words, 3)
+
+    return [
+        row("exponent of Re over Sw, turbulent", "1.02", exponent(1.02),
+            m.turbulent(m.slope, *axes), "Re above 3600"),
+        row("Re over Sw^1.02, turbulent", "0.4", factor(0.4),
+            m.turbulent(m.prefactor, *axes, 1.02)),
+        row("exponent of Re over Sw, laminar", "1.31", exponent(1.31),
+            m.laminar(m.slope, *axes), "Re of 10 to 3600", missing),
+        row("Re over Sw^1.31, laminar", "0.03", factor(0.03),
+            m.laminar(m.prefactor, *axes, 1.31), missing),
+    ]  # fmt: skip
+
 
 EFFICIENCY = [
     Row(
@@ -64,50 +103,11 @@ EFFICIENCY = [
         "Borazjani and Sotiropoulos 2009, J. Exp. Biol. 212, 576, secondary source",
         below(0.0),
         THICK,
-        m.slope("strouhal", "reynolds", "u"),
+        m.slope("strouhal", "reynolds", ("u",)),
         "3 drives",
     ),
-    Row(
-        "swimmers: exponent of Re over Sw, turbulent",
-        "1.02",
-        _GAZZOLA,
-        exponent(1.02),
-        THICK,
-        m.turbulent(m.slope, "reynolds", "swimming_number", "u"),
-        "3 drives",
-        f"Re above 3600. {_AMPLITUDE}",
-    ),
-    Row(
-        "swimmers: Re over Sw^1.02, turbulent",
-        "0.4",
-        _GAZZOLA,
-        factor(0.4),
-        THICK,
-        m.turbulent(m.prefactor, "reynolds", "swimming_number", "u", 1.02),
-        "3 drives",
-        _AMPLITUDE,
-    ),
-    Row(
-        "swimmers: exponent of Re over Sw, laminar",
-        "1.31",
-        _GAZZOLA,
-        exponent(1.31),
-        THICK,
-        m.laminar(m.slope, "reynolds", "swimming_number", "u"),
-        "3 drives",
-        f"Re of 10 to 3600. {_AMPLITUDE}",
-    ),
-    Row(
-        "swimmers: Re over Sw^1.31, laminar",
-        "0.03",
-        _GAZZOLA,
-        factor(0.03),
-        THICK,
-        m.laminar(m.prefactor, "reynolds", "swimming_number", "u", 1.31),
-        "3 drives",
-        _AMPLITUDE,
-        3,
-    ),
+    *_gazzola("eel", THICK, ("u",), "3 drives", "Its body is thin, which raises its drag"),
+    *_gazzola("fish", WIDE, ("u", "b"), "9 drives", "The drives were chosen for this row"),
     Row(
         "eel: exponent of power over speed",
         "1.48",
@@ -140,6 +140,17 @@ SHAPE = [
         m.at_best("bending_lag", "froude_efficiency", "b", 100.0),
         "7 adaptation gains",
         "",
+        1,
+    ),
+    Row(
+        "eel in water: displacement lags bending, percent of a cycle. Ours: slow, wide beats",
+        "10 to 15",
+        "Gillis 1998, J. Exp. Biol., secondary source",
+        within(10.0, 15.0),
+        SLOW,
+        m.each("bending_lag", 100.0),
+        "9 drives",
+        "the drives were chosen for this row",
         1,
     ),
     Row(

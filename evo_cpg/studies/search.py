@@ -39,8 +39,11 @@ RUNS = {name: runs for part in _FILES for name, runs in _declared(part).items()}
 
 def searches(workshop: Workshop, part: str) -> list[Table]:
     """Compare each search with the genetic algorithm and with random search."""
-    from evo_cpg.view.search_plots import Curves, sweep_figure
+    from evo_cpg.view.search_plots import Curves, colors, sweep_figure
 
+    # A search has the same colour in all figures.
+    everywhere = list(dict.fromkeys(map(_own, RUNS)))
+    color = dict(zip(everywhere, colors(len(everywhere)), strict=True))
     names = [name for name in RUNS if name.startswith(f"{part} ")]
     fitness = {_own(name): _fitness(workshop, name) for name in names}
     against = {first: beside(fitness, first) for first in (_GENETIC, _RANDOM)}
@@ -50,7 +53,7 @@ def searches(workshop: Workshop, part: str) -> list[Table]:
         population = workshop.experiment(name).strategy.population
         best = workshop.column(name, "champion").T
         tried = population * np.arange(1, best.shape[1] + 1)
-        curves.append(Curves(own, tried, best, np.array(fitness[own])))
+        curves.append(Curves(own, tried, best, np.array(fitness[own]), color[own]))
         left = [champion.terms["distance"] for champion in workshop.champions(name)]
         words = [against[first][own] for first in (_GENETIC, _RANDOM)]
         rows.append([own, f"{tried[-1]:,}", middle(fitness[own], 3), middle(left, 3), *words])

@@ -265,7 +265,7 @@ def compile_ascent(
         trial = simulation
         if free:
             trial = free.simulation(free.at(shifts).astype(genes.dtype))
-        backward = Backward(kept, width, rough)
+        backward = Backward(kept, width, rough, simulation.world.tree.root_slides)
         outcome = rollout(trial, replicas, keys, numbers, backward=backward)
         return judge(simulation.task, outcome, scales)[0]
 

@@ -7,13 +7,11 @@ The whole recording is known before the first frame. So the path is smoothed wit
 window, which does not lag. The distance is fixed, and so is the viewing direction, except for the
 circling camera. So everything that moves in the picture moves in the world.
 
-The distance is the smallest at which a sphere around the focus fits the width of the frame, and is
-at most 1.5 times as high as the frame. The sphere holds every body: at every instant if there is a
-light, and in half of the instants without one. The distance then grows until every body is inside
-the frame.
+The distance lets the animal fill two fifths of the frame's width in half of the frames. It then
+grows until every body is inside the frame at every instant, above the captions.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,16 +20,24 @@ from jaxtyping import Float
 # Half-width of the Gaussian window, s: longer than a tail beat, shorter than a turn.
 SMOOTHING = 0.8
 VIEW_ANGLE = 32.0
-# Largest angle at which the camera sees the sphere around the animal, in angles of view. The sphere
-# may exceed the frame, because the animal is flatter. The camera is therefore closer.
-_FILL = 1.5
+# Fraction of the frame's width that the animal fills in half of the frames, or of its height if the
+# animal is tall. A frame that is taller than wide is filled more.
+_FILL, _FILL_HEIGHT, _FILL_TALL = 0.42, 0.5, 0.6
+# Part of the frame for the animal, from -1 to 1 between its edges: sideways, down and up. The
+# captions are lower, in the corners.
+_ROOM, _BELOW, _ABOVE = 0.95, 0.8, 0.92
+# Room around the light, as a factor of its place.
+_APART = 1.1
+# Least fraction of the width, below which the first frame need not show the light.
+_SMALLEST = 0.2
+# Largest number of frames in which the animal's extent is measured, and rounds of improvement.
+_MEASURED, _ROUNDS = 120, 5
 # The focus lies this fraction of the animal's radius further towards the goal. Without a goal the
 # focus lies further along the path.
 _LEAD, _LEAD_UNLIT = 0.6, 0.4
-# Angles to try between the line of sight and the direction of the goal, best first, on either side.
-# The first ones show the goal, but not from right behind the animal. The last ones keep the eye
-# away from a goal that the animal reaches.
-_BEARINGS = np.radians([32.0, 62.0, 90.0, 130.0, 180.0])
+# Angles to try between the line of sight and the direction of the goal, on either side. None is
+# from right behind the animal. The last ones keep the eye away from a goal that the animal reaches.
+_BEARINGS = np.radians([32.0, 47.0, 62.0, 90.0, 130.0, 180.0])
 # The same angle without a goal. The animal crosses the picture to the right, and shows its side and
 # a little of its front.
 _SIDE = np.radians(112.0)
@@ -62,9 +68,8 @@ class CameraPath(NamedTuple):
 
 
 def follow(
-    position: Float[np.ndarray, "frames bodies 3"],
+    bodies: "Bodies",
     goal: Float[np.ndarray, "3"],
-    reach: float,
     rate: float,
     aspect: float,
     elevation: float,
@@ -73,9 +78,8 @@ def follow(
     """Plan the camera's path over a recording.
 
     Args:
-        position: centres of the bodies ``(frames, bodies, 3)``, m.
+        bodies: places and sizes of the bodies in every frame.
         goal: place of the light ``(3,)``, m, or NaN without a light.
-        reach: largest distance from a body's centre to its surface, m.
         rate: frames per second of recorded time.
         aspect: width of the picture over its height.
         elevation: height of the eye above the focus as an angle, rad.
@@ -83,8 +87,9 @@ def follow(
             if it changes. None for a camera that shows the light, or the animal's side if there is
             no light.
     """
+    position = bodies.position
     centre = smooth(position.mean(1), SMOOTHING * rate)
-    radius = np.linalg.norm(position - centre[:, None], axis=-1).max() + reach
+    radius = bodies.radius(centre)
     lit = bool(np.isfinite(goal).all())
     bearing = course(centre, goal, radius / 10)
     if not lit:
@@ -96,23 +101,128 @@ def follow(
     reached = 0.0 if isinstance(turn, np.ndarray) else _LEAD if lit else _LEAD_UNLIT
     lead = ahead * (reached * radius / np.maximum(away, 2 * radius))
     focus = smooth(centre + lead, SMOOTHING * rate)
-    # An animal that leaps may come near the edge of the frame, so that it is not always small.
-    spread = np.linalg.norm(position - focus[:, None], axis=-1).max(1)
-    radius = (spread.max() if lit else np.median(spread)) + reach
+    first, points = radius / np.sin(np.radians(VIEW_ANGLE / 2)), bodies.corners()
 
-    half = np.radians(VIEW_ANGLE / 2)
-    distance = radius / np.sin(min(half * _FILL, np.arctan(aspect * np.tan(half))))
+    def seen(turned: float | np.ndarray, *more: np.ndarray) -> CameraPath:
+        sight = _direction(bearing + turned, elevation)
+        start = CameraPath(focus - first * sight, focus, VIEW_ANGLE)
+        moves = not isinstance(turned, np.ndarray)
+        return _filled(start, points, aspect, np.array(more).reshape(-1, 3), moves)
+
     if turn is not None:
-        sight = _direction(bearing + turn, elevation)
-    elif lit:
-        sight = _sight_of_goal(position, focus, goal, distance, bearing, elevation)
-    else:
-        sight = _direction(bearing + _SIDE, elevation)
-    path = CameraPath(focus - distance * sight, focus, VIEW_ANGLE)
-    # Perspective enlarges near bodies. Step back until every body is inside the frame.
-    while (overshoot := _overshoot(path, position, reach, aspect)) > 1:
-        path = path._replace(position=focus + (path.position - focus) * min(overshoot, 1.5) * 1.02)
+        return seen(turn)
+    if not lit:
+        return seen(_SIDE)
+    # The first picture shows the light, too, unless the animal would be small in it.
+    turns = [sign * angle for angle in _BEARINGS for sign in (1, -1)]
+    best = _clearest([seen(turned, goal) for turned in turns], goal, points, aspect)
+    if best is None or _extent(best, points, aspect)[0] < _SMALLEST:
+        best = _clearest([seen(turned) for turned in turns], goal, points, aspect) or best
+    return best or seen(_BEARINGS[-1])
+
+
+class Bodies(NamedTuple):
+    """Boxes around all bodies in every frame.
+
+    Attributes:
+        position: centres of the bodies, m.
+        rotation: rotations from body to world.
+        half_extents: half edges of the box around each body, m.
+    """
+
+    position: Float[np.ndarray, "frames b 3"]
+    rotation: Float[np.ndarray, "frames b 3 3"]
+    half_extents: Float[np.ndarray, "b 3"]
+
+    def radius(self, centre: Float[np.ndarray, "frames 3"]) -> float:
+        """Return the largest distance of a box's corner from a moving point, m."""
+        away = np.linalg.norm(self.position - centre[:, None], axis=-1)
+        return float((away + np.linalg.norm(self.half_extents, axis=-1)).max())
+
+    def corners(self) -> Float[np.ndarray, "frames 8b 3"]:
+        """Return the corners of the boxes, m."""
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        own = signs * self.half_extents[:, None]
+        found = self.position[:, :, None] + np.einsum("fbij,bkj->fbki", self.rotation, own)
+        return found.reshape(len(self.position), -1, 3)
+
+
+def _filled(
+    path: CameraPath,
+    points: Float[np.ndarray, "frames n 3"],
+    aspect: float,
+    at_first: Float[np.ndarray, "m 3"],
+    moves: bool,
+) -> CameraPath:
+    """Return the path at the distance at which the animal fills its part of the frame.
+
+    Args:
+        path: the camera in every frame, at some distance.
+        points: corners of the bodies, m.
+        aspect: width of the picture over its height.
+        at_first: points that the first frame shows, too, m.
+        moves: whether the camera may move across the line of sight, too.
+    """
+    wide, high = _FILL if aspect >= 1 else _FILL_TALL, _FILL_HEIGHT
+    for _ in range(_ROUNDS):
+        few, shown = _thinned(path, points)
+        place = project(few, shown, aspect)
+        first = project(few, at_first[None], aspect)[0] * _APART
+        every = np.concatenate([place.reshape(-1, 2), first])
+        if not np.isfinite(every).all():
+            # Points behind the camera: step back.
+            path = _moved(path, 2.0, np.zeros(2), aspect)
+            continue
+        low, most = every.min(0), every.max(0)
+        off = (low + most) / 2 - [0.0, (_ABOVE - _BELOW) / 2] if moves else np.zeros(2)
+        across, upright = np.median(np.ptp(place, axis=1) / 2, axis=0)
+        beyond = (most - low) / [2 * _ROOM, _ABOVE + _BELOW]
+        if not moves:
+            beyond = np.maximum(-low / [_ROOM, _BELOW], most / [_ROOM, _ABOVE])
+        path = _moved(path, max(across / wide, upright / high, *beyond), off, aspect)
     return path
+
+
+def _moved(
+    path: CameraPath, factor: float, off: Float[np.ndarray, "2"], aspect: float
+) -> CameraPath:
+    """Return the camera at a multiple of its distance, with another point in the middle.
+
+    Args:
+        path: the camera.
+        factor: new distance from the focus over the present one.
+        off: place in the picture that comes into the middle: right and up, from -1 to 1.
+        aspect: width of the picture over its height.
+    """
+    right, up, _ = _axes(path)
+    back = path.position - path.focus
+    half = np.tan(np.radians(path.view_angle / 2)) * np.linalg.norm(back, axis=-1, keepdims=True)
+    aside = half * (off[0] * aspect * right + off[1] * up)
+    return path._replace(position=path.focus + aside + back * factor, focus=path.focus + aside)
+
+
+def _thinned(path: CameraPath, points: np.ndarray) -> tuple[CameraPath, np.ndarray]:
+    """Return camera and points in some of the frames."""
+    every = max(len(points) // _MEASURED, 1)
+    return CameraPath(path.position[::every], path.focus[::every], path.view_angle), points[::every]
+
+
+def _extent(path: CameraPath, points: np.ndarray, aspect: float) -> Float[np.ndarray, "2"]:
+    """Return the median parts of the frame's width and height that the animal fills."""
+    few, shown = _thinned(path, points)
+    return np.median(np.ptp(project(few, shown, aspect), axis=1) / 2, axis=0)
+
+
+def _clearest(
+    paths: Sequence[CameraPath], goal: np.ndarray, points: np.ndarray, aspect: float
+) -> CameraPath | None:
+    """Return the path that shows the largest animal, and keeps the eye away from the goal."""
+    clear = []
+    for path in paths:
+        away = np.linalg.norm(path.focus[0] - path.position[0])
+        if np.linalg.norm(path.position - goal, axis=-1).min() > away / 2:
+            clear.append(path)
+    return max(clear, key=lambda path: _extent(path, points, aspect)[0], default=None)
 
 
 def aspect_of(
@@ -188,13 +298,17 @@ def project(
         ``(frames, n, 2)``: right and up, -1 to 1 between the edges of the frame, or NaN for points
         behind the camera.
     """
-    right, up, ahead = _axes(path)
-    offset = points - path.position[:, None]
-    depth = np.einsum("fni,fi->fn", offset, ahead)
+    right, up, depth = np.moveaxis(in_camera(path, points), -1, 0)
     scale = np.tan(np.radians(path.view_angle / 2)) * np.where(depth > 0, depth, np.nan)
-    x = np.einsum("fni,fi->fn", offset, right) / (scale * aspect)
-    y = np.einsum("fni,fi->fn", offset, up) / scale
-    return np.stack([x, y], -1)
+    return np.stack([right / (scale * aspect), up / scale], -1)
+
+
+def in_camera(
+    path: CameraPath, points: Float[np.ndarray, "#frames n 3"]
+) -> Float[np.ndarray, "frames n 3"]:
+    """Return points in the camera's frame: to the right, up and ahead, m."""
+    axes = np.stack(_axes(path), 1)
+    return np.einsum("fni,fki->fnk", points - path.position[:, None], axes)
 
 
 def turned_about_vertical(vector: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3"]:
@@ -232,39 +346,12 @@ def smooth(path: Float[np.ndarray, "frames 3"], width: float) -> Float[np.ndarra
     return np.column_stack([np.convolve(column, window, "valid") for column in extended.T])
 
 
-def _sight_of_goal(
-    position: np.ndarray,
-    focus: np.ndarray,
-    goal: np.ndarray,
-    distance: float,
-    bearing: float,
-    elevation: float,
-) -> np.ndarray:
-    """Return a line of sight that shows the goal but keeps the eye away from it."""
-    sights = [
-        _direction(bearing + sign * turn, elevation) for turn in _BEARINGS for sign in (1, -1)
-    ]
-    clearance = [np.linalg.norm(focus - distance * s - goal, axis=-1).min() for s in sights]
-    # Choose the first pair in which one sight keeps the eye well clear of the light, else the
-    # clearest sight. From a pair, choose the sight that shows more of the animal's side.
-    free = [i for i, gap in enumerate(clearance) if gap > distance / 2]
-    first = free[0] // 2 * 2 if free else int(np.argmax(clearance))
-    pair = [i for i in (first, first + 1) if i in free] or [first]
-    return max((sights[i] for i in pair), key=lambda s: _apparent_width(position, s))
-
-
 def _direction(
     bearing: float | Float[np.ndarray, " frames"], elevation: float
 ) -> Float[np.ndarray, "*frames 3"]:
     """Return unit vectors that point along bearings and down by an elevation."""
     flat, down = np.cos(elevation), np.full(np.shape(bearing), -np.sin(elevation))
     return np.stack([flat * np.cos(bearing), flat * np.sin(bearing), down], -1)
-
-
-def _apparent_width(position: np.ndarray, sight: np.ndarray) -> float:
-    """Return the mean extent of the animal across a line of sight, m."""
-    across = np.cross(sight, [0.0, 0.0, 1.0])
-    return float(np.ptp(position @ across, axis=1).mean())
 
 
 def _axes(path: CameraPath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -274,13 +361,3 @@ def _axes(path: CameraPath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right = right / np.linalg.norm(right, axis=-1, keepdims=True)
     return right, np.cross(right, ahead), ahead
-
-
-def _overshoot(path: CameraPath, position: np.ndarray, reach: float, aspect: float) -> float:
-    """Return the bodies' largest picture coordinate, which exceeds 1 outside the frame."""
-    # Cubes around the bodies, aligned with the line of sight, for any heading of the animal.
-    corners = reach * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    offset = corners @ np.stack(_axes(path), 1)
-    points = (position[:, :, None] + offset[:, None]).reshape(len(position), -1, 3)
-    place = np.abs(project(path, points, aspect))
-    return float(np.nan_to_num(place, nan=np.inf).max())

@@ -23,17 +23,19 @@ class Bar(NamedTuple):
         low: lower end of the bar, or minus infinity.
         high: upper end of the bar, or infinity.
         values: our values.
+        reproduced: whether their median is in the range of the rule.
     """
 
     name: str
     low: float
     high: float
     values: Sequence[float]
+    reproduced: bool
 
 
 @framed
 def card_figure(bars: Sequence[Bar]) -> Figure:
-    """Draw a card, each row with its own axis. The median is green inside of the bar, else red.
+    """Draw a card, each row with its own axis. The median is green if reproduced, else red.
 
     Args:
         bars: rows from top to bottom.
@@ -53,10 +55,9 @@ def _draw(axes: Axes, bar: Bar) -> None:
     axes.barh(0, min(bar.high, right) - max(bar.low, left), left=max(bar.low, left), height=0.9,
               color=BLUE, alpha=0.25, lw=0)  # fmt: skip
     if known.size:
-        median = float(np.median(known))
-        color = GREEN if bar.low <= median <= bar.high else RED
         axes.plot(known, 0 * known, "o", color=LIGHT_GREY, ms=4, mec=INK, mew=0.4)
-        axes.plot(median, 0, "D", color=color, ms=7)
+        color = GREEN if bar.reproduced else RED
+        axes.plot(float(np.median(known)), 0, "D", color=color, ms=7)
     axes.set_xlim(left, right)
     axes.set_ylim(-0.8, 0.8)
     axes.set_yticks([0], [legible(_broken(bar.name))], fontsize=8)

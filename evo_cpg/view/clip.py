@@ -6,10 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view.camera import smooth
 
 # Window of the displayed speed, s: long enough to average a tail beat.
-_SPEED_WINDOW = 0.5
+_SPEED_WINDOW = 1.0
 
 
 class Clip(NamedTuple):
@@ -21,7 +20,7 @@ class Clip(NamedTuple):
         rotation: rotation from body to world.
         distance: distance from the root to the goal or, without a goal, horizontal distance of the
             root from its start, m.
-        speed: speed of the smoothed mean of the bodies' centres, m/s.
+        speed: speed of the mean of the bodies' centres, averaged over the last second, m/s.
         rate: frames per second of recorded time.
     """
 
@@ -62,16 +61,29 @@ def sample(
     # The nearest rotation to a mean of two near rotations: its polar factor.
     left, _, right = np.linalg.svd(between(recording.rotation))
     position = between(recording.position)
-    centre = smooth(position.mean(1), _SPEED_WINDOW * fps / speed)
-    velocity = np.gradient(centre, time, axis=0) if len(time) > 1 else np.zeros_like(centre)
     return Clip(
         time,
         position,
         left @ right,
         between(recording.distance),
-        np.linalg.norm(velocity, axis=-1),
+        mean_speed(position.mean(1), fps / speed),
         fps / speed,
     )
+
+
+def mean_speed(path: Float[np.ndarray, "frames 3"], rate: float) -> Float[np.ndarray, " frames"]:
+    """Return the speed along a path at every frame, m/s: the mean velocity of the last second.
+
+    In the first second it is the mean velocity since the start. So the first frame shows no speed.
+
+    Args:
+        path: the places, m.
+        rate: frames per second.
+    """
+    frames = np.arange(len(path))
+    first = np.maximum(frames - max(round(_SPEED_WINDOW * rate), 1), 0)
+    moved = np.linalg.norm(path - path[first], axis=-1)
+    return moved * rate / np.maximum(frames - first, 1)
 
 
 def quaternions(rotation: Float[np.ndarray, "t *b 3 3"]) -> Float[np.ndarray, "t *b 4"]:

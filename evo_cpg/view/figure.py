@@ -19,10 +19,10 @@ from evo_cpg.view.legible import legible
 from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 INK, GREY, LIGHT_GREY = "#1f2937", "#6b7280", "#9ca3af"
-# Okabe and Ito's palette, which is clear with every common kind of colour blindness.
+# Okabe and Ito's palette, which is clear with every common kind of colour blindness, and a brown.
 BLUE, ORANGE, RED, GREEN = "#0072B2", "#E69F00", "#D55E00", "#009E73"
-PINK, SKY = "#CC79A7", "#56B4E9"
-PALETTE = (BLUE, RED, GREEN, PINK, ORANGE, SKY, INK)
+PINK, SKY, BROWN = "#CC79A7", "#56B4E9", "#7f5539"
+PALETTE = (BLUE, RED, GREEN, PINK, ORANGE, SKY, INK, BROWN, LIGHT_GREY)
 
 _DPI = 160
 
@@ -84,8 +84,8 @@ def save_figure(figure: Figure, path: str | os.PathLike[str]) -> Path:
 
 
 def count_in_whole_numbers(axes: Axes) -> None:
-    """Put the ticks of the x axis at whole numbers, such as generations."""
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    """Put the ticks of the x axis at round whole numbers, such as every 20 generations."""
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
 
 
 def right_axis(axes: Axes) -> Axes:
@@ -111,6 +111,7 @@ def draw_runs(
     *,
     width: float = 2.0,
     band: bool = True,
+    opacity: float = 1.0,
 ) -> None:
     """Draw the median of runs and the band in which half of them lie.
 
@@ -122,6 +123,7 @@ def draw_runs(
         label: label of the line.
         width: width of the line, points.
         band: whether to draw the band.
+        opacity: opacity of the band, which is at most 0.16.
     """
     known = np.isfinite(runs).any(0)
     if not known.any():
@@ -129,7 +131,7 @@ def draw_runs(
     finite = np.where(np.isfinite(runs), runs, np.nan)[:, known]
     low, median, high = np.nanquantile(finite, (0.25, 0.5, 0.75), axis=0)
     if band and len(runs) > 1:
-        axes.fill_between(x[known], low, high, color=color, alpha=0.16, lw=0)
+        axes.fill_between(x[known], low, high, color=color, alpha=min(opacity, 0.16), lw=0)
     axes.plot(x[known], median, color=color, lw=width, label=label, solid_capstyle="butt")
 
 

@@ -16,6 +16,7 @@ from evo_cpg.view.drawing import set_scene
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import SettingError, oversampling
+from evo_cpg.view.pointer import pointer
 from evo_cpg.view.scene import Panel, scene_of
 from evo_cpg.view.signals import FRACTION, LOWEST, Strip
 from evo_cpg.view.stage import Stage, camera_path
@@ -47,7 +48,8 @@ class Film:
         sheet: columns and rows of moments in one picture, each with all animals. They run evenly
             from the first moment of the film to the last. Moments of a shorter recording lie closer
             together. A sheet of several animals has a column with a heading for each moment: its
-            time or, if the recordings differ in length, its number. None for a film or a still.
+            time or, if the recordings differ in length, its part of each film. None for a film or a
+            still.
         columns: columns of animals. If None: 1, 2, 3 and 2 columns for one to four animals, and for
             more the square root of their number, rounded up. On a sheet of several animals, 1.
     """
@@ -152,8 +154,11 @@ class Frames:
             f"{clip.time[own[number]] - clip.time[0]:.1f} s"
             for clip, own in zip(self._clips, self._instants, strict=True)
         }
+        if len(instants) == 1:
+            return instants.pop()
         # Recordings of different lengths have no common time.
-        return instants.pop() if len(instants) == 1 else f"moment {number + 1}"
+        last = self.count - 1
+        return "end" if number == last else f"{number / last:.0%} of each film"
 
     @contextlib.contextmanager
     def _panel(self, panel: Panel, clip: Clip) -> Iterator[Callable[[int], np.ndarray]]:
@@ -170,12 +175,17 @@ class Frames:
         note = "; ".join(filter(None, [panel.note, f"grid {scene.grid:g} m{pace}"]))
         caption = captions(scene.look, title, scene.measured, note, (width, above), scale)
         with canvas((round(width * scale), round(height * scale) - strip_height)) as plotter:
-            stage = Stage(plotter, scene, camera_path(scene, film.camera, width / above), scale)
+            camera = camera_path(scene, film.camera, width / above)
+            stage = Stage(plotter, scene, camera, scale)
+            point = pointer(
+                camera, scene.goal, scene.look, (round(width * scale), round(above * scale))
+            )
             bodies = add_bodies(plotter, panel.creature, scene.look.ambient)
             show = set_scene(stage, bodies)
 
             def draw(instant: int) -> np.ndarray:
                 seen, time = show(instant), clip.time[instant]
+                point(seen, instant)
                 caption(seen, time - clip.time[0], clip.distance[instant], clip.speed[instant])
                 return seen if strip is None else np.concatenate([strip.at(time), seen])
 

@@ -3,21 +3,29 @@
 A level floor writes no depth, so things in its plane do not flicker.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import pyvista as pv
+from jaxtyping import Float
 
-from evo_cpg.view.camera import VIEW_ANGLE, level_axes, turned_about_vertical
+from evo_cpg.view.camera import (
+    VIEW_ANGLE,
+    CameraPath,
+    level_axes,
+    project,
+    turned_about_vertical,
+)
 from evo_cpg.view.offscreen import add_faded, write_depth
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Terrain
 from evo_cpg.view.textures import floor_texture
 
 # Numbers on the ground: height of a digit and distance from the path, in radii of the animal. They
-# fade between the first two fractions of the distance from the focus to the camera. They also fade
-# between the last two fractions of the height from the picture's middle to its lower edge, because
+# fade between two fractions of the height from the picture's middle to its lower edge, because
 # captions are there.
 _DIGIT, _BESIDE = 0.1, 0.45
-_FADES, _FADES_DOWN = (0.33, 0.43), (0.57, 0.8)
+_FADES_DOWN = (0.45, 0.62)
 # Brightness of level ground, its change with the sine of the angle to the sun, and the minimum.
 _LEVEL, _SLOPE, _DARKEST = 0.92, 0.9, 0.25
 # Water absorbs red light. Remaining fractions of red, green and blue in deep water, and the depth
@@ -126,50 +134,66 @@ def add_numbers(stage: Stage) -> Update:
     side = nearer * (nearer * along[:, 1]).max() + nearer * _BESIDE * radius
     last = int(np.ceil((along[:, 0].max() + 2 * radius) / marks.spacing))
     first = int(np.floor(min(along[:, 0].min(), 0.0) / marks.spacing))
-    fades = np.minimum(_FADES, [_nearer(-sight[2], down) for down in _FADES_DOWN])
     size = _DIGIT * radius
     # Digits that lie flat look lower, the more slanted the sight is.
     stretch = 0.7 / max(-sight[2], 0.15)
-    digits = []
+    glyphs, flat, middle = [], [], []
     for count in range(first, last + 1):
-        digit = pv.Text3D(f"{count * marks.spacing:g} m", depth=0.0, height=size, center=(0, 0, 0))
-        flat = np.asarray(digit.points)[:, :2] * [1.0, stretch]
-        middle = marks.origin + marks.turn() @ [count * marks.spacing, side]
+        glyph = pv.Text3D(f"{count * marks.spacing:g} m", depth=0.0, height=size, center=(0, 0, 0))
+        own = np.asarray(glyph.points)[:, :2] * [1.0, stretch]
         # The number stands to the right of its line.
-        flat[:, 0] += 0.7 * size - flat[:, 0].min()
-        place = middle + flat @ np.stack([across, ahead])
-        high = stage.ground.height(place) + stage.lift
-        digit.points = np.column_stack([place, high])
+        own[:, 0] += 0.7 * size - own[:, 0].min()
+        place = marks.origin + marks.turn() @ [count * marks.spacing, side]
         # No number stands in the water.
+        high = stage.ground.height(place + own @ np.stack([across, ahead])) + stage.lift
         if stage.scene.surface is None or (high > stage.scene.surface).all():
-            digits.append(digit)
-    if not digits:
+            glyphs.append(glyph)
+            flat.append(own)
+            middle.append(np.broadcast_to(place, own.shape))
+    if not glyphs:
         return lambda shot: None
-    mesh = pv.merge(digits).extract_surface(algorithm=None)
-    place = np.asarray(mesh.points)[:, :2].copy()
-    rgba = np.tile(pv.Color(stage.look.text).int_rgba, (len(place), 1)).astype(np.uint8)
+    mesh = glyphs[0].append_polydata(*glyphs[1:])
+    numbers = _Numbers(stage, np.concatenate(flat), np.concatenate(middle))
+    rgba = np.tile(pv.Color(stage.look.text).int_rgba, (mesh.n_points, 1)).astype(np.uint8)
+    mesh.points = numbers.points(0.0)
     add_faded(stage.plotter, mesh, rgba)
+    turned = 0.0
 
     def update(shot: Shot) -> None:
-        offset = place - shot.focus[:2]
-        _, now_ahead = level_axes(turned_about_vertical(sight, shot.turned))
-        gone = np.linalg.norm(offset, axis=1) / (0.4 * stage.visible)
-        near = np.interp(-(offset @ now_ahead[:2]) / stage.away, fades, (1.0, 0.0))
-        rgba[:, 3] = 200 * near * np.exp(-(gone**2))
+        nonlocal turned
+        # The numbers turn with a circling camera, so that they can be read all around.
+        if shot.turned != turned:
+            turned = shot.turned
+            mesh.points = numbers.points(turned)
+        rgba[:, 3] = 200 * numbers.opacity(np.asarray(mesh.points, float), shot)
         mesh["rgba"] = rgba
 
     return update
 
 
-def _nearer(steep: float, down: float) -> float:
-    """Return the distance by which level ground lower in the picture is nearer than the focus.
+class _Numbers(NamedTuple):
+    """Points of the numbers on the ground.
 
-    Args:
-        steep: sine of the camera's elevation above the focus.
-        down: place in the picture, from 0 at the middle to 1 at the lower edge.
-
-    Returns:
-        Level distance, in distances of the camera from the focus.
+    Attributes:
+        stage: stage of the film.
+        flat: points in the plane of their number: to the right and ahead, m.
+        middle: place of the number that each point belongs to, m.
     """
-    below = np.arcsin(steep) + np.arctan(down * np.tan(np.radians(VIEW_ANGLE / 2)))
-    return float(np.sqrt(1 - steep**2) - steep / np.tan(below))
+
+    stage: Stage
+    flat: Float[np.ndarray, "n 2"]
+    middle: Float[np.ndarray, "n 2"]
+
+    def points(self, turned: float) -> Float[np.ndarray, "n 3"]:
+        """Return the points for a camera that has turned by an angle (rad) since the start."""
+        right, ahead = level_axes(turned_about_vertical(self.stage.sight, turned))
+        place = self.middle + self.flat @ np.stack([right[:2], ahead[:2]])
+        return np.column_stack([place, self.stage.ground.height(place) + self.stage.lift])
+
+    def opacity(self, points: Float[np.ndarray, "n 3"], shot: Shot) -> Float[np.ndarray, " n"]:
+        """Return the opacity of points: low far from the animal, and above the captions."""
+        distance = np.linalg.norm(points[:, :2] - shot.focus[:2], axis=1)
+        path = CameraPath(shot.eye[None], shot.focus[None], VIEW_ANGLE)
+        down = -project(path, points[None], 1.0)[0, :, 1]
+        shown = np.interp(np.nan_to_num(down, nan=1.0), _FADES_DOWN, (1.0, 0.0))
+        return shown * np.exp(-((distance / (0.4 * self.stage.visible)) ** 2))

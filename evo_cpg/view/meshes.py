@@ -37,16 +37,16 @@ def body_colors(creature: Creature) -> np.ndarray:
     Bodies on the animal's left are darker, so that left and right legs differ.
     """
     links = [
-        (i, creature.body_index(body.joint.parent))
+        (i, creature.body_index(body.joint.parent), int(body.whole is None))
         for i, body in enumerate(creature.bodies)
         if body.joint
     ]
     joints_away = {head_index(creature): 0}
     while len(joints_away) < len(creature.bodies):
-        for pair in links:
-            for here, there in (pair, pair[::-1]):
+        for body, parent, joints in links:
+            for here, there in ((body, parent), (parent, body)):
                 if here in joints_away and there not in joints_away:
-                    joints_away[there] = joints_away[here] + 1
+                    joints_away[there] = joints_away[here] + joints
     distance = np.array([joints_away[i] for i in range(len(creature.bodies))], float)
     anchors = np.array([pv.Color(color).float_rgb for color in _HEAD_TO_TAIL])
     along = distance / max(distance.max(), 1) * (len(anchors) - 1)

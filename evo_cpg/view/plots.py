@@ -34,13 +34,15 @@ _WINDOW = 5.0
 # Style of the title of a row of joint signals.
 _NAME: dict[str, Any] = {"fontsize": 9, "fontweight": "bold", "pad": 2}
 _SNAPSHOTS = 7
+# Number of the thin lines of runs, times their opacity.
+_INK_OF_RUNS = 2.0
 # Smallest number of periods of a rhythm in the window. The spectrum of a drift peaks at 2 periods.
 _PERIODS = 2.1
 
 
 @framed
 def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
-    """Draw fitness over the generations, and the number of diverged individuals.
+    """Draw fitness over the generations and, if any individuals diverged, their number.
 
     Thin lines of several runs show the best of each generation in each run, as in Figs. 4-2 to 4-6
     of Fukui 2003. Thick lines are medians over the runs, and half of the runs lie within the band.
@@ -67,11 +69,15 @@ def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
         table[row, column] = np.where(np.isfinite(columns[key]), columns[key], np.nan)
         return table
 
-    figure = new_figure(7.2, 4.8)
-    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
+    figure, diverged = new_figure(7.2, 4.8), np.nansum(by_run("diverged"), 0)
+    rows = 2 if diverged.any() else 1
+    panels = figure.subplots(rows, 1, sharex=True, height_ratios=(4, 1)[:rows], squeeze=False)
+    top, bottom = panels[0, 0], panels[-1, 0]
     several, of_runs = len(runs) > 1, ", median" if len(runs) > 1 else ""
     if several:
-        (*_, thin) = top.plot(generation, by_run("best").T, color=BLUE, lw=0.7, alpha=0.4)
+        # Many lines are faint, so that the median stands out.
+        faint = min(0.4, _INK_OF_RUNS / len(runs))
+        (*_, thin) = top.plot(generation, by_run("best").T, color=BLUE, lw=0.7, alpha=faint)
         thin.set_label("best of the generation, each run")
     for key, label, color, width in (
         # Wide, so that it is visible below the other line if an elite keeps the two bests equal.
@@ -84,13 +90,13 @@ def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
             draw_runs(top, generation, by_run(key), color, label + of_runs, width=width, band=band)
     top.set_ylabel("fitness")
     top.legend(title=f"{len(runs)} runs, half of them in the band" if several else None)
-    diverged = np.nansum(by_run("diverged"), 0)
-    bottom.bar(generation, diverged, width=1.0, color=RED)
-    bottom.set_ylim(0, max(1.0, diverged.max() * 1.15))
-    bottom.set_ylabel("diverged")
+    if diverged.any():
+        bottom.bar(generation, diverged, width=1.0, color=RED)
+        bottom.set_ylim(0, diverged.max() * 1.15)
+        bottom.set_ylabel("diverged")
+        bottom.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=3))
     bottom.set_xlabel("generation")
     count_in_whole_numbers(bottom)
-    bottom.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=3))
     return figure
 
 

@@ -203,10 +203,11 @@ def _add_joints(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
     """Draw arrows along the joint axes, and return their colours by meaning."""
     meaning = {}
     for body, centre, turn in _posed(scene):
-        if body.joint is None:
+        joint = scene.creature.joint_of(body)
+        if joint is None:
             continue
-        anchor = centre + turn @ np.array(body.joint.child_anchor)
-        for axis, *_ in body.joint.dofs:
+        anchor = centre + turn @ np.array(joint.child_anchor)
+        for axis, *_ in joint.dofs:
             names = [n for n, unit in zip("xyz", np.eye(3), strict=True) if np.allclose(axis, unit)]
             name = names[0] if names else "other"
             color = _AXES.get(name, _OTHER_AXIS)
@@ -222,7 +223,8 @@ def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
     posed = {body.name: (body, centre, turn) for body, centre, turn in _posed(scene)}
 
     def add_ball(place: np.ndarray, radius: float, color: str) -> None:
-        plotter.add_mesh(pv.Sphere(radius=radius, center=place), color=color, lighting=False)
+        ball = pv.Sphere(radius=radius, center=place)
+        plotter.add_mesh(ball, color=color, lighting=False, render=False)
 
     for sensor in creature.light_sensors:
         _, centre, turn = posed[sensor.body]
@@ -249,7 +251,8 @@ def _posed(scene: Scene) -> Iterator[tuple[Body, np.ndarray, np.ndarray]]:
 
 def _thickness(scene: Scene) -> float:
     """Return half the thickness of a typical body, m."""
-    return float(np.median(scene.half_extents.min(1)))
+    thin = scene.half_extents.min(1)
+    return float(np.median(thin[thin > 0]))
 
 
 def _add_arrow(
@@ -263,7 +266,7 @@ def _add_arrow(
         tip_radius=0.065,
         tip_length=0.2,
     )
-    plotter.add_mesh(arrow, color=color, ambient=0.6, diffuse=0.5)
+    plotter.add_mesh(arrow, color=color, ambient=0.6, diffuse=0.5, render=False)
 
 
 def _camera(shown: np.ndarray, size: tuple[int, int]) -> tuple[CameraPath, float]:
@@ -324,7 +327,8 @@ def _write(
             for name, place in zip(names, _apart(places, np.array(boxes)), strict=True):
                 write(draw, name, tuple(place), size, _TEXT, anchor="mm", plate=_BACKGROUND)
         write(draw, creature.name, (margin, margin), 23 * unit, _TEXT, anchor="la")
-        axes = sum(len(body.joint.dofs) for body in creature.bodies if body.joint)
+        joints = filter(None, map(creature.joint_of, creature.bodies))
+        axes = sum(len(joint.dofs) for joint in joints)
         words = [f"{len(creature.bodies)} bodies", f"{axes} degrees of freedom"]
         facts = ", ".join([*words, f"{creature.mass:.3g} kg", *notes])
         below = margin, margin + 36 * unit

@@ -23,6 +23,9 @@ from evo_cpg.view.figure import (
 # Sizes of a sweep in inches: width, least height, height of a setting, and height of the rest.
 _WIDTH, _LEAST, _ROW, _REST = 11.0, 4.2, 0.34, 1.3
 
+# Number of the bands of settings, times their opacity: many bands are faint.
+_INK_OF_BANDS = 0.5
+
 # Letters of the longest name beside the runs.
 _LONGEST = 34
 
@@ -37,12 +40,14 @@ class Curves(NamedTuple):
             first one.
         final: fitness of each run's champion. With noise, the mean of its re-evaluation. NaN for a
             run without a champion.
+        color: colour, or None for the next one in the figure.
     """
 
     name: str
     evaluations: Float[np.ndarray, " generations"]
     best: Float[np.ndarray, "runs generations"]
     final: Float[np.ndarray, " runs"]
+    color: str | None = None
 
 
 @framed
@@ -60,7 +65,7 @@ def generations_figure(
     """
     figure = new_figure(8, 4.6)
     axes = figure.subplots()
-    for (name, best), color in zip(bests.items(), _colors(len(bests)), strict=True):
+    for (name, best), color in zip(bests.items(), colors(len(bests)), strict=True):
         if single_runs:
             axes.plot(best, color=color, lw=0.5, alpha=0.3)
         draw_runs(axes, np.arange(len(best)), best.T, color, name)
@@ -112,8 +117,9 @@ def sweep_figure(curves: Sequence[Curves], title: str) -> Figure:
     """
     figure = new_figure(_WIDTH, max(_LEAST, _REST + _ROW * len(curves)), title)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
-    for row, (curve, color) in enumerate(zip(curves, _colors(len(curves)), strict=True)):
-        draw_runs(left, curve.evaluations, curve.best, color)
+    for row, (curve, next_one) in enumerate(zip(curves, colors(len(curves)), strict=True)):
+        color = curve.color or next_one
+        draw_runs(left, curve.evaluations, curve.best, color, opacity=_INK_OF_BANDS / len(curves))
         _draw_finals(right, row, curve.final[np.isfinite(curve.final)], color)
     left.set_xlabel("evaluations per run")
     left.set_ylabel("best fitness so far")
@@ -140,7 +146,7 @@ def _label(curve: Curves) -> str:
     return f"{name}  (n = {int(np.isfinite(curve.final).sum())})"
 
 
-def _colors(count: int) -> Sequence[str]:
+def colors(count: int) -> Sequence[str]:
     """Return a colour for each setting, from a rainbow if the palette has too few."""
     if count <= len(PALETTE):
         return PALETTE[:count]

@@ -121,15 +121,18 @@ def add_shadows(stage: Stage, half_extents: np.ndarray) -> Update:
 def add_contacts(stage: Stage) -> Update:
     """Draw dark soft spots under bodies that touch the ground. Spots fade as the gap opens."""
     bodies, ground = stage.scene.creature.bodies, stage.ground
+    drawn = [i for i, body in enumerate(bodies) if body.shape.exists]
     texture = spot_texture(stage.look.shadow, _CONTACT, sharpness=2.6)
-    spots = Spots(stage.plotter, texture, ground, stage.lift, len(bodies))
-    points = [soles(body.shape) for body in bodies]
-    sizes = [float(body.shape.half_extents.min()) for body in bodies]
+    spots = Spots(stage.plotter, texture, ground, stage.lift, len(drawn))
+    points = [soles(bodies[i].shape) for i in drawn]
+    sizes = [float(bodies[i].shape.half_extents.min()) for i in drawn]
 
     def update(shot: Shot) -> None:
         places = [
             centre + own @ turn.T
-            for own, centre, turn in zip(points, shot.position, shot.rotation, strict=True)
+            for own, centre, turn in zip(
+                points, shot.position[drawn], shot.rotation[drawn], strict=True
+            )
         ]
         heights = ground.height(np.concatenate(places)[:, :2])
         lows = np.split(heights, np.cumsum([*map(len, places)])[:-1])
@@ -151,6 +154,8 @@ def patch_under(turn: np.ndarray, half: np.ndarray, gap: float) -> np.ndarray:
         half: half extents of the body ``(3,)``, m.
         gap: height of the body's centre above the floor, m.
     """
+    if not half.any():
+        return np.zeros((2, 2))
     # The patch widens with height above the floor, because the sky lights its edge.
     blur = 0.9 * half.min() + 0.12 * max(gap, 0.0)
     ellipse = (turn[:2] * half) @ (turn[:2] * half).T + blur**2 * np.eye(2)

@@ -9,10 +9,10 @@ import numpy as np
 import pyvista as pv
 from jaxtyping import Float
 
-from evo_cpg.view.camera import CameraPath, aspect_of, follow, hidden
+from evo_cpg.view.camera import Bodies, CameraPath, aspect_of, follow, hidden
 from evo_cpg.view.look import Look, sun_direction
 from evo_cpg.view.obstacles import obstacle_top
-from evo_cpg.view.scene import Scene, animal_reach
+from evo_cpg.view.scene import Scene
 from evo_cpg.view.terrain import Level, Terrain, heights
 
 # Elevations of the camera to try in turn if something hides the animal, rad. Least height above the
@@ -143,9 +143,10 @@ def camera_path(scene: Scene, camera: str, aspect: float) -> CameraPath:
         turn, first = given
     goal = np.full(3, np.nan) if scene.goal is None else scene.goal
 
+    bodies = Bodies(clip.position, clip.rotation, scene.half_extents)
+
     def at(elevation: float) -> CameraPath:
-        reach = animal_reach(scene.creature)
-        return follow(clip.position, goal, reach, clip.rate, aspect, elevation, turn)
+        return follow(bodies, goal, clip.rate, aspect, elevation, turn)
 
     path = at(first)
     if scene.level is not None:

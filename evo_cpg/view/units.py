@@ -5,7 +5,8 @@ from evo_cpg.view.legible import legible
 # Units by name. All other terms have no unit.
 UNITS = {
     "amplitude": "rad", "bounce": "m", "distance": "m", "energy": "J", "forward": "m",
-    "frequency": "Hz", "power": "W", "speed": "m/s", "turning": "rad/s",
+    "frequency": "Hz", "power": "W", "speed": "m/s", "stride_length": "m",
+    "turning": "rad/s",
 }  # fmt: skip
 
 

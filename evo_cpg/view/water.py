@@ -67,20 +67,23 @@ class Ripples:
 def add_waterlines(stage: Stage, surface: float) -> Update:
     """Draw bright rings around bodies that break through the surface at a height (m)."""
     half_extents = stage.scene.half_extents
+    drawn = half_extents.any(1)
+    half_extents = half_extents[drawn]
     texture = spot_texture("#ffffff", _RING, sharpness=2.0)
     level = Level(surface)
     rings = Spots(stage.plotter, texture, level, 0.004 * stage.radius, len(half_extents))
 
     def update(shot: Shot) -> None:
         # Each body counts as an ellipsoid with its half extents, which the surface cuts.
-        shape = (shot.rotation * half_extents[:, None] ** 2) @ shot.rotation.mT
-        off = surface - shot.position[:, 2]
+        position, rotation = shot.position[drawn], shot.rotation[drawn]
+        shape = (rotation * half_extents[:, None] ** 2) @ rotation.mT
+        off = surface - position[:, 2]
         inside = 1 - off**2 / shape[:, 2, 2]
         lean = shape[:, :2, 2] / shape[:, 2:, 2]
         cut = shape[:, :2, :2] - lean[:, :, None] * shape[:, None, :2, 2]
         spread, axes = np.linalg.eigh(cut * np.maximum(inside, 0.0)[:, None, None])
         size = _RING_WIDTH * np.sqrt(np.maximum(spread, 0.0)) + 0.6 * half_extents.min(1)[:, None]
-        middle = shot.position[:, :2] + lean * off[:, None]
+        middle = position[:, :2] + lean * off[:, None]
         rings.lay(middle, axes * size[:, None], np.clip(3 * inside, 0.0, 1.0))
 
     return update

@@ -90,6 +90,9 @@ def test_reynolds_numbers_of_swimmers():
 
 def test_ranges_of_animals_are_ordered_and_named():
     for each in ANIMALS:
-        assert each.low <= each.high and each.animal and (each.source or each.secondary)
+        assert each.low <= each.high and each.animal
+    assert str(animals_of("wave_slip")[0]) == "0.5 to 0.8 fish (secondary source)"
+    running = "up to 0.2 running animals (Cavagna et al. 1977, secondary source)"
+    assert str(animals_of("recovery")[1]) == running
     assert animals_of("recovery")[0].animal == "walking animals"
     assert animals_of("nothing") == ()

@@ -39,10 +39,11 @@ def run(program: str, names: dict) -> None:
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """Return a working folder with the configurations. The swimmer has two bodies, not ten."""
+    """Return a working folder with the configurations. The swimmer has two bodies and one axis."""
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
     for name, old, new in (
         ("creatures/swimmer10.yaml", "repeat: 9 ", "repeat: 1 "),
+        ("creatures/swimmer10.yaml", "axes: [x, y, z] ", "axes: [z] "),
         ("iwadate2010_swimmer.yaml", "points: quadrature ", "form_resolution: 1 "),
         ("iwadate2010_swimmer.yaml", "hidden: [16] ", "hidden: [4] "),
     ):

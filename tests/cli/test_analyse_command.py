@@ -45,7 +45,8 @@ browsing = pytest.mark.skipif(
 def swimmer(cli, tmp_path_factory) -> Path:
     """Make a run of three bodies that swim for two seconds, with its page."""
     run = tmp_path_factory.mktemp("swimmer") / "run"
-    settings = (*TINY, "simulation.steps=240", "evolution.generations=2")
+    planar = "creature.bodies.1.joint.axes=[z]"
+    settings = (*TINY, planar, "simulation.steps=240", "evolution.generations=2")
     code, _, complaint = cli("train", CONFIG, *settings, "--out", run)
     assert code == 0, complaint
     code, out, complaint = cli("analyse", run)
@@ -135,14 +136,14 @@ def test_only_a_walker_has_footfalls(walker, swimmer):
     assert "CPG output" in in_water and "angle of the posture" in on_land
 
 
-def test_the_page_is_small_and_requests_nothing_from_the_network(swimmer, walker):
-    for run in (swimmer, walker):
-        page = page_of(run)
-        assert len(page) < 5e6
-        # Names of XML namespaces are addresses that a browser does not fetch.
-        addresses = set(re.findall(r"(?:src|href|url\()=?[\"']?(?!#|data:)[^\s\"'>)]+", page))
-        assert not {a for a in addresses if "://" in a and "www.w3.org" not in a}
-        assert "default-src 'none'" in html.unescape(page)
+@pytest.mark.parametrize("animal", ["swimmer", pytest.param("walker", marks=pytest.mark.slow)])
+def test_the_page_is_small_and_requests_nothing_from_the_network(animal, request):
+    page = page_of(request.getfixturevalue(animal))
+    assert len(page) < 5e6
+    # Names of XML namespaces are addresses that a browser does not fetch.
+    addresses = set(re.findall(r"(?:src|href|url\()=?[\"']?(?!#|data:)[^\s\"'>)]+", page))
+    assert not {a for a in addresses if "://" in a and "www.w3.org" not in a}
+    assert "default-src 'none'" in html.unescape(page)
 
 
 def test_html_in_the_files_of_a_run_is_escaped(cli, swimmer, tmp_path):
@@ -193,10 +194,10 @@ def test_python_warns_of_a_changed_configuration(swimmer, tmp_path, monkeypatch)
 
 
 @pytest.mark.slow
-def test_the_page_shows_the_audit(cli, walker, tmp_path):
-    assert "It was not audited" in page_of(walker)
+def test_the_page_shows_the_audit(cli, swimmer, tmp_path):
+    assert "It was not audited" in page_of(swimmer)
     run = tmp_path / "run"
-    shutil.copytree(walker, run)
+    shutil.copytree(swimmer, run)
     champion = RunFolder(run).load_champion()[0]
     checks = [
         {"question": "way kept", "measured": 0.3, "limit": 0.9, "least": True, "unit": "%",
@@ -219,9 +220,9 @@ def test_the_page_shows_the_audit(cli, walker, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_half_step_result_is_shown_for_its_champion_only(walker, tmp_path):
+def test_the_half_step_result_is_shown_for_its_champion_only(swimmer, tmp_path):
     run = tmp_path / "run"
-    shutil.copytree(walker, run)
+    shutil.copytree(swimmer, run)
     genes = RunFolder(run).load_champion()[0].genes
     for digest, expected in ((genes_digest(genes), True), (genes_digest(genes + 1), False)):
         kept = {"measured": 0.87, "least": 0.9, "passed": False, "genes_sha256": digest}
@@ -231,11 +232,11 @@ def test_the_half_step_result_is_shown_for_its_champion_only(walker, tmp_path):
         assert ("At half the physics step it keeps 87 %" in page) == expected
 
 
-def test_the_page_lists_differences_from_the_paper(walker):
+def test_the_page_lists_differences_from_the_paper(swimmer):
     """The run differs from the shipped configuration, whose comments name the paper's values."""
-    page = page_of(walker)
-    row = "<tr><td><code>simulation.steps</code></td><td>1200</td><td>{}</td>"
-    assert row.format("120") in page and row.format("paper") in page
+    page = page_of(swimmer)
+    row = "<tr><td><code>simulation.steps</code></td><td>2000</td><td>{}</td>"
+    assert row.format("240") in page and row.format("paper") in page
     found = paper_differences(load_config(WALKER, SMALL_WALK))
     assert found is not None
     changed = {each.key: (each.shipped, each.own) for each in found.differences}
@@ -268,8 +269,8 @@ population: 400  # paper: 200; ours: more seeds find a way
     assert notes(text)[1].text == "C_d; ours, as nobody says"
 
 
-def test_a_configuration_without_a_shipped_name_has_no_differences(walker, monkeypatch):
-    config = load_config(walker / "config.yaml")
+def test_a_configuration_without_a_shipped_name_has_no_differences(swimmer, monkeypatch):
+    config = load_config(swimmer / "config.yaml")
     assert paper_differences(config.model_copy(update={"name": "mine"})) is None
     assert paper_differences(config.model_copy(update={"name": "../configs/hexapod"})) is None
     monkeypatch.setattr(module, "shipped_names", lambda: [])
@@ -325,7 +326,7 @@ def test_out_names_the_page(cli, swimmer, tmp_path):
 
 
 @browsing
-@pytest.mark.parametrize("animal", ["swimmer", "walker"])
+@pytest.mark.parametrize("animal", ["swimmer", pytest.param("walker", marks=pytest.mark.slow)])
 def test_the_page_plays_and_scrubs_in_a_browser_without_a_network(request, tmp_path, animal):
     run = request.getfixturevalue(animal)
     with chromium.browser(tmp_path / "profile") as tab:

@@ -430,8 +430,8 @@ def test_the_exit_code_comes_from_the_process_that_failed(codes, code):
     assert local._code(codes) == code
 
 
-def test_meta_records_one_process(alone):
-    assert json.loads((alone / "meta.json").read_text())["processes"] == 1
+def test_meta_records_one_process(finished_run):
+    assert json.loads((finished_run / "meta.json").read_text())["processes"] == 1
 
 
 def test_a_port_in_use_is_refused(cli, tmp_path):

@@ -29,16 +29,42 @@ def test_an_exported_animal_is_imported_unchanged(cli, tmp_path):
     assert (compiled.nbody, compiled.nu) == (14, 12)
     assert compiled.opt.timestep == pytest.approx(1 / 240)
     code, out, err = cli("import", model, animal)
-    assert (code, out) == (0, f"{animal}\n")
-    assert err == (
-        "not part of a creature, so not read: gravity (0, 0, -9.81) m/s^2, geom 'ground'\n"
-    )
+    assert (code, out, err) == (0, f"{animal}\n", "")
+    found, given = load_config(animal), load_config(WALKER)
+    assert found.creature.build().mass == pytest.approx(given.creature.build().mass, rel=1e-12)
+    code, out, _ = cli("validate", animal)
+    assert code == 0 and "13 bodies, 12 joint axes" in out
+    assert cli("import", model, animal, "--creature", "--overwrite")[0] == 0
     config = yaml.safe_load(WALKER.read_text())
     (tmp_path / "again.yaml").write_text(yaml.safe_dump(config | {"creature": "animal.yaml"}))
-    found, given = load_config(tmp_path / "again.yaml"), load_config(WALKER)
-    assert found.creature.build().mass == pytest.approx(given.creature.build().mass, rel=1e-12)
-    code, out, _ = cli("validate", tmp_path / "again.yaml")
-    assert code == 0 and "13 bodies, 12 joint axes" in out
+    assert load_config(tmp_path / "again.yaml").task == given.task
+
+
+# A ball beside a cart on a rail, with a light and a height field.
+CART = """<mujoco model="cart"><worldbody><light/>
+<body name="cart"><joint name="x" type="slide" axis="1 0 0"/><geom size="0.1"/></body>
+<body name="ball"><freejoint/><geom size="1"/></body></worldbody>
+<actuator><motor joint="x" gear="2"/></actuator></mujoco>"""
+
+
+def test_an_imported_model_trains_at_once(cli, tmp_path, monkeypatch):
+    """The head of the file lists what is lost. The name of the file follows the model's."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cart.xml").write_text(CART)
+    code, out, err = cli("import", "cart.xml")
+    assert (code, out) == (2, "")
+    assert "body 'ball': it moves beside body 'cart'" in err and "--drop" in err
+    code, out, err = cli("import", "cart.xml", "--drop")
+    assert (code, out) == (0, "cart.yaml\n")
+    lines = err.splitlines()
+    assert lines[0] == "left out, without harm: 1 light"
+    assert lines[1].startswith("dropped: body 'ball': it moves beside body 'cart'")
+    head = (tmp_path / "cart.yaml").read_text().splitlines()
+    assert head[:3] == ["# Imported from cart.xml.", "# Left out, without harm:", "#   1 light"]
+    assert head[4].startswith("#   body 'ball': it moves beside")
+    small = "evolution.generations=1 evolution.population=4 evolution.elites=1 simulation.steps=2"
+    code, _, err = cli("train", "cart.yaml", *small.split(), "engine=jax")
+    assert code == 0, err
 
 
 def test_a_settled_start_is_exported_as_a_keyframe(cli, tmp_path, monkeypatch):
@@ -125,7 +151,8 @@ def test_a_refused_import_writes_nothing(cli, tmp_path):
     code, out, err = cli("import", model, animal)
     assert (code, out) == (2, "")
     assert err == (
-        f"evo-cpg: {model}: body 'b': the root does not float freely. Allowed: a freejoint\n"
+        f"evo-cpg: {model}: body 'b': no body of the file moves. Allowed: joints, or the option "
+        "--free\n"
     )
     code, out, err = cli("import", model, animal, "--motor-gain", 0)
     assert (code, err) == (2, "evo-cpg: --motor-gain: must be greater than 0, got 0\n")

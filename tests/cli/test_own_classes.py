@@ -100,11 +100,11 @@ def race(folder: Path, task: dict[str, Any]) -> Path:
 def fresh_cli(cli) -> Callable:
     """Return a function that calls `evo-cpg` and imports the user's modules again each time."""
 
-    def call(*arguments: object):
+    def call(*arguments: object, folder: Path | None = None):
         path = list(sys.path)
         importlib.invalidate_caches()
         try:
-            return cli(*arguments)
+            return cli(*arguments, folder=folder)
         finally:
             sys.path[:] = path
             for name in ("my_animal", "my_scale"):
@@ -113,11 +113,11 @@ def fresh_cli(cli) -> Callable:
     return call
 
 
-def test_an_own_task_and_controller_train_and_verify(finish, tmp_path):
+def test_an_own_task_and_controller_train_and_verify(fresh_cli, tmp_path):
     race(tmp_path, {"type": "my_animal:GoForward", "options": {"bonus": 5.0}})
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
     elsewhere.mkdir()
-    code, _, err = finish(
+    code, _, err = fresh_cli(
         "train", "mine/race.yaml", *SETTINGS, "--out", run, "--cores", 1, folder=tmp_path
     )
     assert code == 0, err
@@ -125,7 +125,7 @@ def test_an_own_task_and_controller_train_and_verify(finish, tmp_path):
     assert champion.genes.shape == (2,)
     assert champion.scales == {} and list(champion.terms) == ["distance"]
     assert abs(champion.fitness - champion.terms["distance"] - 5.0) < 1e-6
-    code, out, err = finish("verify", run, folder=elsewhere)
+    code, out, err = fresh_cli("verify", run, folder=elsewhere)
     assert code == 0, err
     assert out.endswith("is as recorded (exactly)\n")
 

@@ -269,7 +269,7 @@ def test_children_of_copies_are_copied_with_them(key, value, expected):
 def test_the_root_cannot_be_copied():
     data = yaml.safe_load(STAR)
     data["bodies"][0] |= {"name": "disc{j}", "radial": 2}
-    assert refused(data) == "bodies.0: radial: the root, which has no joint, cannot be radial"
+    assert refused(data) == "bodies.0: radial: the root cannot be radial"
 
 
 def test_eye_on_an_unknown_copy_is_rejected():

@@ -29,6 +29,15 @@ NO_LAW = ["world.water.law=null", "world.water.skin_drag=null"]
 
 # File, settings with the mistake, key of the warning, and a part of its message.
 MISTAKES = {
+    "distance of a fixed root": (
+        CONFIG,
+        [
+            "creature.bodies.0.joint={parent: world, at: [0, 0, 0], child_at: [0, 0, 0], axes: []}",
+            "task={type: distance}",
+        ],
+        "task.type",
+        "'head' is fixed to the world, so it is always 0",
+    ),
     "density in g/cm^3": (
         CONFIG,
         ["creature.materials.body.density=1"],

@@ -107,6 +107,24 @@ def test_numbers_of_torque_motors():
 
 @pytest.mark.usefixtures("x64")
 @pytest.mark.slow
+def test_numbers_of_tendons():
+    settings = (
+        "creature.bodies.1.joint.actuator=null",
+        "creature.tendons=[{name: a, joints: {segment1.x: 1, segment2.z: -0.5}, stiffness: 1, "
+        "rest: [-0.1, 0.2], friction_loss: 0.1, limits: [-1, 0.5], armature: 0.01, "
+        "actuator: {gain: 3, stiffness: 2, torque_limit: 4}}, "
+        "{name: b, joints: {segment2.y: 2}, actuator: {type: torque, gear: 2}}]",
+        "simulation.substeps=1",
+    )
+    first = "creature.tendons.0"
+    names = "joints.segment2.z", "stiffness", "rest.1", "friction_loss", "limits.0", "armature"
+    keys = [f"{first}.{name}" for name in (*names, "actuator.gain", "actuator.torque_limit")]
+    keys += ["creature.tendons.1.actuator.gear", "creature.bodies.0.shape.size.0"]
+    check_elements(load_config(CONFIG, [*TINY, *settings]), keys)
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.slow
 def test_numbers_of_single_axes():
     joint = "creature.bodies.1.joint"
     given = {

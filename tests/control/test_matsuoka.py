@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from evo_cpg.analysis.rhythm import upward_crossings
 from evo_cpg.control.matsuoka import (
     TIME_CONSTANTS,
     CpgSettings,
@@ -76,15 +77,9 @@ def run(tree, settings, gains, seconds, h=1 / 60, tonic=1.0):
     return np.asarray(simulate(network, state, drive, gain, h, round(seconds / h)))
 
 
-def upward_crossings(signal, h):
-    """Return the times at which a signal rises through zero."""
-    i = np.flatnonzero((signal[:-1] < 0) & (signal[1:] >= 0))
-    return h * (i - signal[i] / (signal[i + 1] - signal[i]))
-
-
 def rhythm(signals, h):
     """Return the rhythm of signals ``(steps, o)``, with lags from phases of the fundamental."""
-    frequency = 1 / np.mean([np.diff(upward_crossings(signal, h)).mean() for signal in signals.T])
+    frequency = 1 / np.mean([np.diff(h * upward_crossings(signal)).mean() for signal in signals.T])
     steps = int(int(len(signals) * h * frequency) / frequency / h)  # whole periods
     time = h * np.arange(steps)[:, None]
     window = np.hanning(steps)[:, None] * np.exp(-2j * np.pi * frequency * time)
@@ -141,7 +136,7 @@ def test_small_oscillation_of_a_pair_has_the_closed_form_rate_and_frequency(chai
     signal = simulate(network, state, drive, gains, h, round(seconds / h))
     damping = -(RISE + ADAPTATION * (1 - weight)) / (2 * RISE * ADAPTATION)
     angular = math.sqrt((1 - weight + gain) / (RISE * ADAPTATION) - damping**2)
-    times = upward_crossings(np.asarray(signal[:, 0]), h)
+    times = h * upward_crossings(np.asarray(signal[:, 0]))
     assert 2 * np.pi / np.diff(times).mean() == pytest.approx(angular, rel=1e-4)
     # The initial displacement and rate follow from x_e - x_f = 2 swing and z_e = z_f.
     rate = (weight - 1) / RISE

@@ -1,6 +1,7 @@
 """An animal with cuts, silenced senses and a fixed drive, against animals of the parts."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -74,15 +75,15 @@ def test_parts_of_a_cut_cord_are_cords_of_their_own(chain, feedback):
         own = np.flatnonzero(side == one)
         network = sub_network(animal.network, tuple(own))
         state = matsuoka.initial_state(network, (), float)
+        gains = jnp.full(len(own), 3.0)
+        advance = jax.jit(functools.partial(matsuoka.advance, network, h=1 / 60))
         expected = []
         for angle in observed.joint_angle[:60]:
             drive = u * np.ones((2, len(own)))
             if feedback:
                 felt = sum_within(angle[own])
                 drive += np.stack([-felt, felt])
-            state = matsuoka.advance(
-                network, state, jnp.asarray(drive), jnp.full(len(own), 3.0), 1 / 60
-            )
+            state = advance(state, jnp.asarray(drive), gains)
             expected.append(matsuoka.output(state))
         np.testing.assert_allclose(found[:60, own], expected, atol=1e-7)
 

@@ -48,8 +48,13 @@ ERRORS = {
     ),
     "two roots": (
         creature(body("a"), body("b")),
-        "bodies 'a' and 'b' both have no joint. Allowed: one body",
+        "bodies 'a' and 'b' are both roots. Allowed: one body",
         ("bodies", 1, "joint"),
+    ),
+    "world": (
+        creature(body("world"), body("b", "world")),
+        "'world' is the name of the fixed world. Rename the body",
+        ("bodies", 0, "name"),
     ),
     "no root": (
         creature(body("a", "b"), body("b", "a")),

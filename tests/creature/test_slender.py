@@ -93,6 +93,23 @@ def test_bodies_of_very_different_width_are_not_linked():
     assert named(Creature("fish", (TRUNK, TAIL, whisker))) == [["trunk", "tail"], ["whisker"]]
 
 
+def test_a_thin_fin_at_the_end_may_be_wider_than_its_peduncle():
+    """A thick body or a trunk in the fin's place is not linked, nor is a fin across the chain."""
+    peduncle = limb("peduncle", Box((0.2, 0.02, 0.03)), "tail", (-0.15, 0.0, 0.0), (0.1, 0.0, 0.0))
+    joint = ("peduncle", (-0.1, 0.0, 0.0), (0.05, 0.0, 0.0))
+
+    def last(*bodies: Body) -> list[str]:
+        return named(Creature("fish", (TRUNK, TAIL, peduncle, *bodies)))[0]
+
+    fin = limb("fin", Box((0.1, 0.01, 0.3)), *joint)
+    assert last(fin)[-1] == "fin"
+    spike = limb("spike", Capsule(0.01, 0.02), "fin", (-0.05, 0.0, 0.1), (0.02, 0.0, 0.0))
+    assert last(fin, spike)[-1] == "peduncle"
+    assert last(limb("fin", Box((0.1, 0.1, 0.3)), *joint))[-1] == "peduncle"
+    across = ("peduncle", (-0.1, 0.0, 0.0), (0.005, 0.0, 0.0))
+    assert last(limb("fin", Box((0.01, 0.3, 0.3)), *across))[-1] == "peduncle"
+
+
 def test_a_body_without_size_keeps_its_place():
     """The last body of a traced chain has no size. It has no length, and finite tangents."""
 

@@ -152,7 +152,7 @@ def test_scenery_never_shares_a_name_with_a_body():
     """Bodies have names of the scenery, and all node names stay unique."""
     make, move, settings = SCENES["stones"]
     creature, recording = make(), move(4.0)
-    scenery = ("world", "ground", "light", "sun", "obstacle1")
+    scenery = ("ground", "light", "sun", "obstacle1")
     given = [body.name for body in creature.bodies]
     called = dict(zip(given, [*scenery, *given[len(scenery) :]], strict=True))
 

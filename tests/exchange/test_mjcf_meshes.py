@@ -7,16 +7,16 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-import yaml
 
 from creatures import quick_jit, random_state
-from evo_cpg.config.load import dump_creature
-from evo_cpg.config.schema.creature import CreatureConfig
+from evo_cpg.config.load import load_config
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, neutral_pose
+from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.exchange.imported_files import write_imported
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.exchange.mjcf_import import read_mjcf
+from evo_cpg.exchange.mjcf_import import read_model
 from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.articulated import solve
@@ -25,6 +25,7 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.rotation import euler_to_matrix
+from imported import creature_of
 from polyhedra import tetrahedron, wedge
 
 GRAVITY = 9.81
@@ -104,26 +105,26 @@ def read(tmp_path):
     def call(text: str):
         path = tmp_path / "model.xml"
         path.write_text(text, encoding="utf-8")
-        return read_mjcf(path)
+        return read_model(path)
 
     return call
 
 
 def test_export_and_import_preserve_a_creature(read):
-    """Places, volumes and inertias agree to single precision, also after YAML."""
+    """The export carries the corners in double precision, so that all numbers agree to 1e-9."""
     creature = animal()
-    found, left_out = read(mjcf_text(mjcf_model(creature, 0.0)))
-    again = CreatureConfig.model_validate(yaml.safe_load(dump_creature(found))).build()
-    assert left_out == ()
+    found = read(mjcf_text(mjcf_model(creature, 0.0)))
+    again = creature_of(found)
+    assert found.left_out == ()
     for ours, theirs in zip(again.bodies, creature.bodies, strict=True):
         assert (ours.name, type(ours.shape)) == (theirs.name, type(theirs.shape))
-        assert ours.shape.volume == pytest.approx(theirs.shape.volume, rel=1e-5)
-        assert ours.material.density == pytest.approx(theirs.material.density, rel=1e-5)
+        assert ours.shape.volume == pytest.approx(theirs.shape.volume, rel=1e-9)
+        assert ours.material.density == pytest.approx(theirs.material.density, rel=1e-9)
         expected = theirs.shape.inertia_tensor(1.0)
         found = ours.shape.inertia_tensor(1.0)
-        np.testing.assert_allclose(found, expected, atol=1e-5 * expected.max())
+        np.testing.assert_allclose(found, expected, atol=1e-9 * expected.max())
     for ours, theirs in zip(neutral_pose(again), neutral_pose(creature), strict=True):
-        np.testing.assert_allclose(ours, theirs, atol=1e-6)
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
 
 
 def model(mesh: trimesh.Trimesh) -> str:
@@ -141,25 +142,33 @@ def model(mesh: trimesh.Trimesh) -> str:
 
 def test_a_rotated_mesh_of_the_root_keeps_its_orientation(read):
     """The mesh of a box at 30 degrees has rotated corners."""
-    found, _ = read(model(trimesh.creation.box((0.3, 0.2, 0.1))))
-    shape = found.build().bodies[0].shape
+    found = creature_of(read(model(trimesh.creation.box((0.3, 0.2, 0.1)))))
+    shape = found.bodies[0].shape
+    assert isinstance(shape, ConvexMesh)
     half = np.deg2rad(30)
     corner = [0.15 * np.cos(half) - 0.1 * np.sin(half), 0.15 * np.sin(half) + 0.1 * np.cos(half)]
     assert np.abs(shape.points[:, :2] - corner).max(1).min() < 1e-6
 
 
-def test_a_thin_oblique_mesh_is_accepted(read):
-    """MuJoCo keeps the corners of a rod of 1 m by 2 mm in single precision."""
-    rod = trimesh.creation.box((1.0, 0.002, 0.003))
-    turn = np.eye(4)
-    turn[:3, :3] = euler_to_matrix(0.3, -0.2, 0.7)
-    found, _ = read(model(rod.apply_transform(turn)))
-    assert found.build().bodies[0].shape.volume == pytest.approx(6e-6, rel=1e-3)
+def test_a_mesh_becomes_the_hull_of_its_corners(read, tmp_path):
+    """A ball of many corners and a ring. The mass is MuJoCo's, and the files are STL."""
+    text = model(trimesh.creation.annulus(0.05, 0.1, 0.1, sections=8))
+    found = read(text)
+    ring = creature_of(found)
+    assert ring.bodies[0].shape.volume == pytest.approx(0.002828, rel=1e-3)
+    assert ring.mass == pytest.approx(mujoco.MjModel.from_xml_string(text).body_mass[1], rel=1e-12)
+    files = write_imported(found, tmp_path / "model.xml", tmp_path / "ring.yaml", alone=False)
+    assert files == [tmp_path / "ring.yaml", tmp_path / "ring_meshes" / "trunk.stl"]
+    again = load_config(tmp_path / "ring.yaml").creature.build()
+    np.testing.assert_allclose(again.bodies[0].shape.volume, ring.bodies[0].shape.volume, rtol=1e-6)
+    ball = creature_of(read(model(trimesh.creation.icosphere(4, 0.1)))).bodies[0].shape
+    assert isinstance(ball, ConvexMesh) and len(ball.vertices) == 100
+    assert ball.volume == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=0.1)
 
 
 def test_a_mesh_that_cannot_be_a_body_is_refused(read):
-    ring = trimesh.creation.annulus(0.05, 0.1, 0.1, sections=8)
+    speck = trimesh.creation.box((1e-4, 1e-4, 1e-4))
     with pytest.raises(
-        ExchangeError, match="unnamed geom of body 'trunk': its mesh: it is not con"
+        ExchangeError, match="unnamed geom of body 'trunk': its mesh cannot be a body: it"
     ):
-        read(model(ring))
+        read(model(speck))

@@ -9,8 +9,11 @@ import pytest
 from swimmer import FORWARDS, SWIMMER, subject
 
 import evo_cpg as evo
+from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.schema.task import ReachLightConfig
 from evo_cpg.laboratory.ask import Answer, ask
+from evo_cpg.laboratory.bodies import config_of
 from evo_cpg.laboratory.flume import flume_notes
 from evo_cpg.laboratory.settings import LabError
 from evo_cpg.physics.added_mass import AddedMass
@@ -48,7 +51,8 @@ def test_swimmer_in_a_flume_holds_its_place_at_its_speed(ribbon):
     rows = ask(ribbon, FORWARDS | {"current": [0.0, 0.1]}).rows
     still, against = (row["ground_speed"] for row in rows)
     assert still > 0.1
-    assert still - against == pytest.approx(0.1, rel=0.3)
+    # Neither has its steady speed after 4 s. Later the animal turns.
+    assert still - against == pytest.approx(0.1, rel=0.1)
 
 
 def test_size_scales_speed_without_viscosity(ribbon):
@@ -58,6 +62,16 @@ def test_size_scales_speed_without_viscosity(ribbon):
     assert rows[1]["mass"] == pytest.approx(8 * rows[0]["mass"])
     assert rows[1]["path_speed"] == pytest.approx(2 * rows[0]["path_speed"], rel=1e-3)
     assert rows[1]["power"] == pytest.approx(32 * rows[0]["power"], rel=1e-3)
+
+
+def test_light_stays_as_many_lengths_away_in_all_sizes(ribbon):
+    lit = ribbon.config.model_copy(update={"task": ReachLightConfig()})
+    distances = []
+    for size in (1.0, 1e-3):
+        config = config_of(lit, ribbon.source, {"size": size})
+        (situation,) = build_experiment(config, ribbon.source).simulation.situations
+        distances.append(np.linalg.norm(np.subtract(situation.light, situation.start_position)))
+    assert distances[0] == pytest.approx(8.0) and distances[1] == pytest.approx(8e-3)
 
 
 def test_key_of_the_configuration_is_a_knob(ribbon):
@@ -71,6 +85,13 @@ def test_passive_joints_have_no_torque(ribbon):
     active, passive = (np.abs(each.torque).max(0) for each in answer.recordings)
     assert (active > 1e-3).all()
     assert passive[0] > 1e-3 and (passive[1:] == 0).all()
+
+
+def test_undriven_oscillators_fall_silent(ribbon):
+    answer = ask(ribbon, FORWARDS | {"undriven": ["none", "tail3"]})
+    whole, without = (np.abs(each.cpg_output[-60:]).max(0) for each in answer.recordings)
+    assert (whole > 0.1).all()
+    assert (without[:2] > 0.1).all() and without[2] < 1e-6
 
 
 def test_stiff_joints_bend_less(ribbon):

@@ -5,19 +5,13 @@ import itertools
 import numpy as np
 import pytest
 
+from evo_cpg.analysis.rhythm import upward_crossings
 from evo_cpg.api.lab import lab
 
 
-def crossings(signal: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return the times at which a signal becomes positive, interpolated."""
-    before = np.flatnonzero((signal[:-1] < 0) & (signal[1:] >= 0))
-    fraction = -signal[before] / (signal[before + 1] - signal[before])
-    return time[before] + fraction * (time[before + 1] - time[before])
-
-
-def lags(first: np.ndarray, second: np.ndarray, time: np.ndarray) -> np.ndarray:
+def lags(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the lag of the second signal behind the first in each cycle, degrees, within 180."""
-    starts, others = crossings(first, time), crossings(second, time)
+    starts, others = upward_crossings(first), upward_crossings(second)
     found = []
     for start, end in itertools.pairwise(starts):
         late = others[np.argmin(np.abs(others - start))] - start
@@ -35,7 +29,7 @@ def test_feedback_brings_a_cut_eel_back_into_phase():
     for motion in answer.recordings:
         names = list(motion.dof_names)
         pair = (motion.cpg_output[:, names.index(name)] for name in ("trunk10.z", "middle1.z"))
-        lag.append(lags(*pair, motion.time))
+        lag.append(lags(*pair))
     whole, feeling, cut, cut_feeling = range(4)
     # Without feedback the tail keeps a wrong phase, and most of the speed is lost.
     assert speed[cut] < 0.5 * speed[whole]

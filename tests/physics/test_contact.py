@@ -149,7 +149,7 @@ def on_slope(degrees: float, tall: float):
     return world, state, np.array([np.cos(angle), 0.0, -np.sin(angle)])
 
 
-@pytest.mark.parametrize("tall", [0.1, 0.3])
+@pytest.mark.parametrize("tall", [pytest.param(0.1, marks=pytest.mark.slow), 0.3])
 def test_static_friction_holds(tall):
     """A block creeps less than 0.5 mm/s at one degree below atan 0.5 = 26.57 degrees."""
     world, state, downhill = on_slope(25.5, tall)
@@ -161,7 +161,9 @@ def test_static_friction_holds(tall):
     assert np.abs(np.asarray(states.velocity)[-1, :3]).max() < 1e-3
 
 
-@pytest.mark.parametrize(("degrees", "tall"), [(27.57, 0.3), (35.0, 0.1)])
+@pytest.mark.parametrize(
+    ("degrees", "tall"), [pytest.param(27.57, 0.3, marks=pytest.mark.slow), (35.0, 0.1)]
+)
 def test_dynamic_friction_brakes(degrees, tall):
     """A sliding block accelerates by g (sin a - mu_d cos a) above ten Stribeck speeds."""
     world, state, downhill = on_slope(degrees, tall)
@@ -206,7 +208,7 @@ def test_an_oblique_impact_stays_in_the_friction_cone(name):
         np.testing.assert_allclose(change[-1, :2], -taken[-1] * np.array([1, -0.4]) / 1.16**0.5)
 
 
-@pytest.mark.parametrize("name", ["sphere", "capsule"])
+@pytest.mark.parametrize("name", ["sphere", pytest.param("capsule", marks=pytest.mark.slow)])
 def test_a_sliding_body_starts_to_roll(name):
     """Angular momentum about the ground is conserved: v = v0 / (1 + I / m r^2), 5/7 v0 for a ball.
 

@@ -129,14 +129,17 @@ def test_derivatives_equal_finite_differences(x64):
     law = world.forces[0]
     assert isinstance(law, PlateLift) and law.bodies == (0, 1)
     state = random_state(world.tree, np.random.default_rng(0), (3,))
-    bodies = world.bodies(kinematics(world.tree, state), 0.01)
-    velocity = np.asarray(bodies.velocity)
+
+    def bodies():
+        return world.bodies(kinematics(world.tree, state), 0.01)
+
+    velocity = np.asarray(quick_jit(lambda: bodies().velocity)())
     other = jnp.asarray(np.random.default_rng(1).normal(size=velocity.shape))
-    wrench = quick_jit(lambda velocity: law.wrench(bodies.moving(velocity)))
+    wrench = quick_jit(lambda velocity: law.wrench(bodies().moving(velocity)))
 
     @quick_jit
     def parts(velocity):
-        now = bodies.moving(velocity)
+        now = bodies().moving(velocity)
         (part,) = law.parts(now)
         return law.derivative(now), part.resistance, law.averaged(now, now.moving(other))
 

@@ -10,7 +10,6 @@ import pytest
 
 import driven
 from creatures import box_chain, in_water
-from evo_cpg.analysis.energy import ledger
 from evo_cpg.creature.creature import Actuator, Muscle
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.jax_internals import quick_jit
@@ -19,7 +18,6 @@ from evo_cpg.physics.muscle import metabolic_rate, pull_of
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.physics_steps import PhysicsSteps
 
 pytestmark = pytest.mark.usefixtures("x64")
 
@@ -200,7 +198,7 @@ def test_mirrored_activation_gives_the_mirrored_motion():
     np.testing.assert_allclose(one[3], other[3], rtol=1e-12)
 
 
-@pytest.mark.parametrize("hill", [False, True])
+@pytest.mark.parametrize("hill", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_gradients_through_muscles_equal_central_differences(hill):
     world = pair(dataclasses.replace(HILL, hill=hill))
     names = ["strength", "stiffening", "damping"] + ["strain", "slowness", "curvature"] * hill
@@ -258,42 +256,14 @@ def test_energy_balance_of_a_swimming_chain_closes():
     world = in_water(box_chain(3, "z", dataclasses.replace(HILL, area=3e-3), SIZE), gravity=0.0)
     missing = []
     for h in (1 / 240, 1 / 480):
-        count = round(0.5 / h)
 
-        @quick_jit
-        def motion(state, h=h, count=count):
-            def advance(s, n):
-                wave = 0.5 * jnp.sin(12.0 * h * n - jnp.arange(2.0))
-                both = jnp.stack([jnp.maximum(wave, 0.0), jnp.maximum(-wave, 0.0)])
-                new, effort = step(world, s, MotorCommand(jnp.zeros(2), activation=both), h)
-                return new, (s, new, both, effort.torque)
+        def command(time):
+            wave = 0.5 * jnp.sin(12.0 * time - jnp.arange(2.0))
+            both = jnp.stack([jnp.maximum(wave, 0.0), jnp.maximum(-wave, 0.0)])
+            return MotorCommand(jnp.zeros(2), activation=both)
 
-            return jax.lax.scan(advance, state, jnp.arange(count))[1]
-
-        of_time = jax.tree.map(
-            lambda x: np.moveaxis(np.asarray(x), 0, -1),
-            motion(resting_state(world.tree, (), jnp.float64)),
-        )
-        before, after, active, torque = of_time
-        none = np.zeros((0, count))
-        balance = ledger(
-            world,
-            PhysicsSteps(
-                before=before,
-                after=after,
-                target_rate=np.zeros((2, count)),
-                target_angle=np.zeros((2, count)),
-                activation=active,
-                commanded_torque=np.zeros((2, count)),
-                torque=torque,
-                contact_force=np.zeros((3, 0, count)),
-                pair_force=none,
-                solved_residual=np.zeros(count),
-                coulomb_residual=np.zeros(count),
-                light=none,
-            ),
-            h,
-        )
+        start = resting_state(world.tree, (), jnp.float64)
+        balance, _ = driven.balance(world, start, command, round(0.5 / h), h)
         missing.append(np.abs(balance.left_over).sum() / balance.effort)
     assert balance.motors.sum() > 0
     assert missing[1] < 1e-3

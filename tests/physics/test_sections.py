@@ -132,6 +132,18 @@ def test_a_sharp_edge_sheds_the_difference():
     np.testing.assert_allclose(law.edges.masses[:, ~forwards].sum(1).max(), widest.max())
 
 
+def test_a_caudal_fin_sheds_its_own_section():
+    """A fin of 0.3 m behind a peduncle of 0.04 m: ``rho pi a^2 c(b/a)`` times Lamb's k_2."""
+    row_of_bodies = row(*[Capsule(0.02, 0.31)] * 3, Box((0.15, 0.03, 0.3)))
+    law = edges(row_of_bodies)
+    (tail,) = np.flatnonzero(law.edges.tangents[0] > 0)
+    assert law.bodies[tail] == 3
+    sideways = int(np.abs(law.edges.directions[1, :, tail]).argmax())
+    # The chain is 1.2 m long, four times as long as the fin is high.
+    fin = WATER * np.pi * 0.15**2 * 1.14 * 0.860
+    np.testing.assert_allclose(law.edges.masses[sideways, tail], fin, rtol=2e-3)
+
+
 def test_a_body_without_size_sheds_nothing():
     """A chain whose last body has no size is the chain without the body."""
 

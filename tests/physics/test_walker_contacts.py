@@ -339,7 +339,7 @@ def touching():
 
         def alone(state):
             found = solve_step(world, H, state, MotorCommand(still))
-            return integrate(state, found.root, found.qdd, H)
+            return integrate(world.tree, state, found.root, found.qdd, H)
 
         yield world, state, jax.vmap(alone, -1, -1)
 

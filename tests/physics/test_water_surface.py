@@ -10,6 +10,7 @@ import pytest
 import scipy.stats
 
 from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, random_state
+from evo_cpg.analysis.rhythm import upward_crossings
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
@@ -76,10 +77,7 @@ def volume_points(shape: Shape, log2_count: int) -> np.ndarray:
 
 def period(signal: np.ndarray, h: float = H) -> float:
     """Return the mean time between upward crossings of the mean, s."""
-    x = signal - signal.mean()
-    before = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
-    times = (before - x[before] / (x[before + 1] - x[before])) * h
-    return float(np.diff(times).mean())
+    return float(np.diff(h * upward_crossings(signal - signal.mean())).mean())
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])

@@ -88,7 +88,7 @@ def genes_of(simulation, dtype):
 @pytest.mark.parametrize(
     ("case", "dtype", "error"),
     [
-        ("swimmer", np.float32, 1e-5),
+        pytest.param("swimmer", np.float32, 1e-5, marks=pytest.mark.slow),
         ("hopper", np.float64, 1e-10),
         pytest.param("walker", np.float64, 1e-10, marks=pytest.mark.slow),
         pytest.param("viscous swimmer", np.float32, 1e-5, marks=pytest.mark.slow),
@@ -119,12 +119,12 @@ def test_batched_bodies_equal_single_bodies(case, dtype, error, request):
 @pytest.mark.parametrize(
     ("name", "overrides"),
     [
-        ("two_eyed_swimmer", []),
         ("turtle", []),
-        ("fukui2003_model1", []),
         *(
             pytest.param(name, overrides, marks=pytest.mark.slow)
             for name, overrides in (
+                ("two_eyed_swimmer", []),
+                ("fukui2003_model1", []),
                 ("iwadate2010_swimmer", ["creature.bodies.1.joint.actuator.torque_limit=5"]),
                 ("hexapod", ["controller.graded=true"]),
                 ("starfish", []),

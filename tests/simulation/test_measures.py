@@ -66,6 +66,10 @@ def test_measures_equal_numbers_from_a_recording(evaluated):
         assert measured["amplitude"] == pytest.approx(angles.std(0).mean(), rel=0.05)
         swings = (np.diff(np.sign(np.diff(angles, axis=0)), axis=0) != 0).sum(0).mean()
         assert measured["frequency"] == pytest.approx(swings / 2 / duration, rel=0.15, abs=0.1)
+        strides = max(measured["frequency"] * duration, 1.0)
+        assert measured["stride_length"] * strides == pytest.approx(
+            measured["speed"] * duration, rel=1e-4
+        )
         up = np.asarray(motion.rotation, float)[:, first, 2, 2]
         assert measured["tilt"] == pytest.approx((1 - up).mean(), abs=2e-3)
         spin = np.asarray(motion.rotation, float)[:, first]
@@ -74,7 +78,7 @@ def test_measures_equal_numbers_from_a_recording(evaluated):
         assert measured["turning"] == pytest.approx(about_the_vertical / duration, abs=0.05)
 
 
-def test_duty_factor_and_airborne_follow_from_contact_forces(evaluated):
+def test_duty_factor_slip_and_airborne_follow_from_contact_forces(evaluated):
     experiment, on_ground, found, _ = evaluated
     if not on_ground:
         return
@@ -98,5 +102,10 @@ def test_duty_factor_and_airborne_follow_from_contact_forces(evaluated):
         expected = np.mean([one for one in legs if one > 0] or [0.0])
         found_one = float(found.descriptors["limb_duty_factor"][i])
         assert found_one == pytest.approx(expected, abs=0.02)
+        load = np.asarray(frames["contact_force"])[:, 2, :, i]
+        slide = np.linalg.norm(np.asarray(frames["contact_velocity"])[:, :2, :, i], axis=1)
+        slip = (load * slide).sum() / max(load.sum(), 1e-9)
+        relative = float(found.descriptors["relative_slip"][i] * found.descriptors["speed"][i])
+        assert relative == pytest.approx(slip, rel=0.03, abs=1e-4)
         nothing = (force[:, :, i] == 0).all(1).mean()
         assert float(found.descriptors["airborne"][i]) >= nothing - 0.02

@@ -86,7 +86,7 @@ def test_pushes_add_up_to_a_random_walk_at_any_control_rate(simulation, rate):
 
     def walk(keys):
         def advance(state, index):
-            return disturb_motion(noise, state, keys, index, 1 / rate), None
+            return disturb_motion(noise, simulation.world.tree, state, keys, index, 1 / rate), None
 
         return jax.lax.scan(advance, rest, jnp.arange(rate // 2))[0]
 
@@ -145,12 +145,15 @@ def test_noise_of_friction_equals_another_friction_coefficient(engine):
     noisy = dataclasses.replace(crawling, noise=Noise(friction=0.9))
     genes, keys = jnp.full((2, 3), 2.0), jnp.asarray(KEYS[:, :3])
     found = quick_jit(lambda g, k: rollout(noisy, g, k, None, Recorder(3)))(genes, keys)["position"]
+
+    @quick_jit
+    def alone(genes, factor):
+        rough = dataclasses.replace(crawling, world=crawling.world.with_friction(factor))
+        return rollout(rough, genes, observers=Recorder())["position"]
+
     for i, factor in enumerate(np.asarray(friction_scale_of(noisy.noise, keys))):
-        rough = dataclasses.replace(crawling, world=crawling.world.with_friction(float(factor)))
-        alone = quick_jit(lambda g, rough=rough: rollout(rough, g, observers=Recorder()))(genes)[
-            "position"
-        ]
-        np.testing.assert_allclose(found[..., i], alone[..., 0], atol=1e-6)
+        expected = alone(genes, float(factor))
+        np.testing.assert_allclose(found[..., i], expected[..., 0], atol=1e-6)
     assert np.ptp(np.asarray(found)[-1, 0], axis=-1).max() > 1e-3
 
 

@@ -1,6 +1,7 @@
 """Rules and measures of the report card, on numbers that were made up."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -85,18 +86,19 @@ def test_commands_have_the_values_of_their_questions():
                 np.testing.assert_allclose(values[name], own, rtol=1e-5)
 
 
-def answer(rows: list[dict], recordings: tuple = ()) -> Answer:
+def answer(rows: list[dict], recordings: tuple = (), tree: object = None) -> Answer:
     """Return an answer whose settings are the knobs of its rows: u, b and cut."""
     settings = [{k: row[k] for k in ("u", "b", "cut") if k in row} for row in rows]
     whole = recordings or tuple([None] * len(rows))
-    return Answer(settings, rows, whole, (), tuple([None] * len(rows)))  # pyright: ignore
+    simulation = SimpleNamespace(world=SimpleNamespace(tree=tree))
+    return Answer(settings, rows, whole, (), tuple([simulation] * len(rows)))  # pyright: ignore
 
 
 def test_exponents_and_prefactors_of_exact_power_laws_are_found():
     sw = np.geomspace(1e2, 1e7, 11)
     re = np.where(sw < 1e4, 0.03 * sw**1.31, 0.4 * sw**1.02)
     rows = [{"u": 1.0, "swimming_number": x, "reynolds": y} for x, y in zip(sw, re, strict=True)]
-    both = "reynolds", "swimming_number", "u"
+    both = "reynolds", "swimming_number", ("u",)
     m = card_measures
     assert m.turbulent(m.slope, *both)([answer(rows)]) == pytest.approx([1.02])
     assert m.turbulent(m.prefactor, *both, 1.02)([answer(rows)]) == pytest.approx([0.4])
@@ -144,16 +146,25 @@ def test_the_cycles_until_a_lag_returns_are_counted():
 
 
 def test_activity_that_outruns_bending_has_a_shorter_lag():
-    time, place = np.arange(2000) / 100.0, np.arange(8) / 8.0
+    """The joints of a body of 2 m have uneven distances."""
+    apart = np.array([0.1, 0.3, 0.1, 0.2, 0.3, 0.2, 0.3])
+    time, place = np.arange(2000) / 100.0, np.append(0.0, np.cumsum(apart)) / 2.0
     waves = [np.cos(2 * np.pi * (time[:, None] - k * place)) for k in (1.0, 0.5)]
     nothing = np.zeros((2000, 1, 3))
     one = Recording(time, nothing, nothing[..., None], waves[0], waves[1], waves[1], waves[1],
                     time, np.zeros(3), ("a.z",) * 8)  # fmt: skip
-    given = [answer([{"u": 1.0, "stride_frequency": 1.0}], (one,))]
+    offset = np.zeros((3, 9))
+    offset[0, 1:] = -0.25, *-apart
+    tree = SimpleNamespace(
+        parents=tuple(range(-1, 8)), joint_offset=offset, dof_bodies=tuple(range(1, 9))
+    )
+    row = {"u": 1.0, "stride_frequency": 1.0, "length": 2.0}
+    given = [answer([row], (one,), tree)]
     assert card_measures.outrunning(given) == pytest.approx([2.0], rel=1e-2)
     assert card_measures.activity_speed(given) == pytest.approx([2.0], rel=1e-2)
-    # The lead grows by half of the distance between the middles of the outer thirds, 6 of 8.
-    assert card_measures.lead_grows(given) == pytest.approx([0.375], rel=2e-2)
+    # The lead grows by half of the distance between the middles of the outer thirds.
+    grown = (place[-2:].mean() - place[:2].mean()) / 2
+    assert card_measures.lead_grows(given) == pytest.approx([grown], rel=2e-2)
     assert card_measures.burst(0.0)(given) == pytest.approx([47.0], abs=1.0)
 
 

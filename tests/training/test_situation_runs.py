@@ -55,7 +55,13 @@ def evolve(made, path):
     return folder, train(made, folder)
 
 
-@pytest.fixture(scope="module", params=[MADE, NOISY], ids=["silent", "noisy"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(MADE, id="silent", marks=pytest.mark.slow),
+        pytest.param(NOISY, id="noisy"),
+    ],
+)
 def evolved(request, tmp_path_factory):
     path = tmp_path_factory.mktemp("situations") / "run"
     return request.param, *evolve(request.param, path)

@@ -8,7 +8,7 @@ from evo_cpg.view import frames, ground, preview
 from evo_cpg.view.textures import floor_texture
 
 # Oversampling of a still. The default of 3 only makes edges smoother.
-_OVERSAMPLING = 2.0
+_OVERSAMPLING = 1.25
 
 
 @pytest.fixture(autouse=True, scope="session")

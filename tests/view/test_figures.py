@@ -183,9 +183,20 @@ def test_the_best_so_far_is_visible_below_an_equal_line():
     equal = np.array([1.0, 2.0, 2.0])
     columns = {"generation": np.arange(3), "best": equal, "best_so_far": equal, "mean": equal - 1}
     figure = fitness_figure(columns | {"diverged": np.zeros(3)})
-    below, above, _ = figure.axes[0].get_lines()
+    (axes,) = figure.axes
+    below, above, _ = axes.get_lines()
     assert (below.get_label(), above.get_label()) == ("best so far", "best of the generation")
     assert below.get_linewidth() > 3 * above.get_linewidth()
+
+
+def test_generations_are_counted_in_round_numbers():
+    steps = set()
+    for count in (7, 13, 20, 60, 130, 200, 1000):
+        columns = {name: np.arange(float(count)) for name in ("generation", "best", "mean")}
+        figure = fitness_figure(columns | {"diverged": np.zeros(count)})
+        ticks = figure.axes[0].get_xticks()
+        steps.add(f"{ticks[1] - ticks[0]:g}".rstrip("0"))
+    assert steps <= {"1", "2", "5"}
 
 
 def test_fitness_of_several_runs_is_their_median():

@@ -86,11 +86,11 @@ def test_the_synthetic_walker_touches_the_ground_exactly(creature, recording):
 
 @pytest.mark.parametrize("height", [0.0, 0.3])
 def test_the_ground_is_at_the_height_of_the_physics(creature, recording, stills, height):
-    """The strong line 4 m from the start is at the height of the plane."""
+    """The strong line 3 m from the start is at the height of the plane."""
     raised = recording._replace(position=recording.position + height * UP)
     image = stills(raised, ground=Ground(floor=Plane(height=height)))
-    along = np.linspace(-0.5, 0.4, 10)
-    line = np.column_stack([0 * along + 4, along, 0 * along + height])
+    along = np.linspace(-0.85, -0.35, 10)
+    line = np.column_stack([0 * along + 3, along, 0 * along + height])
     here = brightness(image, place(creature, raised, line))
     for offset in ([0.07, 0, 0], [-0.07, 0, 0]):
         next_to_it = brightness(image, place(creature, raised, line + offset))
@@ -162,6 +162,8 @@ def test_the_numbers_stand_beside_the_path(creature, recording, stills):
     )
     near = inked[int(low) : int(high), int(left) : int(right)]
     assert near.sum() > 60
+    # The captions begin at four fifths of the height.
+    assert not inked[int(0.82 * len(inked)) :].any()
 
 
 def test_a_picture_has_sky_sun_and_contrast(stills):

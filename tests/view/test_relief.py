@@ -218,7 +218,8 @@ def test_water_and_land_differ_in_colour(creature, wading, tmp_path):
     orange = (image[..., 0] - image[..., 2] > 150) & (image[..., 1] < 140)
     assert orange.mean() > 0.01
     bare = still(creature, wading, tmp_path, ground=ground, world="land")
-    assert np.abs(bare - image)[orange].mean() < 12
+    # At its edges, smoothed pixels mix with what is behind.
+    assert np.median(np.abs(bare - image)[orange]) < 6
 
 
 def test_only_bodies_under_water_are_tinted(creature, wading, tmp_path):

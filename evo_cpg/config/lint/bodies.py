@@ -10,7 +10,7 @@ from evo_cpg.config.lint.rule import Case, LintWarning, rule
 from evo_cpg.config.schema.joint import MuscleConfig, TorqueMotorConfig
 from evo_cpg.config.schema.typical import ROUNDING, TURN
 from evo_cpg.creature.creature import Body, Muscle, TorqueMotor
-from evo_cpg.creature.shapes import Capsule, Shape
+from evo_cpg.creature.shapes import Capsule, Cylinder
 from evo_cpg.spatial.numerics import Triple
 
 # Range of the longest edge of a body, from the limb of a small insect to a whale, m.
@@ -32,6 +32,9 @@ _LEAST_TURN = 1.0
 # Joints have gaps between bodies, and eyes stand on stalks.
 _OUT = 0.3
 
+# Number of axes that span all rotations.
+_SPANNING = 3
+
 # Smallest angle between successive bodies of a row, degrees, for a warning. The row curls up into a
 # ring.
 _CURLS = 45.0
@@ -40,10 +43,11 @@ _CURLS = 45.0
 @rule
 def body_size(case: Case) -> Iterator[LintWarning]:
     """Warn of bodies that are very large, very small, or unlike the median of all bodies."""
-    edges = [2 * float(body.shape.half_extents.max()) for body in case.creature.bodies]
-    middle = float(np.median(edges))
+    shaped = [each for each in case.bodies() if each[1].shape is not None]
+    edges = [2 * float(body.shape.half_extents.max()) for *_, body in shaped]
+    middle = float(np.median(edges)) if edges else 0.0
     low, high = _BODIES
-    for (key, entry, _), edge in zip(case.bodies(), edges, strict=True):
+    for (key, entry, _), edge in zip(shaped, edges, strict=True):
         if not low <= edge <= high:
             likely = f"In mm it would be {edge / 1000:g} m, in cm {edge / 100:g} m"
             if edge < low:
@@ -57,7 +61,7 @@ def body_size(case: Case) -> Iterator[LintWarning]:
         else:
             continue
         # A mesh has no key for its size.
-        size = entry.shape.size_key
+        size = entry.shape.size_key if entry.shape else None
         place = (*key, "shape", size) if size else (*key, "shape")
         yield case.warning(place, problem, None if size else "mesh")
 
@@ -117,6 +121,23 @@ def joint_limits(case: Case) -> Iterator[LintWarning]:
 
 
 @rule
+def axes_in_a_plane(case: Case) -> Iterator[LintWarning]:
+    """Warn of three axes at one place that reach a common plane, without a rotor among them."""
+    for joint in case.joints():
+        built = joint.built
+        at_one_place = not any(built.kinds or ()) and not any(built.places or ())
+        if len(built.axes) != _SPANNING or not at_one_place or built.kind == "turns":
+            continue
+        if not any(dof.armature for dof in built.dofs):
+            yield case.warning(
+                (*joint.key, "axes"),
+                "the middle axis can turn until the three axes lie within 5 degrees of one plane. "
+                "Near it the joint spins up under any torque. Give it an armature, narrower limits "
+                "for the middle axis, or axes: ball",
+            )
+
+
+@rule
 def postures(case: Case) -> Iterator[LintWarning]:
     """Warn of posture angles that may be in radians. These keys lack ``_deg`` but are degrees."""
     # Pyright cannot follow a class that is created at import.
@@ -143,8 +164,10 @@ def postures(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def no_motor(case: Case) -> Iterator[LintWarning]:
-    """Warn if no joint has a motor."""
+    """Warn if no joint and no tendon has a motor."""
     joints = list(case.joints())
+    if any(tendon.actuator for tendon in case.config.creature.tendons):
+        return
     if joints and all(motor is None for joint in joints for motor in joint.given.motors):
         yield case.warning(
             (*joints[0].key, "actuator"),
@@ -206,7 +229,7 @@ def repeated_place(case: Case) -> Iterator[LintWarning]:
     """Warn of a row whose joint position fits the first body's parent, but not the row's bodies."""
     for joint in case.joints():
         at, parent, body = joint.built.parent_anchor, joint.parent, joint.body
-        fits, gap = _gap(parent.shape, at), _gap(body.shape, at)
+        fits, gap = _gap(case, parent, at), _gap(case, body, at)
         if joint.repeat == 1 or abs(fits) > _OUT * parent.shape.half_extents.max():
             continue
         if abs(gap) > _OUT * body.shape.half_extents.max():
@@ -248,11 +271,12 @@ def far_places(case: Case) -> Iterator[LintWarning]:
             key = "creature", kind, i, "position"
             places.append((key, repr(sensor.body), body, sensor.position))
     for key, whose, body, place in places:
-        (x, y, z), gap = body.shape.half_extents, _gap(body.shape, place)
+        (x, y, z), gap = body.shape.half_extents, _gap(case, body, place)
         most = max(x, y, z)
         likely = "Positions count from the body's centre, so half its size reaches its surface"
-        if isinstance(body.shape, Capsule):
-            likely += ". A capsule lies along its own x. To turn a leg sideways, use rotation_deg"
+        if isinstance(body.shape, Capsule | Cylinder):
+            kind = type(body.shape).__name__.lower()
+            likely += f". A {kind} lies along its own x. To turn a leg sideways, use rotation_deg"
         if gap > 100 * most:
             likely = "Positions are in m. Is this in mm?"
         if gap > _OUT * most:
@@ -263,6 +287,14 @@ def far_places(case: Case) -> Iterator[LintWarning]:
             )
 
 
-def _gap(shape: Shape, place: Triple) -> float:
-    """Return the distance from a shape's surface to a place in its frame, m; negative inside."""
-    return float(shape.distance(np.array([place]))[0])
+def _gap(case: Case, body: Body, place: Triple) -> float:
+    """Return the distance from a body's shapes to a place in its frame, m, negative inside.
+
+    The distance is 0 for a body without a shape.
+    """
+    gaps = [body.shape.distance(np.array([place]))] if body.shape.exists else []
+    for part in case.creature.bodies:
+        if part.whole == body.name and part.joint is not None:
+            off = np.subtract(place, part.joint.parent_anchor) @ np.array(part.joint.orientation)
+            gaps.append(part.shape.distance(off[None] + part.joint.child_anchor))
+    return float(min(gaps)[0]) if gaps else 0.0

@@ -75,9 +75,13 @@ class Case(NamedTuple):
         return LintWarning(tuple(key), shown, problem)
 
     def bodies(self) -> Iterator[tuple[Key, BodyConfig, Body]]:
-        """Yield every body, with the key of its entry in the configuration and the entry."""
+        """Yield every body, with the key of its entry in the configuration and the entry.
+
+        Further parts of bodies are left out.
+        """
         entries = self.config.creature.bodies
-        for copy, body in zip(self.config.creature.copies(), self.creature.bodies, strict=True):
+        whole = [body for body in self.creature.bodies if body.whole is None]
+        for copy, body in zip(self.config.creature.copies(), whole, strict=True):
             yield ("creature", "bodies", copy.entry), entries[copy.entry], body
 
     def joints(self) -> Iterator[Jointed]:

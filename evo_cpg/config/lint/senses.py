@@ -114,7 +114,8 @@ def touch_inside(case: Case) -> Iterator[LintWarning]:
         points = creature.bodies[inner].shape.surface(2).points @ turns[inner].T + centres[inner]
         for outer, body in enumerate(creature.bodies):
             own = (points - centres[outer]) @ turns[outer]
-            if outer != inner and (body.shape.distance(own) < 0).all():
+            other = outer != inner and body.whole != name
+            if other and len(own) and (body.shape.distance(own) < 0).all():
                 yield case.warning(
                     ("creature", "pressure_sensors", i),
                     f"the body lies inside {body.name!r}, which touches the ground first. "

@@ -33,7 +33,9 @@ def step_length(case: Case) -> Iterator[LintWarning]:
     world, simulation = case.config.world, case.config.simulation
     if world.ground is None and (world.water is None or world.water.surface is None):
         return
-    half, name = min((float(b.shape.half_extents.min()), b.name) for b in case.creature.bodies)
+    half, name = min(
+        (float(b.shape.half_extents.min()), b.name) for b in case.creature.bodies if b.shape.exists
+    )
     h = 1.0 / (simulation.control_rate_hz * simulation.substeps)
     if world.gravity * h * h > _SINK * half:
         enough = np.sqrt(world.gravity / (_SINK * half)) / simulation.control_rate_hz
@@ -199,6 +201,18 @@ def start_above(case: Case) -> Iterator[LintWarning]:
                 f"the animal of {case.length:.2g} m starts {height:.3g} m above the water, at "
                 f"height 0, and falls in. Plausible: up to {most:.2g} m",
             )
+
+
+@rule
+def distance_of_a_fixed_root(case: Case) -> Iterator[LintWarning]:
+    """Warn of a task that measures the displacement of a root that cannot move."""
+    joint, kind = case.creature.root_joint, case.config.task.type
+    if joint is not None and not joint.dofs and kind in ("distance", "walk"):
+        yield case.warning(
+            ("task", "type"),
+            f"the task measures the displacement of the root, but {case.root!r} is fixed to the "
+            "world, so it is always 0. Give its joint axes, or write a task of your own",
+        )
 
 
 @rule

@@ -53,13 +53,13 @@ class Entry(NamedTuple):
             "j": ("radial", self.radial > 1, "radial"),
             "side": ("mirror", self.mirror is not None, "mirrored"),
         }
-        inherited = set(_PLACEHOLDER.findall(self.parent or ""))
+        inherited = placeholders(self.parent or "")
         for mark, (key, copied, adjective) in own.items():
             there = f"{{{mark}}}" in self.name
             if copied and not there:
                 return f"name: a {adjective} body needs {{{mark}}} in its name, got {self.name!r}"
             if copied and self.parent is None:
-                return f"{key}: the root, which has no joint, cannot be {adjective}"
+                return f"{key}: the root cannot be {adjective}"
             if copied and mark in inherited:
                 return (
                     f"{key}: leave it out, because the body is copied with its parent "
@@ -142,9 +142,14 @@ def fill(name: str, marks: dict[str, str]) -> str:
     return _PLACEHOLDER.sub(lambda found: marks.get(found[1], found[0]), name)
 
 
+def placeholders(name: str) -> set[str]:
+    """Return the placeholders in a name: i, j and side."""
+    return set(_PLACEHOLDER.findall(name))
+
+
 def _copies_on(number: int, entry: Entry, parent: Copy | None) -> Iterator[Copy]:
     """Yield the bodies of an entry on one parent (None if its name has no placeholders)."""
-    inherited = set(_PLACEHOLDER.findall(entry.parent or ""))
+    inherited = placeholders(entry.parent or "")
     common = {mark: parent.marks[mark] for mark in inherited} if parent else {}
     inherited_mirror = parent.mirror if parent and "side" in inherited else None
     images: list[tuple[MirrorAxis | None, dict[str, str]]] = [(inherited_mirror, {})]

@@ -11,7 +11,7 @@ from evo_cpg.config.schema.copies import MirrorAxis
 from evo_cpg.config.schema.frames import reflected
 from evo_cpg.config.schema.section import Positive, Section, Vector
 from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.creature.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
 
 Size = tuple[Positive, Positive, Positive]
 # Index of a vertex. Larger numbers do not fit into arrays.
@@ -34,7 +34,7 @@ class SolidConfig(Section):
 
     @property
     def centre(self) -> np.ndarray:
-        """Centre of mass ``(3,)`` in the body's frame, m, nonzero only for a mesh."""
+        """Centre of the shape ``(3,)`` in the body's frame, m, nonzero only for a mesh."""
         return np.zeros(3)
 
     def mirrored(self: _Solid, axis: MirrorAxis) -> _Solid:
@@ -101,6 +101,22 @@ class CapsuleConfig(SolidConfig):
     kind, size_key = Capsule, "length"
 
 
+class CylinderConfig(SolidConfig):
+    """Cylinder along x with flat ends.
+
+    Attributes:
+        type: ``cylinder``.
+        radius: radius, m.
+        length: length, m.
+    """
+
+    type: Literal["cylinder"]
+    radius: Positive
+    length: Positive
+
+    kind, size_key = Cylinder, "length"
+
+
 class MeshConfig(SolidConfig):
     """Convex polyhedron, in any frame.
 
@@ -158,6 +174,6 @@ class MeshFileConfig(Section):
 
 
 ShapeConfig = Annotated[
-    BoxConfig | SphereConfig | EllipsoidConfig | CapsuleConfig | MeshConfig,
+    BoxConfig | SphereConfig | EllipsoidConfig | CapsuleConfig | CylinderConfig | MeshConfig,
     Field(discriminator="type"),
 ]

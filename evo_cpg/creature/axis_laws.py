@@ -1,0 +1,59 @@
+"""Numbers of force laws that act on one coordinate: a joint axis, or the length of a tendon."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.creature.torque_motors import TorqueMotors
+from evo_cpg.spatial.numerics import Numbers, xp
+
+# A soft limit is a critically damped spring on the effective inertia of the coordinate. A step of
+# 1/120 s resolves it. The spring also balances the coordinate's own motor, which would otherwise
+# push through. A motor that commands 1 rad/s, or 1 rad beyond the limit, gets 0.016 rad beyond it.
+LIMIT_FREQUENCY = 10.0
+LIMIT_DAMPING_RATIO = 1.0
+
+
+class DryFriction(eqx.Module):
+    """Dry friction of joint axes or tendons.
+
+    Attributes:
+        loss: largest torque, N m, or force of a tendon, N.
+        inertia: effective inertia of each coordinate in the neutral pose, with its rotor, kg m^2.
+    """
+
+    loss: Float[Numbers, " d"]
+    inertia: Float[Numbers, " d"]
+
+
+def soft_limits(
+    inertia: Float[Numbers, " d"], push: Float[Numbers, " d"]
+) -> tuple[Float[Numbers, " d"], Float[Numbers, " d"]]:
+    """Return stiffness (N m/rad) and damping (N m s/rad) of soft limits.
+
+    Args:
+        inertia: effective inertia of each coordinate, kg m^2.
+        push: torque of the motor per rad/s and rad that it commands beyond the limit, N m.
+    """
+    rate = 2 * np.pi * LIMIT_FREQUENCY
+    return inertia * rate**2 + push * rate, 2 * LIMIT_DAMPING_RATIO * inertia * rate
+
+
+def push_of(
+    servo: Float[Numbers, " d"],
+    torque_limit: Float[Numbers, " d"],
+    torque_motors: TorqueMotors | None,
+) -> Float[Numbers, " d"]:
+    """Return the push of motors for `soft_limits`.
+
+    A limit balances a torque motor like a servo of its full torque at 1 rad/s.
+
+    Args:
+        servo: torque of servos and muscles at a command of 1 rad/s and 1 rad, N m.
+        torque_limit: largest torque of motors, N m.
+        torque_motors: torque motors, or None.
+    """
+    if torque_motors is None:
+        return servo
+    full = xp.minimum(xp.abs(torque_motors.gear), torque_limit)
+    return servo + xp.where(np.array(torque_motors.driven), full, 0.0)

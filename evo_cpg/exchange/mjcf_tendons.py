@@ -1,0 +1,138 @@
+"""Fixed tendons of a creature as tendons of MJCF, and back: laws on a sum of joint angles.
+
+| here | in MJCF |
+|---|---|
+| tendon over degrees of freedom | ``fixed`` tendon over ``joint``s with ``coef`` |
+| stiffness, damping, armature, friction loss | the same attribute |
+| lengths at which the spring is relaxed | ``springlength`` |
+| limits of the length | ``range`` |
+| motor | an actuator with ``tendon`` |
+
+Our length is 0 in the neutral pose. A tendon without a spring, a damper, dry friction, limits and a
+motor has no effect and is left out.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from evo_cpg.creature.creature import NO_LIMIT, Creature, topological_order
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.exchange.compiled import Compiled, tidy
+from evo_cpg.exchange.mjcf_ground import number_text
+from evo_cpg.exchange.mjcf_joints import joint_names
+from evo_cpg.exchange.mjcf_motors import add_motor
+
+# MuJoCo replaces the spring length -1 by the length in the neutral pose.
+_NEUTRAL = -1.0
+
+
+def add_tendons(root: Element, actuator: Element, creature: Creature) -> None:
+    """Add the tendons and their motors."""
+    if not creature.tendons:
+        return
+    bodies = [creature.bodies[i] for i in topological_order(creature)]
+    hinges = [name for body in bodies for name in joint_names(body, creature.joint_of(body))]
+    hinge_of = dict(zip(build_tree(creature).dof_names, hinges, strict=True))
+    section = SubElement(root, "tendon")
+    for tendon in creature.tendons:
+        element = SubElement(section, "fixed", name=tendon.name)
+        limited = tendon.upper < NO_LIMIT
+        element.set("limited", "true" if limited else "false")
+        if limited:
+            element.set("range", number_text(tendon.lower, tendon.upper))
+        values = {
+            "stiffness": tendon.stiffness,
+            "damping": tendon.damping,
+            "armature": tendon.armature,
+            "frictionloss": tendon.friction_loss,
+        }
+        for key, value in values.items():
+            if value:
+                element.set(key, number_text(value))
+        if tendon.stiffness:
+            rest = [np.nextafter(x, 0.0) if x == _NEUTRAL else x for x in tendon.rest]
+            element.set("springlength", number_text(*rest))
+        for name, coefficient in tendon.joints:
+            joint = SubElement(element, "joint", joint=hinge_of[name])
+            joint.set("coef", number_text(coefficient))
+        if tendon.actuator:
+            add_motor(actuator, tendon.name, tendon.actuator, "tendon")
+
+
+def read_tendons(
+    compiled: Compiled, names: Mapping[int, str], motors: Mapping[int, dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Return the keys of the tendons with an effect. Refused tendons are recorded.
+
+    Args:
+        compiled: the model.
+        names: name of the degree of freedom of each of MuJoCo's joints that the animal has.
+        motors: keys of the motors, by MuJoCo's number of the tendon.
+    """
+    tendons = []
+    for number in range(compiled.model.ntendon):
+        law = _law(compiled, number)
+        if number in motors:
+            law["actuator"] = motors[number]
+        if not law:
+            compiled.refusals.leave_out(
+                "tendon without effect", str(compiled.item("tendon", number))
+            )
+            continue
+        with compiled.refusals.collecting():
+            tendons.append(_read_tendon(compiled, number, names, law))
+    return tendons
+
+
+def _read_tendon(
+    compiled: Compiled, number: int, names: Mapping[int, str], law: dict[str, Any]
+) -> dict[str, Any]:
+    model, item = compiled.model, compiled.item("tendon", number)
+    first, count = int(model.tendon_adr[number]), int(model.tendon_num[number])
+    coefficients: dict[str, float] = {}
+    for wrap in range(first, first + count):
+        joint = int(model.wrap_objid[wrap])
+        if int(model.wrap_type[wrap]) != compiled.mujoco.mjtWrap.mjWRAP_JOINT:
+            raise item.refusal("it runs through sites", "fixed tendons, over joints")
+        if joint not in names:
+            raise item.refusal("it acts on a joint that is not part of the animal", "its joints")
+        old = coefficients.get(names[joint], 0.0)
+        coefficients[names[joint]] = tidy(old + float(model.wrap_prm[wrap]))
+    coefficients = {name: value for name, value in coefficients.items() if value}
+    if not coefficients:
+        raise item.refusal("all its coefficients are 0", "one that is not 0")
+    return {"name": _name(compiled, number), "joints": coefficients, **law}
+
+
+def _law(compiled: Compiled, number: int) -> dict[str, Any]:
+    """Return the keys of a tendon with an effect."""
+    model = compiled.model
+    law: dict[str, Any] = {}
+    neutral = float(model.tendon_length0[number])
+    stiffness, damping = float(model.tendon_stiffness[number]), float(model.tendon_damping[number])
+    if stiffness and not (compiled.disabled("spring") or compiled.disabled("passive")):
+        law["stiffness"] = tidy(stiffness)
+        rest = [tidy(float(x) - neutral) for x in model.tendon_lengthspring[number]]
+        if any(rest):
+            law["rest"] = rest[0] if rest[0] == rest[1] else rest
+    if damping and not (compiled.disabled("damper") or compiled.disabled("passive")):
+        law["damping"] = tidy(damping)
+    armature = float(getattr(model, "tendon_armature", np.zeros(model.ntendon))[number])
+    if armature:
+        law["armature"] = tidy(armature)
+    constrained = not compiled.disabled("constraint")
+    loss = float(model.tendon_frictionloss[number])
+    if loss and constrained and not compiled.disabled("frictionloss"):
+        law["friction_loss"] = tidy(loss)
+    if model.tendon_limited[number] and constrained and not compiled.disabled("limit"):
+        law["limits"] = [tidy(float(x)) for x in model.tendon_range[number] - neutral]
+    return law
+
+
+def _name(compiled: Compiled, number: int) -> str:
+    mujoco, model = compiled.mujoco, compiled.model
+    given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TENDON, number)
+    return given or f"tendon{number + 1}"

@@ -1,0 +1,182 @@
+"""World, trial, controller and task of an imported animal.
+
+| in MJCF | becomes |
+|---|---|
+| ``gravity`` along -z | ``world.gravity`` |
+| ``density`` of the medium, ``viscosity``, ``wind`` | ``world.water`` |
+| ``gravcomp`` of all bodies | buoyancy, or less gravity |
+| a ``plane`` that the animal can touch | ``world.ground`` (`mjcf_contact`) |
+| height of the animal above the ground | ``simulation.start_clearance`` |
+
+Controller, task and search are defaults that can be trained at once: every motor gets an
+oscillator, and the fitness is the displacement.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.exchange.compiled import Compiled, tidy
+from evo_cpg.exchange.mjcf_shapes import Placed
+from evo_cpg.exchange.refusals import Refusal
+
+# Densities (kg/m^3) above which a medium is a liquid. Drag of thinner ones is left out.
+_LIQUID = 100.0
+
+# Angle that motors with a spring follow at full output, degrees.
+_ANGLE_RANGE = 40.0
+
+# Smallest coefficient of gravity compensation that differs from 0, and tolerance of equal ones.
+_ALIKE = 1e-6
+
+
+def read_world(
+    compiled: Compiled,
+    placed: Sequence[Placed],
+    volumes: Sequence[float],
+    ground: Any,
+    exported: bool,
+) -> dict[str, Any]:
+    """Return the keys of the world.
+
+    Args:
+        compiled: the model.
+        placed: bodies of the animal.
+        volumes: volume of all shapes of each body, m^3.
+        ground: keys of the ground, or None.
+        exported: whether the file is our own export.
+    """
+    model = compiled.model
+    gravity = _gravity(compiled)
+    density = float(model.opt.density)
+    carried = 0.0
+    if gravity:
+        floats = exported or density >= _LIQUID
+        gravity, carried = _compensated(compiled, placed, volumes, gravity, floats)
+    world: dict[str, Any] = {"gravity": tidy(gravity), "water": None}
+    if carried and density and not np.isclose(carried, density, rtol=1e-3):
+        compiled.refusals.leave_out(f"drag of the medium (density {density:g})")
+        density = 0.0
+    if 0 < density < _LIQUID:
+        compiled.refusals.leave_out(f"drag of the medium (density {density:g})")
+    elif density or carried:
+        if not carried and gravity:
+            compiled.refusals.leave_out(
+                "that MuJoCo's medium carries no weight: water here has buoyancy"
+            )
+        viscosity = float(model.opt.viscosity)
+        world["water"] = {"density": tidy(carried or density)}
+        if viscosity:
+            world["water"]["viscosity"] = tidy(viscosity)
+        if np.any(model.opt.wind):
+            world["water"]["current"] = [tidy(float(x)) for x in model.opt.wind]
+    elif float(model.opt.viscosity):
+        compiled.refusals.leave_out(f"viscosity of the medium ({model.opt.viscosity:g})")
+    elif np.any(model.opt.wind):
+        compiled.refusals.leave_out("option wind")
+    if ground:
+        world["ground"] = ground
+    return world
+
+
+def experiment(
+    name: str,
+    creature: dict[str, Any],
+    world: dict[str, Any],
+    clearance: float,
+    displaced: bool,
+    springs: bool,
+) -> dict[str, Any]:
+    """Return the keys of an experiment with a default controller, task and search.
+
+    Args:
+        name: name of the run.
+        creature: keys of the creature.
+        world: keys of the world.
+        clearance: height of the animal above the ground at the start, m.
+        displaced: whether the root can move.
+        springs: whether a motor follows angles.
+    """
+    simulation: dict[str, Any] = {"control_rate_hz": 60, "substeps": 4, "steps": 600}
+    if clearance > _ALIKE:
+        simulation["start_clearance"] = tidy(clearance)
+    walks = bool(world.get("ground")) and world["gravity"] > 0 and displaced
+    task = {"type": "walk", "heading": "forward"} if walks else {"type": "distance"}
+    if not walks and displaced:
+        task["heading"] = "forward"
+    controller: dict[str, Any] = {
+        "type": "brain_cpg",
+        "drive": "per_joint",
+        "brain": {"hidden": [8]},
+        "cpg": {"pair_weight": 3.0, "parent_weight": 0.35, "child_weight": 0.1},
+    }
+    if springs:
+        controller["angle_range_deg"] = _ANGLE_RANGE
+    return {
+        "name": name,
+        "creature": creature,
+        "world": world,
+        "simulation": simulation,
+        "controller": controller,
+        "task": task,
+        "evolution": {"generations": 50, "population": 100},
+    }
+
+
+def _gravity(compiled: Compiled) -> float:
+    """Return the downward acceleration, m/s^2."""
+    x, y, z = map(float, compiled.model.opt.gravity)
+    if compiled.disabled("gravity"):
+        return 0.0
+    if x or y or z > 0:
+        problem = f"its gravity ({x:g}, {y:g}, {z:g}) does not point down. Allowed: along -z"
+        compiled.refusals.add(Refusal("option", problem))
+    return max(0.0, -z)
+
+
+def _compensated(
+    compiled: Compiled,
+    placed: Sequence[Placed],
+    volumes: Sequence[float],
+    gravity: float,
+    floats: bool,
+) -> tuple[float, float]:
+    """Return gravity (m/s^2) and the density of a fluid that carries all bodies (kg/m^3).
+
+    Args:
+        compiled: the model.
+        placed: bodies of the animal.
+        volumes: volume of all shapes of each body, m^3.
+        gravity: gravity of the file, m/s^2.
+        floats: whether the animal may be in a fluid.
+    """
+    model = compiled.model
+    moving = [i for i, body in enumerate(placed) if body.rigid.joints or body.rigid.free]
+    lifts = [
+        sum(
+            float(model.body_gravcomp[member] * model.body_mass[member])
+            for member in placed[i].rigid.members
+        )
+        for i in moving
+    ]
+    if not np.any(np.abs(lifts) > 0):
+        return gravity, 0.0
+    masses = [
+        sum(float(model.body_mass[member]) for member in placed[i].rigid.members) for i in moving
+    ]
+    spaces = np.array([volumes[i] for i in moving])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fluid = np.array(lifts) / spaces
+    alike = np.isfinite(fluid).all() and np.ptp(fluid) < _ALIKE * fluid.max() and fluid[0] > 0
+    if floats and alike:
+        return gravity, float(fluid[0])
+    shares = np.array(lifts) / masses
+    if np.ptp(shares) < _ALIKE and shares[0] <= 1:
+        return gravity * (1 - float(shares[0])), 0.0
+    lead = placed[moving[int(np.argmax(np.abs(lifts)))]].rigid.lead
+    compiled.item("body", lead).refuse(
+        "its gravcomp is not the buoyancy of a fluid around all bodies",
+        "gravcomp in inverse proportion to the density, equal for all bodies, or none",
+    )
+    return gravity, 0.0
