@@ -2,11 +2,13 @@
 
 import copy as copying
 import re
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from evo_cpg.config.schema.copies import Copy, MirrorAxis, copies_named, fill
-from evo_cpg.config.schema.frames import opposed
+from evo_cpg.config.schema.frames import opposed, reflected
 from evo_cpg.config.schema.joint import JointConfig
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.drawing.lookup import (
@@ -130,13 +132,41 @@ def _single(entry: Data, body: Copy) -> Data:
         checked = checked.mirrored(body.mirror)
     joint = made["joint"]
     joint["parent"] = body.parent
-    for key in ("at", "child_at", "rotation_deg", "axes"):
+    for key in ("at", "child_at", "rotation_deg") if body.mirror or body.turn_deg else ():
         new = getattr(checked, key)
-        if body.mirror and key == "axes":
-            joint[key] = [_named(axis) for axis in new]
-        elif (body.mirror or body.turn_deg) and (key in joint or np.any(new)):
-            joint[key] = tidy(new) if key != "axes" else joint[key]
+        if key in joint or np.any(new):
+            joint[key] = tidy(new)
+    if body.mirror and "axes" in joint:
+        joint["axes"] = _mirrored_axes(joint["axes"], body.mirror)
     return made
+
+
+def _mirrored_axes(axes: Any, mirror: MirrorAxis) -> Any:
+    """Return the axes of a mirrored joint, as they are written."""
+    if not isinstance(axes, list):
+        return axes
+    made = []
+    for entry in axes:
+        if not isinstance(entry, dict):
+            made.append(_image(entry, mirror, opposed))
+            continue
+        image = dict(entry)
+        if "turn" in entry:
+            image["turn"] = _image(entry["turn"], mirror, opposed)
+        if "slide" in entry:
+            image["slide"] = _image(entry["slide"], mirror, reflected)
+        if entry.get("at"):
+            image["at"] = tidy(reflected_if(entry["at"], mirror))
+        made.append(image)
+    return made
+
+
+def _image(direction: Any, mirror: MirrorAxis, image: Callable[..., Any]) -> Any:
+    """Return the mirror image of an axis, by its name if it has one."""
+    if isinstance(direction, str):
+        sign, name = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
+        return _named(image(tuple(sign * np.eye(3)["xyz".index(name)]), mirror))
+    return tidy(image(tuple(direction), mirror))
 
 
 def _named(axis: tuple[float, ...]) -> str | list[float]:
@@ -293,7 +323,7 @@ def _reflect(data: Data, index: int, axis: MirrorAxis) -> None:
     joint = entry["joint"]
     checked = JointConfig.model_validate(joint).mirrored(axis)
     joint["at"], joint["child_at"] = tidy(checked.at), tidy(checked.child_at)
-    joint["axes"] = [_named(each) for each in checked.axes]  # pyright: ignore[reportArgumentType]
+    joint["axes"] = _mirrored_axes(joint["axes"], axis)
     if "rotation_deg" in joint:
         joint["rotation_deg"] = tidy(opposed(joint["rotation_deg"], axis))
     for kind in ("light_sensors", "depth_sensors"):

@@ -192,6 +192,7 @@ def set_shape(data: Data, name: str, type: str) -> None:
         "ellipsoid": {"radii": [x, y, z]},
         "sphere": {"radius": (x * y * z) ** (1 / 3)},
         "capsule": {"radius": across, "length": max(2 * x - 2 * across, 0.1 * across)},
+        "cylinder": {"radius": across, "length": 2 * x},
     }
     if type not in made:
         raise DrawingError(f"{type!r}: choose one of {', '.join(made)}")
@@ -291,8 +292,8 @@ def _carry(data: Data, name: str, factors: np.ndarray) -> None:
                 each["position"] = tidy(np.array(each["position"], float) * factors)
 
 
-def _half_extents(shape: Data) -> tuple[float, float, float]:
-    match shape.get("type"):
+def _half_extents(shape: Data | None) -> tuple[float, float, float]:
+    match (shape or {}).get("type"):
         case "box":
             x, y, z = (size / 2 for size in shape["size"])
         case "ellipsoid":
@@ -302,6 +303,9 @@ def _half_extents(shape: Data) -> tuple[float, float, float]:
         case "capsule":
             y = z = shape["radius"]
             x = shape["length"] / 2 + y
+        case "cylinder":
+            y = z = shape["radius"]
+            x = shape["length"] / 2
         case other:
             raise DrawingError(f"a shape of type {other!r} has no sizes that can be changed here")
     return float(x), float(y), float(z)

@@ -252,7 +252,10 @@ def random_edit(animal: Document, draw: random.Random) -> tuple[str, dict]:
         "add_part": {"parent": name, "place": vector, "normal": normal},
         "remove_part": {"name": name},
         "rename_part": {"name": name, "new": name.replace("part", "piece")},
-        "set_shape": {"name": name, "type": draw.choice(("box", "sphere", "capsule", "ellipsoid"))},
+        "set_shape": {
+            "name": name,
+            "type": draw.choice(("box", "sphere", "cylinder", "ellipsoid")),
+        },
         "set_joint": {"name": name, "key": "axes", "value": draw.sample(["x", "y", "z"], 2)},
         "resize": {"name": name, "key": "size", "value": [draw.uniform(0.01, 0.3)] * 3},
         "stretch": {"name": name, "factors": [draw.uniform(0.5, 2) for _ in range(3)]},

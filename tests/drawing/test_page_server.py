@@ -114,7 +114,9 @@ def test_an_edit_is_answered_with_the_new_drawing(server):
     assert len(ask(server, "/undo", {})[1]["scene"]["bodies"]) == 1
     assert len(ask(server, "/redo", {})[1]["scene"]["bodies"]) == 2
     key = ["creature", "bodies", 1, "joint", "axes"]
-    broken = ask(server, "/edit", {"command": "set_value", "given": {"key": key, "value": []}})[1]
+    broken = ask(server, "/edit", {"command": "set_value", "given": {"key": key, "value": ["q"]}})[
+        1
+    ]
     assert broken["scene"] is None and "axes" in broken["undrawn"]
     assert [each["part"] for each in broken["problems"]] == ["tail"]
     ask(server, "/undo", {})

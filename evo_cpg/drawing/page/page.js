@@ -181,7 +181,7 @@
   }
 
   // ---- panel
-  const TYPES = ["box", "ellipsoid", "capsule", "sphere"];
+  const TYPES = ["box", "ellipsoid", "capsule", "cylinder", "sphere"];
   function renderPanel() {
     const each = chosen ? chosenEntry() : null;
     $("panel").replaceChildren(...(each ? partPanel(each) : worldPanel()));
@@ -195,7 +195,7 @@
       ...own.map((problem) => make("p", { className: problem.kind }, `${problem.key.slice(3).join(".")}: ${problem.words}`)),
       row("name", field("name", name, (text) => edit("rename_part", { name, new: text }).then(() => choose(text)))),
       row("shape", make("select", { "aria-label": "shape", onchange: (event) => edit("set_shape", { name, type: event.target.value }) },
-        ...[...new Set([...TYPES, shape.type])].map((type) => make("option", { value: type, selected: type === shape.type }, type)))),
+        ...[...new Set([...TYPES, shape.type ?? "none"])].map((type) => make("option", { value: type, selected: type === (shape.type ?? "none") }, type)))),
     ];
     for (const [size, value] of Object.entries(shape)) {
       if (size === "type" || size === "vertices" || size === "faces") continue;
@@ -212,7 +212,8 @@
         each.color ? button("default", () => set([...key, "color"], null)) : null),
     );
     if (body) made.push(row("mass", make("span", {}, `${body.mass.toPrecision(3)} kg`)));
-    if (each.joint) made.push(...jointPanel(each, key), ...copyPanel(each));
+    if (each.joint) made.push(...jointPanel(each, key));
+    if (each.joint && each.joint.parent !== "world") made.push(...copyPanel(each));
     made.push(...sensorPanel(each, body));
     made.push(make("h3", {}, ""), button(each.joint ? "Remove this part and what it carries" : "The root cannot be removed", () => edit("remove_part", { name }).then((answer) => { if (!answer.error && !answer.lost) choose(null); }), { id: "remove", disabled: !each.joint }));
     return made;
