@@ -66,6 +66,7 @@ from evo_cpg.control.matsuoka import (
     Oscillators,
     build_network,
 )
+from evo_cpg.creature.creature import NO_LIMIT
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
 from evo_cpg.spatial.decisions import chosen
@@ -217,6 +218,7 @@ class BrainCpg(Controller):
         angles: commanded angles of motors with a spring, or None without them.
         sensed: degrees of freedom that the brain senses, or None for all. It does not sense slides
             of a root that hangs on the world: they are a place in the world.
+        unit: coordinate of each degree of freedom that counts as 1 rad, or None without slides.
     """
 
     gene_count: int = eqx.field(static=True)
@@ -240,6 +242,7 @@ class BrainCpg(Controller):
     feedback: Feedback | None = None
     gear: Float[Numbers, " d"] | None = None
     angles: "AngleRange | None" = None
+    unit: Float[Numbers, " d"] | None = None
     sensed: tuple[int, ...] | None = eqx.field(static=True, default=None)
 
     signal_label = "CPG output (no unit)"
@@ -331,15 +334,16 @@ class BrainCpg(Controller):
         if self.feedback is None:
             return self._advance(state, tonic_input, adaptation_gain)
         assert isinstance(state, FeelingState)
-        senses = observation.joint_angle, observation.joint_rate, observation.load
+        angle, rate = map(self._as_angle, (observation.joint_angle, observation.joint_rate))
+        senses = angle, rate, observation.load
         felt, memory = feel(self.feedback, genes, state.memory, *senses)
         neurons: MatsuokaState = state
         for acts, angle in felt.resets:
             neurons = phase.with_phase(self.network, neurons, adaptation_gain, angle, acts)
-        rate = None
+        clock = None
         if felt.strength is not None:
-            rate = phase.clock_rate(self.network, neurons, adaptation_gain, felt.strength)
-        neurons = self._advance(neurons, tonic_input + felt.input, adaptation_gain, rate)
+            clock = phase.clock_rate(self.network, neurons, adaptation_gain, felt.strength)
+        neurons = self._advance(neurons, tonic_input + felt.input, adaptation_gain, clock)
         return FeelingState(neurons.potential, neurons.adaptation, memory)
 
     def _advance(
@@ -360,10 +364,9 @@ class BrainCpg(Controller):
             observation: senses at the start of the control step.
         """
         signal = matsuoka.output(state)
-        rate = (
-            expand_dims_like(self.rate_gain, signal) * signal
-            - expand_dims_like(self.centring, signal) * observation.joint_angle
-        )
+        rate = expand_dims_like(self.rate_gain, signal) * signal - expand_dims_like(
+            self.centring, signal
+        ) * self._as_angle(observation.joint_angle)
         limit, activation, torque, angle = self.max_rate, None, None, None
         if self.muscles or self.gear is not None or self.angles is not None:
             output = jnp.maximum(state.potential, 0.0)
@@ -377,9 +380,19 @@ class BrainCpg(Controller):
                 expand_dims_like(x, signal)
                 for x in (self.angles.full, self.angles.lower, self.angles.upper)
             )
-            angle = jnp.clip(full * (activation[0] - activation[1]), lower, upper)
+            free = self._from_angle(full * (activation[0] - activation[1]))
+            angle = jnp.clip(free, lower, upper)
         active = activation if self.muscles else None
-        return Command(jnp.clip(rate, -limit, limit), signal, angle, active, torque)
+        rate = self._from_angle(jnp.clip(rate, -limit, limit))
+        return Command(rate, signal, angle, active, torque)
+
+    def _as_angle(self, q: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Return coordinates or rates as angles: a slide's in its `units_of`."""
+        return q if self.unit is None else q / expand_dims_like(self.unit, q)
+
+    def _from_angle(self, angle: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Return the coordinates or rates of angles, the inverse of `_as_angle`."""
+        return angle if self.unit is None else angle * expand_dims_like(self.unit, angle)
 
     def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
         """Return the inputs of the brain: Table 2 of Iwadate 2010, every value from -1 to 1.
@@ -390,11 +403,12 @@ class BrainCpg(Controller):
         clipped to -1 and 1. Last, not in Table 2: readings of depth gauges and of extra sensors.
         Slides of a root that hangs on the world are left out.
         """
-        angle, joint_rate = observation.joint_angle, observation.joint_rate
+        angle = self._as_angle(observation.joint_angle)
+        rate = self._as_angle(observation.joint_rate)
         output = matsuoka.output(state)
         if self.sensed is not None:
             own = np.array(self.sensed, int)
-            angle, joint_rate, output = angle[own], joint_rate[own], output[own]
+            angle, rate, output = angle[own], rate[own], output[own]
         values = [
             observation.light,
             observation.pressure,
@@ -405,7 +419,7 @@ class BrainCpg(Controller):
             jnp.abs(output) / self.max_amplitude,
         ]
         if self.joint_rates:
-            values.append(jnp.clip(joint_rate / self.max_rate, -1.0, 1.0))
+            values.append(jnp.clip(rate / self.max_rate, -1.0, 1.0))
         values.append(observation.depth)
         if observation.custom is not None:
             values.append(observation.custom)
@@ -423,6 +437,10 @@ class BrainCpg(Controller):
         span = self.max_adaptation_gain - self.min_adaptation_gain
         adaptation_gain = self.min_adaptation_gain + span * outputs[2 * count :]
         return sides, adaptation_gain[np.array(self.gain_source)]
+
+
+# Least displacement that a brain senses as 1 rad, m.
+_LEAST_UNIT = 1e-6
 
 
 def build_brain_cpg(
@@ -513,7 +531,25 @@ def build_brain_cpg(
         gear=tree.gears,
         angles=_angle_range(tree, settings, follows) if any(follows) else None,
         sensed=sensed if len(sensed) < tree.dof_count else None,
+        unit=units_of(tree),
     )
+
+
+def units_of(tree: Tree) -> Float[Numbers, " d"] | None:
+    """Return the coordinate that a brain senses and commands as 1 rad, or None without slides.
+
+    A slide's is its farther limit, or without limits the radius of gyration of its body, m. Cosine
+    and sine then tell its positions apart, and animals of any size have equal brains.
+    """
+    if "slide" not in tree.dof_kinds:
+        return None
+    body = np.array(tree.dof_bodies)
+    own = xp.trace(tree.inertia[:3, :3])[body] / 2
+    away = (tree.com * tree.com).sum(0)[body]
+    radius = xp.sqrt(xp.maximum(own / tree.mass[body] - away, _LEAST_UNIT**2))
+    farther = xp.maximum(xp.abs(tree.lower), xp.abs(tree.upper))
+    slides = np.array(tree.dof_kinds) == "slide"
+    return xp.where(slides, xp.where(farther < NO_LIMIT, farther, radius), 1.0)
 
 
 def _follows_angles(tree: Tree, settings: BrainCpgSettings) -> tuple[bool, ...]:
