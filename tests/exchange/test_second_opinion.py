@@ -137,7 +137,7 @@ def test_the_controller_feels_loads_of_mujocos_animal():
     path = CONFIG.with_name("half_cheetah.yaml")
     experiment = build_experiment(load_config(path), path)
     simulation, tree = experiment.simulation, experiment.simulation.world.tree
-    genes = np.zeros(simulation.genome.gene_count, np.float32)
+    genes = np.zeros(simulation.controller.gene_count, np.float32)
     genes[-4:] = 3.0
     state = jax.tree.map(np.asarray, resting_state(tree))
     borne = np.zeros((8, len(tree.names)))
