@@ -175,9 +175,9 @@ class AngleRange(eqx.Module):
     """Angles that motors with a spring can be sent to.
 
     Attributes:
-        full: angle at full output of each degree of freedom, rad, 0 without a spring.
-        lower: lower limit of each joint axis, rad.
-        upper: upper limit of each joint axis, rad.
+        full: angle (or length of a tendon) at full output of each command, 0 without a spring.
+        lower: lower limit of what each command acts on, rad.
+        upper: upper limit of what each command acts on, rad.
     """
 
     full: Float[Numbers, " d"]
@@ -507,11 +507,11 @@ def build_brain_cpg(
 
 
 def _follows_angles(tree: Tree, settings: BrainCpgSettings) -> tuple[bool, ...]:
-    """Return which degrees of freedom have a motor with a spring that follows angles."""
-    size, springs = settings.angle_range_deg, tree.of_commands("servo_stiffness")
-    used = chosen(lambda: bool(size > 0), lambda made: (size > 0) == made)
-    if not used:
+    """Return which commands go to a motor with a spring, of a joint or a tendon."""
+    size = settings.angle_range_deg
+    if not chosen(lambda: bool(size > 0), lambda made: (size > 0) == made):
         return (False,) * tree.dof_count
+    springs = tree.of_commands("servo_stiffness")
     return chosen(
         lambda: tuple((np.asarray(springs) > 0).tolist()),
         lambda made: ((springs > 0) == np.array(made)).all(),

@@ -20,6 +20,7 @@ from evo_cpg.physics.reactive_thrust import ReactiveThrust
 from evo_cpg.physics.viscous_drag import ViscousDrag
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.walk import Distance, Walk
+from evo_cpg.simulation.walk import Walk
 from tiny_run import CONFIG, REPOSITORY
 
 BOX = "shape: {type: box, size: [0.2, 0.1, 0.1]}, material: flesh"
@@ -264,6 +265,11 @@ def test_unknown_key_gets_the_nearest_valid_key(key, value, expected):
             [[-30, 30], [-30, 30]],
             "limits_deg gives 2 pairs for 1 axes",
         ),
+        (
+            "creature__bodies__1__joint__actuator",
+            {"gain": 0},
+            "gain: must be greater than 0 without a stiffness, got 0",
+        ),
         ("world__gravity", -9.81, "-9.81: must be greater than or equal to 0"),
         ("world__gravity", False, "False: must be a number"),
         ("world__water__sheltered", 1, "1: must be true or false"),
@@ -405,6 +411,19 @@ def test_tasks_without_a_light():
     assert (priced.slip_weight, priced.cost_weight) == (6, 7)
     # The head is a box 0.2 m long.
     assert (walk.light, walk.heading, walk.torso_length) == (None, "any", pytest.approx(0.2))
+
+
+def test_a_root_without_a_shape_is_as_long_as_its_longest_part():
+    """Without parts it is as long as the whole animal, here from its root's centre to its tail."""
+    data = small(task__type="walk", world__ground={})
+    root = data["creature"]["bodies"][0]
+    root |= {"shape": None, "mass": 1.0, "inertia": [1, 1, 1, 0, 0, 0]}
+    alone = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.task
+    assert isinstance(alone, Walk) and 0.2 < alone.torso_length < 0.3
+    ball, rod = {"type": "sphere", "radius": 0.1}, {"type": "box", "size": [0.1, 0.1, 0.7]}
+    root["parts"] = [{"shape": shape, "at": [0, 0, 0]} for shape in (ball, rod)]
+    walk = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.task
+    assert isinstance(walk, Walk) and walk.torso_length == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize(
