@@ -28,13 +28,14 @@ def model(
     ] = True,
 ) -> None:
     """Draw a creature on a page in the browser."""
+    from evo_cpg.cli.advice import advice
     from evo_cpg.drawing.page.server import PageServer
     from evo_cpg.drawing.session import Session
     from evo_cpg.files import OutputError
 
     document = _document(config)
     try:
-        server = PageServer(Session(document), port)
+        server = PageServer(Session(document, advice), port)
     except OSError as error:
         raise OutputError(f"port {port} cannot be used ({error.strerror or error})") from None
     with server:

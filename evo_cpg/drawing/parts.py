@@ -137,6 +137,11 @@ def remove_part(data: Data, name: str) -> None:
     rule = creature.get("self_collision")
     for kind, pairs in rule.items() if isinstance(rule, dict) else ():
         rule[kind] = [pair for pair in pairs if not any(map(is_gone, pair))]
+    if creature.get("tendons"):
+        for tendon in creature["tendons"]:
+            joints = tendon["joints"].items()
+            tendon["joints"] = {k: v for k, v in joints if not is_gone(k.rpartition(".")[0])}
+        creature["tendons"] = [each for each in creature["tendons"] if each["joints"]]
 
 
 def rename_part(data: Data, name: str, new: str) -> None:
@@ -180,6 +185,11 @@ def rename_references(data: Data, names: dict[str, str]) -> None:
     rule = creature.get("self_collision")
     for kind, pairs in rule.items() if isinstance(rule, dict) else ():
         rule[kind] = [[names.get(word, word) for word in pair] for pair in pairs]
+    for tendon in creature.get("tendons") or []:
+        joints = [(key.rpartition("."), x) for key, x in tendon["joints"].items()]
+        tendon["joints"] = {
+            f"{names.get(body, body)}{dot}{axis}": x for (body, dot, axis), x in joints
+        }
 
 
 def set_shape(data: Data, name: str, type: str) -> None:

@@ -144,6 +144,22 @@ def test_a_row_carries_its_parts_on_its_last_body(animal):
         assert fin.parent == last
 
 
+def test_tendons_follow_the_names_of_their_joints(animal):
+    do(animal, "add_part", parent="body", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="tail")
+    do(animal, "add_part", parent="tail", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="fin")
+    tendon = {"name": "cord", "joints": {"tail.y": 1, "fin.z": -1}, "stiffness": 1}
+    do(animal, "set_value", key=["creature", "tendons"], value=[tendon])
+    do(animal, "rename_part", name="tail", new="stem")
+    assert animal.data["creature"]["tendons"][0]["joints"] == {"stem.y": 1, "fin.z": -1}
+    assert [
+        x for x in problems(animal.data, animal.path, thorough=False) if x.kind == "error"
+    ] == []
+    do(animal, "remove_part", name="fin")
+    assert animal.data["creature"]["tendons"][0]["joints"] == {"stem.y": 1}
+    do(animal, "remove_part", name="stem")
+    assert animal.data["creature"]["tendons"] == []
+
+
 def test_a_row_of_another_size_follows_its_first_body(animal):
     do(animal, "add_part", parent="body", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="tail",
        shape={"type": "box", "size": [0.06, 0.04, 0.04]})  # fmt: skip
