@@ -357,7 +357,8 @@ def _carry(data: Data, name: str, factors: np.ndarray) -> None:
 
 
 def _half_extents(shape: Data | None) -> tuple[float, float, float]:
-    match (shape or {}).get("type"):
+    shape = shape or {}
+    match shape.get("type"):
         case "box":
             x, y, z = (size / 2 for size in shape["size"])
         case "ellipsoid":
