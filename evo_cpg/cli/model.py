@@ -50,7 +50,7 @@ def model(
             pass
         finally:
             server.session.close()
-    if document.is_changed:
+    if document.is_changed and document.can_undo:
         print(f"Edits of {document.path} are not saved. `evo-cpg model` offers them again.")
 
 
