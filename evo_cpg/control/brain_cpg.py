@@ -377,8 +377,8 @@ class BrainCpg(Controller):
                 expand_dims_like(x, signal)
                 for x in (self.angles.full, self.angles.lower, self.angles.upper)
             )
-            wanted = self._from_angle(full * (activation[0] - activation[1]))
-            angle = jnp.clip(wanted, lower, upper)
+            free = self._from_angle(full * (activation[0] - activation[1]))
+            angle = jnp.clip(free, lower, upper)
         active = activation if self.muscles else None
         rate = self._from_angle(jnp.clip(rate, -limit, limit))
         return Command(rate, signal, angle, active, torque)

@@ -99,9 +99,9 @@ def test_tendons_accelerate_as_in_mujoco():
         rate = np.where(np.arange(tree.dof_count) == channels[1], 0.0, target)
         found = ours(state, MotorCommand(rate, target, torque=target))
         rotation = load_state(model, data, tree, state)
-        shares = np.concatenate([target, [target[channels[0]], target[channels[1]], 0, 0]])
-        shares[tree.dof_count + 2] = target[channels[2]] / -3.0
-        data.ctrl = shares[motors]
+        controls = np.concatenate([target, [target[channels[0]], target[channels[1]], 0, 0]])
+        controls[tree.dof_count + 2] = target[channels[2]] / -3.0
+        data.ctrl = controls[motors]
         for limited, mine in zip((False, True), found, strict=True):
             model.opt.disableflags = 0 if limited else mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
             model.actuator_forcelimited[:] = limited * np.isfinite(tree.tendons.torque_limit[:3])
