@@ -58,7 +58,20 @@ def test_a_shipped_configuration_is_copied(cli, opened, tmp_path):
     (document,) = opened
     assert str(document.path) == "fish.yaml" and document.texts.creature is None
     assert document.data["creature"]["name"] == "fish" and list(tmp_path.iterdir()) == []
-    assert "Edits of fish.yaml are not saved" in out
+    assert "not saved" not in out
+
+
+def test_edits_that_are_not_saved_are_mentioned(cli, opened, monkeypatch, tmp_path):
+    def serve(self: PageServer) -> None:
+        given = {"key": ["seed"], "value": 3}
+        self.session.answer("edit", {"command": "set_value", "given": given})
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(PageServer, "serve_forever", serve)
+    code, out, _ = cli("model", "new.yaml", folder=tmp_path)
+    assert code == 0 and out.endswith("`evo-cpg model` offers them again.\n")
+    assert [path.name for path in tmp_path.iterdir()] == [".new.yaml.autosave"]
+    assert Document.new(tmp_path / "new.yaml").data["seed"] == 3
 
 
 def test_without_a_name_a_new_animal_is_begun(cli, opened, tmp_path):
