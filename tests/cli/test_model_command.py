@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from urllib.parse import urlsplit
 
 import pytest
@@ -16,7 +17,15 @@ from evo_cpg.drawing.page.server import PageServer
 from tiny_run import REPOSITORY
 
 
-def test_a_page_is_served_until_an_interrupt(tmp_path):
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Interrupts arrive, also in processes started here, even if a shell ignores them."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_a_page_is_served_until_an_interrupt(tmp_path, interruptible):
     path = [sys.executable, "-m", "evo_cpg", "model", "new.yaml"]
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     environment["PYTHONPATH"] = str(REPOSITORY)
@@ -32,7 +41,10 @@ def test_a_page_is_served_until_an_interrupt(tmp_path):
         assert link.getresponse().status == 200
         link.close()
         process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
+        try:
+            assert process.wait(20) == 0
+        finally:
+            process.kill()
         if sys.platform == "linux":
             assert "No browser was found" in process.stderr.read()
     assert list(tmp_path.iterdir()) == []
