@@ -23,6 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from evo_cpg.config.load import check_config
+from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.exchange.compiled import Compiled, compile_model
 from evo_cpg.exchange.mjcf_import import Imported, read_model
@@ -68,10 +69,11 @@ def largest_difference(path: Path, states: int = 100, drop: bool = False, seed: 
     """
     imported = read_model(path, drop=drop)
     config = check_config(imported.experiment, path)
-    tree = build_tree(config.creature.build())
+    creature = config.creature.build()
+    tree = build_tree(creature)
     compiled = compile_model(path, drop)
     with jax.enable_x64(True):
-        sample = sampled(imported, tree, compiled, states, np.random.default_rng(seed))
+        sample = sampled(imported, creature, tree, compiled, states, np.random.default_rng(seed))
         found = np.asarray(_accelerations(World(tree, config.world.gravity), sample))
     scale = np.abs(sample.expected).max(0)
     return float((np.abs(found - sample.expected).max(0) / scale).max())
@@ -79,7 +81,7 @@ def largest_difference(path: Path, states: int = 100, drop: bool = False, seed: 
 
 @jax.jit
 def _accelerations(world: World, sample: Sample) -> jax.Array:
-    tree, state = world.tree, sample.state
+    tree, state = world.tree, sample.state.placed(world.tree)
     kin = kinematics(tree, state)
     inertia, bias = body_equations(world, kin, 0.0)
     passive, derivative = passive_torque(tree, state, 0.0)
@@ -103,14 +105,19 @@ def _accelerations(world: World, sample: Sample) -> jax.Array:
 
 
 def sampled(
-    imported: Imported, tree: Tree, compiled: Compiled, count: int, rng: np.random.Generator
+    imported: Imported,
+    creature: Creature,
+    tree: Tree,
+    compiled: Compiled,
+    count: int,
+    rng: np.random.Generator,
 ) -> Sample:
     """Return random states and MuJoCo's accelerations in them."""
     mujoco, model = compiled.mujoco, compiled.model
     _switch_off(compiled, bool(imported.experiment["world"]["water"]))
     data = mujoco.MjData(model)
     rest = resting_state(tree, dtype=float, position=imported.place)
-    neutral = kinematics(tree, rest).rotation
+    turns = dict(zip([b.name for b in creature.bodies], neutral_pose(creature)[1], strict=True))
     free = tree.hanging is None
     dofs = _dofs(imported, tree, compiled)
     rows, expected = [], []
@@ -125,13 +132,15 @@ def sampled(
         mujoco.mj_forward(model, data)
         q, qd, qdd = (np.zeros(tree.dof_count) for _ in range(3))
         for dof in dofs:
-            q[dof.ours], qd[dof.ours], qdd[dof.ours] = dof.read(model, data, neutral)
+            q[dof.ours], qd[dof.ours], qdd[dof.ours] = dof.read(
+                model, data, turns[tree.names[dof.body]]
+            )
         command = _command(tree, compiled, data, dofs)
         root, root_acceleration = _root(imported, tree, compiled, data) if free else (rest, [])
         rows.append((dataclasses.replace(root, q=q, qd=qd), command))
         expected.append(np.concatenate([root_acceleration, qdd]))
-    state, command = jax.tree.map(lambda *x: jnp.stack(x, -1), *rows)
-    return Sample(state.placed(tree), command, np.array(expected).T)
+    state, command = jax.tree.map(lambda *x: np.stack(x, -1), *rows)
+    return Sample(state, command, np.array(expected).T)
 
 
 class Dof(NamedTuple):
@@ -147,15 +156,21 @@ class Dof(NamedTuple):
     body: int
     ours: slice
 
-    def read(self, model: Any, data: Any, neutral: Any) -> tuple[Any, Any, Any]:
-        """Return angles, rates and accelerations in our coordinates."""
+    def read(self, model: Any, data: Any, axes: np.ndarray) -> tuple[Any, Any, Any]:
+        """Return angles, rates and accelerations in our coordinates.
+
+        Args:
+            model: MuJoCo's model.
+            data: MuJoCo's state.
+            axes: axes of our body in the neutral pose, in the world ``(3, 3)``.
+        """
         place, dof = int(model.jnt_qposadr[self.joint]), int(model.jnt_dofadr[self.joint])
         count = self.ours.stop - self.ours.start
         rate, acceleration = data.qvel[dof : dof + count], data.qacc[dof : dof + count]
         if count == 1:
             return data.qpos[place] - model.qpos0[place], rate, acceleration
         # A ball. MuJoCo's axes are those of its body, and ours those of our body.
-        turn = np.array(neutral[..., self.body]).T @ _neutral_axes(model, self.joint)
+        turn = axes.T @ _neutral_axes(model, self.joint)
         angle = Rotation.from_quat(data.qpos[place : place + 4], scalar_first=True).as_rotvec()
         return turn @ angle, turn @ rate, turn @ acceleration
 
@@ -198,8 +213,8 @@ def _root(
     quaternion = Rotation.from_matrix(moved).as_quat(scalar_first=True)
     velocity = np.concatenate([spin, push + np.cross(spin, arm)])
     linear = pushing + np.cross(turning, arm) + np.cross(spin, np.cross(spin, arm))
-    rest = resting_state(tree, dtype=float)
-    state = State(data.xpos[body] + arm, quaternion, velocity, rest.q, rest.qd)
+    still = np.zeros(tree.dof_count)
+    state = State(data.xpos[body] + arm, quaternion, velocity, still, still)
     return state, np.concatenate([turning, linear])
 
 

@@ -12,7 +12,10 @@ def tables() -> str:
     for source in read.values():
         kind = _KINDS.get(source.kind, source.kind)
         mapped.setdefault((kind, source.key), []).append(source.word)
-    rows = [f"| `{kind}` | {', '.join(words)} | {key} |" for (kind, key), words in mapped.items()]
+    rows = [
+        f"| `{kind}` | {', '.join(dict.fromkeys(', '.join(words).split(', ')))} | {key} |"
+        for (kind, key), words in mapped.items()
+    ]
     flags = [f"| `{flag}` | {effect} |" for flag, effect in mjcf_fields.FLAGS.items()]
     return "\n".join(
         [

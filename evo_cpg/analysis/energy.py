@@ -30,11 +30,12 @@ from jaxtyping import Array, Float
 
 from evo_cpg.analysis.along_time import along_time
 from evo_cpg.creature.tendons import Tendons
+from evo_cpg.physics.ball_limit import Angles, ball_laws
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.force_law import Bodies, body_velocity
 from evo_cpg.physics.joint_torque import (
     Coordinates,
-    Laws,
+    Limits,
     expected_limit_torque,
     friction_torque,
     limit_torque,
@@ -187,6 +188,11 @@ def _limit_torques(world: World, before: State, after: State, h: float) -> Float
     """Return the torques of the limits of joints and tendons as in the solver, N m."""
     tendons = world.tree.tendons
     own = _limits(world, world.tree, before, after, h)
+    balls = ball_laws(world.tree.ball_limits, before)
+    if balls is not None:
+        last = Angles(balls.angles.q, balls.rate(after.qd))
+        stops = _limits(world, balls.limits, balls.angles, last, h)
+        own = own + balls.torque_of(stops, len(own))
     if tendons is None:
         return own
     first, last = lengths_of(tendons, before), lengths_of(tendons, after)
@@ -194,7 +200,7 @@ def _limit_torques(world: World, before: State, after: State, h: float) -> Float
 
 
 def _limits(
-    world: World, laws: Laws, before: Coordinates, after: Coordinates, h: float
+    world: World, laws: Limits, before: Coordinates, after: Coordinates, h: float
 ) -> Float[Array, "d t"]:
     if needs_iteration(world):
         return limit_torque(laws, before.q, after.qd, h)[0]

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.analysis.along_time import along_time
+from evo_cpg.physics.joints import Subspace
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.reactive_thrust import ReactiveThrust
 from evo_cpg.physics.world import World
@@ -56,7 +57,7 @@ def water_power(
             rotation=rotation,
             origin=position - lever,
             offset=still,
-            axes=still[:, :0],
+            axes=Subspace(still[:, :0]),
             angular=turning,
             linear=velocity - cross(turning, lever),
             bias_angular=still,

@@ -66,6 +66,7 @@ from evo_cpg.control.matsuoka import (
     Oscillators,
     build_network,
 )
+from evo_cpg.creature.creature import NO_LIMIT
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
 from evo_cpg.spatial.decisions import chosen
@@ -215,6 +216,7 @@ class BrainCpg(Controller):
         muscles: True if the creature has muscles.
         gear: torque of each degree of freedom at full output, N m, or None without torque motors.
         angles: commanded angles of motors with a spring, or None without them.
+        unit: coordinate of each degree of freedom that counts as 1 rad, or None without slides.
     """
 
     gene_count: int = eqx.field(static=True)
@@ -238,6 +240,7 @@ class BrainCpg(Controller):
     feedback: Feedback | None = None
     gear: Float[Numbers, " d"] | None = None
     angles: "AngleRange | None" = None
+    unit: Float[Numbers, " d"] | None = None
 
     signal_label = "CPG output (no unit)"
 
@@ -328,15 +331,16 @@ class BrainCpg(Controller):
         if self.feedback is None:
             return self._advance(state, tonic_input, adaptation_gain)
         assert isinstance(state, FeelingState)
-        senses = observation.joint_angle, observation.joint_rate, observation.load
+        angle, rate = map(self._as_angle, (observation.joint_angle, observation.joint_rate))
+        senses = angle, rate, observation.load
         felt, memory = feel(self.feedback, genes, state.memory, *senses)
         neurons: MatsuokaState = state
         for acts, angle in felt.resets:
             neurons = phase.with_phase(self.network, neurons, adaptation_gain, angle, acts)
-        rate = None
+        clock = None
         if felt.strength is not None:
-            rate = phase.clock_rate(self.network, neurons, adaptation_gain, felt.strength)
-        neurons = self._advance(neurons, tonic_input + felt.input, adaptation_gain, rate)
+            clock = phase.clock_rate(self.network, neurons, adaptation_gain, felt.strength)
+        neurons = self._advance(neurons, tonic_input + felt.input, adaptation_gain, clock)
         return FeelingState(neurons.potential, neurons.adaptation, memory)
 
     def _advance(
@@ -357,10 +361,9 @@ class BrainCpg(Controller):
             observation: senses at the start of the control step.
         """
         signal = matsuoka.output(state)
-        rate = (
-            expand_dims_like(self.rate_gain, signal) * signal
-            - expand_dims_like(self.centring, signal) * observation.joint_angle
-        )
+        rate = expand_dims_like(self.rate_gain, signal) * signal - expand_dims_like(
+            self.centring, signal
+        ) * self._as_angle(observation.joint_angle)
         limit, activation, torque, angle = self.max_rate, None, None, None
         if self.muscles or self.gear is not None or self.angles is not None:
             output = jnp.maximum(state.potential, 0.0)
@@ -374,9 +377,19 @@ class BrainCpg(Controller):
                 expand_dims_like(x, signal)
                 for x in (self.angles.full, self.angles.lower, self.angles.upper)
             )
-            angle = jnp.clip(full * (activation[0] - activation[1]), lower, upper)
+            free = self._from_angle(full * (activation[0] - activation[1]))
+            angle = jnp.clip(free, lower, upper)
         active = activation if self.muscles else None
-        return Command(jnp.clip(rate, -limit, limit), signal, angle, active, torque)
+        rate = self._from_angle(jnp.clip(rate, -limit, limit))
+        return Command(rate, signal, angle, active, torque)
+
+    def _as_angle(self, q: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Return coordinates or rates as angles: a slide's in its `units_of`."""
+        return q if self.unit is None else q / expand_dims_like(self.unit, q)
+
+    def _from_angle(self, angle: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Return the coordinates or rates of angles, the inverse of `_as_angle`."""
+        return angle if self.unit is None else angle * expand_dims_like(self.unit, angle)
 
     def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
         """Return the inputs of the brain: Table 2 of Iwadate 2010, every value from -1 to 1.
@@ -386,7 +399,7 @@ class BrainCpg(Controller):
         the last step. Then, if ``joint_rates`` is True: each joint rate in units of ``max_rate``,
         clipped to -1 and 1. Last, not in Table 2: readings of depth gauges and of extra sensors.
         """
-        angle = observation.joint_angle
+        angle = self._as_angle(observation.joint_angle)
         values = [
             observation.light,
             observation.pressure,
@@ -397,7 +410,8 @@ class BrainCpg(Controller):
             jnp.abs(matsuoka.output(state)) / self.max_amplitude,
         ]
         if self.joint_rates:
-            values.append(jnp.clip(observation.joint_rate / self.max_rate, -1.0, 1.0))
+            rate = self._as_angle(observation.joint_rate)
+            values.append(jnp.clip(rate / self.max_rate, -1.0, 1.0))
         values.append(observation.depth)
         if observation.custom is not None:
             values.append(observation.custom)
@@ -415,6 +429,10 @@ class BrainCpg(Controller):
         span = self.max_adaptation_gain - self.min_adaptation_gain
         adaptation_gain = self.min_adaptation_gain + span * outputs[2 * count :]
         return sides, adaptation_gain[np.array(self.gain_source)]
+
+
+# Least displacement that a brain senses as 1 rad, m.
+_LEAST_UNIT = 1e-6
 
 
 def build_brain_cpg(
@@ -503,7 +521,25 @@ def build_brain_cpg(
         muscles=tree.muscles is not None,
         gear=tree.gears,
         angles=_angle_range(tree, settings, follows) if any(follows) else None,
+        unit=units_of(tree),
     )
+
+
+def units_of(tree: Tree) -> Float[Numbers, " d"] | None:
+    """Return the coordinate that a brain senses and commands as 1 rad, or None without slides.
+
+    A slide's is its farther limit, or without limits the radius of gyration of its body, m. Cosine
+    and sine then tell its positions apart, and animals of any size have equal brains.
+    """
+    if "slide" not in tree.dof_kinds:
+        return None
+    body = np.array(tree.dof_bodies)
+    own = xp.trace(tree.inertia[:3, :3])[body] / 2
+    away = (tree.com * tree.com).sum(0)[body]
+    radius = xp.sqrt(xp.maximum(own / tree.mass[body] - away, _LEAST_UNIT**2))
+    farther = xp.maximum(xp.abs(tree.lower), xp.abs(tree.upper))
+    slides = np.array(tree.dof_kinds) == "slide"
+    return xp.where(slides, xp.where(farther < NO_LIMIT, farther, radius), 1.0)
 
 
 def _follows_angles(tree: Tree, settings: BrainCpgSettings) -> tuple[bool, ...]:

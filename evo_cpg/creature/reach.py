@@ -19,6 +19,9 @@ from evo_cpg.spatial.numerics import Numbers, xp
 # Widening of joint limits (rad), because loads push joints beyond their soft limits.
 _GIVE = 0.15
 
+# Ranges of the elements of all rotation matrices.
+_ANY_ROTATION = -np.ones((3, 3, 1)), np.ones((3, 3, 1))
+
 # Number of pieces into which all ranges of a chain of joints are cut.
 PIECES = 400
 
@@ -69,16 +72,43 @@ def _swept(tree: Tree, chain: list[int], box: Interval, most: int) -> Interval:
     for body in chain:
         dofs = [i for i, owner in enumerate(tree.dof_bodies) if owner == body]
         for i in reversed(dofs):
-            ends = tree.lower[i] - _GIVE, tree.upper[i] + _GIVE
-            # An axis without limits turns all the way round.
+            if tree.dof_kinds[i] == "ball":
+                # A ball turns in every direction. Its three axes are one rotation.
+                if i == dofs[0]:
+                    low, high = _times(_ANY_ROTATION, (low, high))
+                continue
             free = functools.partial(_is_free, tree, i)
             whole = chosen(lambda free=free: bool(free()), lambda made, free=free: free() == made)
+            if tree.dof_kinds[i] == "slide":
+                low, high = _slid(tree, i, whole, pieces, (low, high))
+                continue
+            ends = tree.lower[i] - _GIVE, tree.upper[i] + _GIVE
+            # An axis without limits turns all the way round.
             edges = xp.linspace(*((-np.pi, np.pi) if whole else ends), pieces + 1)
-            low, high = _times(_turns(tree.joint_axes[:, i], edges), (low, high))
+            place = 0.0 if tree.joint_places is None else tree.joint_places[:, i, None]
+            low, high = _times(_turns(tree.joint_axes[:, i], edges), (low - place, high - place))
+            low, high = low + place, high + place
         fixed = tree.joint_orientation[:, :, body]
         low, high = _times((fixed[..., None], fixed[..., None]), (low, high))
         offset = tree.joint_offset[:, body, None]
         low, high = low + offset, high + offset
+    return low, high
+
+
+def _slid(tree: Tree, axis: int, free: bool, pieces: int, box: Interval) -> Interval:
+    """Return ranges of a box's coordinates that slides along an axis.
+
+    A slide without limits reaches everything.
+    """
+    margin = _GIVE * (tree.upper[axis] - tree.lower[axis])
+    ends = tree.lower[axis] - margin, tree.upper[axis] + margin
+    edges = xp.linspace(*((-NO_LIMIT, NO_LIMIT) if free else ends), pieces + 1)
+    along = tree.joint_axes[:, axis, None]
+    moved = xp.sort(xp.array([along * edges[:-1], along * edges[1:]]), 0)
+    low, high = (
+        (end[:, None] + shift[:, :, None]).reshape(3, -1)
+        for end, shift in zip(box, moved, strict=True)
+    )
     return low, high
 
 

@@ -97,6 +97,7 @@ def tendons_of(
     tendons: Sequence[Tendon],
     dof_names: Sequence[str],
     idle: Sequence[bool],
+    ball: Sequence[bool],
     inertia: Float[Numbers, " d"],
 ) -> Tendons | None:
     """Return the tendons of a creature, or None if it has none.
@@ -108,11 +109,12 @@ def tendons_of(
         tendons: the tendons.
         dof_names: names of the degrees of freedom.
         idle: whether each degree of freedom lacks a motor of its own.
+        ball: whether each degree of freedom belongs to a ball joint.
         inertia: effective inertia of each degree of freedom, with its rotor, kg m^2.
 
     Raises:
-        CreatureError: a name is used twice, a tendon spans an unknown joint, or its motor finds no
-            free command.
+        CreatureError: a name is used twice, a tendon spans an unknown joint or a ball, or its
+            motor finds no free command.
     """
     if not tendons:
         return None
@@ -128,6 +130,12 @@ def tendons_of(
                 raise CreatureError(
                     f"tendon {tendon.name!r} spans {name!r}, which is no degree of freedom: "
                     f"{nearest(name, list(dof_names))}",
+                    ("tendons", number, "joints"),
+                )
+            if ball[list(dof_names).index(name)]:
+                raise CreatureError(
+                    f"tendon {tendon.name!r} spans {name!r}, a part of a ball joint, which has no "
+                    "angle of its own. Allowed: axes that turn or slide",
                     ("tendons", number, "joints"),
                 )
             owners.append(number)

@@ -22,7 +22,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from evo_cpg.creature.axis_laws import DryFriction, push_of, soft_limits
+from evo_cpg.creature.ball_limits import BallLimits, ball_limits_of
 from evo_cpg.creature.creature import (
+    NO_LIMIT,
     AxisKind,
     Body,
     Creature,
@@ -109,6 +111,8 @@ class Tree(eqx.Module):
         limit_stiffness: stiffness of the soft limits, N m/rad.
         limit_damping: damping of the soft limits, N m s/rad.
         tendons: fixed tendons, or None if there are none.
+        ball_limits: limits of the angles of balls, or None if there are none. The components of a
+            ball have no limits of their own.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -145,6 +149,7 @@ class Tree(eqx.Module):
     limit_stiffness: Float[Numbers, " d"]
     limit_damping: Float[Numbers, " d"]
     tendons: Tendons | None = None
+    ball_limits: BallLimits | None = None
 
     @property
     def body_count(self) -> int:
@@ -284,7 +289,7 @@ def build_tree(creature: Creature) -> Tree:
     def each(name: str) -> Float[Numbers, "d *rest"]:
         return xp.array([getattr(dof, name) for dof in dofs], float)
 
-    kinds = tuple(dof.kind for dof in dofs)
+    kinds: tuple[AxisKind, ...] = tuple(dof.kind for dof in dofs)
     groups, hanging = _groups(bodies, parents, dof_bodies), _hanging(creature)
     rest, armature, loss = each("rest"), each("armature"), each("friction_loss")
     rubs = chosen(lambda: bool((loss != 0).any()), lambda made: made | ~(loss != 0).any())
@@ -331,8 +336,9 @@ def build_tree(creature: Creature) -> Tree:
         damping=each("damping"),
         armature=armature,
         dry_friction=DryFriction(loss, leverage + armature) if rubs else None,
-        lower=each("lower"),
-        upper=each("upper"),
+        lower=xp.array([-NO_LIMIT if dof.kind == "ball" else dof.lower for dof in dofs], float),
+        upper=xp.array([NO_LIMIT if dof.kind == "ball" else dof.upper for dof in dofs], float),
+        ball_limits=ball_limits_of(dofs, limit_stiffness, limit_damping),
         servo_gain=gain,
         servo_stiffness=spring,
         torque_limit=torque_limit,
@@ -340,7 +346,13 @@ def build_tree(creature: Creature) -> Tree:
         muscles=muscles,
         limit_stiffness=limit_stiffness,
         limit_damping=limit_damping,
-        tendons=tendons_of(creature.tendons, dof_names, idle, leverage + armature),
+        tendons=tendons_of(
+            creature.tendons,
+            dof_names,
+            idle,
+            [dof.kind == "ball" for dof in dofs],
+            leverage + armature,
+        ),
     )
 
 
@@ -465,8 +477,7 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
     if creature.root_joint is None:
         return outer * inner / (outer + inner)
-    is_fixed = not creature.root_joint.dofs
-    against_world = np.array([is_fixed or root for root in beyond.all(1)], bool)
+    against_world = beyond.all(1) | (not creature.root_joint.dofs)
     return xp.where(against_world, outer, outer * inner / (outer + inner))
 
 
@@ -518,7 +529,7 @@ def _hanging(creature: Creature) -> Group | None:
     joint = creature.root_joint
     if joint is None:
         return None
-    kinds = tuple(dof.kind for dof in joint.dofs)
+    kinds: tuple[AxisKind, ...] = tuple(dof.kind for dof in joint.dofs)
     return Group(slice(0, 1), slice(0, len(kinds)), len(kinds), (-1,), joint.kind, kinds)
 
 

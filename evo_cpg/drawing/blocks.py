@@ -2,11 +2,13 @@
 
 import copy as copying
 import re
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from evo_cpg.config.schema.copies import Copy, MirrorAxis, copies_named, fill
-from evo_cpg.config.schema.frames import opposed
+from evo_cpg.config.schema.frames import opposed, reflected
 from evo_cpg.config.schema.joint import JointConfig
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.drawing.lookup import (
@@ -21,6 +23,8 @@ from evo_cpg.drawing.lookup import (
 from evo_cpg.drawing.parts import rename_references
 from evo_cpg.drawing.placing import reflected_if
 
+# Largest distance of a row's joint from the end of its bodies, over their half length.
+_GAP = 0.3
 _MARKS = {"repeat": "{i}", "radial": "{j}", "mirror": "{side}"}
 
 
@@ -56,11 +60,14 @@ def mirror(data: Data, name: str, axis: MirrorAxis = "y") -> str:
 def repeat(data: Data, name: str, count: int) -> str:
     """Repeat a segment in a row, in which each body hangs on the one before it.
 
-    Parts on the segment move to the last one of the row. A count of 1 ends the row.
+    Parts on the segment move to the last one of the row. A count of 1 ends the row. If the segment
+    sits on a parent of another size, it stays as it is, and a row of the others follows it.
 
     Returns:
         New name of the entry.
     """
+    if count > 1 and not _fits(data, name):
+        return _row_behind(data, name, count - 1)
     return _number(data, name, "repeat", count)
 
 
@@ -125,13 +132,41 @@ def _single(entry: Data, body: Copy) -> Data:
         checked = checked.mirrored(body.mirror)
     joint = made["joint"]
     joint["parent"] = body.parent
-    for key in ("at", "child_at", "rotation_deg", "axes"):
+    for key in ("at", "child_at", "rotation_deg") if body.mirror or body.turn_deg else ():
         new = getattr(checked, key)
-        if body.mirror and key == "axes":
-            joint[key] = [_named(axis) for axis in new]
-        elif (body.mirror or body.turn_deg) and (key in joint or np.any(new)):
-            joint[key] = tidy(new) if key != "axes" else joint[key]
+        if key in joint or np.any(new):
+            joint[key] = tidy(new)
+    if body.mirror and "axes" in joint:
+        joint["axes"] = _mirrored_axes(joint["axes"], body.mirror)
     return made
+
+
+def _mirrored_axes(axes: Any, mirror: MirrorAxis) -> Any:
+    """Return the axes of a mirrored joint, as they are written."""
+    if not isinstance(axes, list):
+        return axes
+    made = []
+    for entry in axes:
+        if not isinstance(entry, dict):
+            made.append(_image(entry, mirror, opposed))
+            continue
+        image = dict(entry)
+        if "turn" in entry:
+            image["turn"] = _image(entry["turn"], mirror, opposed)
+        if "slide" in entry:
+            image["slide"] = _image(entry["slide"], mirror, reflected)
+        if entry.get("at"):
+            image["at"] = tidy(reflected_if(entry["at"], mirror))
+        made.append(image)
+    return made
+
+
+def _image(direction: Any, mirror: MirrorAxis, image: Callable[..., Any]) -> Any:
+    """Return the mirror image of an axis, by its name if it has one."""
+    if isinstance(direction, str):
+        sign, name = (-1.0, direction[1:]) if direction.startswith("-") else (1.0, direction)
+        return _named(image(tuple(sign * np.eye(3)["xyz".index(name)]), mirror))
+    return tidy(image(tuple(direction), mirror))
 
 
 def _named(axis: tuple[float, ...]) -> str | list[float]:
@@ -181,6 +216,37 @@ def _number(data: Data, name: str, key: str, count: int) -> str:
                 each["body"] = new.replace(mark, "1")
     _reorder(entry)
     return new
+
+
+def _fits(data: Data, name: str) -> bool:
+    """Return whether a segment can hang on its copy where it hangs on its parent."""
+    entry, joint = bodies(data)[entry_index(data, name)], joint_of(data, name)
+    if "repeat" in entry or "{i}" in str(entry["name"]):
+        return True
+    at, end = np.array(joint["at"], float), -np.array(joint["child_at"], float)
+    return bool(np.linalg.norm(at - end) <= _GAP * np.linalg.norm(end))
+
+
+def _row_behind(data: Data, name: str, count: int) -> str:
+    """Add a row of copies at the end of a segment."""
+    index = entry_index(data, name)
+    entry = bodies(data)[index]
+    if re.search(r"\{\w+\}", str(entry["name"])):
+        raise DrawingError(f"{entry['name']} is copied already. Separate the copies first")
+    row = copying.deepcopy(entry)
+    row["name"] = free_name(data, f"{entry['name']}_{{i}}")
+    row["joint"]["parent"] = entry["name"]
+    row["joint"]["at"] = tidy(-np.array(row["joint"]["child_at"], float))
+    row["joint"].pop("rotation_deg", None)
+    if count > 1:
+        row["repeat"] = count
+    last = str(row["name"]).replace("{i}", str(count))
+    for child in bodies(data):
+        if parent_of(child) == entry["name"]:
+            child["joint"]["parent"] = last
+    _reorder(row)
+    bodies(data).insert(index + 1, row)
+    return str(row["name"])
 
 
 def _recount(data: Data, index: int, key: str, count: int) -> None:
@@ -257,7 +323,7 @@ def _reflect(data: Data, index: int, axis: MirrorAxis) -> None:
     joint = entry["joint"]
     checked = JointConfig.model_validate(joint).mirrored(axis)
     joint["at"], joint["child_at"] = tidy(checked.at), tidy(checked.child_at)
-    joint["axes"] = [_named(each) for each in checked.axes]  # pyright: ignore[reportArgumentType]
+    joint["axes"] = _mirrored_axes(joint["axes"], axis)
     if "rotation_deg" in joint:
         joint["rotation_deg"] = tidy(opposed(joint["rotation_deg"], axis))
     for kind in ("light_sensors", "depth_sensors"):

@@ -17,6 +17,7 @@ COMMANDS: Mapping[str, Callable[..., Any]] = {
         parts.rename_part,
         parts.set_shape,
         parts.set_joint,
+        parts.resize,
         parts.stretch,
         placing.shift,
         placing.turn,

@@ -10,7 +10,7 @@ from evo_cpg.config.errors import KeyProblem
 from evo_cpg.config.load import complete_config
 from evo_cpg.config.schema.copies import Copy, Entry, copies
 from evo_cpg.config.schema.creature import CreatureConfig
-from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.creature.creature import WORLD, Creature, neutral_pose
 from evo_cpg.drawing.document import Data, DrawingError
 
 # Number of digits to which the tool writes numbers.
@@ -65,7 +65,9 @@ def posed(data: Data, source: Path) -> Posed:
     found = [creature.body_index(each.name) for each in everything]
     shapes = [config.bodies[each.entry].shape for each in everything]
     shifts = [
-        (shape.mirrored(each.mirror) if each.mirror else shape).centre
+        np.zeros(3)
+        if shape is None
+        else (shape.mirrored(each.mirror) if each.mirror else shape).centre
         for shape, each in zip(shapes, everything, strict=True)
     ]
     turns = rotations[found]
@@ -89,7 +91,8 @@ def bodies(data: Data) -> list[Data]:
 def parent_of(entry: Data) -> str | None:
     """Return the name of the parent of an entry, or None for the root."""
     joint = entry.get("joint")
-    return joint.get("parent") if isinstance(joint, dict) else None
+    parent = joint.get("parent") if isinstance(joint, dict) else None
+    return None if parent == WORLD else parent
 
 
 def all_copies(data: Data) -> list[Copy]:

@@ -84,7 +84,7 @@ def add_part(
         raise DrawingError(f"{name!r}: a name has no placeholders. Copies get them by themselves")
     own = free_name(data, f"{side}{name}{number}")
     carrying = here.creature.bodies[here.creature.body_index(body.name)].shape
-    at = on_planes(at, carrying.half_extents)
+    at, out = on_planes(at, out, carrying.half_extents)
     form = shape or _fitting(carrying)
     rotation, child_at = facing(out, _reach(form))
     material = str(on.get("material"))
@@ -192,6 +192,7 @@ def set_shape(data: Data, name: str, type: str) -> None:
         "ellipsoid": {"radii": [x, y, z]},
         "sphere": {"radius": (x * y * z) ** (1 / 3)},
         "capsule": {"radius": across, "length": max(2 * x - 2 * across, 0.1 * across)},
+        "cylinder": {"radius": across, "length": 2 * x},
     }
     if type not in made:
         raise DrawingError(f"{type!r}: choose one of {', '.join(made)}")
@@ -200,6 +201,26 @@ def set_shape(data: Data, name: str, type: str) -> None:
     factors = np.array(new) / np.array([x, y, z])
     entry["shape"] = shape
     _carry(data, str(entry["name"]), factors)
+
+
+def resize(data: Data, name: str, key: str, value: Any) -> None:
+    """Set a size of a part's shape, and move what sits on its surface.
+
+    Args:
+        data: data of the document.
+        name: name of the part.
+        key: key of the size in the shape.
+        value: new size, m.
+    """
+    entry = entry_of(data, name)
+    shape = entry["shape"]
+    if key not in _LENGTHS.get(shape.get("type"), {}):
+        raise DrawingError(f"{name}: its shape has no size {key!r}")
+    if not (np.asarray(value, float) > 0).all():
+        raise DrawingError(f"{key}: must be greater than 0, got {value}")
+    before = np.array(_half_extents(shape))
+    shape[key] = value
+    _carry(data, str(entry["name"]), np.array(_half_extents(shape)) / before)
 
 
 def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
@@ -271,8 +292,8 @@ def _carry(data: Data, name: str, factors: np.ndarray) -> None:
                 each["position"] = tidy(np.array(each["position"], float) * factors)
 
 
-def _half_extents(shape: Data) -> tuple[float, float, float]:
-    match shape.get("type"):
+def _half_extents(shape: Data | None) -> tuple[float, float, float]:
+    match (shape or {}).get("type"):
         case "box":
             x, y, z = (size / 2 for size in shape["size"])
         case "ellipsoid":
@@ -282,6 +303,9 @@ def _half_extents(shape: Data) -> tuple[float, float, float]:
         case "capsule":
             y = z = shape["radius"]
             x = shape["length"] / 2 + y
+        case "cylinder":
+            y = z = shape["radius"]
+            x = shape["length"] / 2
         case other:
             raise DrawingError(f"a shape of type {other!r} has no sizes that can be changed here")
     return float(x), float(y), float(z)

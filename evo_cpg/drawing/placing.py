@@ -25,9 +25,14 @@ def reflected_if(place: Sequence[float] | np.ndarray, axis: MirrorAxis | None) -
     return np.array(reflected((x, y, z), axis) if axis else (x, y, z))
 
 
-def on_planes(place: np.ndarray, half_extents: np.ndarray) -> np.ndarray:
-    """Return a place on a surface, moved into the body's planes of symmetry if it is close."""
-    return np.where(np.abs(place) < _NEAR * np.asarray(half_extents, float), 0.0, place)
+def on_planes(
+    place: np.ndarray, normal: np.ndarray, half_extents: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a place on a surface and its normal, moved into planes of symmetry that are close."""
+    near = np.abs(place) < _NEAR * np.asarray(half_extents, float)
+    # At a corner the normal may point along the plane's normal alone.
+    flat = np.where(near, 0.0, normal)
+    return np.where(near, 0.0, place), flat if flat.any() else normal
 
 
 def facing(normal: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:

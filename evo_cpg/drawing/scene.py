@@ -39,11 +39,12 @@ def scene(data: Data, source: Path) -> dict[str, Any]:
     named = {each.name: i for i, each in enumerate(here.copies)}
     bodies = []
     for i, body in enumerate(creature.bodies):
-        index = named.get(body.name)
+        index = named.get(body.whole or body.name)
         found: dict[str, Any] = {
             "name": body.name,
             "entry": None,
-            "parent": body.joint.parent if body.joint else None,
+            "whole": body.whole,
+            "parent": body.joint.parent if body.joint else body.whole,
             "place": centres[i].tolist(),
             "turn": turns[i].tolist(),
             "mass": float(body.mass),
@@ -54,11 +55,14 @@ def scene(data: Data, source: Path) -> dict[str, Any]:
         }
         if index is not None:
             frame = rotations[i].T @ (here.origins[index] - centres[i])
+            # A place on a further part is in the frame of its body.
+            turned = rotations[i].T @ here.rotations[index]
             copied = here.copies[index]
             found |= {
                 "entry": here.config.bodies[copied.entry].name,
                 "copies": sum(each.entry == copied.entry for each in here.copies),
                 "frame": frame.tolist(),
+                "turned": turned.T.tolist(),
             }
         bodies.append(found)
     return {
@@ -73,6 +77,8 @@ def scene(data: Data, source: Path) -> dict[str, Any]:
 
 
 def _mesh(shape: Any, arrays: dict[str, str]) -> dict[str, str] | None:
+    if not shape.exists:
+        return None
     skin = shape.skin()
     return {
         "points": _array(arrays, skin.points, "<f4"),
@@ -96,16 +102,21 @@ def _joint(creature: Any, i: int, centres: Any, rotations: Any) -> dict[str, Any
         return None
     place = centres[i] + rotations[i] @ np.asarray(joint.child_anchor, float)
 
-    def degrees(angle: float) -> float | None:
-        return None if abs(angle) >= NO_LIMIT else float(np.degrees(angle))
+    def written(limit: float, kind: str) -> float | None:
+        """Return a limit in degrees, or in m for a slide, or None for no limit."""
+        if abs(limit) >= NO_LIMIT:
+            return None
+        return float(limit) if kind == "slide" else float(np.degrees(limit))
 
     return {
         "place": place.tolist(),
         "axes": [
             {
+                "kind": dof.kind,
                 "along": (rotations[i] @ np.asarray(dof.axis, float)).tolist(),
-                "lower": degrees(float(dof.lower)),
-                "upper": degrees(float(dof.upper)),
+                "at": (place + rotations[i] @ np.asarray(dof.place, float)).tolist(),
+                "lower": written(float(dof.lower), dof.kind),
+                "upper": written(float(dof.upper), dof.kind),
             }
             for dof in joint.dofs
         ],

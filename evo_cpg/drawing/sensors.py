@@ -33,10 +33,7 @@ def add_eye(
         each: whether all copies of the part get one, or only this body.
         field_of_view_deg: full opening angle, degrees.
     """
-    carrier, at = _place(data, source, part, place, each, snap=True)
-    _, out = _place(data, source, part, axis, each)
-    if not out.any():
-        raise DrawingError("the axis of an eye must not be zero")
+    carrier, at, out = _place(data, source, part, place, axis, each)
     _list(data, "light_sensors").append(
         {
             "body": carrier,
@@ -51,7 +48,7 @@ def add_depth_gauge(
     data: Data, source: Path, part: str, place: Sequence[float], each: bool = True
 ) -> None:
     """Add a depth gauge on a surface, see `add_eye`."""
-    carrier, at = _place(data, source, part, place, each, snap=True)
+    carrier, at, _ = _place(data, source, part, place, (0, 0, 1), each)
     _list(data, "depth_sensors").append({"body": carrier, "position": tidy(at), "full_scale": 1})
 
 
@@ -87,21 +84,23 @@ def _place(
     source: Path,
     part: str,
     place: Sequence[float],
+    axis: Sequence[float],
     each: bool,
-    snap: bool = False,
-) -> tuple[str, np.ndarray]:
-    """Return the name of the carrier, and a position or direction in the frame of its entry."""
+) -> tuple[str, np.ndarray, np.ndarray]:
+    """Return the name of the carrier, and place and direction in the frame of its entry."""
     here = posed(data, source)
     body = here.copies[here.index(part)]
-    at = np.asarray(place, float)
-    if at.shape != (3,) or not np.isfinite(at).all():
-        raise DrawingError("a place must be three finite numbers")
-    if snap:
-        shape = here.creature.bodies[here.creature.body_index(body.name)].shape
-        at = on_planes(at, shape.half_extents)
+    at, out = np.asarray(place, float), np.asarray(axis, float)
+    if not (at.shape == out.shape == (3,) and np.isfinite([at, out]).all()):
+        raise DrawingError("a place and a direction must be three finite numbers")
+    if not out.any():
+        raise DrawingError("the axis of an eye must not be zero")
+    shape = here.creature.bodies[here.creature.body_index(body.name)].shape
+    at, out = on_planes(at, out, shape.half_extents)
     if each and len(copies_of(data, body.entry)) > 1:
-        return str(bodies(data)[body.entry]["name"]), reflected_if(at, body.mirror)
-    return body.name, at
+        name = str(bodies(data)[body.entry]["name"])
+        return name, reflected_if(at, body.mirror), reflected_if(out, body.mirror)
+    return body.name, at, out
 
 
 def _list(data: Data, kind: Kind) -> list[Data]:

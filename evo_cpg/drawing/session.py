@@ -10,7 +10,7 @@ from evo_cpg.creature.creature import CreatureError
 from evo_cpg.drawing.commands import edit
 from evo_cpg.drawing.document import Document, DrawingError
 from evo_cpg.drawing.mesh_file import add_mesh_file
-from evo_cpg.drawing.problems import problems
+from evo_cpg.drawing.problems import Problem, problems
 from evo_cpg.drawing.scene import scene
 from evo_cpg.drawing.training_run import TrainingRun
 from evo_cpg.drawing.trying import simulate
@@ -29,7 +29,7 @@ class Session:
     def __init__(self, document: Document):
         self.document = document
         self._lock = threading.Lock()
-        self._scene: Answer | None = None
+        self._revision = 0
         self._sent: set[str] = set()
         self._try: Answer = {"state": "none"}
         self._run: TrainingRun | None = None
@@ -43,6 +43,7 @@ class Session:
             "try": self._start_try,
             "train": self._train,
             "stop": self._stop,
+            "champion": self._champion,
         }
 
     def answer(self, request: str, given: Mapping[str, Any]) -> Answer:
@@ -67,6 +68,15 @@ class Session:
             except UserError as error:
                 extra = {"error": str(error)}
             return self._state() | extra
+
+    def check(self) -> Answer:
+        """Return all messages of `validate`, for which the experiment is built.
+
+        Edits do not wait for them. ``revision`` tells which state they are about.
+        """
+        with self._lock:
+            data, source, revision = self.document.data, self.document.path, self._revision
+        return {"problems": _listed(problems(data, source)), "revision": revision}
 
     def poll(self) -> Answer:
         """Return the state of the try and of the run."""
@@ -150,6 +160,11 @@ class Session:
         if self._run:
             self._run.stop()
 
+    def _champion(self) -> Answer:
+        if self._run is None:
+            raise DrawingError("there is no run")
+        return {"motion": self._run.champion()}
+
     def _state(self) -> Answer:
         document = self.document
         data = document.data
@@ -161,8 +176,9 @@ class Session:
             self._sent |= drawn["arrays"].keys()
         except (KeyProblem, CreatureError) as problem:
             error = str(problem)
-        found = problems(data, document.path, thorough=drawn is not None)
+        self._revision += 1
         return {
+            "revision": self._revision,
             "path": str(document.path),
             "changed": document.is_changed,
             "recovered": document.recovered,
@@ -172,5 +188,9 @@ class Session:
             "text": document.texts,
             "scene": drawn,
             "undrawn": error,
-            "problems": [each._asdict() | {"key": list(each.key)} for each in found],
+            "problems": _listed(problems(data, document.path, thorough=False)),
         }
+
+
+def _listed(found: list[Problem]) -> list[Answer]:
+    return [each._asdict() | {"key": list(each.key)} for each in found]

@@ -9,7 +9,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from evo_cpg.config.load import load_run_config
+from evo_cpg.drawing.document import DrawingError
+from evo_cpg.drawing.trying import motion
+from evo_cpg.errors import UserError
 from evo_cpg.system import named
+from evo_cpg.training.run_folder import RunFolder
 
 # Columns of metrics.csv that the page draws.
 _CURVES = ("generation", "best", "mean")
@@ -56,6 +61,21 @@ class TrainingRun:
             "output": words[-_SHOWN:].replace("\r", "\n").strip(),
             "curves": self._curves(),
         }
+
+    def champion(self) -> dict[str, Any]:
+        """Return the motion of the champion, as JSON.
+
+        Raises:
+            DrawingError: there is no champion yet.
+        """
+        try:
+            _, recording, _ = RunFolder(self.folder).load_champion()
+            config = load_run_config(RunFolder(self.folder).config)
+        except UserError as error:
+            raise DrawingError(f"there is no champion yet ({error})") from None
+        if recording is None:
+            raise DrawingError("the champion has no recording")
+        return motion(recording, [body.name for body in config.creature.build().bodies])
 
     def stop(self) -> None:
         """Interrupt the process as Control-C does, which keeps its generations."""

@@ -1,6 +1,7 @@
 """Try an animal for some seconds, without evolution: let it drop or float, or drive its cord."""
 
 import base64
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,6 +10,7 @@ import numpy as np
 from evo_cpg.config.load import complete_config
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.laboratory.ask import Subject, ask
+from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.devices import use_cores
 from evo_cpg.view.clip import quaternions, sample
 
@@ -18,8 +20,8 @@ SECONDS = 5.0
 # Frames per second of the motion.
 RATE = 30.0
 _SHORT = 32767
-# Knobs of the laboratory: without motors, or with two thirds of the largest drive.
-_KNOBS: dict[str, dict[str, list[Any]]] = {"rest": {"passive": ["*"]}, "rhythm": {"u": [0.67]}}
+# Knobs of the laboratory: without motors, or with the largest drive of the cord.
+_KNOBS: dict[str, dict[str, list[Any]]] = {"rest": {"passive": ["*"]}, "rhythm": {"u": [1.0]}}
 # Sections that a try needs. Other sections may not fit its controller, which has a rhythm.
 _SECTIONS = ("name", "creature", "world", "simulation", "engine")
 
@@ -49,12 +51,21 @@ def simulate(data: Data, source: Path, how: How) -> dict[str, Any]:
     (recording,) = answer.recordings
     if not np.isfinite(recording.position).all():
         raise DrawingError("the motion diverged: a motor may be too strong for its body")
+    return motion(recording, [body.name for body in config.creature.build().bodies])
+
+
+def motion(recording: Recording, names: Sequence[str]) -> dict[str, Any]:
+    """Return a recording as JSON.
+
+    Args:
+        recording: motion of the bodies.
+        names: names of the bodies, in its order.
+    """
     clip = sample(recording, RATE)
     return {
-        "how": how,
         "rate": RATE,
         "count": len(clip.time),
-        "names": [body.name for body in config.creature.build().bodies],
+        "names": list(names),
         "place": _text(clip.position, "<f4"),
         "turn": _text(quaternions(clip.rotation) * _SHORT, "<i2"),
     }

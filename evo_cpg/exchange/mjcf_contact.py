@@ -81,6 +81,7 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
     if touches_nothing(compiled):
         return False
     meeting, apart, added = False, [], []
+    partners: dict[str, int] = {body.name: 0 for body in placed if body.solids}
     for first, second in itertools.combinations(placed, 2):
         pairs = [(a.geom, b.geom) for a in first.solids for b in second.solids]
         paired = any(_paired(compiled, *pair) for pair in pairs)
@@ -91,12 +92,13 @@ def read_self_collision(compiled: Compiled, placed: Sequence[Placed]) -> Any:
         meeting = meeting or paired or (meet and not joined)
         if joined and paired:
             added.append(names)
-        if pairs and not joined and not meet:
-            apart.append(names)
+        if pairs and not joined:
+            apart += [] if meet else [names]
+            for name in names:
+                partners[name] += 1
     if not meeting:
         return False
-    bodies = [body.name for body in placed if body.solids]
-    keys = {"exclude": _shortened(apart, bodies), "include": added}
+    keys = {"exclude": _shortened(apart, partners), "include": added}
     return {name: pairs for name, pairs in keys.items() if pairs} or True
 
 
@@ -150,8 +152,17 @@ def _excluded(compiled: Compiled, first: Placed, second: Placed) -> bool:
     return False
 
 
-def _shortened(pairs: list[list[str]], names: list[str]) -> list[list[str]]:
-    """Return pairs, with ``all`` for a body that touches no other one."""
-    alone = [name for name in names if sum(name in pair for pair in pairs) >= len(names) - 1 > 1]
+def _shortened(pairs: list[list[str]], partners: dict[str, int]) -> list[list[str]]:
+    """Return pairs, with ``all`` for a body that is apart from every body that is no neighbour.
+
+    Args:
+        pairs: pairs of names.
+        partners: number of other bodies that are no neighbours, by name.
+    """
+    alone = [
+        name
+        for name, count in partners.items()
+        if sum(name in pair for pair in pairs) == count and count > 1
+    ]
     others = [pair for pair in pairs if not set(pair) & set(alone)]
     return [[name, "all"] for name in alone] + others

@@ -87,7 +87,7 @@ class Imported(NamedTuple):
         joints: MuJoCo's numbers of the joints of each body, by its name, in the order of its axes.
         exported: whether the file is our own export, whose meshes are exact.
         warnings: sentences about what a user may have to change before training.
-        place: origin of the root's frame in the file's neutral pose, m.
+        place: centre of the root in the file's neutral pose, m.
     """
 
     experiment: dict[str, Any]
@@ -175,7 +175,7 @@ def read_model(
         joints,
         bool(custom),
         tuple(_warnings(compiled, placed[0], bool(motors or tendon_motors))),
-        tuple(placed[0].centre.tolist()),
+        tuple(_centre_of(placed[0]).tolist()),
     )
 
 
@@ -390,7 +390,14 @@ def _clearance(config: CreatureConfig, root: Placed, world: Mapping[str, Any]) -
     if not ground or "slope_deg" in ground.get("floor", {}):
         return 0.0
     lowest = float(lowest_height(config.build()))
-    return float(root.centre[2]) + lowest - ground.get("floor", {}).get("height", 0.0)
+    return float(_centre_of(root)[2]) + lowest - ground.get("floor", {}).get("height", 0.0)
+
+
+def _centre_of(root: Placed) -> np.ndarray:
+    """Return the centre of the root in the world, m. A mesh has another one than its frame."""
+    if not root.own_shape:
+        return root.centre
+    return root.centre + root.turn @ _SHAPE.validate_python(root.solids[0].shape).centre
 
 
 def _model_name(compiled: Compiled) -> str:

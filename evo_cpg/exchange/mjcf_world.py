@@ -171,9 +171,9 @@ def _compensated(
     alike = np.isfinite(fluid).all() and np.ptp(fluid) < _ALIKE * fluid.max() and fluid[0] > 0
     if floats and alike:
         return gravity, float(fluid[0])
-    shares = np.array(lifts) / masses
-    if np.ptp(shares) < _ALIKE and shares[0] <= 1:
-        return gravity * (1 - float(shares[0])), 0.0
+    fractions = np.array(lifts) / masses
+    if np.ptp(fractions) < _ALIKE and fractions[0] <= 1:
+        return gravity * (1 - float(fractions[0])), 0.0
     lead = placed[moving[int(np.argmax(np.abs(lifts)))]].rigid.lead
     compiled.item("body", lead).refuse(
         "its gravcomp is not the buoyancy of a fluid around all bodies",

@@ -296,10 +296,10 @@ class _Player:
 
         The commands give our motors' torques. Those of muscles change within a step, see `advance`.
         """
-        tendons, driven = self.tree.tendons, _shares(self.tree, command)
+        tendons, driven = self.tree.tendons, _controls(self.tree, command)
         if tendons is not None:
             own = command.to(np.maximum(tendons.channels, 0))
-            driven = np.concatenate([driven, _shares(tendons, own)])
+            driven = np.concatenate([driven, _controls(tendons, own)])
         active = np.moveaxis(np.asarray(command.activation, float), -1, 0)
         return driven[self._motors].T, active
 
@@ -341,8 +341,8 @@ class _Player:
     def push(self, change: Float[np.ndarray, " v"]) -> None:
         """Change the velocities, given as for `State.rates`."""
         if self.tree.hanging is None:
-            self.data.qvel[:3] += root.linear(root.root_part(change))
-        self.data.qvel[root_dofs(self.tree) + self.dofs] += root.joint_part(change)
+            self.data.qvel[:3] += change[3 : root.ROOT_DOFS]
+        self.data.qvel[root_dofs(self.tree) + self.dofs] += change[root.JOINTS]
 
     def is_held(self) -> bool:
         """Return whether the animal touches something other than itself, or swims.
@@ -389,7 +389,7 @@ def _applied(world: World) -> bool:
     return world.water is not None or bool(world.forces)
 
 
-def _shares(laws: Laws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
+def _controls(laws: Laws, command: MotorCommand) -> Float[np.ndarray, "d t"]:
     """Return MuJoCo's commands that give the force of our motors."""
     target_rate, target_angle = np.asarray(command.target_rate), np.asarray(command.target_angle)
     gain, stiffness = (

@@ -11,7 +11,9 @@ speed at which F is 0.
 """
 
 import dataclasses
+import functools
 import math
+import operator
 from collections.abc import Mapping
 
 import jax.numpy as jnp
@@ -103,10 +105,9 @@ def straight_drag(simulation: Simulation) -> float:
     @quick_jit
     def force() -> Float[Array, "3"]:
         bodies = world.bodies(kinematics(world.tree, start), simulation.step_length)
-        own = sum(law.wrench(bodies) for law in world.forces)
-        return (
-            jnp.einsum("ijb,jb->i", bodies.kin.rotation, own[3:]) if world.forces else jnp.zeros(3)
-        )
+        none = jnp.zeros_like(bodies.velocity)
+        own = functools.reduce(operator.add, (law.wrench(bodies) for law in world.forces), none)
+        return jnp.einsum("ijb,jb->i", bodies.kin.rotation, own[3:])
 
     return float(-np.asarray(force()) @ directions(simulation)[0])
 

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.fusion.frontend.symmetric_solve import solve_symmetric
 from evo_cpg.physics.articulated import Accelerations, solve
+from evo_cpg.physics.ball_limit import BallLaws, ball_laws
 from evo_cpg.physics.body_equations import bias_of_mean, body_equations
 from evo_cpg.physics.contact import Contacts, find_contacts
 from evo_cpg.physics.generalized import generalized_force, mass_matrix
@@ -45,6 +46,7 @@ class Equations(NamedTuple):
         contacts: contacts with the ground, or None without ground.
         pairs: contacts between bodies of the creature, or None if no bodies can touch each other.
         tendons: laws of the tendons, or None without tendons.
+        balls: limits of balls, or None without limits.
     """
 
     state: State
@@ -57,6 +59,7 @@ class Equations(NamedTuple):
     contacts: Contacts | None
     pairs: PairContacts | None
     tendons: TendonLaws | None = None
+    balls: BallLaws | None = None
 
 
 class ContactForces(NamedTuple):
@@ -138,7 +141,8 @@ def prepare(world: World, h: float, state: State, command: MotorCommand) -> Equa
             None if world.pairs is None else find_pair_contacts(tree, world.pairs, kin, state.qd, h)
         )
         tendons = tendon_laws(tree.tendons, state, command, h)
-    forces = passive, derivative, motor, contacts, pairs, tendons
+        balls = ball_laws(tree.ball_limits, state)
+    forces = passive, derivative, motor, contacts, pairs, tendons, balls
     return Equations(state, kin, inertia, bias, *forces)
 
 
@@ -178,12 +182,15 @@ def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations
     torque = equations.passive + motor.start + stop
     derivative = equations.derivative + h * (motor.derivative(tree, h) + stop_derivative)
     kin, inertia, bias = equations.kin, equations.inertia, equations.bias
-    if equations.tendons is None:
+    if equations.tendons is None and equations.balls is None:
         return solve(tree, kin, inertia, bias, torque, derivative, world.held)
     matrix = plus_joint_diagonal(mass_matrix(tree, kin, inertia), derivative)
     force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
-    pulls = equations.tendons.expected(h)
-    matrix, force = pulls.added_to(matrix, plus_torque(force, torque))
+    force = plus_torque(force, torque)
+    if equations.tendons is not None:
+        matrix, force = equations.tendons.expected(h).added_to(matrix, force)
+    if equations.balls is not None:
+        matrix, force = equations.balls.expected(h).added_to(matrix, force, tree.dof_count)
     if world.held:
         qdd = solve_symmetric(joint_block(matrix), joint_part(force))
         return Accelerations(jnp.zeros_like(root_part(force)), qdd)

@@ -28,6 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from evo_cpg.creature.ball_limits import BallLimits
 from evo_cpg.creature.tendons import Tendons
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.muscle import pull_of
@@ -46,6 +47,9 @@ _NONE = 1e-12
 
 # Numbers of the laws of joint axes or tendons.
 Laws = Tree | Tendons
+
+# Numbers of limits of joint axes, tendons or balls.
+Limits = Laws | BallLimits
 
 
 class Coordinates(Protocol):
@@ -137,7 +141,7 @@ def passive_torque(
 
 
 def limit_torque(
-    tree: Laws, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
+    tree: Limits, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of the soft limits (N m), and its decrease per rate (N m s/rad).
 
@@ -240,7 +244,7 @@ def changes_overload(
 
 
 def expected_limit_torque(
-    tree: Laws, state: Coordinates, h: float
+    tree: Limits, state: Coordinates, h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
     """Return the torque of the limits and its decrease per rate, for a step of one solve."""
     q, rate = state.q, state.qd

@@ -261,7 +261,7 @@ def subspace(parts: Sequence[Subspace], like: Float[Array, "3 *n"]) -> Subspace:
         jnp.zeros_like(turning) if S.linear is None else in_dof_order(S.linear, batch_ndim)
         for S, turning in zip(parts, angular, strict=True)
     ]
-    return Subspace(*(jnp.concatenate([none, *x], 1) for x in (angular, linear)))
+    return Subspace(jnp.concatenate([none, *angular], 1), jnp.concatenate([none, *linear], 1))
 
 
 def carried(parent: Any, offset: Float[Array, "3 b *n"], S: Subspace, rates: Array) -> BodyMotion:

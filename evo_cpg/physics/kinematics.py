@@ -49,13 +49,14 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
     Each line holds for one body and for a group of like limbs side by side (`PerBody`).
     """
     batch_ndim = state.q.ndim - 1
-    local = joints.local_frames(tree, state.q)
     if tree.hanging is None:
+        # The root comes before the joints, because another order changes the rounding.
         rest, rotation = jnp.zeros_like(state.position), root.rotation(state.orientation)
         first = Link(rotation, state.position, *root.motion(state.velocity))
-        bodies = PerBody([first], batch_ndim)
+        bodies, local = PerBody([first], batch_ndim), joints.local_frames(tree, state.q)
         offsets, axes = [rest[:, None]], []
     else:
+        local = joints.local_frames(tree, state.q)
         i, world = tree.hanging, hanging.fixed_link(hanging.base_of(state.base))
         first, offset, S = linked(tree, i, world, local[i.bodies], state.qd)
         bodies = PerBody[Link]([], batch_ndim).followed_by(first)

@@ -245,6 +245,8 @@ def _case(
         return "rounded", (one, two)
     chains = [set(chain_to_root(tree, body)) for body in (first, second)]
     dofs = [i for i, body in enumerate(tree.dof_bodies) if body in chains[0] ^ chains[1]]
+    if any(tree.dof_kinds[i] != "turn" for i in dofs):
+        return "boxes", (plain, plain)
     axes = np.array([turned[tree.dof_bodies[i]] @ tree.joint_axes[:, i] for i in dofs])
     common = [
         np.flatnonzero(np.linalg.norm(np.cross(turned[body].T, axes[:1]), axis=1) < _PARALLEL)

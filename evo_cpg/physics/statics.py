@@ -30,6 +30,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics import joints
+from evo_cpg.physics.ball_limit import ball_laws
 from evo_cpg.physics.contact import resting_stiffness
 from evo_cpg.physics.contact_model import ContactModel
 from evo_cpg.physics.contact_points import contact_points
@@ -182,6 +183,10 @@ def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
     state = resting_state(tree, (), q.dtype, angles=q)
     motor = clamp_torque(tree, motor_torque(tree, state, MotorCommand(zero), 0.0).start)
     own = passive_torque(tree, state, 0.0)[0] + limit_torque(tree, q, zero, 0.0)[0] + motor
+    balls = ball_laws(tree.ball_limits, state)
+    if balls is not None:
+        stop = limit_torque(balls.limits, balls.angles.q, balls.angles.qd, 0.0)[0]
+        own = own + balls.torque_of(stop, len(q))
     tendons = tree.tendons
     return own if tendons is None else own + torque_of(tendons, static_force(tendons, q), len(q))
 

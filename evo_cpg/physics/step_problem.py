@@ -33,6 +33,7 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.frontend.symmetric_solve import solve_symmetric
 from evo_cpg.physics.articulated import solve
+from evo_cpg.physics.ball_limit import BallForce
 from evo_cpg.physics.contact import (
     ContactLinearization,
     bounded,
@@ -85,6 +86,7 @@ class Linearization(NamedTuple):
         contact: laws of the contact points, or None without ground.
         pairs: forces of the pairs, or None if no pair can touch.
         tendons: force of motors, limits and friction of tendons, or None without tendons.
+        balls: torque of the limits of balls, or None without limits.
     """
 
     torque: Float[Array, "d *n"]
@@ -92,6 +94,7 @@ class Linearization(NamedTuple):
     contact: ContactLinearization | None
     pairs: PairForces | None
     tendons: TendonForce | None = None
+    balls: BallForce | None = None
 
 
 class StepProblem(NamedTuple):
@@ -175,7 +178,9 @@ class StepProblem(NamedTuple):
         pushes = None if apart is None else apart.at(qdd)
         tendons = equations.tendons
         pulls = None if tendons is None else tendons.linearized(qdd, self.h)
-        return Linearization(torque, derivative, linear, pushes, pulls)
+        balls = equations.balls
+        stops = None if balls is None else balls.linearized(qdd, self.h)
+        return Linearization(torque, derivative, linear, pushes, pulls, stops)
 
     def motion(self, linear: Linearization) -> Float[Array, "v *n"]:
         """Return the accelerations under linearized laws.
@@ -185,7 +190,8 @@ class StepProblem(NamedTuple):
         by body, except in steps in which pairs push, because these join branches of the tree.
         Tendons join branches in every step.
         """
-        if linear.tendons is not None or not _is_long(self.world.tree):
+        joined = linear.tendons is not None or linear.balls is not None
+        if joined or not _is_long(self.world.tree):
             return self._by_elimination(linear)
         free = self._body_by_body(linear)
         if linear.pairs is None:
@@ -212,6 +218,8 @@ class StepProblem(NamedTuple):
             torque, matrix = torque + pushes, plus_joint_block(matrix, stiffening)
         if linear.tendons is not None:
             matrix, force = linear.tendons.added_to(matrix, force)
+        if linear.balls is not None:
+            matrix, force = linear.balls.added_to(matrix, force, tree.dof_count)
         return solve_symmetric(matrix, plus_torque(force, torque))
 
     def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
@@ -269,9 +277,9 @@ class StepProblem(NamedTuple):
     def torque(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "d *n"]:
         """Return the torque of motors and limits of joints and tendons, linearized, N m."""
         torque = linear.torque - self.h * linear.derivative * joint_part(y)
-        if linear.tendons is None:
-            return torque
-        return torque + linear.tendons.torque(joint_part(y))
+        if linear.tendons is not None:
+            torque = torque + linear.tendons.torque(joint_part(y))
+        return torque if linear.balls is None else torque + linear.balls.at(joint_part(y))
 
     def coulomb_error(
         self,

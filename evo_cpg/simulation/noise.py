@@ -88,6 +88,9 @@ def disturb_start(
     orientation = state.orientation
     if not _is_none(noise.tilt):
         orientation = integrate_quaternion(orientation, tilt, 1.0)
+    if "slide" in tree.dof_kinds:
+        angles = np.array([kind != "slide" for kind in tree.dof_kinds], float)
+        bend = bend * expand_dims_like(angles, bend)
     q = jnp.clip(state.q + noise.joint_angle * bend, lower, upper)
     state = dataclasses.replace(state, orientation=orientation, q=q).placed(tree)
     if world.contact_model is None:

@@ -11,7 +11,7 @@ from evo_cpg.spatial.numerics import Number
 
 
 class VelocitySensor(Sensor):
-    """Velocity of a body's centre of mass in the world, along the body's own x, y and z axes.
+    """Velocity of the centre of a body's shape in the world, along the body's own x, y and z axes.
 
     Attributes:
         body: name of the body that carries the sensor.

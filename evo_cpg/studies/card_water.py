@@ -44,7 +44,7 @@ _WAKE = "the power is that of the muscles: our water has no wake"
 
 
 def _gazzola(
-    animal: str, asked: Question, over: tuple[str, ...], ours: str, missing: str
+    animal: str, question: Question, over: tuple[str, ...], ours: str, missing: str
 ) -> list[Row]:
     """Return the rows of an animal's Reynolds number over its swimming number."""
     axes = "reynolds", "swimming_number", over
@@ -52,7 +52,7 @@ def _gazzola(
     def row(quantity: str, figure: str, rule: Rule, measure: m.Measure, *about: str) -> Row:
         words = ". ".join((*about, _AMPLITUDE))
         name = f"swimmers: {quantity}. Ours: the {animal}"
-        return Row(name, figure, _GAZZOLA, rule, asked, measure, ours, words, 3)
+        return Row(name, figure, _GAZZOLA, rule, question, measure, ours, words, 3)
 
     return [
         row("exponent of Re over Sw, turbulent", "1.02", exponent(1.02),

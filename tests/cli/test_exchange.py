@@ -47,8 +47,8 @@ CART = """<mujoco model="cart"><worldbody><light/>
 <actuator><motor joint="x" gear="2"/></actuator></mujoco>"""
 
 
-def test_an_imported_model_trains_at_once(cli, tmp_path, monkeypatch):
-    """The head of the file lists what is lost. The name of the file follows the model's."""
+def test_an_import_lists_what_is_lost(cli, tmp_path, monkeypatch):
+    """The name of the file follows the model's."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cart.xml").write_text(CART)
     code, out, err = cli("import", "cart.xml")
@@ -62,8 +62,17 @@ def test_an_imported_model_trains_at_once(cli, tmp_path, monkeypatch):
     head = (tmp_path / "cart.yaml").read_text().splitlines()
     assert head[:3] == ["# Imported from cart.xml.", "# Left out, without harm:", "#   1 light"]
     assert head[4].startswith("#   body 'ball': it moves beside")
-    small = "evolution.generations=1 evolution.population=4 evolution.elites=1 simulation.steps=2"
-    code, _, err = cli("train", "cart.yaml", *small.split(), "engine=jax")
+    code, out, _ = cli("validate", "cart.yaml")
+    assert code == 0 and out.startswith("cart.yaml: 1 bodies, 1 joint axes")
+
+
+@pytest.mark.slow
+def test_an_imported_model_trains_at_once(cli, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cart.xml").write_text(CART)
+    assert cli("import", "cart.xml", "--drop")[0] == 0
+    small = "evolution.generations=2 evolution.population=4 evolution.elites=1 simulation.steps=2"
+    code, _, err = cli("train", "cart.yaml", *small.split())
     assert code == 0, err
 
 

@@ -8,6 +8,7 @@ from pydantic import ValidationError
 
 from evo_cpg.config.build import build_creature
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.lint import lint
 from evo_cpg.config.load import check_config, complete_config, load_config
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.creature.creature import CreatureError
@@ -106,6 +107,16 @@ def test_a_creature_error_names_the_entry_of_the_body():
     bodies[1] |= {"shape": None, "mass": 0}
     with pytest.raises(ConfigError, match=r"creature\.bodies\.1\.mass: .* moves, but neither"):
         build_creature(check_config(config, "c.yaml"), "c.yaml")
+
+
+def test_parts_and_numbers_give_no_warnings():
+    """A leg without a shape, with its mass in numbers, is as plausible as before."""
+    config = load_config("configs/hexapod.yaml").model_dump(mode="json")
+    bodies = config["creature"]["bodies"]
+    bodies[0]["parts"] = [{"shape": BALL, "at": [0, 0, 0.2]}]
+    bodies[1] |= {"shape": None, "mass": 0.1, "inertia": [1e-3, 1e-3, 1e-3, 0, 0, 0]}
+    checked = check_config(config, "c.yaml")
+    assert lint(checked, "c.yaml") == []
 
 
 def test_names_in_self_collision_stand_for_all_parts():

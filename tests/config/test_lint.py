@@ -44,6 +44,12 @@ MISTAKES = {
         "creature.materials.body.density",
         "If it is in g/cm^3, write 1000",
     ),
+    "axes that reach a plane": (
+        CONFIG,
+        ["creature.bodies.1.joint.axes=[x, y, z]", "creature.bodies.1.joint.limits_deg=[-86, 86]"],
+        "creature.bodies.1.joint.axes",
+        "Give it an armature",
+    ),
     "density times 1000": (
         CONFIG,
         ["creature.materials.body.density=1e6"],

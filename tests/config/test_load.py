@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.load import check_config, dump_config, load_config
-from evo_cpg.creature.creature import neutral_pose
+from evo_cpg.config.schema.joint import JointConfig
+from evo_cpg.creature.creature import NO_LIMIT, neutral_pose
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.physics.added_mass import AddedMass
 from evo_cpg.physics.fluid import Drag
@@ -73,9 +74,9 @@ def test_roots_that_hang_on_the_world_have_clear_limits():
     joint = {"parent": "world", "at": [0, 0, 0], "child_at": [0, 0, 0], "axes": ["z"]}
     first = small()["creature"]["bodies"][0]["name"]
     for key, value, words in (
-        ("noise__tilt_deg", 5, f"noise.tilt_deg: 5: {first!r} hangs on the world and cannot tilt"),
+        ("noise__tilt_deg", 5, f"noise.tilt_deg: {first!r} hangs on the world and cannot tilt"),
         ("noise__push", 0.1, "hangs on the world without a slide, so no push moves it"),
-        ("creature__bodies__0__repeat", 2, "the root cannot be repeated"),
+        ("creature__bodies__1__name", "world", "is the name of the fixed world"),
         ("creature__bodies__1__joint__parent", "word", "did you mean 'world'?"),
         ("creature__bodies__1__joint", joint, "are both roots"),
     ):
@@ -303,12 +304,53 @@ def test_invalid_value_gets_the_allowed_values(key, value, expected):
     assert expected in message
 
 
-def test_middle_one_of_three_axes_stays_clear_of_the_singularity():
-    wide = {"creature__bodies__1__joint__axes": ["x", "y", "z"]}
-    message = problem(small(**wide, creature__bodies__1__joint__limits_deg=[-86, 86]))
-    assert "Allowed for it: -85 to 85, got" in message and "86" in message
-    limits = [[-170, 170], [-85, 85], [-170, 170]]
-    check_config(small(**wide, creature__bodies__1__joint__limits_deg=limits), "x.yaml")
+JOINT = "creature__bodies__1__joint__"
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"axes": "ball", "limits_deg": [-10, 60]}, "a ball has one largest angle"),
+        ({"axes": "ball", "limits_deg": [[0, 60]] * 3}, "a ball has one pair"),
+        ({"axes": "ball", "rest_deg": 5}, "rest_deg: must be 0 for a ball"),
+        ({"axes": "ball", "damping": [1, 1, 1]}, "damping: a ball has one value"),
+        ({"axes": [{"slide": "x", "limits_m": [0.1, 0]}]}, "limits_m: 0.1 is not below 0"),
+        ({"axes": [{"slide": "x"}], "limits_deg": [[-9, 9]]}, "limits_deg: axis 0 slides"),
+        ({"axes": [{"slide": "x"}], "rest_deg": [3]}, "rest_deg: axis 0 slides"),
+        ({"axes": [{"slide": "x"}, {"slide": "-x"}]}, "axes: must be linearly independent"),
+        ({"axes": ["x", {"turn": "x"}]}, "axes: must be linearly independent"),
+        (
+            {
+                "axes": [{"slide": "x"}],
+                "actuator": {"type": "muscle", "area": 1, "arm": 1, "fibre_length": 1},
+            },
+            "muscles turn one axis, and axis 0 slides",
+        ),
+        ({"axes": [{"slid": "x"}]}, "slid"),
+    ],
+)
+def test_joints_with_unfit_values_are_rejected(changes, expected):
+    data = {JOINT + key: value for key, value in {"actuator": None, **changes}.items()}
+    assert expected in problem(small(**data))
+
+
+def test_slides_and_axes_at_their_places_are_built():
+    axes = [{"slide": "x", "limits_m": [-0.1, 0.2], "rest_m": 0.05}, {"turn": "z", "at": [1, 0, 0]}]
+    changes = {"axes": [*axes, "z"], "limits_deg": [None, [-30, 30], None], "stiffness": 2}
+    data = small(**{JOINT + key: value for key, value in changes.items()})
+    tree = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.world.tree
+    assert tree.dof_names == ("tail.slide_x", "tail.z", "tail.z_2")
+    np.testing.assert_allclose(tree.upper, [0.2, np.pi / 6, NO_LIMIT])
+    np.testing.assert_allclose(tree.rest, [0.05, 0, 0])
+    place = 1 - data["creature"]["bodies"][1]["joint"]["child_at"][0]
+    np.testing.assert_allclose(tree.joint_places, [[0, place, 0], [0, 0, 0], [0, 0, 0]])
+
+
+def test_equal_rotations_mirror_the_pose_of_a_mirrored_ball():
+    joint = {**small()["creature"]["bodies"][1]["joint"], "axes": "ball"}
+    image = JointConfig.model_validate(joint).mirrored("y").build("head", *np.zeros((2, 3)))
+    np.testing.assert_array_equal(image.axes, np.diag([-1.0, 1.0, -1.0]))
+    assert image.kind == "ball"
 
 
 POSTURES = {"controller__type": "postures", "evolution__type": "bits"}

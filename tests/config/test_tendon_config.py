@@ -85,6 +85,14 @@ def test_wrong_tendons_are_refused_with_their_key(tendon, words):
         built(tendon)
 
 
+def test_a_tendon_spans_no_ball():
+    ball = "creature.bodies.1.joint.axes=ball", "creature.bodies.1.joint.limits_deg=null"
+    given = "creature.tendons=[{name: a, joints: {segment1.ball_x: 1}}]"
+    config = load_config(CONFIG, [*TINY, NONE, *ball, given])
+    with pytest.raises(ConfigError, match=r"tendons\.0\.joints.*ball joint"):
+        build_experiment(config, CONFIG)
+
+
 def test_run_folders_without_tendons_have_no_such_key():
     assert "tendons" not in load_config(CONFIG, TINY).model_dump(mode="json")["creature"]
 

@@ -52,8 +52,8 @@ def problem(data: dict) -> str:
         (
             "creature.bodies.1.joint.axes",
             "x",
-            "'x': must be 'ball' or a list of entries, each 'x', 'y', 'z', '-x', '-y', '-z', a list "
-            "of 3 numbers, a section with the keys turn, at or a section with the keys slide, "
+            "'x': must be 'ball' or a list of entries, each 'x', 'y', 'z', '-x', '-y', '-z', a "
+            "list of 3 numbers, a section with the keys turn, at or a section with the keys slide, "
             "limits_m, rest_m. Write [x]",
         ),
         ("creature.bodies.1.joint.axes", "x, y", "Write [x, y]"),

@@ -135,12 +135,28 @@ def test_separate_copies_stay_where_they_are(animal):
 
 
 def test_a_row_carries_its_parts_on_its_last_body(animal):
-    do(animal, "add_part", parent="body", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="tail")
+    do(animal, "add_part", parent="body", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="tail",
+       shape={"type": "box", "size": [0.2, 0.1, 0.1]})  # fmt: skip
     do(animal, "add_part", parent="tail", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="fin")
     for count, last in ((3, "tail3"), (5, "tail5"), (2, "tail2")):
         do(animal, "repeat", name="tail" if count == 3 else "tail{i}", count=count)
         fin = next(x for x in posed(animal.data, animal.path).copies if x.name == "fin")
         assert fin.parent == last
+
+
+def test_a_row_of_another_size_follows_its_first_body(animal):
+    do(animal, "add_part", parent="body", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="tail",
+       shape={"type": "box", "size": [0.06, 0.04, 0.04]})  # fmt: skip
+    do(animal, "add_part", parent="tail", place=[-0.03, 0, 0], normal=[-1, 0, 0], name="fin")
+    do(animal, "repeat", name="tail", count=3)
+    places = centres(animal)
+    assert list(places) == ["body", "tail", "tail_1", "tail_2", "fin"]
+    np.testing.assert_allclose(
+        [places[name][0] for name in ("tail", "tail_1", "tail_2")], [-0.13, -0.19, -0.25]
+    )
+    assert places["fin"][0] < -0.28
+    kinds = [each.kind for each in problems(animal.data, animal.path) if each.part]
+    assert kinds == []
 
 
 def test_a_stretched_part_keeps_what_is_on_its_surface(animal):
@@ -151,6 +167,8 @@ def test_a_stretched_part_keeps_what_is_on_its_surface(animal):
     assert creature["bodies"][0]["shape"]["size"] == [0.4, 0.1, 0.1]
     assert creature["bodies"][1]["joint"]["at"] == [0.2, 0, 0]
     assert creature["light_sensors"][0]["position"] == [0.2, 0, 0]
+    do(animal, "resize", name="body", key="size", value=[0.5, 0.1, 0.1])
+    assert animal.data["creature"]["bodies"][1]["joint"]["at"] == [0.25, 0, 0]
     do(animal, "set_shape", name="nose", type="ellipsoid")
     assert centres(animal)["nose"][0] > 0.2
 
@@ -183,6 +201,8 @@ def test_removed_parts_leave_no_reference(animal):
         ("mirror", {"name": "body"}, "is the root, which has no joint"),
         ("mirror", {"name": "fin"}, "its joint is in the mirror plane"),
         ("stretch", {"name": "fin", "factors": [1, 0, 1]}, "three positive numbers"),
+        ("resize", {"name": "fin", "key": "radius", "value": -1}, "must be greater than 0, got -1"),
+        ("resize", {"name": "fin", "key": "size", "value": 1}, "its shape has no size 'size'"),
         ("rename_part", {"name": "fin", "new": "body"}, "another part has this name"),
         ("rename_part", {"name": "fin", "new": "fin{i}"}, "must contain no placeholders"),
         ("set_shape", {"name": "fin", "type": "torus"}, "'torus': choose one of box"),
@@ -232,8 +252,12 @@ def random_edit(animal: Document, draw: random.Random) -> tuple[str, dict]:
         "add_part": {"parent": name, "place": vector, "normal": normal},
         "remove_part": {"name": name},
         "rename_part": {"name": name, "new": name.replace("part", "piece")},
-        "set_shape": {"name": name, "type": draw.choice(("box", "sphere", "capsule", "ellipsoid"))},
+        "set_shape": {
+            "name": name,
+            "type": draw.choice(("box", "sphere", "cylinder", "ellipsoid")),
+        },
         "set_joint": {"name": name, "key": "axes", "value": draw.sample(["x", "y", "z"], 2)},
+        "resize": {"name": name, "key": "size", "value": [draw.uniform(0.01, 0.3)] * 3},
         "stretch": {"name": name, "factors": [draw.uniform(0.5, 2) for _ in range(3)]},
         "shift": {"part": name, "by": vector},
         "turn": {"part": name, "rotation": np.eye(3)[draw.sample(range(3), 3)].tolist()},

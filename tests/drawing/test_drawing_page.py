@@ -83,6 +83,8 @@ class Drawn:
         self.click(f"[data-add={what}]")
         answers = int(self.page.run("document.body.dataset.answers"))
         self.press(middle[0] + x * right, middle[1] + y * down)
+        if self.page.run("document.getElementById('dialog').open"):
+            self.page.click("#no")  # on this body of a row only
         self.page.wait(f"Number(document.body.dataset.answers) > {answers}")
         self.wait()
 
@@ -107,8 +109,7 @@ def drawn(tmp_path) -> Iterator[Drawn]:
 def test_the_swimmer_of_the_paper_is_drawn_tried_and_trained(drawn):
     drawn.part("body")
     drawn.fill("name", "head")
-    # The front view looks along -x, so the part is turned to the rear by a field.
-    drawn.add("part", "side", -0.5, 0, "head")
+    drawn.add("part", "back", 0, 0, "head")
     drawn.part("part")
     drawn.fill("name", "segment")
     drawn.fill("shape", "box")
@@ -150,6 +151,8 @@ def test_the_swimmer_of_the_paper_is_drawn_tried_and_trained(drawn):
     drawn.page.click("#yes")
     drawn.page.wait("document.getElementById('run-state').textContent.startsWith('finished')")
     assert (drawn.document.path.parent / "runs/animal/champion.npz").exists()
+    drawn.page.click("#champion")
+    drawn.page.wait("View.playing")
 
 
 def test_a_four_legged_animal_is_drawn_with_the_mouse(drawn):

@@ -114,12 +114,23 @@ def test_an_edit_is_answered_with_the_new_drawing(server):
     assert len(ask(server, "/undo", {})[1]["scene"]["bodies"]) == 1
     assert len(ask(server, "/redo", {})[1]["scene"]["bodies"]) == 2
     key = ["creature", "bodies", 1, "joint", "axes"]
-    broken = ask(server, "/edit", {"command": "set_value", "given": {"key": key, "value": []}})[1]
+    broken = ask(server, "/edit", {"command": "set_value", "given": {"key": key, "value": ["q"]}})[
+        1
+    ]
     assert broken["scene"] is None and "axes" in broken["undrawn"]
     assert [each["part"] for each in broken["problems"]] == ["tail"]
     ask(server, "/undo", {})
     assert ask(server, "/save", {})[1]["saved"].endswith("animal.yaml")
     assert len(load_config(server.session.document.path).creature.bodies) == 2
+
+
+def test_the_experiment_is_checked_after_the_edits(server):
+    first = ask(server, "/open", {})[1]
+    assert [each["kind"] for each in first["problems"]] == ["warning"]
+    found = ask(server, "/check", {})[1]
+    assert found["revision"] == first["revision"]
+    assert [each["kind"] for each in found["problems"]] == ["error"]
+    assert "at least one joint" in found["problems"][0]["words"]
 
 
 def test_comments_are_lost_only_with_consent(server):

@@ -184,7 +184,7 @@ def test_changes_in_an_exported_file_count(read):
 
 def _with_friction(text: str, friction: float) -> str:
     head, _, tail = text.partition(' friction="')
-    return f'{head} friction="{friction}"{tail[tail.index(chr(34)) :]}'
+    return f'{head} friction="{friction}{tail[tail.index(chr(34)) :]}'
 
 
 @pytest.mark.parametrize("text", [OTHERS, HUNG], ids=["cat", "crane"])
@@ -250,19 +250,16 @@ def test_trees_on_the_world_hang_on_a_fixed_root(read):
 
 
 def test_contact_rules_become_exceptions(read):
-    """The first limb touches the second one, and nothing else touches the trunk's parts."""
-    limb = (
-        '<body name="{}" pos="0 {} 0"><joint axis="1 0 0"/><geom size="0.1" contype="{}"/></body>'
-    )
-    limbs = "".join(limb.format(f"limb{i}", i, int(i < 3)) for i in (1, 2, 3))
-    text = model(beside="", geoms=LIMB + '<geom name="free" size="0.1" contype="0"/>')
-    text = text.replace("</body></body>", f"</body>{limbs}</body>").replace(
-        "<worldbody>", '<contact><exclude body1="limb" body2="limb1"/></contact><worldbody>'
-    )
-    rule = read(text.replace('size="0.1" contype="0"', 'size="0.1" conaffinity="0" contype="0"'))
-    assert rule.experiment["creature"]["self_collision"] == {"exclude": [["limb", "limb1"]]}
-    alone = read(text.replace("<geom ", '<geom conaffinity="0" ')).experiment
-    assert alone["creature"]["self_collision"] is False
+    """An ``exclude`` parts two limbs, and one limb touches nothing."""
+    limb = '<body name="{}" pos="0 {} 0"><joint axis="1 0 0"/><geom size="0.1" {}/></body>'
+    none = 'contype="0" conaffinity="0"'
+    limbs = "".join(limb.format(f"limb{i}", i, none * (i == 3)) for i in (1, 2, 3))
+    text = model().replace("</body></body>", f"</body>{limbs}</body>")
+    excluded = '<contact><exclude body1="limb" body2="limb1"/></contact><worldbody>'
+    rule = read(text.replace("<worldbody>", excluded)).experiment["creature"]["self_collision"]
+    assert rule == {"exclude": [["limb3", "all"], ["limb", "limb1"]]}
+    alone = read(text.replace("<worldbody>", f"<default><geom {none}/></default><worldbody>"))
+    assert alone.experiment["creature"]["self_collision"] is False
 
 
 # Two hinges of one body with values of their own.

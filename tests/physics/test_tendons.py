@@ -99,9 +99,9 @@ def test_tendons_accelerate_as_in_mujoco():
         rate = np.where(np.arange(tree.dof_count) == channels[1], 0.0, target)
         found = ours(state, MotorCommand(rate, target, torque=target))
         rotation = load_state(model, data, tree, state)
-        shares = np.concatenate([target, [target[channels[0]], target[channels[1]], 0, 0]])
-        shares[tree.dof_count + 2] = target[channels[2]] / -3.0
-        data.ctrl = shares[motors]
+        controls = np.concatenate([target, [target[channels[0]], target[channels[1]], 0, 0]])
+        controls[tree.dof_count + 2] = target[channels[2]] / -3.0
+        data.ctrl = controls[motors]
         for limited, mine in zip((False, True), found, strict=True):
             model.opt.disableflags = 0 if limited else mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS
             model.actuator_forcelimited[:] = limited * np.isfinite(tree.tendons.torque_limit[:3])
@@ -198,39 +198,42 @@ def test_a_motor_that_pulls_a_tendon_pays_for_its_own_work():
     assert missing[1] < 0.55 * missing[0]
 
 
-def test_gradients_by_the_numbers_of_a_tendon():
-    """Central differences, for a step of one solve and for one with friction and a force limit."""
+@pytest.mark.parametrize(
+    ("motor", "loss"),
+    [pytest.param(Actuator(0.3), 0.0, marks=pytest.mark.slow), (Actuator(0.3, 0.25), 0.1)],
+)
+def test_gradients_by_the_numbers_of_a_tendon(motor, loss):
+    """Central differences, in a step of one solve, and with friction and a force limit."""
     joints = (("b1.z", 1.0), ("b2.z", -2.0))
     values = {"stiffness": 0.8, "damping": 0.05, "armature": 0.02, "rest": (0.2, 0.2)}
     names = ("coefficients", "stiffness", "damping", "armature", "longest_rest", "servo_gain")
-    for motor, loss in ((Actuator(0.3), 0.0), (Actuator(0.3, 0.25), 0.1)):
-        tendon = Tendon("t", joints, actuator=motor, friction_loss=loss, upper=0.05, **values)
-        chain = dataclasses.replace(box_chain(3, "z"), tendons=(tendon,))
-        world = World(build_tree(chain), GRAVITY)
+    tendon = Tendon("t", joints, actuator=motor, friction_loss=loss, upper=0.05, **values)
+    chain = dataclasses.replace(box_chain(3, "z"), tendons=(tendon,))
+    world = World(build_tree(chain), GRAVITY)
 
-        def moved(numbers, world=world):
-            tendons = world.tree.tendons
-            given = {name: x[None] for name, x in zip(names[1:], numbers[2:], strict=True)}
-            given["shortest_rest"] = given["longest_rest"]
-            tendons = dataclasses.replace(tendons, coefficients=numbers[:2], **given)
-            own = eqx.tree_at(lambda w: w.tree.tendons, world, tendons)
-            state = resting_state(own.tree, (), jnp.float64, angles=jnp.array([0.3, -0.2]))
-            command = MotorCommand(jnp.array([2.0, 0.0]))
-
-            def advance(state, _):
-                state, effort = step(own, state, command, H)
-                return state, effort.tension
-
-            later, tension = jax.lax.scan(advance, state, None, 3)
-            return jnp.append(later.q, tension[-1])
-
+    def moved(numbers, world=world):
         tendons = world.tree.tendons
-        numbers = np.concatenate([getattr(tendons, name) for name in names])
-        slopes, run = quick_jit(jax.jacrev(moved))(jnp.asarray(numbers)), quick_jit(moved)
-        for i, number in enumerate(numbers):
-            away = 1e-5 * number * (np.arange(len(numbers)) == i)
-            difference = (run(numbers + away) - run(numbers - away)) / (2e-5 * number)
-            np.testing.assert_allclose(slopes[:, i], difference, rtol=1e-6, atol=1e-8)
+        given = {name: x[None] for name, x in zip(names[1:], numbers[2:], strict=True)}
+        given["shortest_rest"] = given["longest_rest"]
+        tendons = dataclasses.replace(tendons, coefficients=numbers[:2], **given)
+        own = eqx.tree_at(lambda w: w.tree.tendons, world, tendons)
+        state = resting_state(own.tree, (), jnp.float64, angles=jnp.array([0.3, -0.2]))
+        command = MotorCommand(jnp.array([2.0, 0.0]))
+
+        def advance(state, _):
+            state, effort = step(own, state, command, H)
+            return state, effort.tension
+
+        later, tension = jax.lax.scan(advance, state, None, 3)
+        return jnp.append(later.q, tension[-1])
+
+    tendons = world.tree.tendons
+    numbers = np.concatenate([getattr(tendons, name) for name in names])
+    slopes, run = quick_jit(jax.jacrev(moved))(jnp.asarray(numbers)), quick_jit(moved)
+    for i, number in enumerate(numbers):
+        away = 1e-5 * number * (np.arange(len(numbers)) == i)
+        difference = (run(numbers + away) - run(numbers - away)) / (2e-5 * number)
+        np.testing.assert_allclose(slopes[:, i], difference, rtol=1e-6, atol=1e-8)
 
 
 def test_native_code_equals_jax():

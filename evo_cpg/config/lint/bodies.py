@@ -70,7 +70,9 @@ def body_size(case: Case) -> Iterator[LintWarning]:
 def masses(case: Case) -> Iterator[LintWarning]:
     """Warn of bodies that carry a far heavier limb, or are too light for the creature."""
     bodies = case.creature.bodies
-    mass = {body.name: float(body.mass) for body in bodies}
+    mass = {body.name: 0.0 for body in bodies}
+    for body in bodies:
+        mass[body.whole or body.name] += float(body.mass)
     parents = {body.name: body.joint.parent for body in bodies if body.joint is not None}
     carried = dict(mass)
     for name in mass:
@@ -81,14 +83,15 @@ def masses(case: Case) -> Iterator[LintWarning]:
     total = sum(mass.values())
     for key, _, body in case.bodies():
         own, above = mass[body.name], parents.get(body.name)
-        if above is not None and carried[body.name] > _CARRIES * mass[above]:
+        if above is not None and mass[above] > 0 and carried[body.name] > _CARRIES * mass[above]:
             yield case.warning(
                 (*key, "joint", "parent"),
                 f"a body of {mass[above]:.2g} kg carries a limb of {carried[body.name]:.2g} kg. "
                 f"float32 resolves up to {_CARRIES:g} times the body's mass. Make the heavier "
                 "body the parent",
             )
-        if total > _LIGHTER * own:
+        # A body without a mass of its own is welded to another one, or fixed.
+        if total > _LIGHTER * own > 0:
             yield case.warning(
                 (*key, "material"),
                 f"a body of {own:.2g} kg on a creature of {total:.2g} kg. float32 resolves down to "
@@ -207,9 +210,9 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
             limit, word = min(abs(built.gear), built.torque_limit), "gear"
         else:
             limit, word = built.torque_limit, "torque_limit"
-        # Inertia of a rod that turns about its end. Other bodies and water only increase it.
-        mass = float(body.mass)
-        inertia = mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
+        inertia = _least_inertia(body)
+        if inertia == 0:
+            continue
         turn = float(np.rad2deg(limit / inertia * time**2 / 2))
         listed = isinstance(joint.given.actuator, list)
         place = (joint.given.motors.index(motor),) if listed else ()
@@ -285,6 +288,18 @@ def far_places(case: Case) -> Iterator[LintWarning]:
                 f"lies {gap:.3g} m outside body {whose}. The body reaches to {x:.3g}, {y:.3g}, "
                 f"{z:.3g} m. {likely}",
             )
+
+
+def _least_inertia(body: Body) -> float:
+    """Return a body's inertia about its joint, kg m^2, which other bodies and water only increase.
+
+    A body of uniform density counts as a rod that turns about its end.
+    """
+    mass = float(body.mass)
+    if body.inertial is None or body.joint is None:
+        return mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
+    arm = np.subtract(body.inertial.centre, body.joint.child_anchor)
+    return float(np.max(np.diag(body.inertial.inertia)) + mass * (arm @ arm))
 
 
 def _gap(case: Case, body: Body, place: Triple) -> float:

@@ -65,17 +65,19 @@ def obstacle_size(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def floor_bumps(case: Case) -> Iterator[LintWarning]:
-    """Warn of bumps between the corners of a box, which only touches the floor with corners."""
+    """Warn of bumps between the corners of a box, or the rims of a cylinder."""
     boxes = [
         (2 * float(body.shape.half_extents.max()), body.name)
         for body in case.creature.bodies
-        if any(part.kind == "box" for part in body.shape.floor_parts())
+        if any(part.kind in ("box", "cylinder") for part in body.shape.floor_parts())
     ]
     ground = case.config.world.ground
     if not boxes or ground is None:
         return
     (edge, name), floor = max(boxes), ground.floor
-    problem = f"body {name!r} is {edge:.3g} m long and touches the floor only with its corners"
+    problem = (
+        f"body {name!r} is {edge:.3g} m long and touches the floor only with its corners or rims"
+    )
     if isinstance(floor, HillsConfig) and floor.height > 0 and floor.length < edge:
         key = "world", "ground", "floor", "length"
         yield case.warning(key, f"{problem}. Plausible: {edge:.3g} m or more")

@@ -420,7 +420,7 @@ class JointConfig(Section):
         limits = [_range_of(axis, pair) for axis, pair in zip(axes, self.limits, strict=True)]
         each = isinstance(self.actuator, list)
         motors = tuple(motor and motor.build() for motor in self.motors)
-        kinds = tuple(axis.kind for axis in axes)
+        kinds: tuple[AxisKind, ...] = tuple(axis.kind for axis in axes)
         places = [axis.place and moved(axis.place, centre) for axis in axes]
         return Joint(
             parent=parent,

@@ -93,14 +93,14 @@ class TendonConfig(Section):
 
     def _values(self, bodies: Sequence[Copy]) -> list[dict[str, str]]:
         """Return the values of the placeholders in the name, one mapping for each tendon."""
-        wanted = placeholders(self.name)
-        if not wanted:
+        placeholder_names = placeholders(self.name)
+        if not placeholder_names:
             return [{}]
         found: list[dict[str, str]] = []
         for joint in self.joints:
             for copy in copies_named(_body_of(joint), bodies):
-                marks = {mark: copy.marks[mark] for mark in wanted if mark in copy.marks}
-                if placeholders(joint) >= wanted and marks not in found:
+                marks = {mark: copy.marks[mark] for mark in placeholder_names if mark in copy.marks}
+                if placeholders(joint) >= placeholder_names and marks not in found:
                     found.append(marks)
         return found
 

@@ -56,8 +56,11 @@
     $("notice").hidden = !words;
     $("notice").className = wrong ? "error" : "";
   }
-  function ask(question, { lost = "", words = null, value = "" } = {}) {
+  // Returns the text of the field, or null if it was not confirmed. With two choices it returns
+  // true for the first, false for the second, and null if the dialog was closed.
+  function ask(question, { lost = "", words = null, value = "", choices = null } = {}) {
     const dialog = $("dialog");
+    [$("yes").textContent, $("no").textContent] = choices || ["Continue", "Cancel"];
     $("question").textContent = question;
     $("lost").textContent = lost;
     $("lost").hidden = !lost;
@@ -65,13 +68,17 @@
     $("asked-words").textContent = words || "";
     $("answer").value = value;
     $("answer").disabled = words === null;
-    dialog.returnValue = "no";
+    dialog.returnValue = "";
     dialog.showModal();
     // Enter in the field is a yes.
     $("yes").focus();
     if (words !== null) $("answer").select();
     return new Promise((done) => {
-      dialog.addEventListener("close", () => done(dialog.returnValue === "yes" ? $("answer").value : null), { once: true });
+      dialog.addEventListener("close", () => {
+        const chosen = dialog.returnValue;
+        if (choices) done(chosen ? chosen === "yes" : null);
+        else done(chosen === "yes" ? $("answer").value : null);
+      }, { once: true });
     });
   }
 
@@ -174,7 +181,7 @@
   }
 
   // ---- panel
-  const TYPES = ["box", "ellipsoid", "capsule", "sphere"];
+  const TYPES = ["box", "ellipsoid", "capsule", "cylinder", "sphere"];
   function renderPanel() {
     const each = chosen ? chosenEntry() : null;
     $("panel").replaceChildren(...(each ? partPanel(each) : worldPanel()));
@@ -188,11 +195,11 @@
       ...own.map((problem) => make("p", { className: problem.kind }, `${problem.key.slice(3).join(".")}: ${problem.words}`)),
       row("name", field("name", name, (text) => edit("rename_part", { name, new: text }).then(() => choose(text)))),
       row("shape", make("select", { "aria-label": "shape", onchange: (event) => edit("set_shape", { name, type: event.target.value }) },
-        ...[...new Set([...TYPES, shape.type])].map((type) => make("option", { value: type, selected: type === shape.type }, type)))),
+        ...[...new Set([...TYPES, shape.type ?? "none"])].map((type) => make("option", { value: type, selected: type === (shape.type ?? "none") }, type)))),
     ];
     for (const [size, value] of Object.entries(shape)) {
       if (size === "type" || size === "vertices" || size === "faces") continue;
-      const put = (given) => set([...key, "shape", size], given);
+      const put = (given) => (TYPES.includes(shape.type) ? edit("resize", { name, key: size, value: given }) : set([...key, "shape", size], given));
       const inputs = Array.isArray(value) ? numbers(size, value, put) : typeof value === "number" ? [number(size, value, put)] : [make("span", {}, String(value))];
       made.push(row(typeof value === "string" ? size : `${size} (m)`, ...inputs));
     }
@@ -205,7 +212,8 @@
         each.color ? button("default", () => set([...key, "color"], null)) : null),
     );
     if (body) made.push(row("mass", make("span", {}, `${body.mass.toPrecision(3)} kg`)));
-    if (each.joint) made.push(...jointPanel(each, key), ...copyPanel(each));
+    if (each.joint) made.push(...jointPanel(each, key));
+    if (each.joint && each.joint.parent !== "world") made.push(...copyPanel(each));
     made.push(...sensorPanel(each, body));
     made.push(make("h3", {}, ""), button(each.joint ? "Remove this part and what it carries" : "The root cannot be removed", () => edit("remove_part", { name }).then((answer) => { if (!answer.error && !answer.lost) choose(null); }), { id: "remove", disabled: !each.joint }));
     return made;
@@ -332,13 +340,28 @@
       const body = chosen && bodyOf(chosen);
       View?.select(body ? body.name : null);
       $("player").hidden = true;
+      check();
     }
     renderTree();
     renderProblems();
     renderPanel();
     hint();
   }
-  let drawnState = null;
+  let drawnState = null, checking = null;
+  // The messages that take longer come when the edits pause.
+  function check() {
+    clearTimeout(checking);
+    checking = setTimeout(async () => {
+      const asked = state.revision, found = await send("/check", "{}");
+      if (found.revision === asked && state.revision === asked) {
+        state.problems = found.problems;
+        renderTree();
+        renderProblems();
+        // A field with the focus keeps it.
+        if (!$("panel").contains(document.activeElement)) renderPanel();
+      }
+    }, 300);
+  }
   function hint() {
     let words = adding ? `Click the surface where the new ${adding} shall sit. Escape cancels.` : "";
     if (state.undrawn) words = `Not drawn, because of ${state.undrawn}`;
@@ -360,8 +383,8 @@
     if (copies > 1) {
       // Limbs get one on each side. In a row, the answer decides.
       if ((carrier?.repeat ?? 1) > 1) {
-        const words = await ask(`${found.name} is one of ${copies} copies. Continue to add to all of them. Cancel to add to this one only.`);
-        each = words !== null;
+        each = await ask(`${found.name} is one of ${copies} bodies in a row. Add the ${what} to`, { choices: [`all ${copies}`, `${found.name} only`] });
+        if (each === null) return;
       }
     }
     if (what === "eye") {
@@ -427,15 +450,16 @@
       const found = (await send("/poll", undefined, "GET")).try;
       if (!found || found.state === "running") continue;
       if (found.state === "failed") notice(found.error, true);
-      if (found.state === "done") {
-        notice("");
-        $("player").hidden = false;
-        $("hint").textContent = "";
-        $("play").textContent = "Pause";
-        View?.play(found);
-      }
+      if (found.state === "done") play(found);
       return;
     }
+  }
+  function play(motion) {
+    notice("");
+    $("player").hidden = false;
+    $("hint").textContent = "";
+    $("play").textContent = "Pause";
+    View?.play(motion);
   }
   $("try-rest").addEventListener("click", () => tryIt("rest"));
   $("try-rhythm").addEventListener("click", () => tryIt("rhythm"));
@@ -467,6 +491,10 @@
     if (!answer.error) watch();
   });
   $("stop").addEventListener("click", () => request("stop"));
+  $("champion").addEventListener("click", async () => {
+    const answer = await request("champion");
+    if (answer.motion) play(answer.motion);
+  });
   let watching = false;
   async function watch() {
     if (watching) return;
@@ -485,6 +513,7 @@
     $("run-folder").textContent = run.folder;
     $("output").textContent = run.output;
     $("stop").disabled = !run.running;
+    $("champion").disabled = run.running || run.code !== 0;
     const best = run.curves.best || [], count = best.length;
     const how = run.running ? "running" : run.code === 0 ? "finished" : run.code === 2 ? `refused: ${run.output.split("\n").pop()}` : "stopped";
     const line = count ? `, generation ${count}, best fitness ${best[count - 1].toPrecision(4)}` : "";

@@ -99,7 +99,9 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         if not isinstance(given, dict):
             self._refuse(HTTPStatus.BAD_REQUEST, "the request is not a JSON object")
             return
-        self._send_json(self.server.session.answer(place.path.lstrip("/"), given))
+        session = self.server.session
+        check = place.path == "/check"
+        self._send_json(session.check() if check else session.answer(place.path[1:], given))
 
     def log_message(self, format: str, *args: Any) -> None:
         """Print nothing."""

@@ -79,7 +79,7 @@ const View = (() => {
       group.position.copy(vector(body.place));
       group.quaternion.set(...body.turn);
       const skin = new THREE.MeshStandardMaterial({ color: body.color, roughness: 0.55 });
-      const mesh = new THREE.Mesh(geometry(body.mesh), skin);
+      const mesh = new THREE.Mesh(body.mesh ? geometry(body.mesh) : new THREE.BufferGeometry(), skin);
       mesh.userData = { shared: true, name: body.name };
       mesh.castShadow = mesh.receiveShadow = true;
       group.add(mesh);
@@ -88,7 +88,7 @@ const View = (() => {
     }
     for (const eye of drawn.eyes) {
       const body = bodies.get(eye.body);
-      const radius = 0.4 * Math.min(...body.half);
+      const radius = 0.4 * Math.min(...body.half) || 0.02 * drawn.length;
       const along = vector(eye.along), place = vector(eye.place);
       const white = new THREE.Mesh(new THREE.SphereGeometry(radius, 20, 14), new THREE.MeshStandardMaterial({ color: "#fdfdf8" }));
       const pupil = new THREE.Mesh(new THREE.SphereGeometry(0.7 * radius, 20, 14), new THREE.MeshStandardMaterial({ color: "#10151c" }));
@@ -167,15 +167,24 @@ const View = (() => {
   }
   const AXES = ["#e0342b", "#27963c", "#2f6fe0", "#b04fd0", "#c08a00", "#109a9a"];
   function drawJoint(body) {
-    const place = vector(body.joint.place), radius = 1.25 * Math.max(...body.half);
+    const anchor = vector(body.joint.place), radius = 1.25 * Math.max(...body.half) || 0.1 * drawn.length;
     const dot = new THREE.Mesh(new THREE.SphereGeometry(0.06 * radius, 16, 12), new THREE.MeshBasicMaterial({ color: "#ffffff", depthTest: false }));
-    dot.position.copy(place);
+    dot.position.copy(anchor);
     marks.add(dot);
-    const out = vector(body.place).sub(place);
     body.joint.axes.forEach((axis, i) => {
+      const place = vector(axis.at), out = vector(body.place).sub(place);
       const along = vector(axis.along), pen = new THREE.LineBasicMaterial({ color: AXES[i], depthTest: false });
       const half = along.clone().multiplyScalar(0.6 * radius);
       marks.add(new THREE.Line(new THREE.BufferGeometry().setFromPoints([place.clone().sub(half), place.clone().add(half)]), pen));
+      if (axis.kind === "slide") {
+        // The range of a slide is a line with two dots.
+        for (const end of axis.lower === null ? [] : [axis.lower, axis.upper]) {
+          const stop = new THREE.Mesh(new THREE.SphereGeometry(0.04 * radius, 12, 8), new THREE.MeshBasicMaterial({ color: AXES[i], depthTest: false }));
+          stop.position.copy(place).addScaledVector(along, end);
+          marks.add(stop);
+        }
+        return;
+      }
       // The limits are an arc from the neutral direction of the part.
       let start = out.clone().addScaledVector(along, -out.dot(along));
       if (start.length() < 0.1 * out.length()) start = new THREE.Vector3(along.y, along.z, along.x).cross(along);
@@ -285,9 +294,12 @@ const View = (() => {
     const [first] = ray.intersectObjects([...bodies.values()].map((body) => body.mesh), false);
     if (!first) return null;
     const body = bodies.get(first.object.userData.name);
-    const place = body.group.worldToLocal(first.point.clone());
-    if (body.frame) place.sub(vector(body.frame));
-    return { name: body.name, entry: body.entry, place: place.toArray(), normal: first.face.normal.toArray() };
+    const place = body.group.worldToLocal(first.point.clone()), normal = first.face.normal.clone();
+    // A further part of a body is in the frame of the body.
+    const into = new THREE.Matrix4().set(...body.turned[0], 0, ...body.turned[1], 0, ...body.turned[2], 0, 0, 0, 0, 1);
+    place.sub(vector(body.frame)).applyMatrix4(into);
+    normal.applyMatrix4(into);
+    return { name: body.whole || body.name, entry: body.entry, place: place.toArray(), normal: normal.toArray() };
   }
 
   // ---- camera
@@ -296,7 +308,7 @@ const View = (() => {
     const centre = new THREE.Vector3();
     for (const body of bodies.values()) centre.addScaledVector(body.group.position, 1 / bodies.size);
     const far = 2.4 * drawn.length;
-    const from = { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02] }[view];
+    const from = { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02], back: [-1, 0, 0.02] }[view];
     orbit.target.copy(centre);
     camera.position.copy(centre).addScaledVector(vector(from).normalize(), far);
     camera.near = 0.01 * drawn.length;
