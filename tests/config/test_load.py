@@ -399,8 +399,13 @@ def test_postures_beyond_a_joints_limits_are_rejected():
     data = small(**changes, **PULLING, creature__bodies__1__joint__limits_deg=[-75, 69])
     assert "allow -75 to 69" in problem(data)
     assert "from -60 to 80" in problem(small(**changes, **PULLING, controller__lowest_angle=120))
+    slide = {"creature__bodies__1__joint__axes": [{"slide": "x"}]}
+    assert "postures command angles, but joint tail.slide_x slides" in problem(
+        small(**changes, **PULLING, **slide)
+    )
     for accepted in (
         small(**changes),
+        small(**changes, **slide),
         small(**changes, **PULLING, creature__bodies__1__joint__limits_deg=[-70, 70]),
         small(**changes, **PULLING, controller__lowest_angle=130, controller__angle_step=14),
     ):
