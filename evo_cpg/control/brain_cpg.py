@@ -361,9 +361,8 @@ class BrainCpg(Controller):
             observation: senses at the start of the control step.
         """
         signal = matsuoka.output(state)
-        rate = expand_dims_like(self.rate_gain, signal) * signal - expand_dims_like(
-            self.centring, signal
-        ) * self._as_angle(observation.joint_angle)
+        rate_gain, centring = (expand_dims_like(x, signal) for x in (self.rate_gain, self.centring))
+        rate = rate_gain * signal - centring * self._as_angle(observation.joint_angle)
         limit, activation, torque, angle = self.max_rate, None, None, None
         if self.muscles or self.gear is not None or self.angles is not None:
             output = jnp.maximum(state.potential, 0.0)
