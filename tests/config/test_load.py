@@ -265,11 +265,6 @@ def test_unknown_key_gets_the_nearest_valid_key(key, value, expected):
             [[-30, 30], [-30, 30]],
             "limits_deg gives 2 pairs for 1 axes",
         ),
-        (
-            "creature__bodies__1__joint__actuator",
-            {"gain": 0},
-            "gain: must be greater than 0 without a stiffness, got 0",
-        ),
         ("world__gravity", -9.81, "-9.81: must be greater than or equal to 0"),
         ("world__gravity", False, "False: must be a number"),
         ("world__water__sheltered", 1, "1: must be true or false"),
