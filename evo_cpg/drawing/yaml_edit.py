@@ -322,11 +322,11 @@ class _Place:
 
 def _steps(old: list, new: list) -> list[tuple[str, int, int]]:
     """Return how one list becomes another: entries to keep (and change), remove and add."""
-    names, wanted = list(map(_identity, old)), list(map(_identity, new))
-    if len(old) == len(new) and Counter(names) != Counter(wanted):
+    names, later = list(map(_identity, old)), list(map(_identity, new))
+    if len(old) == len(new) and Counter(names) != Counter(later):
         return [("keep", i, i) for i in range(len(old))]
     steps: list[tuple[str, int, int]] = []
-    matcher = difflib.SequenceMatcher(None, names, wanted, autojunk=False)
+    matcher = difflib.SequenceMatcher(None, names, later, autojunk=False)
     for what, i, i_end, j, j_end in matcher.get_opcodes():
         both = min(i_end - i, j_end - j) if what in ("equal", "replace") else 0
         steps += [("keep", i + k, j + k) for k in range(both)]
