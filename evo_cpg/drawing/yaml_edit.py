@@ -1,8 +1,8 @@
 """Change the data of a YAML text, and keep the rest of the text.
 
-`with_data` compares the data of a text with the wanted data. It edits only the lines of values that
+`with_data` compares the data of a text with the changed data. It edits only the lines of values that
 differ, so comments, anchors, layout and number formats stay elsewhere. The result is parsed again.
-It always contains exactly the wanted data, because a part that cannot be edited is written anew.
+It always contains exactly the changed data, because a part that cannot be edited is written anew.
 """
 
 import difflib
@@ -172,7 +172,7 @@ class _Editor:
                 if key.value in new and key.value in old:
                     self._value((*path, key.value), value, old[key.value], new[key.value], inner)
             end = own_end
-        # A key is added behind the key that it follows in the wanted data, if that stays.
+        # A key is added behind the key that it follows in the changed data, if that stays.
         behind: dict[str, dict[str, Any]] = {}
         last, stays = "", {key.value for key, _ in node.value if key.value not in gone}
         for key, value in new.items():
