@@ -454,6 +454,19 @@ def test_tasks_without_a_light():
     assert (walk.light, walk.heading, walk.torso_length) == (None, "any", pytest.approx(0.2))
 
 
+def test_a_root_without_a_shape_is_as_long_as_its_longest_part():
+    """Without parts it is as long as the whole animal, here its tail."""
+    data = small(task__type="walk", world__ground={})
+    root = data["creature"]["bodies"][0]
+    root |= {"shape": None, "mass": 1.0, "inertia": [1, 1, 1, 0, 0, 0]}
+    alone = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.task
+    assert isinstance(alone, Walk) and alone.torso_length == pytest.approx(0.2)
+    ball, rod = {"type": "sphere", "radius": 0.1}, {"type": "box", "size": [0.1, 0.1, 0.7]}
+    root["parts"] = [{"shape": shape, "at": [0, 0, 0]} for shape in (ball, rod)]
+    walk = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.task
+    assert isinstance(walk, Walk) and walk.torso_length == pytest.approx(0.7)
+
+
 @pytest.mark.parametrize(
     ("model", "bits", "height"), [(1, 192, 0.56), (2, 192, 0.48), (3, 144, 0.48)]
 )
