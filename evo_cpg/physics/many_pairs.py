@@ -96,6 +96,7 @@ class _Run(NamedTuple):
         stiffness: c h of each point, kg.
         paths: joint axes between the bodies.
         points: nearest points in this step.
+        near: 1 for each pair with a point that counts in this step, ``(pairs, *n)``.
     """
 
     kind: Alike
@@ -104,6 +105,7 @@ class _Run(NamedTuple):
     stiffness: Any
     paths: _Paths
     points: _Points
+    near: Array
 
     @property
     def count(self) -> int:
@@ -281,13 +283,25 @@ class ManyPairContacts:
         """Fold a function over the points that are watched for at least one individual."""
         for run in self.runs:
 
-            def round_(carry: Any, q: Array, run: _Run = run) -> tuple[Any, None]:
+            def point(carry: Any, q: Array, run: _Run = run) -> tuple[Any, None]:
                 anyone = jnp.any(_at(run.points.watched, q) > 0)
                 return jax.lax.cond(
                     anyone, lambda carry: look(run, carry, q), lambda carry: carry, carry
                 ), None
 
-            start, _ = jax.lax.scan(round_, start, jnp.arange(run.count))
+            def pair(
+                carry: Any, p: Array, run: _Run = run, point: Callable = point
+            ) -> tuple[Any, None]:
+                # Most pairs are far apart, so one test skips all points of a pair.
+                points = p + run.kind.count * jnp.arange(run.count // run.kind.count)
+                return jax.lax.cond(
+                    jnp.any(_at(run.near, p) > 0),
+                    lambda carry: jax.lax.scan(point, carry, points)[0],
+                    lambda carry: carry,
+                    carry,
+                ), None
+
+            start, _ = jax.lax.scan(pair, start, jnp.arange(run.kind.count))
         return start
 
     def of_points(self, look: Callable) -> Float[Array, "p *n"]:
@@ -481,16 +495,10 @@ def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
         count = run.count * KINDS[run.kind][1]
         stiffness = pairs.stiffness[points : points + count]
         placed = centre, half, radius, kin.rotation, size, slack
-        found.append(
-            _Run(
-                run,
-                first,
-                second,
-                stiffness,
-                _paths(tree, first, second),
-                _nearest(run, first, second, placed),
-            )
-        )
+        nearest = _nearest(run, first, second, placed)
+        near = nearest.watched.reshape(-1, run.count, *nearest.watched.shape[1:]).max(0)
+        paths = _paths(tree, first, second)
+        found.append(_Run(run, first, second, stiffness, paths, nearest, near))
         start, points = stop, points + count
     return tuple(found)
 
