@@ -1,6 +1,6 @@
 """Change the data of a YAML text, and keep the rest of the text.
 
-`with_data` compares the data of a text with the changed data. It edits only the lines of values that
+`with_data` compares the data of a text with changed data. It edits only the lines of values that
 differ, so comments, anchors, layout and number formats stay elsewhere. The result is parsed again.
 It always contains exactly the changed data, because a part that cannot be edited is written anew.
 """
