@@ -17,7 +17,7 @@ from jax.sharding import Mesh
 from jaxtyping import Float
 
 from benchmarks.exercise import Exercise
-from benchmarks.mujoco_peer import Kind, Motion, places
+from benchmarks.mujoco_peer import Kind, Motion
 from benchmarks.ours import Program, compile_motion, full_lanes
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
@@ -71,7 +71,7 @@ def mujoco_places(
         finer: number of equal parts into which each step of the config is divided.
     """
     motion = Motion(exercise, kind, exercise.lanes(LANES), threads, finer)
-    return places(motion.states(motion.rest(), motion.signals(steps * finer)))
+    return motion.places(motion.states(motion.rest(), motion.signals(steps * finer)))
 
 
 def steps_until_compared(exercise: Exercise) -> int:

@@ -1,11 +1,12 @@
 """The moving animals, by the name of their case."""
 
+import functools
 from collections.abc import Callable
 
-from benchmarks.exercise import Postures, Wave
+from benchmarks.exercise import Postures, Torques, Wave
 from benchmarks.jax_peers import GROUNDED, WET
 from benchmarks.moving import Animal
-from benchmarks.plan import experiment_of
+from benchmarks.plan import MODELS, experiment_of
 
 # Scalar additions, multiplications, divisions, roots and comparisons in the equations of one
 # physics step of the ten-body swimmer. They were counted once on its scalar program, after
@@ -51,9 +52,17 @@ def quadruped() -> Animal:
     )
 
 
+def imported(name: str) -> Animal:
+    """Return an animal of gymnasium on flat ground, as `evo-cpg import` reads its file."""
+    return Animal(name, Torques.of(MODELS / f"{name}.xml"), (200, 1, 15))
+
+
+IMPORTED = ("half_cheetah", "ant", "humanoid")
+
 ANIMALS: dict[str, Callable[[], Animal]] = {
     "swimmer": swimmer,
     "salamander-water": salamander_water,
     "salamander-land": salamander_land,
     "quadruped": quadruped,
+    **{name: functools.partial(imported, name) for name in IMPORTED},
 }

@@ -26,7 +26,6 @@ from rich.progress import track
 from benchmarks.animals import ANIMALS
 from benchmarks.exercise import Exercise
 from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import separations
 from evo_cpg.physics.state import State, resting_state
@@ -81,9 +80,7 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
 
     def advance(carry: tuple, index: Array) -> tuple[tuple, tuple]:
         state, warmstart = carry
-        new, effort = step(
-            world, state, MotorCommand(*exercise.command(commands, index)), h, warmstart
-        )
+        new, effort = step(world, state, exercise.command(commands, index), h, warmstart)
         kin = kinematics(world.tree, new)
         assert effort.contact_frame_force is not None and effort.residual is not None
         touches = (effort.contact_frame_force[2] > 0).any(0)

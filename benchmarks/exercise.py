@@ -6,13 +6,17 @@ step of the config, even if the step is divided.
 
 import abc
 import dataclasses
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
+from benchmarks.plan import imported_experiment
 from evo_cpg.control.postures import PostureController
+from evo_cpg.exchange.mjcf_import import Imported
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.training.experiment import ExperimentParts
 
 # Travelling wave of the target rates about z: amplitude (rad/s), frequency (Hz), and lag from joint
@@ -24,6 +28,9 @@ _WAVE_SPREAD = 0.2
 # count. So a larger population begins with the individuals of a smaller one.
 _GOLDEN = 0.6180339887498949
 _SEED = 0
+# Random torques: time for which each is held (s), as in gymnasium's half_cheetah and ant, and their
+# number. After the last one the first one follows.
+_HELD, _TORQUES = 0.05, 32
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,10 +55,8 @@ class Exercise(abc.ABC):
         """Return the data that are computed once, before the first step."""
 
     @abc.abstractmethod
-    def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
-        """Return target rates and angles, each ``(d, n)``, rad/s and rad.
-
-        The angles are None for motors without springs.
+    def command(self, commands: Array, index: Int[Array, ""]) -> MotorCommand:
+        """Return the commands to the motors in a physics step.
 
         Args:
             commands: data from `prepare`.
@@ -62,7 +67,10 @@ class Exercise(abc.ABC):
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
     ) -> Float[np.ndarray, "n steps d"]:
-        """Return commands for MuJoCo: rates, rad/s, or angles, rad, for motors with springs.
+        """Return commands for MuJoCo.
+
+        Motors with springs get angles, rad. Torque motors get torques, N m. Others get rates,
+        rad/s.
 
         Args:
             lanes: inputs of the individuals, from `lanes`.
@@ -82,10 +90,10 @@ class Wave(Exercise):
         """Return the factors unchanged."""
         return lanes
 
-    def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
+    def command(self, commands: Array, index: Int[Array, ""]) -> MotorCommand:
         """Return target rates, the wave of one period times the factors, and no angles."""
         table = jnp.asarray(self.period(), commands.dtype)
-        return table[index % len(table)][:, None] * commands, None
+        return MotorCommand(table[index % len(table)][:, None] * commands)
 
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
@@ -128,10 +136,10 @@ class Postures(Exercise):
         """Return angles ``(postures, d, n)``, rad."""
         return self.controller.decode(lanes)
 
-    def command(self, commands: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
+    def command(self, commands: Array, index: Int[Array, ""]) -> MotorCommand:
         """Return zero rates, and the angles of the present posture."""
         posture = self.controller.posture(index // self.experiment.simulation.substeps)
-        return jnp.zeros_like(commands[0]), commands[posture]
+        return MotorCommand(jnp.zeros_like(commands[0]), commands[posture])
 
     def signals(
         self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
@@ -144,3 +152,55 @@ class Postures(Exercise):
         """Return the number of the posture at each physics step."""
         substeps = self.experiment.simulation.substeps
         return np.asarray(self.controller.posture(jnp.asarray(index // substeps)))
+
+
+@dataclasses.dataclass(frozen=True)
+class Torques(Exercise):
+    """Random torques of all motors within their limits, each held for `_HELD`.
+
+    Attributes:
+        imported: import of the file of the animal.
+        path: the file, which MuJoCo simulates.
+    """
+
+    imported: Imported
+    path: Path
+
+    @classmethod
+    def of(cls, path: Path) -> "Torques":
+        """Return the exercise of an imported animal."""
+        experiment, imported = imported_experiment(path)
+        return cls(experiment, imported, path)
+
+    def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
+        """Return all torques of each individual as fractions of the limits, -1 to 1."""
+        generator = np.random.default_rng(_SEED)
+        size = count, _TORQUES * len(self._limits)
+        return generator.uniform(-1, 1, size).T.astype(np.float32)
+
+    def prepare(self, lanes: Float[Array, "k n"]) -> Array:
+        """Return torques ``(torques, d, n)``, N m."""
+        limits = jnp.asarray(self._limits, lanes.dtype)
+        return lanes.reshape(_TORQUES, len(limits), -1) * limits[None, :, None]
+
+    def command(self, commands: Array, index: Int[Array, ""]) -> MotorCommand:
+        """Return the present torques."""
+        torque = commands[index // self._held % _TORQUES]
+        return MotorCommand(jnp.zeros_like(torque), torque=torque)
+
+    def signals(
+        self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
+    ) -> Float[np.ndarray, "n steps d"]:
+        """Return the torques of `command` for MuJoCo."""
+        torques = lanes.astype(float).T.reshape(lanes.shape[1], _TORQUES, -1) * self._limits
+        return torques[:, index // self._held % _TORQUES]
+
+    @property
+    def _limits(self) -> Float[np.ndarray, " d"]:
+        """Torque limits, N m, 0 for an axis without a motor."""
+        return np.asarray(self.experiment.simulation.world.tree.torque_limit, float)
+
+    @property
+    def _held(self) -> int:
+        """Number of physics steps for which a torque is held."""
+        return round(_HELD / self.experiment.simulation.step_length)

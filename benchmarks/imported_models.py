@@ -214,7 +214,8 @@ def _root(
     velocity = np.concatenate([spin, push + np.cross(spin, arm)])
     linear = pushing + np.cross(turning, arm) + np.cross(spin, np.cross(spin, arm))
     still = np.zeros(tree.dof_count)
-    state = State(data.xpos[body] + arm, quaternion, velocity, still, still)
+    place, q = jnp.asarray(data.xpos[body] + arm), jnp.asarray(still)
+    state = State(place, jnp.asarray(quaternion), jnp.asarray(velocity), q, q)
     return state, np.concatenate([turning, linear])
 
 
@@ -259,7 +260,7 @@ def _command(tree: Tree, compiled: Compiled, data: Any, dofs: list[Dof]) -> Moto
             rate[channel] = push / gain
         else:
             torque[channel] = push
-    return MotorCommand(rate, angle, torque=torque)
+    return MotorCommand(jnp.asarray(rate), jnp.asarray(angle), torque=jnp.asarray(torque))
 
 
 def _switch_off(compiled: Compiled, floats: bool) -> None:

@@ -325,8 +325,8 @@ MUTANTS = (
     ),
     Mutant(
         "control/brain_cpg.py",
-        "- expand_dims_like(self.centring, signal) * observation.joint_angle",
-        "+ expand_dims_like(self.centring, signal) * observation.joint_angle",
+        "- centring * self._as_angle(observation.joint_angle)",
+        "+ centring * self._as_angle(observation.joint_angle)",
         "control/test_brain_cpg.py",
     ),
     Mutant(

@@ -11,7 +11,6 @@ from jax import Array
 from jax.sharding import Mesh
 
 from benchmarks.exercise import Exercise
-from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.step import first_warmstart, step
 from evo_cpg.simulation.situation import starting_state
 from evo_cpg.training.devices import layout, run_in_blocks, sharded
@@ -86,7 +85,7 @@ def compile_motion(exercise: Exercise, lanes: np.ndarray, mesh: Mesh, finer: int
 
         def advance(index, carry):
             state, warmstart = carry
-            command = MotorCommand(*exercise.command(commands, index // finer))
+            command = exercise.command(commands, index // finer)
             state, effort = step(world, state, command, h, warmstart)
             return state, effort.warmstart
 

@@ -8,12 +8,15 @@ import jax
 import numpy as np
 
 from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
+from evo_cpg.config.load import check_config, load_config
+from evo_cpg.exchange.mjcf_import import Imported, read_model
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.experiment import ExperimentParts
 
 ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
+# Models of gymnasium (see the README there).
+MODELS = ROOT / "benchmarks" / "models"
 
 
 # Overrides for three of the swimmer's ten bodies, a small population and short trials.
@@ -71,3 +74,9 @@ def experiment_of(name: str, *overrides: str) -> ExperimentParts:
     """
     path = CONFIGS / f"{name}.yaml"
     return build_experiment(load_config(path, list(overrides)), path)
+
+
+def imported_experiment(path: Path) -> tuple[ExperimentParts, Imported]:
+    """Return the experiment that `evo-cpg import` makes of a file, and the import."""
+    imported = read_model(path)
+    return build_experiment(check_config(imported.experiment, path), path), imported

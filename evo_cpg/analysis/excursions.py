@@ -48,12 +48,12 @@ class Excursions(NamedTuple):
         overlapping: names of these two bodies, empty without overlap.
         unsolved: fraction of steps whose equations are not solved to `SOLVED`.
         slipping: fraction of steps whose friction misses its cone by more than `SLIPPING`.
-        peak_torque: largest torque of any motor, N m.
+        peak_torque: largest torque of any motor about a turning axis, N m.
         overload: largest torque of a motor beyond its limit, as a fraction of the limit, or 0
             without limits.
         peak_power: largest absolute power of all motors, W.
         mean_power: mean absolute power of all motors, W.
-        peak_rate: largest rate of any joint, rad/s.
+        peak_rate: largest rate of any turning axis, rad/s.
         peak_speed: largest speed of the root, m/s.
         seen_through_ground: fraction of the light that eyes see with ground in the way.
     """
@@ -98,6 +98,7 @@ def excursions(
     clearance, apart, swims = along_time(depths, steps)
     overlap, overlapping = _deepest_overlap(every, world, creature, steps, apart)
     rate = (steps.before.qd + steps.after.qd) / 2
+    turns = np.array([kind != "slide" for kind in world.tree.dof_kinds], bool)
     power = steps.torque * rate
     root = np.asarray(steps.after.position, float)
     h = simulation.step_length
@@ -112,11 +113,11 @@ def excursions(
         overlapping=overlapping,
         unsolved=float((steps.solved_residual > SOLVED).mean()),
         slipping=float((steps.coulomb_residual > SLIPPING).mean()),
-        peak_torque=float(np.abs(steps.torque).max(initial=0.0)),
+        peak_torque=float(np.abs(steps.torque[turns]).max(initial=0.0)),
         overload=_overload(world.tree, steps),
         peak_power=float(np.abs(power).sum(0).max()),
         mean_power=float(np.abs(power).sum(0).mean()),
-        peak_rate=float(np.abs(steps.after.qd).max(initial=0.0)),
+        peak_rate=float(np.abs(steps.after.qd[turns]).max(initial=0.0)),
         peak_speed=float(np.linalg.norm(steps.after.linear_velocity, axis=0).max()),
         seen_through_ground=_seen_through_ground(simulation, steps, light),
     )

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.simulation.recording import Recording
 
 # The spectrum is interpolated to this fraction of its natural resolution before the peak is
@@ -50,10 +51,12 @@ class Gait(NamedTuple):
 def bending_axis(recording: Recording) -> str:
     """Return the axis about which the joints bend most, except x.
 
-    A turn about x is twist, because animals lie along x. It counts only if there is no other axis.
+    A turn about x is twist, because animals lie along x. It counts only if there is no other axis,
+    and slides count only if nothing turns.
     """
-    axes = [name.rsplit(".", 1)[1] for name in recording.dof_names]
-    across = set(axes) - {"x"} or set(axes)
+    axes = [body_and_axis(name)[1] for name in recording.dof_names]
+    turning = {axis for axis, slides in zip(axes, recording.slides, strict=True) if not slides}
+    across = turning - {"x"} or turning or set(axes)
     swing = recording.joint_angle.std(0)
     totals = {axis: sum(swing[i] for i, a in enumerate(axes) if a == axis) for axis in across}
     return max(sorted(totals), key=lambda axis: totals[axis])
@@ -75,7 +78,7 @@ def gait(
             (`evo_cpg.analysis.chains.axis_signs`), or None for equal directions.
     """
     axis = axis or bending_axis(recording)
-    chosen = [i for i, name in enumerate(recording.dof_names) if name.endswith("." + axis)]
+    chosen = [i for i, name in enumerate(recording.dof_names) if body_and_axis(name)[1] == axis]
     start = round(len(recording.time) * (1 - last))
     step = float(recording.time[1] - recording.time[0])
     angles = recording.joint_angle[start:, chosen]

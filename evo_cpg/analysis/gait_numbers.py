@@ -27,6 +27,7 @@ from evo_cpg.analysis.swim_quantities import is_dry, water_quantities, wave_quan
 from evo_cpg.analysis.walk_quantities import ground_quantities
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
 from evo_cpg.creature.slender import SlenderChain
+from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
@@ -58,7 +59,7 @@ class GaitNumbers(NamedTuple):
             a midline of three bodies, with less than two strides, or if the body is coiled.
         feet: contacts with the ground, or None without ground.
         power: absolute power of all motors in each control step, W.
-        peak_torque: largest absolute torque of each motor, N m.
+        peak_torque: largest absolute torque of each motor, N m, or force of a slide's, N.
         rms_torque: root mean square torque of each motor, N m.
     """
 
@@ -122,6 +123,9 @@ def gait_numbers(
     step = 1.0 / simulation.control_rate
     first = round(len(recording.time) * (1 - LAST))
     angle = np.array(recording.joint_angle, float)[first:]
+    # Slides have another unit than angles, and those of a root drift.
+    if not recording.slides.all():
+        angle[:, recording.slides] = 0.0
     frequency = stride.stride_frequency(angle, step)
     power = np.asarray(frames["energy"], float)[:, 0] / step
     tree = simulation.world.tree
@@ -253,7 +257,8 @@ def _quantities(
                  stride.cost_of_transport(spent, mass, gravity, distance), "",
                  "energy / (weight x displacement) (Tucker 1975)",
                  "it has no displacement or no weight", _cost_of_animals(mass, speed, swims)),
-        Quantity("peak_torque", "peak torque", float(numbers.peak_torque.max(initial=0.0)), "N m",
+        Quantity("peak_torque", "peak torque", float(
+            numbers.peak_torque[~recording.slides].max(initial=0.0)), "N m",
                  "largest torque of any motor, as a mean of a control step"),
     ]  # fmt: skip
     return found + muscle_quantities(tree, recording)
@@ -274,14 +279,15 @@ def _cost_of_animals(mass: float, speed: float, swims: bool) -> tuple[Animals, .
 
 
 def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, ...]:
-    """Return the longest row of three or more degrees of freedom along the body.
+    """Return the longest row of three or more turning axes along the body.
 
     Among equally long rows, return the row that bends most. Rows of twist (about x) count only if
     all rows are twist.
     """
     swing = np.asarray(recording.joint_angle).std(0)
-    found = [row for row in rows if len(row) > 2]
-    across = [row for row in found if not recording.dof_names[row[0]].endswith(".x")]
+    slides = recording.slides
+    found = [row for row in rows if len(row) > 2 and not slides[list(row)].any()]
+    across = [row for row in found if body_and_axis(recording.dof_names[row[0]])[1] != "x"]
     return max(across or found, key=lambda row: (len(row), swing[list(row)].sum()), default=())
 
 

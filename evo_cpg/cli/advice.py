@@ -62,20 +62,21 @@ def advise(path: Path, simulation: Simulation) -> None:
         path: path of the configuration.
         simulation: simulation of the configuration.
     """
-    warn_of_oscillators(path, simulation)
-    warn_of_cost(path, simulation)
+    for line in advice(simulation):
+        warn(f"{path}: {line}")
 
 
-def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
-    """Warn of oscillators that are uncoupled or at rest, and name keys to change.
+def advice(simulation: Simulation) -> list[str]:
+    """Return warnings of idle oscillators, and of an animal with a high cost."""
+    cost = about_cost(simulation)
+    return [*about_oscillators(simulation), *([cost] if cost else [])]
 
-    Args:
-        path: path of the configuration.
-        simulation: simulation of the configuration.
-    """
+
+def about_oscillators(simulation: Simulation) -> list[str]:
+    """Return warnings of oscillators that are uncoupled or at rest, with keys to change."""
     oscillators, tree = simulation.controller.rhythm_generator, simulation.world.tree
     if oscillators is None:
-        return
+        return []
     cpg, network, rate_gain = oscillators
     # Warn only of oscillators that drive a joint.
     driven = (tree.of_commands("servo_gain") > 0) | (tree.of_commands("servo_stiffness") > 0)
@@ -108,24 +109,17 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
         ),
         (rest, cure, [i for i in still if i not in alone]),
     )
+    lines = []
     for what, change, found in matters:
         if found:
             names = ", ".join(tree.dof_names[i] for i in found)
-            warn(f"{path}: {what}: {names}. {change}")
+            lines.append(f"{what}: {names}. {change}")
+    return lines
 
 
-def warn_of_cost(path: Path, simulation: Simulation) -> None:
-    """Warn of an animal that takes long to compile, or is too large for native code.
-
-    Args:
-        path: path of the configuration.
-        simulation: simulation of the configuration.
-    """
-    if simulation.engine.name == "jax":
-        return
-    line = _line(estimate_operations(simulation))
-    if line:
-        warn(f"{path}: {line}")
+def about_cost(simulation: Simulation) -> str:
+    """Return a warning of an animal that takes long to compile or is too large for native code."""
+    return "" if simulation.engine.name == "jax" else _line(estimate_operations(simulation))
 
 
 def expected_to_compile(simulation: Simulation, animal: str | None = None) -> float | None:

@@ -188,7 +188,15 @@ def show_opinions(opinions: Sequence[Opinion]) -> None:
     flight = [] if opinions[0].airborne is None else ["airborne"]
     rows = []
     for one in opinions:
-        off = np.sqrt(np.mean((one.joint_angle - opinions[0].joint_angle) ** 2))
+        off = one.joint_angle - opinions[0].joint_angle
+        errors = [
+            f"{scale * np.sqrt(np.mean(off[axes] ** 2)):.2g} {unit}"
+            for axes, scale, unit in (
+                (~one.slides, math.degrees(1.0), "deg"),
+                (one.slides, 1.0, "m"),
+            )
+            if axes.any()
+        ]
         rows.append(
             (
                 one.program,
@@ -196,7 +204,7 @@ def show_opinions(opinions: Sequence[Opinion]) -> None:
                 f"{math.degrees(one.heading):.0f} deg",
                 shown(one.upright, "%"),
                 *([] if one.airborne is None else [shown(one.airborne, "%")]),
-                f"{math.degrees(off):.2g} deg" if one is not opinions[0] else "",
+                ", ".join(errors) if one is not opinions[0] else "",
             )
         )
     show_table(("program", "displacement", "heading", "upright", *flight, "joint error"), rows)

@@ -28,13 +28,14 @@ def model(
     ] = True,
 ) -> None:
     """Draw a creature on a page in the browser."""
+    from evo_cpg.cli.advice import advice
     from evo_cpg.drawing.page.server import PageServer
     from evo_cpg.drawing.session import Session
     from evo_cpg.files import OutputError
 
     document = _document(config)
     try:
-        server = PageServer(Session(document), port)
+        server = PageServer(Session(document, advice), port)
     except OSError as error:
         raise OutputError(f"port {port} cannot be used ({error.strerror or error})") from None
     with server:
@@ -49,7 +50,7 @@ def model(
             pass
         finally:
             server.session.close()
-    if document.is_changed:
+    if document.is_changed and document.can_undo:
         print(f"Edits of {document.path} are not saved. `evo-cpg model` offers them again.")
 
 

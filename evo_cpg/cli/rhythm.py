@@ -17,9 +17,9 @@ from evo_cpg.analysis.limit_cycle import (
     parts,
 )
 from evo_cpg.analysis.reference_rhythm import Rhythm, reference_rhythm, rhythm
-from evo_cpg.cli.advice import warn_of_oscillators
+from evo_cpg.cli.advice import about_oscillators
 from evo_cpg.cli.building import build
-from evo_cpg.cli.errors import ExitCode, UsageError
+from evo_cpg.cli.errors import ExitCode, UsageError, warn
 from evo_cpg.cli.tables import show_table
 from evo_cpg.config.errors import nearest
 from evo_cpg.config.load import load_config
@@ -103,7 +103,8 @@ def show_rhythm(
         print(f"{', '.join(joints)}: {reason}")
     if cpg.feedback is not None:
         print("open loop: without the senses of controller.cpg.feedback, which change the rhythm")
-    warn_of_oscillators(path, simulation)
+    for line in about_oscillators(simulation):
+        warn(f"{path}: {line}")
     if failures:
         for reason, joints in failures.items():
             print(f"evo-cpg: {path}: {', '.join(joints)}: {reason}", file=sys.stderr)

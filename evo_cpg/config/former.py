@@ -24,10 +24,7 @@ _SINCE_1_0 = {
 }
 
 # Keys that version 1.0 lacked, and whose default gives its results.
-_SAME_AS_1_0 = {
-    ("task",): {"slip_weight": 0.0, "cost_weight": 0.0},
-    ("controller",): {"angle_range_deg": 0.0},
-}
+_SAME_AS_1_0 = {("task",): {"slip_weight": 0.0, "cost_weight": 0.0}}
 
 
 class FormerKeyWarning(FutureWarning):

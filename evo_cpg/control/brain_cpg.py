@@ -176,9 +176,9 @@ class AngleRange(eqx.Module):
     """Angles that motors with a spring can be sent to.
 
     Attributes:
-        full: angle at full output of each degree of freedom, rad, 0 without a spring.
-        lower: lower limit of each joint axis, rad.
-        upper: upper limit of each joint axis, rad.
+        full: angle (or length of a tendon) at full output of each command, 0 without a spring.
+        lower: lower limit of what each command acts on, rad.
+        upper: upper limit of what each command acts on, rad.
     """
 
     full: Float[Numbers, " d"]
@@ -364,9 +364,8 @@ class BrainCpg(Controller):
             observation: senses at the start of the control step.
         """
         signal = matsuoka.output(state)
-        rate = expand_dims_like(self.rate_gain, signal) * signal - expand_dims_like(
-            self.centring, signal
-        ) * self._as_angle(observation.joint_angle)
+        rate_gain, centring = (expand_dims_like(x, signal) for x in (self.rate_gain, self.centring))
+        rate = rate_gain * signal - centring * self._as_angle(observation.joint_angle)
         limit, activation, torque, angle = self.max_rate, None, None, None
         if self.muscles or self.gear is not None or self.angles is not None:
             output = jnp.maximum(state.potential, 0.0)
@@ -553,11 +552,11 @@ def units_of(tree: Tree) -> Float[Numbers, " d"] | None:
 
 
 def _follows_angles(tree: Tree, settings: BrainCpgSettings) -> tuple[bool, ...]:
-    """Return which degrees of freedom have a motor with a spring that follows angles."""
-    size, springs = settings.angle_range_deg, tree.of_commands("servo_stiffness")
-    used = chosen(lambda: bool(size > 0), lambda made: (size > 0) == made)
-    if not used:
+    """Return which commands go to a motor with a spring, of a joint or a tendon."""
+    size = settings.angle_range_deg
+    if not chosen(lambda: bool(size > 0), lambda made: (size > 0) == made):
         return (False,) * tree.dof_count
+    springs = tree.of_commands("servo_stiffness")
     return chosen(
         lambda: tuple((np.asarray(springs) > 0).tolist()),
         lambda made: ((springs > 0) == np.array(made)).all(),

@@ -184,8 +184,8 @@ def build_posture_controller(
 
     Raises:
         ValueError: the creature has no joint, or has muscles or torque motors. A motor would pull
-            its joint beyond a limit. The period is shorter than a control step, which would skip
-            postures, or too long to count.
+            its joint beyond a limit, or has a spring along a slide. The period is shorter than a
+            control step, which would skip postures, or too long to count.
     """
     if not tree.dof_count:
         raise ValueError("the controller needs a creature with at least one joint")
@@ -233,11 +233,16 @@ def one_posture(controller: Controller, angle: float) -> Float[np.ndarray, " g"]
 def _beyond(
     tree: Tree, settings: PostureSettings
 ) -> tuple[Bool[Numbers, " d"], tuple[Number, Number]]:
-    """Return which joints a motor would pull beyond a limit, and the range of angles, degrees."""
+    """Return the joints whose motors cannot take the postures, and the range of angles, degrees.
+
+    These are the slides, and joints that would be pulled beyond a limit.
+    """
     lowest = settings.lowest_angle - settings.neutral_angle
     highest = lowest + settings.angle_step * (2**settings.bits_per_joint - 1)
     least, most = xp.deg2rad(xp.array([lowest, highest]))
     beyond = (least < tree.lower - _ANGLE_TOLERANCE) | (most > tree.upper + _ANGLE_TOLERANCE)
+    # An angle is no command for a slide.
+    beyond = beyond | np.array([kind == "slide" for kind in tree.dof_kinds], bool)
     # A motor without a spring has no commanded angle.
     return beyond & (tree.servo_stiffness > 0), (lowest, highest)
 
@@ -245,6 +250,11 @@ def _beyond(
 def _check_limits(tree: Tree, settings: PostureSettings) -> None:
     beyond, (lowest, highest) = _beyond(tree, settings)
     for i in np.flatnonzero(beyond):
+        if tree.dof_kinds[i] == "slide":
+            raise ValueError(
+                f"postures command angles, but joint {tree.dof_names[i]} slides. Set the stiffness "
+                "of its actuator to 0, or choose brain_cpg"
+            )
         lower, upper = np.rad2deg([tree.lower[i], tree.upper[i]])
         raise ValueError(
             f"the postures turn joint {tree.dof_names[i]} from {lowest:g} to {highest:g} degrees "

@@ -15,6 +15,7 @@ import bisect
 import dataclasses
 import functools
 import itertools
+import re
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -522,6 +523,17 @@ def _dof_names(bodies: list[str], dofs: list[DegreeOfFreedom]) -> tuple[str, ...
         again = itertools.chain([name], (f"{name}_{k}" for k in itertools.count(2)))
         names.append(next(free for free in again if free not in names))
     return tuple(names)
+
+
+def body_and_axis(dof_name: str) -> tuple[str, str]:
+    """Return the two parts of the name of a degree of freedom.
+
+    Such names are ``leg.x``, ``leg.(1,0,0.5)``, ``leg.slide_x`` and ``leg.slide_(1,0,0.5)``. A
+    number at the end tells equal axes of a body apart.
+    """
+    oblique = re.fullmatch(r"(.*)\.(\w*\([^()]*\)\w*)", dof_name)
+    body, axis = oblique.groups() if oblique else dof_name.rpartition(".")[::2]
+    return body, axis
 
 
 def _hanging(creature: Creature) -> Group | None:

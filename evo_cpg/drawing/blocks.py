@@ -122,9 +122,8 @@ def _single(entry: Data, body: Copy) -> Data:
     """Return the entry of one copy."""
     made = {k: copying.deepcopy(v) for k, v in entry.items() if k not in _MARKS}
     made["name"] = body.name
-    shape = made.get("shape")
-    if body.mirror and isinstance(shape, dict) and shape.get("type") == "mesh":
-        raise DrawingError(f"{entry['name']}: mirrored meshes cannot be separated")
+    if body.mirror:
+        _reflect_shapes(made, body.mirror)
     if "joint" not in made:
         return made
     checked = JointConfig.model_validate(made["joint"]).turned(body.turn_deg)
@@ -317,9 +316,7 @@ def _require_uncopied(data: Data, index: int, key: str) -> None:
 def _reflect(data: Data, index: int, axis: MirrorAxis) -> None:
     """Replace a part by its mirror image."""
     entry = bodies(data)[index]
-    shape = entry.get("shape")
-    if isinstance(shape, dict) and shape.get("type") == "mesh":
-        raise DrawingError(f"{entry['name']}: move it to the positive side of {axis} first")
+    _reflect_shapes(entry, axis)
     joint = entry["joint"]
     checked = JointConfig.model_validate(joint).mirrored(axis)
     joint["at"], joint["child_at"] = tidy(checked.at), tidy(checked.child_at)
@@ -332,6 +329,20 @@ def _reflect(data: Data, index: int, axis: MirrorAxis) -> None:
                 for key in ("position", "axis"):
                     if key in eye:
                         eye[key] = tidy(reflected_if(eye[key], axis))
+
+
+def _reflect_shapes(entry: Data, axis: MirrorAxis) -> None:
+    """Replace the shapes of an entry by their mirror images."""
+    further = entry.get("parts") or []
+    shapes = [entry.get("shape"), *(each.get("shape") for each in further)]
+    if any(isinstance(shape, dict) and shape.get("type") == "mesh" for shape in shapes):
+        raise DrawingError(f"{entry['name']}: a mesh has no mirror image of its own in the file")
+    if entry.get("inertia"):
+        raise DrawingError(f"{entry['name']}: an inertia in numbers cannot be mirrored here")
+    for each in further:
+        each["at"] = tidy(reflected_if(each["at"], axis))
+        if "rotation_deg" in each:
+            each["rotation_deg"] = tidy(opposed(each["rotation_deg"], axis))
 
 
 def _reorder(entry: Data) -> None:

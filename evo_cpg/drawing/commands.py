@@ -13,6 +13,8 @@ COMMANDS: Mapping[str, Callable[..., Any]] = {
     each.__name__: each
     for each in (
         parts.add_part,
+        parts.add_shape,
+        parts.remove_shape,
         parts.remove_part,
         parts.rename_part,
         parts.set_shape,

@@ -22,6 +22,7 @@ from evo_cpg.drawing.lookup import (
     tidy,
 )
 from evo_cpg.drawing.placing import facing, on_planes, reflected_if
+from evo_cpg.spatial.rotation import euler_to_matrix
 
 # Size of a new part, relative to the smallest half extent of its parent, and its length over it.
 _SIZE, _SLENDER = 0.5, 5.0
@@ -69,9 +70,8 @@ def add_part(
     here = posed(data, source)
     index = here.index(parent)
     body, on = here.copies[index], bodies(data)[here.copies[index].entry]
-    at, out = np.asarray(place, float), np.asarray(normal, float)
-    if not (np.isfinite(at).all() and np.isfinite(out).all() and np.linalg.norm(out) > 0):
-        raise DrawingError("place and normal must be finite, and the normal not zero")
+    carrying = here.creature.bodies[here.creature.body_index(body.name)].shape
+    at, out = _surface(place, normal, carrying.half_extents)
     carrier = body.name
     copied = len(copies_of(data, body.entry)) > 1
     if copied and each:
@@ -83,8 +83,6 @@ def add_part(
     if not name or _MARK.search(name):
         raise DrawingError(f"{name!r}: a name has no placeholders. Copies get them by themselves")
     own = free_name(data, f"{side}{name}{number}")
-    carrying = here.creature.bodies[here.creature.body_index(body.name)].shape
-    at, out = on_planes(at, out, carrying.half_extents)
     form = shape or _fitting(carrying)
     rotation, child_at = facing(out, _reach(form))
     material = str(on.get("material"))
@@ -104,6 +102,60 @@ def add_part(
     }
     bodies(data).append(entry)
     return own
+
+
+def add_shape(
+    data: Data,
+    source: Path,
+    part: str,
+    place: Sequence[float],
+    normal: Sequence[float],
+    shape: Data | None = None,
+) -> None:
+    """Add a further shape to a body, rigidly joined to it, on its surface.
+
+    Args:
+        data: data of the document.
+        source: file of the document.
+        part: name of the body. Copies of its entry get the shape, too.
+        place: place on its surface, in the frame of that body, m.
+        normal: outward normal of the surface there, in the same frame.
+        shape: the shape, or None for a capsule that fits the body.
+    """
+    here = posed(data, source)
+    body = here.copies[here.index(part)]
+    own = here.creature.bodies[here.creature.body_index(body.name)].shape
+    at, out = _surface(place, normal, own.half_extents)
+    at, out = reflected_if(at, body.mirror), reflected_if(out, body.mirror)
+    form = shape or _fitting(own)
+    rotation, joint = facing(out, _reach(form))
+    centre = at - np.array(euler_to_matrix(*np.radians(rotation))) @ joint
+    further: Data = {"shape": form, "at": tidy(centre)}
+    if np.any(rotation):
+        further["rotation_deg"] = tidy(rotation)
+    entry = bodies(data)[body.entry]
+    entry["parts"] = [*(entry.get("parts") or []), further]
+
+
+def remove_shape(data: Data, name: str, index: int) -> None:
+    """Remove a further shape of a body by its number among them, from 0."""
+    entry = entry_of(data, name)
+    further = entry.get("parts") or []
+    if not 0 <= index < len(further):
+        raise DrawingError(f"{name} has no further shape {index}")
+    entry["parts"] = [each for i, each in enumerate(further) if i != index]
+    if not entry["parts"]:
+        del entry["parts"]
+
+
+def _surface(
+    place: Sequence[float], normal: Sequence[float], half_extents: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a checked place and normal, in the body's planes of symmetry if they are close."""
+    at, out = np.asarray(place, float), np.asarray(normal, float)
+    if not (np.isfinite(at).all() and np.isfinite(out).all() and np.linalg.norm(out) > 0):
+        raise DrawingError("place and normal must be finite, and the normal not zero")
+    return on_planes(at, out, half_extents)
 
 
 def remove_part(data: Data, name: str) -> None:
@@ -137,6 +189,11 @@ def remove_part(data: Data, name: str) -> None:
     rule = creature.get("self_collision")
     for kind, pairs in rule.items() if isinstance(rule, dict) else ():
         rule[kind] = [pair for pair in pairs if not any(map(is_gone, pair))]
+    if creature.get("tendons"):
+        for tendon in creature["tendons"]:
+            joints = tendon["joints"].items()
+            tendon["joints"] = {k: v for k, v in joints if not is_gone(k.rpartition(".")[0])}
+        creature["tendons"] = [each for each in creature["tendons"] if each["joints"]]
 
 
 def rename_part(data: Data, name: str, new: str) -> None:
@@ -180,6 +237,11 @@ def rename_references(data: Data, names: dict[str, str]) -> None:
     rule = creature.get("self_collision")
     for kind, pairs in rule.items() if isinstance(rule, dict) else ():
         rule[kind] = [[names.get(word, word) for word in pair] for pair in pairs]
+    for tendon in creature.get("tendons") or []:
+        joints = [(key.rpartition("."), x) for key, x in tendon["joints"].items()]
+        tendon["joints"] = {
+            f"{names.get(body, body)}{dot}{axis}": x for (body, dot, axis), x in joints
+        }
 
 
 def set_shape(data: Data, name: str, type: str) -> None:
@@ -231,8 +293,8 @@ def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
         name: name of the part.
         factors: factors along x, y and z.
     """
-    wanted = np.asarray(factors, float)
-    if wanted.shape != (3,) or not np.isfinite(wanted).all() or (wanted <= 0).any():
+    ratios = np.asarray(factors, float)
+    if ratios.shape != (3,) or not np.isfinite(ratios).all() or (ratios <= 0).any():
         raise DrawingError("the factors of a stretch must be three positive numbers")
     entry = entry_of(data, name)
     shape = entry["shape"]
@@ -241,15 +303,15 @@ def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
         if "file" not in shape:
             raise DrawingError(f"{name}: only a mesh from a file can be stretched")
         scale = np.broadcast_to(np.asarray(shape.get("scale", 1.0), float), 3)
-        shape["scale"] = tidy(scale * wanted)
+        shape["scale"] = tidy(scale * ratios)
     elif kind in _LENGTHS:
         before = np.array(_half_extents(shape))
         for key, axes in _LENGTHS[kind].items():
-            shape[key] = _stretched(kind, key, shape, axes, wanted)
-        wanted = np.array(_half_extents(shape)) / before
+            shape[key] = _stretched(kind, key, shape, axes, ratios)
+        ratios = np.array(_half_extents(shape)) / before
     else:
         raise DrawingError(f"{name}: a shape of type {kind!r} cannot be stretched")
-    _carry(data, str(entry["name"]), wanted)
+    _carry(data, str(entry["name"]), ratios)
 
 
 def _stretched(kind: str, key: str, shape: Data, axes: Any, factors: np.ndarray) -> Any:
@@ -278,6 +340,8 @@ def _carry(data: Data, name: str, factors: np.ndarray) -> None:
     joint = entry.get("joint")
     if isinstance(joint, dict) and "child_at" in joint:
         joint["child_at"] = tidy(np.array(joint["child_at"], float) * factors)
+    for further in entry.get("parts") or []:
+        further["at"] = tidy(np.array(further["at"], float) * factors)
     everything = all_copies(data)
     own = {copy.name for copy in everything if copy.entry == entry_index(data, name)}
     # The bodies of a row hang on each other, so `at` of the row moves, too.
@@ -293,7 +357,8 @@ def _carry(data: Data, name: str, factors: np.ndarray) -> None:
 
 
 def _half_extents(shape: Data | None) -> tuple[float, float, float]:
-    match (shape or {}).get("type"):
+    shape = shape or {}
+    match shape.get("type"):
         case "box":
             x, y, z = (size / 2 for size in shape["size"])
         case "ellipsoid":

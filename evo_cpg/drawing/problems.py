@@ -1,5 +1,6 @@
 """Messages of `validate` about a document, each with the part that it is about."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -10,6 +11,7 @@ from evo_cpg.config.load import complete_config
 from evo_cpg.creature.creature import CreatureError
 from evo_cpg.drawing.document import Data
 from evo_cpg.errors import UserError
+from evo_cpg.simulation.simulation import Simulation
 
 
 class Problem(NamedTuple):
@@ -28,13 +30,26 @@ class Problem(NamedTuple):
     words: str
 
 
-def problems(data: Data, source: Path, thorough: bool = True) -> list[Problem]:
+Advice = Callable[[Simulation], Sequence[str]]
+"""Warnings about a simulation, one sentence or more each."""
+
+
+def no_advice(simulation: Simulation) -> Sequence[str]:
+    """Return no warnings."""
+    del simulation
+    return ()
+
+
+def problems(
+    data: Data, source: Path, thorough: bool = True, advice: Advice = no_advice
+) -> list[Problem]:
     """Return the messages of `validate` about a document.
 
     Args:
         data: data of the document.
         source: file of the document, to whose folder other files are relative.
         thorough: whether to build the whole experiment, which takes longer.
+        advice: further warnings about the experiment.
     """
     try:
         config = complete_config(data, source)
@@ -43,7 +58,10 @@ def problems(data: Data, source: Path, thorough: bool = True) -> list[Problem]:
             for each in lint(config, source)
         ]
         if thorough:
-            require_genes(build_experiment(config, source), source)
+            experiment = build_experiment(config, source)
+            require_genes(experiment, source)
+            lines = advice(experiment.simulation)
+            found += [Problem("warning", None, ("controller",), line) for line in lines]
         return found
     except KeyProblem as error:
         return [Problem("error", _part(data, error.key), error.key, error.problem)]

@@ -10,7 +10,7 @@ from evo_cpg.creature.creature import CreatureError
 from evo_cpg.drawing.commands import edit
 from evo_cpg.drawing.document import Document, DrawingError
 from evo_cpg.drawing.mesh_file import add_mesh_file
-from evo_cpg.drawing.problems import Problem, problems
+from evo_cpg.drawing.problems import Advice, Problem, no_advice, problems
 from evo_cpg.drawing.scene import scene
 from evo_cpg.drawing.training_run import TrainingRun
 from evo_cpg.drawing.trying import simulate
@@ -24,10 +24,11 @@ class Session:
 
     Args:
         document: the document.
+        advice: further warnings about an animal, for its messages.
     """
 
-    def __init__(self, document: Document):
-        self.document = document
+    def __init__(self, document: Document, advice: Advice = no_advice):
+        self.document, self._advice = document, advice
         self._lock = threading.Lock()
         self._revision = 0
         self._sent: set[str] = set()
@@ -76,7 +77,8 @@ class Session:
         """
         with self._lock:
             data, source, revision = self.document.data, self.document.path, self._revision
-        return {"problems": _listed(problems(data, source)), "revision": revision}
+        found = problems(data, source, advice=self._advice)
+        return {"problems": _listed(found), "revision": revision}
 
     def poll(self) -> Answer:
         """Return the state of the try and of the run."""

@@ -80,7 +80,10 @@ class TrainingRun:
     def stop(self) -> None:
         """Interrupt the process as Control-C does, which keeps its generations."""
         if self.is_running:
-            self._process.send_signal(signal.SIGINT)
+            if sys.platform == "win32":
+                self._process.terminate()
+            else:
+                self._process.send_signal(signal.SIGINT)
             try:
                 self._process.wait(_PATIENCE)
             except subprocess.TimeoutExpired:

@@ -92,7 +92,8 @@ def read_joint(
         place = np.array(data.xanchor[(turning or joints)[0]])
     at = [0.0, 0.0, 0.0] if parent is None else parent.place(place)
     keys: dict[str, Any] = {"parent": "world" if parent is None else parent.name, "at": at}
-    keys |= {"child_at": own.place(place), "axes": []}
+    axes: list[Any] = []
+    keys |= {"child_at": own.place(place), "axes": axes}
     if parent is not None:
         turn = np.rad2deg(matrix_to_euler(parent.turn.T @ own.turn))
         if np.any(turn := tidy_vector(turn)):
@@ -115,14 +116,14 @@ def read_joint(
         direction = _axis(own.direction(np.array(data.xaxis[joint])))
         if int(model.jnt_type[joint]) == kinds.mjJNT_SLIDE:
             slide = {"slide": direction, "limits_m": limit and tidy_vector(np.array(limit))}
-            keys["axes"].append(slide | ({"rest_m": tidy(rest)} if rest else {}))
+            axes.append(slide | ({"rest_m": tidy(rest)} if rest else {}))
             limits.append(None)
             rests.append(0.0)
             continue
         anchor = np.array(data.xanchor[joint])
         apart = np.abs(anchor - place).max() > _AT_PLACE
         entry = {"turn": direction, "at": own.place(anchor)} if apart else direction
-        keys["axes"].append(entry)
+        axes.append(entry)
         limits.append(limit and tidy_vector(np.rad2deg(limit)))
         rests.append(tidy(np.rad2deg(rest)))
     if keys["axes"] == "ball":

@@ -66,11 +66,12 @@ def read_world(
                 "that MuJoCo's medium carries no weight: water here has buoyancy"
             )
         viscosity = float(model.opt.viscosity)
-        world["water"] = {"density": tidy(carried or density)}
+        water: dict[str, Any] = {"density": tidy(carried or density)}
         if viscosity:
-            world["water"]["viscosity"] = tidy(viscosity)
+            water["viscosity"] = tidy(viscosity)
         if np.any(model.opt.wind):
-            world["water"]["current"] = [tidy(float(x)) for x in model.opt.wind]
+            water["current"] = [tidy(float(x)) for x in model.opt.wind]
+        world["water"] = water
     elif float(model.opt.viscosity):
         compiled.refusals.leave_out(f"viscosity of the medium ({model.opt.viscosity:g})")
     elif np.any(model.opt.wind):

@@ -87,6 +87,7 @@ class Opinion(NamedTuple):
             under water. None without ground or with water everywhere, because it has no meaning
             then.
         joint_angle: angles, rad, and displacements, m, in our order of degrees of freedom.
+        slides: whether each degree of freedom is a displacement.
     """
 
     program: str
@@ -94,6 +95,7 @@ class Opinion(NamedTuple):
     upright: float
     airborne: float | None
     joint_angle: Float[np.ndarray, "d t"]
+    slides: Bool[np.ndarray, " d"]
 
     @property
     def displacement(self) -> float:
@@ -173,6 +175,7 @@ def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
         _upright_fraction(np.asarray(steps.after.orientation[:, each])),
         _airborne(simulation.world, held[each]),
         np.asarray(steps.after.q[:, each], float),
+        _slides(simulation),
     )
 
 
@@ -226,6 +229,7 @@ def second_opinion(
         _upright_fraction(poses.orientation[:, 1:]),
         _airborne(world, np.array(held)),
         poses.q[:, 1:],
+        _slides(simulation),
     )
 
 
@@ -471,6 +475,11 @@ def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "v t"]:
     rates = np.asarray(steps.before.rates, float)
     came = np.concatenate([rates[:, :1], np.asarray(steps.after.rates[:, :-1], float)], 1)
     return rates - came
+
+
+def _slides(simulation: Simulation) -> Bool[np.ndarray, " d"]:
+    """Return which degrees of freedom are displacements."""
+    return np.array([kind == "slide" for kind in simulation.world.tree.dof_kinds], bool)
 
 
 def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:

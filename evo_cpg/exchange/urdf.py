@@ -140,14 +140,14 @@ def _is_text(path: Path) -> bool:
 def _converted(path: Path) -> bytes | None:
     """Return a mesh as a binary STL file, or None if it cannot be read."""
     import trimesh
+    from trimesh.exchange.stl import export_stl
 
     try:
         mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
-        content = mesh.export(file_type="stl")
+        return export_stl(mesh)
     except Exception:
         # Any error of the reader concerns the file.
         return None
-    return bytes(content)
 
 
 def _found(path: Path, name: str) -> Path | None:

@@ -18,7 +18,7 @@ from evo_cpg.physics.joint_torque import expected_limit_torque, limit_torque
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.root import joint_rows, plus_torque
 from evo_cpg.physics.state import State
-from evo_cpg.spatial.linear import dot
+from evo_cpg.spatial.linear import dot, expand_dims_like
 
 # Number of degrees of freedom of a ball.
 _AXES = 3
@@ -113,6 +113,17 @@ def ball_laws(limits: BallLimits | None, state: State) -> BallLaws | None:
     direction = jnp.where(some[None], q / jnp.where(some, angle, 1.0)[None], 0.0)
     rate = dot(direction, _of_balls(limits, state.qd))
     return BallLaws(limits, direction, Angles(angle, rate))
+
+
+def within(limits: BallLimits | None, q: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+    """Return the coordinates with the rotations of balls shortened to their limits."""
+    if limits is None:
+        return q
+    turn = _of_balls(limits, q)
+    squared, upper = dot(turn, turn), expand_dims_like(limits.upper, turn[0])
+    beyond = squared > upper**2
+    scale = jnp.where(beyond, upper / jnp.sqrt(jnp.where(beyond, squared, 1.0)), 1.0)
+    return q.at[_rows(limits)].set(turn * scale[None])
 
 
 def _rows(limits: BallLimits) -> np.ndarray:

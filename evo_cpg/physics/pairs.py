@@ -186,6 +186,8 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
     if not first:
         return None
     one, two = (tree.rigid_mass[np.array(bodies)] for bodies in _owners(first, second, runs))
+    # A fixed root without mass counts like the limb that touches it.
+    one, two = xp.where(one > 0, one, two), xp.where(two > 0, two, one)
     stiffness = _STIFFNESS * xp.sqrt(one * two)
     if settings.only is not None:
         pairs = list(zip(first, second, strict=True))

@@ -188,7 +188,7 @@ class Strides(NamedTuple):
 
 
 class Frequency(Measure):
-    """Mean frequency of the joints' oscillations, from sign changes of their velocities, Hz."""
+    """Mean frequency of the turning axes, from sign changes of their velocities, Hz."""
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Strides:
         """See `Measure.begin`."""
@@ -204,7 +204,8 @@ class Frequency(Measure):
 
     def finish(self, tally: Strides, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
-        return tally.changes.sum(0) / (2.0 * tally.changes.shape[0] * trial.duration)
+        changes = _of_angles(tally.changes, trial.world)
+        return changes.sum(0) / (2.0 * changes.shape[0] * trial.duration)
 
 
 class Stepped(NamedTuple):
@@ -240,7 +241,7 @@ class Swing(NamedTuple):
 
 
 class Amplitude(Measure):
-    """Standard deviation of the joints' angles, mean of all joints, rad."""
+    """Standard deviation of the joints' angles, mean of all turning axes, rad."""
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Swing:
         """See `Measure.begin`."""
@@ -254,9 +255,19 @@ class Amplitude(Measure):
 
     def finish(self, tally: Swing, trial: Trial) -> Float[Array, " *n"]:
         """See `Measure.finish`."""
-        mean = tally.angle / trial.duration
-        variance = jnp.maximum(tally.square / trial.duration - mean * mean, 0.0)
+        angle, square = (_of_angles(x, trial.world) for x in tally)
+        mean = angle / trial.duration
+        variance = jnp.maximum(square / trial.duration - mean * mean, 0.0)
         return jnp.sqrt(variance).sum(0) / variance.shape[0]
+
+
+def _of_angles(each: Float[Array, "d *n"], world: World) -> Float[Array, "k *n"]:
+    """Return the part of turning axes, or everything if nothing turns.
+
+    Slides have another unit, and those of a root drift.
+    """
+    slides = np.array([kind == "slide" for kind in world.tree.dof_kinds], bool)
+    return each if slides.all() or not slides.any() else each[np.flatnonzero(~slides)]
 
 
 class Slid(NamedTuple):

@@ -7,8 +7,9 @@ the trial alone (see `evo_cpg.training.experiment.trial_keys`).
 The friction of the ground varies between trials. It is constant within a trial.
 
 A root that hangs on the world has no tilt, and a push moves it along its slides only. Slides start
-without noise. If the noise would let the animal penetrate the ground, the root is lifted, or the
-frame on which it hangs.
+without noise, because the size of the noise is an angle. A ball that starts beyond its limit turns
+back about the same direction to the limit. If the noise would let the animal penetrate the ground,
+the root is lifted, or the frame on which it hangs.
 
 The push is a random walk added to the root's velocity. Its standard deviation over a time t is
 ``push sqrt(t)``, for any length of a control step.
@@ -25,7 +26,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Shaped, UInt32
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics import hanging
+from evo_cpg.physics import ball_limit, hanging
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
@@ -42,8 +43,8 @@ class Noise(eqx.Module):
     """Sizes of the noise. A size of 0 costs no time.
 
     Attributes:
-        joint_angle: standard deviation of every initial joint angle, rad. Angles are clipped to the
-            joint limits.
+        joint_angle: standard deviation of every initial joint angle, rad, and of each component of
+            a ball's rotation. Angles are clipped to the joint limits.
         tilt: standard deviation of the root's initial roll and pitch, rad.
         push: standard deviation of the random change of the root's velocity along each axis in one
             second, m/s per square root of a second.
@@ -79,9 +80,6 @@ def disturb_start(
         return state
     tree = world.tree
     turn, bend = jnp.split(_normals(keys, _START, 2 + tree.dof_count), [2])
-    if "slide" in tree.dof_kinds:
-        turns = np.array([kind != "slide" for kind in tree.dof_kinds], float)
-        bend = bend * expand_dims_like(turns, bend)
     # Rotate by the rotation vector: an angular velocity of this size for one second.
     tilt = noise.tilt * jnp.concatenate([turn, jnp.zeros_like(turn[:1])])
     lower, upper = (expand_dims_like(limit, state.q) for limit in (tree.lower, tree.upper))
@@ -92,6 +90,7 @@ def disturb_start(
         angles = np.array([kind != "slide" for kind in tree.dof_kinds], float)
         bend = bend * expand_dims_like(angles, bend)
     q = jnp.clip(state.q + noise.joint_angle * bend, lower, upper)
+    q = ball_limit.within(tree.ball_limits, q)
     state = dataclasses.replace(state, orientation=orientation, q=q).placed(tree)
     if world.contact_model is None:
         return state

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Bool, Float, PyTree
 
 from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.errors import UserError
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.kinematics import kinematics
@@ -37,7 +38,7 @@ class Recording(NamedTuple):
         time: time since the start of the trial, s.
         position: centre of every body in the world, m.
         rotation: rotation of every body, from body to world axes.
-        joint_angle: joint angles, rad.
+        joint_angle: joint angles, rad, and displacements of slides, m.
         target_rate: commanded rate of each motor, rad/s.
         cpg_output: output of each oscillator, or `Command.signal` of a controller without
             oscillators.
@@ -58,6 +59,12 @@ class Recording(NamedTuple):
     distance: Float[np.ndarray, " t"]
     goal: Float[np.ndarray, "3"]
     dof_names: tuple[str, ...]
+
+    @property
+    def slides(self) -> Bool[np.ndarray, " d"]:
+        """Degrees of freedom that are displacements, with the units m, m/s and N."""
+        axes = [body_and_axis(name)[1] for name in self.dof_names]
+        return np.array([axis.startswith("slide_") for axis in axes], bool)
 
     def __repr__(self) -> str:
         span = f" from {self.time[0]:.4g} to {self.time[-1]:.4g} s" if len(self.time) else ""

@@ -12,6 +12,7 @@ from matplotlib.patches import ConnectionPatch
 from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.analysis.gait import bending_axis, dominant_frequency, fourier_component
+from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.figure import (
     BLUE,
@@ -118,7 +119,8 @@ def joint_signals_figure(
 
     Args:
         recording: the motion.
-        axis: axis such as ``z``. The default is the axis about which the animal bends most.
+        axis: axis such as ``z``, or ``slide_x`` for slides along x. The default is the axis about
+            which the animal bends most.
         window: first and last instant to show, s. By default 5 s in the middle of the second half:
             the animal has started by then, and has not arrived.
         chains: degrees of freedom that follow one another along the body, by their numbers in the
@@ -132,28 +134,32 @@ def joint_signals_figure(
     Raises:
         ValueError: no joint has this axis, or the window holds fewer than two instants.
     """
-    names = [name.rpartition(".") for name in recording.dof_names]
-    available = list(dict.fromkeys(letter for _, _, letter in names))
+    names = [body_and_axis(name) for name in recording.dof_names]
+    available = list(dict.fromkeys(letter for _, letter in names))
     if not available:
         raise ValueError("the recording has no joints, so there are no signals to plot")
     axis = bending_axis(recording) if axis is None else axis
     if axis not in available:
-        raise ValueError(f"no joint turns about axis {axis!r}. Allowed: {', '.join(available)}")
+        raise ValueError(f"no joint has the axis {axis!r}. Allowed: {', '.join(available)}")
     shown = _in_window(recording, window)
-    groups = _in_chains([i for i, name in enumerate(names) if name[2] == axis], chains)
+    groups = _in_chains([i for i, name in enumerate(names) if name[1] == axis], chains)
     rows = [row for group in groups for row in group]
     time = recording.time[shown]
-    angle = np.degrees(recording.joint_angle[shown][:, rows])
+    angle = recording.joint_angle[shown][:, rows]
+    word, unit, about = "displacement", "m", "along"
+    if not recording.slides[rows].any():
+        word, unit, about, angle = "joint angle", "deg", "about", np.degrees(angle)
     output = recording.cpg_output[shown][:, rows]
     swing = angle if signs is None else angle * signs[rows]
 
     figure = new_figure(8.0, 1.3 + 0.86 * len(rows))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    lines = _draw_rows(panels, time, {"joint angle (deg)": angle, signal: output})
+    lines = _draw_rows(panels, time, {f"{word} ({unit})": angle, signal: output})
     for panel, row in zip(panels, rows, strict=True):
         # Above the row, where no curve runs.
         panel.set_title(legible(names[row][0]), loc="left", **_NAME)
-    caption = f"{legible(title)}: joint signals about {axis}" if title else f"rotation about {axis}"
+    caption = f"joint signals {about} {axis.removeprefix('slide_')}"
+    caption = f"{legible(title)}: {caption}" if title else caption
     first = 0
     for group in groups:
         own = slice(first, first + len(group))
@@ -169,7 +175,7 @@ def joint_signals_figure(
         first += len(group)
     panels[-1].set_xlabel("time (s)")
     figure.suptitle(caption, fontsize=11)
-    words = ["joint angle", signal.partition(" (")[0]]
+    words = [word, signal.partition(" (")[0]]
     figure.legend(lines, words, loc="outside lower center", ncols=2)
     return figure
 

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from evo_cpg.analysis import footfalls
 from evo_cpg.analysis.gait import bending_axis
+from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.figure import draw_stances, framed
 from evo_cpg.view.legible import legible
@@ -46,23 +47,25 @@ class Signals(NamedTuple):
 
     Attributes:
         names: names of the joints' axes.
-        angle: angle about each axis, rad.
+        angle: angle about each axis, rad, or displacement along it, m.
+        slides: whether each axis slides.
         signal: controller's signal for each axis.
         word: name of the controller's signal.
         time: time of the samples, s.
         feet: names of the bodies that touch the ground. Empty without ground.
         touched: whether each foot touches the ground.
-        highest: angle, rad, and signal at which curves fill their rows.
+        highest: angle, rad, signal, and displacement, m, at which curves fill their rows.
     """
 
     names: tuple[str, ...]
     angle: Float[np.ndarray, "t d"]
+    slides: Bool[np.ndarray, " d"]
     signal: Float[np.ndarray, "t d"]
     word: str
     time: Float[np.ndarray, " t"]
     feet: tuple[str, ...]
     touched: Bool[np.ndarray, "t f"]
-    highest: tuple[float, float]
+    highest: tuple[float, float, float]
 
 
 def signals_of(
@@ -75,7 +78,7 @@ def signals_of(
     """Return the signals of a recording, with one axis of every joint.
 
     The axis is y or z, about which the animal bends. A joint without this axis is shown with the
-    axis about which it turns most.
+    axis about which it turns most, or along which it slides most if no axis turns.
 
     Args:
         recording: the motion.
@@ -85,24 +88,29 @@ def signals_of(
         touched: whether each foot touches the ground at the recording's times, or None without
             ground.
     """
-    swing = recording.joint_angle.std(0)
+    swing, slides = recording.joint_angle.std(0), recording.slides
     bending = bending_axis(recording) if recording.dof_names else ""
     joints: dict[str, int] = {}
     for i, name in enumerate(recording.dof_names):
-        body, _, axis = name.rpartition(".")
+        body, axis = body_and_axis(name)
         best = joints.setdefault(body, i)
         bends = recording.dof_names[best] == f"{body}.{bending}"
-        if axis == bending or (not bends and swing[i] > swing[best]):
+        more = (not slides[i], swing[i]) > (not slides[best], swing[best])
+        if axis == bending or (not bends and more):
             joints[body] = i
-    most = max((swing[i] for i in joints.values()), default=0.0)
-    chosen = [i for i in joints.values() if swing[i] >= _STILL * most]
+    shown = np.array([*joints.values()], int)
+    most = {kind: swing[shown[slides[shown] == kind]].max(initial=0.0) for kind in (False, True)}
+    chosen = [i for i in shown if swing[i] >= _STILL * most[bool(slides[i])]]
     names = tuple(recording.dof_names[i] for i in chosen)
     angle, signal = recording.joint_angle[:, chosen], recording.cpg_output[:, chosen]
     touched = np.zeros((len(recording.time), 0), bool) if touched is None else touched
-    highest = _highest(angle), _highest(signal)
+    tallest, loudest = _highest(angle[:, ~slides[chosen]]), _highest(signal)
     if same_unit:
-        highest = max(highest), max(highest)
-    return Signals(names, angle, signal, word, recording.time, feet, touched, highest)
+        tallest = loudest = max(tallest, loudest)
+    highest = tallest, loudest, _highest(angle[:, slides[chosen]])
+    return Signals(
+        names, angle, slides[chosen], signal, word, recording.time, feet, touched, highest
+    )
 
 
 class Strip:
@@ -181,7 +189,8 @@ class Strip:
         inside = (signals.time >= start) & (signals.time <= end)
         time = signals.time[inside]
         colours = _DARK if self._look.zenith is None else _BRIGHT
-        tallest, loudest = signals.highest
+        tallest, loudest, farthest = signals.highest
+        scales = np.where(signals.slides, farthest, tallest)
         places: list[float] = []
         for i in range(len(signals.names)):
             middle = i + 0.5
@@ -189,7 +198,7 @@ class Strip:
             axes.axhline(middle, color=self._look.text, alpha=0.12, lw=0.5 * self._scale)
             shown = (
                 (signals.signal[inside, i] / loudest, colours[1], 0.9, (0, (3.5, 1.5))),
-                (signals.angle[inside, i] / tallest, colours[0], 1.5, "solid"),
+                (signals.angle[inside, i] / scales[i], colours[0], 1.5, "solid"),
             )
             for values, colour, wide, style in shown:
                 curve = middle - 0.46 * np.clip(values, -1.0, 1.0)
@@ -208,10 +217,14 @@ class Strip:
         """Write a legend of the lines and bars in a line above them."""
         signals = self._signals
         colours = _DARK if self._look.zenith is None else _BRIGHT
-        degrees = np.degrees(signals.highest[0])
+        angle, _, displacement = signals.highest
         words: list[tuple[str, str]] = []
         if signals.names:
-            words = [(f"joint angle, up to {degrees:.0f} deg", colours[0])]
+            ranges = [f"joint angle, up to {np.degrees(angle):.0f} deg"]
+            if signals.slides.any():
+                slid = f"displacement, up to {displacement:.2g} m"
+                ranges = [slid] if signals.slides.all() else [*ranges, slid]
+            words = [(", ".join(ranges), colours[0])]
             if np.abs(signals.signal).max(initial=0.0) > 0:
                 words.append((f"- - {signals.word}", colours[1]))
         if signals.feet:
@@ -243,6 +256,7 @@ def _shown(signals: Signals, room: float) -> Signals:
     return signals._replace(
         names=signals.names[::every],
         angle=signals.angle[:, ::every],
+        slides=signals.slides[::every],
         signal=signals.signal[:, ::every],
         feet=tuple(signals.feet[i] for i in feet),
         touched=signals.touched[:, feet],

@@ -173,8 +173,8 @@ def test_a_solver_that_adds_energy_or_momentum_is_flagged(monkeypatch, cheat):
     """Two wrong solvers: one lets velocities grow by 5 % a step, one pushes without a force."""
     right = evo_cpg.physics.step.integrate
 
-    def wrong(state, root, qdd, h):
-        new = right(state, root, qdd, h)
+    def wrong(tree, state, root, qdd, h):
+        new = right(tree, state, root, qdd, h)
         if cheat == "energy":
             return dataclasses.replace(new, velocity=_MORE * new.velocity, qd=_MORE * new.qd)
         return dataclasses.replace(new, velocity=new.velocity.at[3].add(_PUSH))

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from evo_cpg.cli import advice
-from evo_cpg.cli.advice import animal_digest, warn_of_cost
+from evo_cpg.cli.advice import animal_digest
 from evo_cpg.config.load import load_config
 from evo_cpg.fusion.engine import Engine, EngineName
 from evo_cpg.simulation.operations import Operations
@@ -24,7 +24,8 @@ def warning(monkeypatch, capsys):
         monkeypatch.setattr(advice, "estimate_operations", lambda simulation: operations)
         monkeypatch.setattr(advice, "expected_seconds", lambda operations: measured)
         simulation: Any = SimpleNamespace(engine=Engine(name))
-        warn_of_cost(Path("a.yaml"), simulation)
+        monkeypatch.setattr(advice, "about_oscillators", lambda simulation: [])
+        advice.advise(Path("a.yaml"), simulation)
         return capsys.readouterr().err
 
     return of

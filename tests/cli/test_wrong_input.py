@@ -430,7 +430,6 @@ def test_a_creature_without_genes_is_drawn_and_exported(cli, tmp_path):
         ("runs=0", "runs: 0: must be greater than"),
         ("controller.brain.hidden=[0]", "hidden layers need at least one unit each, got (0,)"),
         ("creature.bodies=[]", "creature.bodies: []: must have at least 1, has 0"),
-        ("creature.bodies.1.joint.axes=[]", "joint.axes: []: must have at least 1, has 0"),
         ("creature.bodies.0.shape.size=[0, 1, 1]", "shape.size.0: 0: must be greater"),
         ("creature.name=''", "creature.name: '': must not be empty"),
     ],

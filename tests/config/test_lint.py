@@ -38,6 +38,15 @@ MISTAKES = {
         "task.type",
         "'head' is fixed to the world, so it is always 0",
     ),
+    "limits in rad at the world": (
+        CONFIG,
+        [
+            "creature.bodies.0.joint={parent: world, at: [0, 0, 0], child_at: [0, 0, 0], "
+            "axes: [z], limits_deg: [-1.05, 1.05]}",
+        ],
+        "creature.bodies.0.joint.limits_deg",
+        "If it is in radians, write 60.2",
+    ),
     "density in g/cm^3": (
         CONFIG,
         ["creature.materials.body.density=1"],

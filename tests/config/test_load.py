@@ -394,8 +394,13 @@ def test_postures_beyond_a_joints_limits_are_rejected():
     data = small(**changes, **PULLING, creature__bodies__1__joint__limits_deg=[-75, 69])
     assert "allow -75 to 69" in problem(data)
     assert "from -60 to 80" in problem(small(**changes, **PULLING, controller__lowest_angle=120))
+    slide = {"creature__bodies__1__joint__axes": [{"slide": "x"}]}
+    assert "postures command angles, but joint tail.slide_x slides" in problem(
+        small(**changes, **PULLING, **slide)
+    )
     for accepted in (
         small(**changes),
+        small(**changes, **slide),
         small(**changes, **PULLING, creature__bodies__1__joint__limits_deg=[-70, 70]),
         small(**changes, **PULLING, controller__lowest_angle=130, controller__angle_step=14),
     ):
@@ -447,6 +452,19 @@ def test_tasks_without_a_light():
     assert (priced.slip_weight, priced.cost_weight) == (6, 7)
     # The head is a box 0.2 m long.
     assert (walk.light, walk.heading, walk.torso_length) == (None, "any", pytest.approx(0.2))
+
+
+def test_a_root_without_a_shape_is_as_long_as_its_longest_part():
+    """Without parts it is as long as the whole animal, here its tail."""
+    data = small(task__type="walk", world__ground={})
+    root = data["creature"]["bodies"][0]
+    root |= {"shape": None, "mass": 1.0, "inertia": [1, 1, 1, 0, 0, 0]}
+    alone = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.task
+    assert isinstance(alone, Walk) and alone.torso_length == pytest.approx(0.2)
+    ball, rod = {"type": "sphere", "radius": 0.1}, {"type": "box", "size": [0.1, 0.1, 0.7]}
+    root["parts"] = [{"shape": shape, "at": [0, 0, 0]} for shape in (ball, rod)]
+    walk = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.task
+    assert isinstance(walk, Walk) and walk.torso_length == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize(

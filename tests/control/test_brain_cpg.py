@@ -178,6 +178,31 @@ def test_neurons_command_torque_motors_like_rigid_muscles(chain):
     assert command.target_rate[0] == 0 and command.target_rate[1] != 0
 
 
+def test_neurons_command_angles_to_motors_with_a_spring(chain):
+    """Angle A (ML - MR), within the limits. Such a motor has a target rate of 0."""
+    tree = chain(4, "z")
+    stiffness, upper = np.array([2.0, 2.0, 0.0]), np.array([9.0, 0.1, 9.0])
+    tree = dataclasses.replace(tree, servo_stiffness=stiffness, upper=upper)
+    sense = observe(np.random.default_rng(0), 3)
+    commands = []
+    for size in (60.0, 0.0):
+        settings = BrainCpgSettings(cpg=CpgSettings(max_tonic_input=2.0), angle_range_deg=size)
+        grown = build_brain_cpg(tree, 1, 3, settings)
+        state = grown.initial_state((), float)
+        potential = jnp.array([[1.5, 1.5, 3.0], [0.5, 0.5, 0.5]])
+        state = eqx.tree_at(lambda s: s.potential, state, potential)
+        commands.append(grown.command(state, sense))
+    angles, none = commands
+    np.testing.assert_allclose(angles.target_angle, [np.pi / 3 * 0.5, 0.1, 0.0])
+    np.testing.assert_array_equal(angles.target_rate != 0, [False, False, True])
+    assert none.target_angle is None and (none.target_rate != 0).all()
+
+
+def test_a_negative_range_of_angles_is_refused():
+    with pytest.raises(ValueError, match="angle_range_deg must not be negative, got -1"):
+        BrainCpgSettings(angle_range_deg=-1)
+
+
 def test_command_is_limited_to_the_largest_rate(chain):
     grown = build_brain_cpg(chain(3, "z"), 1, 3, BrainCpgSettings(rate_gain=1e4, max_rate=2.0))
     sense = observe(np.random.default_rng(0), 2, pressures=3)

@@ -144,6 +144,42 @@ def test_a_row_carries_its_parts_on_its_last_body(animal):
         assert fin.parent == last
 
 
+def test_a_further_shape_stands_on_the_surface_of_its_body(animal):
+    do(animal, "add_part", parent="body", place=[0, -0.05, 0], normal=[0, -1, 0], name="fin")
+    do(animal, "mirror", name="fin")
+    ball = {"type": "sphere", "radius": 0.01}
+    do(animal, "add_shape", part="right_fin", place=[0.08, -0.02, 0], normal=[0, -1, 0], shape=ball)
+    before = centres(animal)
+    assert list(before) == ["body", "left_fin", "left_fin/2", "right_fin", "right_fin/2"]
+    # The right fin points along -y, so its own -y is behind it.
+    offset = before["right_fin/2"] - before["right_fin"]
+    np.testing.assert_allclose(offset, [-0.03, -0.08, 0], atol=1e-6)
+    do(animal, "separate", name="{side}_fin")
+    for name, place in centres(animal).items():
+        np.testing.assert_allclose(place, before[name], atol=1e-6)
+    do(animal, "stretch", name="left_fin", factors=[2, 1, 1])
+    further = animal.data["creature"]["bodies"][1]["parts"]
+    assert further[0]["at"] == [0.16, 0.03, 0]
+    do(animal, "remove_shape", name="left_fin", index=0)
+    assert "left_fin/2" not in centres(animal)
+
+
+def test_tendons_follow_the_names_of_their_joints(animal):
+    do(animal, "add_part", parent="body", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="tail")
+    do(animal, "add_part", parent="tail", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="fin")
+    tendon = {"name": "cord", "joints": {"tail.y": 1, "fin.z": -1}, "stiffness": 1}
+    do(animal, "set_value", key=["creature", "tendons"], value=[tendon])
+    do(animal, "rename_part", name="tail", new="stem")
+    assert animal.data["creature"]["tendons"][0]["joints"] == {"stem.y": 1, "fin.z": -1}
+    assert [
+        x for x in problems(animal.data, animal.path, thorough=False) if x.kind == "error"
+    ] == []
+    do(animal, "remove_part", name="fin")
+    assert animal.data["creature"]["tendons"][0]["joints"] == {"stem.y": 1}
+    do(animal, "remove_part", name="stem")
+    assert animal.data["creature"]["tendons"] == []
+
+
 def test_a_row_of_another_size_follows_its_first_body(animal):
     do(animal, "add_part", parent="body", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="tail",
        shape={"type": "box", "size": [0.06, 0.04, 0.04]})  # fmt: skip
@@ -197,6 +233,7 @@ def test_removed_parts_leave_no_reference(animal):
     [
         ("remove_part", {"name": "body"}, "is the root, which carries"),
         ("remove_part", {"name": "wing"}, "there is no part 'wing'"),
+        ("remove_shape", {"name": "fin", "index": 0}, "fin has no further shape 0"),
         ("shift", {"part": "body", "by": [1, 0, 0]}, "is the root, to which"),
         ("mirror", {"name": "body"}, "is the root, which has no joint"),
         ("mirror", {"name": "fin"}, "its joint is in the mirror plane"),
@@ -250,6 +287,8 @@ def random_edit(animal: Document, draw: random.Random) -> tuple[str, dict]:
     normal = [draw.choice((-1, 0, 1)) for _ in range(3)]
     given = {
         "add_part": {"parent": name, "place": vector, "normal": normal},
+        "add_shape": {"part": name, "place": vector, "normal": normal},
+        "remove_shape": {"name": name, "index": draw.randrange(2)},
         "remove_part": {"name": name},
         "rename_part": {"name": name, "new": name.replace("part", "piece")},
         "set_shape": {

@@ -207,6 +207,39 @@ def test_a_gizmo_moves_a_part_and_its_copies(drawn):
     assert right[0] == pytest.approx(after[0], abs=1e-6)
 
 
+def test_edits_of_a_program_that_crashed_are_offered(drawn, tmp_path):
+    drawn.part("body")
+    drawn.fill("size x", "0.3")
+    # The program ends without saving, and starts again.
+    again = Document.new(drawn.document.path)
+    with (
+        PageServer(Session(again)) as server,
+        chromium.browser(tmp_path / "another profile") as page,
+    ):
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        page.visit(server.address)
+        page.wait("document.querySelectorAll('#tree button').length > 0")
+        other = Drawn(page, server)
+        text = "document.getElementById('text').textContent"
+        assert not page.run("document.getElementById('recovered').hidden")
+        assert "0.3" in page.run(text)
+        other.click("#discard")
+        assert "0.3" not in page.run(text)
+        other.click("#undo")
+        assert "0.3" in page.run(text)
+        server.shutdown()
+        thread.join()
+
+
+def test_a_further_shape_is_drawn_with_the_mouse(drawn):
+    drawn.add("shape", "side", 0.3, 0, "body")
+    assert drawn.page.run("View.names") == ["body", "body/2"]
+    drawn.fill("shape 1 at z", "0.08")
+    drawn.click("#save")
+    assert load_config(drawn.document.path).creature.bodies[0].parts[0].at[2] == 0.08
+
+
 def test_wrong_entries_and_lost_comments_are_told(drawn):
     drawn.add("part", "side", 0, 0, "body")
     drawn.fill("lower limit", "90")

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 import trimesh
 
+from evo_cpg.cli.advice import about_oscillators
 from evo_cpg.config.load import load_config
 from evo_cpg.drawing.document import Document
 from evo_cpg.drawing.page.server import MOST_BYTES, PageServer
@@ -17,7 +18,8 @@ from evo_cpg.drawing.session import Session
 
 @pytest.fixture
 def server(tmp_path) -> Iterator[PageServer]:
-    with PageServer(Session(Document.new(tmp_path / "animal.yaml"))) as made:
+    document = Document.new(tmp_path / "animal.yaml")
+    with PageServer(Session(document, advice=about_oscillators)) as made:
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         yield made
@@ -131,6 +133,14 @@ def test_the_experiment_is_checked_after_the_edits(server):
     assert found["revision"] == first["revision"]
     assert [each["kind"] for each in found["problems"]] == ["error"]
     assert "at least one joint" in found["problems"][0]["words"]
+    place = {"parent": "body", "place": [-0.1, 0, 0], "normal": [-1, 0, 0], "name": "tail"}
+    ask(server, "/edit", {"command": "add_part", "given": place})
+    ask(server, "/edit", {"command": "add_eye", "given": {"part": "body"} | {
+        "place": [0.1, 0, 0], "axis": [1, 0, 0]}})  # fmt: skip
+    alone = {"name": "tail", "key": "axes", "value": ["z"]}
+    ask(server, "/edit", {"command": "set_joint", "given": alone})
+    (found,) = ask(server, "/check", {})[1]["problems"]
+    assert found["key"] == ["controller"] and "at rest under a constant drive" in found["words"]
 
 
 def test_comments_are_lost_only_with_consent(server):

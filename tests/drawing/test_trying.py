@@ -53,7 +53,12 @@ def test_a_resting_animal_falls_freely_and_a_driven_one_bends():
     time = np.arange(made["count"]) / made["rate"]
     fallen = place[0, 0, 2] - place[:, 0, 2]
     np.testing.assert_allclose(fallen, 9.81 / 2 * (time + 1 / 60) ** 2, rtol=0.02, atol=0.2)
-    driven = places(simulate(animal(water={"density": 1000}), HERE, "rhythm"))
+    swimmer = animal(water={"density": 1000})
+    joint = swimmer["creature"]["bodies"][1]["joint"]
+    # An oscillator alone is at rest, and two are not.
+    tail = {"name": "c", "shape": {"type": "sphere", "radius": 0.05}, "material": "m"}
+    swimmer["creature"]["bodies"].append(tail | {"joint": joint | {"parent": "b"}})
+    driven = places(simulate(swimmer, HERE, "rhythm"))
     between = driven[:, 0] - driven[:, 1]
     angle = np.unwrap(np.arctan2(between[:, 1], between[:, 0]))
     assert np.ptp(angle) > 0.05 and np.abs(driven[..., 2] - driven[0, 0, 2]).max() < 1e-3

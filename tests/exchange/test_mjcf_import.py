@@ -62,26 +62,24 @@ OTHERS = """
 """
 
 # Slides and hinges at different places, a ball, a welded limb, two tendons, a servo without a
-# damper, an actuator with dynamics, and inertia in numbers. It hangs on a fixed body.
+# damper, an actuator with dynamics, and inertia in numbers. It hangs on the world.
 HUNG = """
 <mujoco model="crane">
   <compiler angle="radian"/>
   <option gravity="0 0 -9.81"/>
   <worldbody>
-    <body name="rail" pos="0 1 2"><geom type="box" size="2 0.1 0.1"/>
-      <body name="cart" pos="0 0 -0.2">
-        <joint name="x" type="slide" axis="1 0 0" range="-1 1" ref="0.2" damping="2"/>
-        <joint name="roll" axis="1 0 0" pos="0 0.1 0" armature="0.1"/>
-        <joint name="pitch" axis="0 1 0" pos="0.2 0 0.1" stiffness="3" springref="0.4"/>
-        <geom type="cylinder" size="0.1 0.2" euler="0.3 0.2 0"/>
-        <body name="arm" pos="0 0 -0.3" euler="0 0.4 0">
-          <geom type="capsule" size="0.05" fromto="0 0 0 0 0.3 -0.2"/>
-          <body name="hand" pos="0 0.3 -0.2">
-            <inertial pos="0.01 0.02 0" mass="0.7" fullinertia="0.02 0.03 0.04 0.001 0 -0.002"/>
-            <joint name="wrist" type="ball" range="0 1" stiffness="0.5" damping="0.1"/>
-            <body name="finger" pos="0.1 0 0">
-              <joint name="finger" axis="0 0 1"/><geom size="0.03" pos="0.1 0 0"/>
-            </body>
+    <body name="cart" pos="0 1 1.8">
+      <joint name="x" type="slide" axis="1 0 0" range="-1 1" ref="0.2" damping="2"/>
+      <joint name="roll" axis="1 0 0" pos="0 0.1 0" armature="0.1"/>
+      <joint name="pitch" axis="0 1 0" pos="0.2 0 0.1" stiffness="3" springref="0.4"/>
+      <geom type="cylinder" size="0.1 0.2" euler="0.3 0.2 0"/>
+      <body name="arm" pos="0 0 -0.3" euler="0 0.4 0">
+        <geom type="capsule" size="0.05" fromto="0 0 0 0 0.3 -0.2"/>
+        <body name="hand" pos="0 0.3 -0.2">
+          <inertial pos="0.01 0.02 0" mass="0.7" fullinertia="0.02 0.03 0.04 0.001 0 -0.002"/>
+          <joint name="wrist" type="ball" range="0 1" stiffness="0.5" damping="0.1"/>
+          <body name="finger" pos="0.1 0 0">
+            <joint name="finger" axis="0 0 1"/><geom size="0.03" pos="0.1 0 0"/>
           </body>
         </body>
       </body>
@@ -237,6 +235,14 @@ def test_a_medium_of_mujoco_is_water(read):
         "current": [1.0, 0.0, 0.0],
     }
     assert found["task"] == {"type": "distance", "heading": "forward"}
+
+
+def test_compensated_gravity_is_less_gravity(read):
+    """The same lift on every kg. In a liquid, the lift of a fluid of one density is buoyancy."""
+    lifted = model(attributes='gravcomp="0.75"').replace('"trunk"', '"trunk" gravcomp="0.75"')
+    assert read(lifted).experiment["world"] == {"gravity": 9.81 / 4, "water": None}
+    wet = lifted.replace("<worldbody>", '<option density="750"/><worldbody>')
+    assert read(wet).experiment["world"] == {"gravity": 9.81, "water": {"density": 750.0}}
 
 
 def test_trees_on_the_world_hang_on_a_fixed_root(read):

@@ -17,7 +17,7 @@ from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.state import resting_state
 from evo_cpg.simulation.physics_steps import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
-from tiny_run import CONFIG, PAIR
+from tiny_run import CONFIG, PAIR, TINY
 
 
 def trial(path, *overrides):
@@ -76,6 +76,35 @@ def test_motors_agree_in_both_programs(actuator):
     for brain in (None, Brain(simulation, genes)):
         other = second_opinion(simulation, experiment.creature, steps, brain=brain)
         np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=5e-3)
+        np.testing.assert_allclose(other.path, own.path, atol=2e-3)
+
+
+BOX = "shape: {type: box, size: [0.2, 0.1, 0.1]}, material: body"
+PLANAR = "{parent: world, at: [0, 0, 0], child_at: [0, 0, 0], axes: [{slide: x}, {slide: y}, z]}"
+BEHIND = "at: [-0.11, 0, 0], child_at: [0.11, 0, 0], limits_deg: null"
+KINDS = f"""creature.bodies=[
+    {{name: head, {BOX}, joint: {PLANAR}}},
+    {{name: neck, {BOX}, joint: {{parent: head, {BEHIND}, axes: [{{slide: x}}],
+        actuator: {{gain: 5, stiffness: 20}}}}}},
+    {{name: trunk, {BOX}, joint: {{parent: neck, {BEHIND}, axes: ball, actuator: {{gain: 1}}}}}},
+    {{name: tail, {BOX}, joint: {{parent: trunk, {BEHIND},
+        axes: [{{turn: z, at: [0.11, 0.03, 0]}}], actuator: {{gain: 1}}}}}}]"""
+
+
+@pytest.mark.slow
+def test_slides_balls_and_a_planar_root_agree_in_both_programs():
+    """A head slides and turns in the plane, with a slide, a ball and an eccentric hinge behind."""
+    experiment, genes, steps = trial(
+        CONFIG, *TINY, KINDS, "simulation.steps=60", "simulation.substeps=8"
+    )
+    simulation = experiment.simulation
+    own = own_opinion(simulation, steps)
+    assert own.slides.tolist() == [True, True, False, True, False, False, False, False]
+    driven = np.abs(own.joint_angle).max(1)
+    assert (driven[4:] > 0.05).all() and driven[3] > 1e-3 and (driven[:3] > 1e-4).all()
+    for brain in (None, Brain(simulation, genes)):
+        other = second_opinion(simulation, experiment.creature, steps, brain=brain)
+        np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=2e-3)
         np.testing.assert_allclose(other.path, own.path, atol=2e-3)
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from trimesh.exchange.stl import export_stl_ascii
 
 from benchmarks.imported_models import largest_difference
 from evo_cpg.creature.creature import TorqueMotor
@@ -44,7 +45,7 @@ def robot(tmp_path):
     meshes = tmp_path / "arm_description" / "arm" / "meshes"
     meshes.mkdir(parents=True)
     box = trimesh.creation.box((0.05, 0.1, 0.4))
-    (meshes / "upper.stl").write_text(trimesh.exchange.stl.export_stl_ascii(box))
+    (meshes / "upper.stl").write_text(export_stl_ascii(box))
     path = tmp_path / "arm_description" / "urdf" / "arm.urdf"
     path.parent.mkdir()
     path.write_text(ROBOT)

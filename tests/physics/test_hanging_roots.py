@@ -14,7 +14,8 @@ from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
-from evo_cpg.creature.creature import WORLD, Body, Creature, Joint, Material
+from evo_cpg.creature.creature import NO_MASS, WORLD, Body, Creature, Joint, Material
+from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
@@ -26,6 +27,7 @@ from evo_cpg.physics.contact_model import Ground, make_contact_model
 from evo_cpg.physics.generalized import generalized_force, mass_matrix
 from evo_cpg.physics.joint_torque import passive_torque
 from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.root import ROOT_DOFS
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.state import State, resting_state
@@ -73,6 +75,24 @@ def random_hanging_state(tree: Tree, rng: np.random.Generator) -> State:
     turn = Situation(START, HEADING).orientation
     base = resting_state(tree, (), jnp.float64, START, turn).base
     return dataclasses.replace(random_state(tree, rng), base=base).placed(tree)
+
+
+def test_a_massless_fixed_root_stops_limbs():
+    """It counts like the limb that touches it."""
+    elbow = Joint("root", (0.3, 0, 0), (-0.3, 0, 0), ((0.0, 0.0, 1.0),), (-3.0,), (3.0,))
+    wrist = dataclasses.replace(elbow, parent="arm")
+    limb = Body("arm", Box((0.4, 0.1, 0.1)), Material(1000.0), elbow)
+    fixed = Joint(WORLD, (0, 0, 0), (0, 0, 0), (), (), ())
+    stiffness = []
+    for inertial in (NO_MASS, None):
+        root = Body("root", limb.shape, limb.material, inertial=inertial)
+        bodies = root, limb, dataclasses.replace(limb, name="hand", joint=wrist)
+        creature = Creature("reacher", bodies, root_joint=fixed)
+        pairs = make_pairs(creature, build_tree(creature), SelfCollision())
+        assert pairs is not None and (pairs.first, pairs.second) == ((0,), (2,))
+        stiffness.append(pairs.stiffness)
+    np.testing.assert_array_equal(*stiffness)
+    assert (stiffness[0] > 0).all()
 
 
 @quick_jit

@@ -110,5 +110,7 @@ def test_single_batched_and_vmapped_steps_agree(animal):
     mapped = quick_jit(jax.vmap(run, in_axes=-1, out_axes=-1))(starts, targets)
     alone = stack([single(pick(starts, n), targets[..., n]) for n in range(INDIVIDUALS)])
     for name, expected in vars(together).items():
+        if expected is None:
+            continue
         np.testing.assert_allclose(getattr(mapped, name), expected, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(getattr(alone, name), expected, rtol=1e-12, atol=1e-12)

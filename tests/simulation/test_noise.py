@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.creature.creature import lowest_height
+from evo_cpg.creature.creature import Body, Creature, Joint, Material, lowest_height
+from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.physics.contact_model import Ground, make_contact_model
@@ -48,6 +49,26 @@ def test_initial_angles_are_noisy_within_joint_limits(simulation):
     assert wide.min() == -1.0 and wide.max() == 1.0
     # 62 % of draws lie beyond half a standard deviation.
     assert (np.abs(wide) == 1.0).mean() == pytest.approx(0.617, abs=0.03)
+
+
+def test_balls_start_within_their_limit():
+    joint = Joint(
+        "a", (0.2,) * 3, (-0.2,) * 3, tuple(map(tuple, np.eye(3))), (-1.0,) * 3, (1.0,) * 3
+    )
+    ball = dataclasses.replace(joint, kinds=("ball",) * 3)
+    body = Body("a", Box((0.2,) * 3), Material(1000.0))
+    pair = Creature("pair", (body, dataclasses.replace(body, name="b", joint=ball)))
+    world = World(build_tree(pair), 9.81)
+    rest = resting_state(world.tree, KEYS.shape[1:], jnp.float32)
+    narrow, wide = (
+        np.linalg.norm(disturb_start(Noise(joint_angle=x), world, rest, KEYS).q, axis=0)
+        for x in (0.2, 1.0)
+    )
+    # The mean length of a vector of three normal deviates is sqrt(8 / pi).
+    assert narrow.mean() == pytest.approx(0.2 * np.sqrt(8 / np.pi), rel=0.03)
+    assert wide.max() == pytest.approx(1.0, abs=1e-6)
+    # 80 % of draws are longer than one standard deviation.
+    assert (wide > 0.999).mean() == pytest.approx(0.801, abs=0.03)
 
 
 def test_the_root_rolls_and_pitches_but_does_not_turn(simulation):

@@ -65,6 +65,19 @@ def test_the_crests_give_frequency_and_lag(recording):
     assert np.abs(beats - np.rint(beats))[near].max() < 0.03
 
 
+def test_slides_are_drawn_in_metres():
+    recording = synthetic.swim(4)
+    names = tuple(name.replace(".x", ".slide_x") for name in recording.dof_names)
+    recording = recording._replace(dof_names=names)
+    figure = joint_signals_figure(recording, "slide_x")
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert "displacement (m)" in labels and figure.get_suptitle().startswith(
+        "joint signals along x"
+    )
+    angle = next(axes for axes in joint_signals_figure(recording).axes if axes.get_ylabel())
+    assert angle.get_ylabel() == "joint angle (deg)"
+
+
 def test_a_still_animal_has_no_crests():
     assert _crests(np.linspace(0, 5, 100), np.zeros((100, 3))) is None
 
@@ -142,7 +155,7 @@ def test_joint_signals_show_the_given_window(recording, still):
 
 
 def test_joint_signals_that_cannot_be_drawn_are_refused(recording):
-    with pytest.raises(ValueError, match=r"no joint turns about axis 'w'\. Allowed: x, y, z"):
+    with pytest.raises(ValueError, match=r"no joint has the axis 'w'\. Allowed: x, y, z"):
         joint_signals_figure(recording, axis="w")
     with pytest.raises(ValueError, match="from 50 s to 60 s holds 0 recorded instants"):
         joint_signals_figure(recording, window=(50, 60))

@@ -46,6 +46,29 @@ def test_one_axis_of_every_moving_joint_is_shown(recording):
     assert signals_of(other, "").names[:2] == ("b1.y", "b2.z")
 
 
+def test_slides_have_a_scale_in_metres(recording):
+    """The first body slides by up to 0.5 m, and turns by less than the others."""
+    names = ("b1.slide_x", *recording.dof_names[1:])
+    angle = recording.joint_angle.copy()
+    angle[:, :3] = 0.0
+    angle[:, 0] = 0.5 * np.sin(np.linspace(0, 60, len(angle)))
+    slid = recording._replace(joint_angle=angle, dof_names=names)
+    shown = signals_of(slid, "CPG output")
+    assert shown.names[:2] == ("b2.z", "b3.z") and not shown.slides.any()
+    only = [0, *range(3, 27)]
+    slid = slid._replace(
+        joint_angle=angle[:, only],
+        cpg_output=slid.cpg_output[:, only],
+        dof_names=tuple(names[i] for i in only),
+    )
+    shown = signals_of(slid, "CPG output")
+    assert shown.names[:2] == ("b1.slide_x", "b2.z")
+    assert shown.slides.tolist() == [True] + [False] * 8
+    turning = signals_of(recording, "CPG output").highest[0]
+    assert shown.highest[0] == pytest.approx(turning, rel=0.05)
+    assert shown.highest[2] == pytest.approx(0.5, rel=0.01)
+
+
 def test_the_cursor_moves_with_time_and_pages_turn(recording):
     strip = Strip(signals_of(recording, "CPG output"), STYLES["water"], SIZE, 1.0)
     assert strip.at(0.0).shape == (108, 640, 3) and strip.height == 108

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.config.errors import Key
-from evo_cpg.config.lint.rule import Case, LintWarning, rule
+from evo_cpg.config.lint.rule import Case, Jointed, LintWarning, rule
 from evo_cpg.config.schema.joint import MuscleConfig, TorqueMotorConfig
 from evo_cpg.config.schema.typical import ROUNDING, TURN
 from evo_cpg.creature.creature import Body, Muscle, TorqueMotor
@@ -172,8 +172,9 @@ def no_motor(case: Case) -> Iterator[LintWarning]:
     if any(tendon.actuator for tendon in case.config.creature.tendons):
         return
     if joints and all(motor is None for joint in joints for motor in joint.given.motors):
+        first = next((joint for joint in joints if joint.parent is not None), joints[0])
         yield case.warning(
-            (*joints[0].key, "actuator"),
+            (*first.key, "actuator"),
             "no joint has a motor, so the controller moves nothing. Give joints a motor, such as "
             "actuator: {gain: 1}",
         )
@@ -200,9 +201,13 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
     simulation = case.config.simulation
     time = simulation.steps / simulation.control_rate_hz
     found = []
-    pairs = [(joint, x) for joint in case.joints() for x in joint.given.motors if x is not None]
-    for joint, motor in pairs:
-        body = joint.body
+    motors = [
+        (joint, motor, dof.kind == "slide")
+        for joint in case.joints()
+        for motor, dof in zip(joint.given.motors, joint.built.dofs, strict=True)
+        if motor is not None
+    ]
+    for joint, motor, slides in motors:
         built = motor.build()
         if isinstance(built, Muscle):
             limit, word = built.strength, "area"
@@ -210,7 +215,7 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
             limit, word = min(abs(built.gear), built.torque_limit), "gear"
         else:
             limit, word = built.torque_limit, "torque_limit"
-        inertia = _least_inertia(body)
+        inertia = _least_inertia(joint, slides)
         if inertia == 0:
             continue
         turn = float(np.rad2deg(limit / inertia * time**2 / 2))
@@ -232,6 +237,8 @@ def repeated_place(case: Case) -> Iterator[LintWarning]:
     """Warn of a row whose joint position fits the first body's parent, but not the row's bodies."""
     for joint in case.joints():
         at, parent, body = joint.built.parent_anchor, joint.parent, joint.body
+        if parent is None:
+            continue
         fits, gap = _gap(case, parent, at), _gap(case, body, at)
         if joint.repeat == 1 or abs(fits) > _OUT * parent.shape.half_extents.max():
             continue
@@ -265,8 +272,9 @@ def far_places(case: Case) -> Iterator[LintWarning]:
     places: list[tuple[Key, str, Body, Triple]] = []
     for joint in case.joints():
         parent, body, built = joint.parent, joint.body, joint.built
-        on = f"{parent.name!r}, the parent of {body.name!r}"
-        places.append(((*joint.key, "at"), on, parent, built.parent_anchor))
+        if parent is not None:
+            on = f"{parent.name!r}, the parent of {body.name!r}"
+            places.append(((*joint.key, "at"), on, parent, built.parent_anchor))
         places.append(((*joint.key, "child_at"), f"{body.name!r} itself", body, built.child_anchor))
     for kind in ("light_sensors", "depth_sensors"):
         for i, _, sensor in case.sensors(kind):
@@ -290,15 +298,19 @@ def far_places(case: Case) -> Iterator[LintWarning]:
             )
 
 
-def _least_inertia(body: Body) -> float:
+def _least_inertia(joint: Jointed, slides: bool) -> float:
     """Return a body's inertia about its joint, kg m^2, which other bodies and water only increase.
 
-    A body of uniform density counts as a rod that turns about its end.
+    A body of uniform density counts as a rod that turns about its end. If the body slides, return
+    its mass times half its length, kg m, as if half its length were a radian.
     """
-    mass = float(body.mass)
-    if body.inertial is None or body.joint is None:
-        return mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
-    arm = np.subtract(body.inertial.centre, body.joint.child_anchor)
+    body = joint.body
+    mass, half = float(body.mass), float(body.shape.half_extents.max())
+    if slides:
+        return mass * half
+    if body.inertial is None:
+        return mass * (2 * half) ** 2 / 3
+    arm = np.subtract(body.inertial.centre, joint.built.child_anchor)
     return float(np.max(np.diag(body.inertial.inertia)) + mass * (arm @ arm))
 
 

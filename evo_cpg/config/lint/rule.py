@@ -41,7 +41,7 @@ class Jointed(NamedTuple):
         repeat: number of bodies in the row of the body.
         built: joint of the creature.
         body: body that hangs on the joint.
-        parent: body that carries the joint.
+        parent: body that carries the joint, or None for a root that hangs on the world.
     """
 
     key: Key
@@ -49,7 +49,7 @@ class Jointed(NamedTuple):
     repeat: int
     built: Joint
     body: Body
-    parent: Body
+    parent: Body | None
 
 
 class Case(NamedTuple):
@@ -85,12 +85,13 @@ class Case(NamedTuple):
             yield ("creature", "bodies", copy.entry), entries[copy.entry], body
 
     def joints(self) -> Iterator[Jointed]:
-        """Yield every body that has a joint."""
+        """Yield every body that has a joint, also a root that hangs on the world."""
         named = {body.name: body for body in self.creature.bodies}
         for key, entry, body in self.bodies():
-            if entry.joint and body.joint:
-                parent, key = named[body.joint.parent], (*key, "joint")
-                yield Jointed(key, entry.joint, entry.repeat, body.joint, body, parent)
+            built = self.creature.joint_of(body)
+            if entry.joint and built:
+                parent, key = body.joint and named[body.joint.parent], (*key, "joint")
+                yield Jointed(key, entry.joint, entry.repeat, built, body, parent)
 
     def named(self, name: str) -> list[str]:
         """Return the names of the bodies that a name in the configuration stands for."""

@@ -38,7 +38,7 @@ class ActuatorConfig(Section):
 
     Attributes:
         type: servo.
-        gain: torque per velocity error, N m s/rad; 0 only with a stiffness.
+        gain: torque per velocity error, N m s/rad; 0 for a spring alone.
         torque_limit: largest torque, N m, unlimited if left out.
         stiffness: torque per angle error, N m/rad; 0 for a pure velocity servo.
     """
@@ -48,12 +48,6 @@ class ActuatorConfig(Section):
     gain: NotNegative
     torque_limit: Positive | None = None
     stiffness: NotNegative = 0.0
-
-    @model_validator(mode="after")
-    def _check(self) -> "ActuatorConfig":
-        if self.gain == 0 and self.stiffness == 0:
-            raise ValueError("gain: must be greater than 0 without a stiffness, got 0")
-        return self
 
     def build(self) -> Actuator:
         """Build the motor."""

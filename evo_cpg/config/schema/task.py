@@ -15,7 +15,7 @@ from evo_cpg.config.schema.section import (
     Vector,
 )
 from evo_cpg.config.schema.typical import Direction
-from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.task import Task
 from evo_cpg.simulation.walk import Distance, Heading, Walk
@@ -196,13 +196,23 @@ class WalkConfig(_TaskSection):
     def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
         """Build the task (see `ReachLightConfig.build`)."""
         del light, control_rate
-        torso = next(body for body in creature.bodies if body.joint is None)
         return self.into(
             Walk,
-            torso_length=2 * torso.shape.half_extents[0],
+            torso_length=_torso_length(creature),
             slip_weight=_priced(self.slip_weight),
             cost_weight=_priced(self.cost_weight),
         )
+
+
+def _torso_length(creature: Creature) -> Number:
+    """Return the length of the root along x, m. Without a shape, its longest part counts."""
+    torso = creature.bodies[creature.root_index]
+    if torso.shape.exists:
+        return 2 * torso.shape.half_extents[0]
+    parts = [body.shape for body in creature.bodies if body.whole == torso.name]
+    if not parts:
+        return length_of(creature)
+    return 2 * xp.max(xp.array([part.half_extents for part in parts]))
 
 
 def _priced(weight: Number) -> Number | None:

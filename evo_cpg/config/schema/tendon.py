@@ -1,6 +1,5 @@
 """Section of a fixed tendon."""
 
-import re
 from collections.abc import Iterator, Sequence
 from typing import Annotated
 
@@ -12,6 +11,7 @@ from evo_cpg.config.schema.joint import ActuatorConfig, TorqueMotorConfig
 from evo_cpg.config.schema.names import PrintedName
 from evo_cpg.config.schema.section import Finite, NotNegative, Section
 from evo_cpg.creature.creature import NO_LIMIT, Tendon
+from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.spatial.numerics import Number
 
 _MotorConfig = Annotated[
@@ -57,7 +57,7 @@ class TendonConfig(Section):
         for name, coefficient in self.joints.items():
             if coefficient == 0:
                 raise ValueError(f"joints: the coefficient of {name!r} must not be 0")
-            if not _body_of(name):
+            if not body_and_axis(name)[0]:
                 raise ValueError(f"joints: {name!r} must be a body and an axis, such as tail1.z")
         shortest, longest = self.resting
         if shortest > longest:
@@ -98,7 +98,7 @@ class TendonConfig(Section):
             return [{}]
         found: list[dict[str, str]] = []
         for joint in self.joints:
-            for copy in copies_named(_body_of(joint), bodies):
+            for copy in copies_named(body_and_axis(joint)[0], bodies):
                 marks = {mark: copy.marks[mark] for mark in placeholder_names if mark in copy.marks}
                 if placeholders(joint) >= placeholder_names and marks not in found:
                     found.append(marks)
@@ -109,17 +109,8 @@ class TendonConfig(Section):
     ) -> Iterator[tuple[str, Number]]:
         """Yield name and coefficient of every spanned axis, with the placeholders filled."""
         for joint, coefficient in self.joints.items():
-            body = fill(_body_of(joint), marks)
-            axis = joint[len(_body_of(joint)) :]
+            given, axis = body_and_axis(joint)
+            body = fill(given, marks)
             names = [copy.name for copy in copies_named(body, bodies)]
             for name in names or [body]:
-                yield name + axis, coefficient
-
-
-def _body_of(joint: str) -> str:
-    """Return the body's name in the name of a joint axis.
-
-    Such names are ``leg.x``, ``leg.(1,0,0.5)`` and ``leg.slide_(1,0,0.5)``.
-    """
-    oblique = re.fullmatch(r"(.*)\.\w*\([^()]*\)\d*", joint)
-    return oblique[1] if oblique else joint.rpartition(".")[0]
+                yield f"{name}.{axis}", coefficient

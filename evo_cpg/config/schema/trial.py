@@ -84,7 +84,8 @@ class NoiseConfig(Section):
     """Random disturbances in a trial (default: none).
 
     Attributes:
-        joint_angle_deg: standard deviation of every joint angle at the start, degrees.
+        joint_angle_deg: standard deviation of every joint angle at the start, degrees; slides start
+            without noise.
         tilt_deg: standard deviation of the root's roll and of its pitch at the start, degrees.
         push: standard deviation of a random walk of the root's velocity in each direction, m/s per
             square root of a second.

@@ -211,6 +211,13 @@
       row("color", make("input", { type: "color", "aria-label": "color", value: each.color || body?.color || "#888888", onchange: (event) => set([...key, "color"], event.target.value) }),
         each.color ? button("default", () => set([...key, "color"], null)) : null),
     );
+    (each.parts || []).forEach((further, i) => {
+      const at = [...key, "parts", i];
+      made.push(make("h3", {}, `Further shape ${i + 1}`),
+        row("shape", json(`shape ${i + 1}`, further.shape, (value) => set([...at, "shape"], value)), button("remove", () => edit("remove_shape", { name, index: i }))),
+        row("at (m)", ...numbers(`shape ${i + 1} at`, further.at || [0, 0, 0], (value) => set([...at, "at"], value))),
+        row("turned (\u00b0)", ...numbers(`shape ${i + 1} rotation`, further.rotation_deg || [0, 0, 0], (value) => set([...at, "rotation_deg"], value))));
+    });
     if (body) made.push(row("mass", make("span", {}, `${body.mass.toPrecision(3)} kg`)));
     if (each.joint) made.push(...jointPanel(each, key));
     if (each.joint && each.joint.parent !== "world") made.push(...copyPanel(each));
@@ -380,7 +387,7 @@
     setAdding(what);
     const copies = bodyOf(found.name)?.copies ?? 1, carrier = entry(found.entry);
     let each = true;
-    if (copies > 1) {
+    if (copies > 1 && what !== "shape") {
       // Limbs get one on each side. In a row, the answer decides.
       if ((carrier?.repeat ?? 1) > 1) {
         each = await ask(`${found.name} is one of ${copies} bodies in a row. Add the ${what} to`, { choices: [`all ${copies}`, `${found.name} only`] });
@@ -389,6 +396,9 @@
     }
     if (what === "eye") {
       await edit("add_eye", { part: found.name, place: found.place, axis: found.normal, each });
+      choose(found.name);
+    } else if (what === "shape") {
+      await edit("add_shape", { part: found.name, place: found.place, normal: found.normal });
       choose(found.name);
     } else await edit("add_part", { parent: found.name, place: found.place, normal: found.normal, each });
   }

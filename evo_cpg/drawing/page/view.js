@@ -367,7 +367,7 @@ const View = (() => {
   function fit() {
     const wide = canvas.clientWidth, high = canvas.clientHeight;
     const ratio = Math.min(devicePixelRatio, 2);
-    if (wide && high && (canvas.width !== Math.round(wide * ratio) || canvas.height !== Math.round(high * ratio))) {
+    if (wide && high && (canvas.width !== Math.floor(wide * ratio) || canvas.height !== Math.floor(high * ratio))) {
       renderer.setPixelRatio(ratio);
       renderer.setSize(wide, high, false);
       camera.aspect = wide / high;

@@ -9,6 +9,7 @@ import numpy as np
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers
 from evo_cpg.analysis.quantity import Quantity
+from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.page import charts
 from evo_cpg.view.page.html import Html, join, long_table, table, tag
@@ -43,7 +44,7 @@ def gait(motion: RecordedMotion) -> Html:
         parts.append(tag("p", "No body other than the root ever touches the ground."))
     if wave is not None:
         chain = list(numbers.chain)
-        names = [recording.dof_names[i].rpartition(".")[0] for i in chain]
+        names = [body_and_axis(recording.dof_names[i])[0] for i in chain]
         bending = np.asarray(recording.joint_angle)[:, chain] * numbers.axis_signs[chain]
         parts += [
             tag("h3", "The wave along the body"),
@@ -142,11 +143,12 @@ def effort(motion: RecordedMotion) -> Html:
     """Show power, speed and torques."""
     recording, numbers, clip = motion.recording, motion.numbers, motion.clip
     figure = charts.effort_figure(recording.time, numbers.power, clip.time, clip.speed)
-    ranges = np.degrees(np.ptp(recording.joint_angle, axis=0) / 2)
+    slides = recording.slides
+    ranges = np.ptp(recording.joint_angle, axis=0) / 2
+    ranges = np.where(slides, ranges, np.degrees(ranges))
     columns = np.transpose([numbers.peak_torque, numbers.rms_torque, ranges])
-    rows = [
-        [recording.dof_names[i], *map(number, columns[i])] for i in np.argsort(-numbers.peak_torque)
-    ]
+    order = np.lexsort((-numbers.peak_torque, slides))
+    rows = [[recording.dof_names[i], *map(number, columns[i])] for i in order]
     parts: list[Any] = [
         charts.chart(
             figure,
@@ -156,8 +158,9 @@ def effort(motion: RecordedMotion) -> Html:
         )
     ]
     if rows:
-        head = ["joint", "peak torque (N m)", "rms torque (N m)", "half range (deg)"]
-        parts.append(long_table(head, rows, numbers=(1, 2, 3)))
+        torque, angle = ("N m; slides: N", "deg; slides: m") if slides.any() else ("N m", "deg")
+        head = ["joint", f"peak torque ({torque})", f"rms torque ({torque})"]
+        parts.append(long_table([*head, f"half range ({angle})"], rows, numbers=(1, 2, 3)))
     return join(*parts)
 
 
