@@ -181,7 +181,7 @@ class Torques(Exercise):
     def prepare(self, lanes: Float[Array, "k n"]) -> Array:
         """Return torques ``(torques, d, n)``, N m."""
         limits = jnp.asarray(self._limits, lanes.dtype)
-        return lanes.reshape(_TORQUES, len(limits), -1) * limits[:, None]
+        return lanes.reshape(_TORQUES, len(limits), -1) * limits[None, :, None]
 
     def command(self, commands: Array, index: Int[Array, ""]) -> MotorCommand:
         """Return the present torques."""

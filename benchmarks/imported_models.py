@@ -214,8 +214,8 @@ def _root(
     velocity = np.concatenate([spin, push + np.cross(spin, arm)])
     linear = pushing + np.cross(turning, arm) + np.cross(spin, np.cross(spin, arm))
     still = np.zeros(tree.dof_count)
-    numbers = map(jnp.asarray, (data.xpos[body] + arm, quaternion, velocity, still, still))
-    state = State(*numbers)
+    place, q = jnp.asarray(data.xpos[body] + arm), jnp.asarray(still)
+    state = State(place, jnp.asarray(quaternion), jnp.asarray(velocity), q, q)
     return state, np.concatenate([turning, linear])
 
 

@@ -1,4 +1,4 @@
-"""The cases with a moving animal: swimmer, salamander in water and on land, quadruped.
+"""The cases with a moving animal: swimmer, salamander, quadruped, animals of gymnasium.
 
 Each case measures physics alone, with the commands of an `Exercise`. It also measures the whole
 stack (brain, oscillators, sensors, physics, fitness) of a trial, as in training. Both are compared

@@ -1,9 +1,10 @@
 """MuJoCo's population at our exercises: `mujoco.rollout` with a thread per core.
 
 Animal, motors, commands and step are equal to ours. MuJoCo uses float64 and `implicitfast`. Its
-contacts have no restitution. MuJoCo simulates an imported animal from its own file, with the file's
-contacts, and its default solver: Newton with up to 100 iterations. It takes part in water in three kinds: with each of its two models of
-a fluid, and without a fluid. The fluid models have no buoyancy, so gravity is left out.
+contacts have no restitution. MuJoCo simulates an imported animal from its own file, with the
+contacts of the file. Its solver is then MuJoCo's default: Newton with at most 100 iterations. In
+water it takes part in three kinds: with each of its two models of a fluid, and without a fluid. The
+fluid models have no buoyancy, so gravity is left out.
 """
 
 from typing import NamedTuple

@@ -16,9 +16,9 @@ def bench(
         list[str] | None,
         typer.Argument(
             metavar="[CASE]...",
-            help="swimmer, salamander-water, salamander-land, quadruped, cpg, brain, ga, "
-            "generation, gradient, bodies, large-creatures, engines, scaling or startup "
-            "(default: all).",
+            help="swimmer, salamander-water, salamander-land, quadruped, half_cheetah, ant, "
+            "humanoid, cpg, brain, ga, generation, gradient, bodies, large-creatures, engines, "
+            "scaling or startup (default: all).",
         ),
     ] = None,
     sizes: Annotated[

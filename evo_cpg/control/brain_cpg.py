@@ -216,6 +216,8 @@ class BrainCpg(Controller):
         muscles: True if the creature has muscles.
         gear: torque of each degree of freedom at full output, N m, or None without torque motors.
         angles: commanded angles of motors with a spring, or None without them.
+        sensed: degrees of freedom that the brain senses, or None for all. It does not sense slides
+            of a root that hangs on the world: they are a place in the world.
         unit: coordinate of each degree of freedom that counts as 1 rad, or None without slides.
     """
 
@@ -241,6 +243,7 @@ class BrainCpg(Controller):
     gear: Float[Numbers, " d"] | None = None
     angles: "AngleRange | None" = None
     unit: Float[Numbers, " d"] | None = None
+    sensed: tuple[int, ...] | None = eqx.field(static=True, default=None)
 
     signal_label = "CPG output (no unit)"
 
@@ -397,8 +400,14 @@ class BrainCpg(Controller):
         angle, sine of each joint angle, amplitude abs(y_e - y_f) / A_max of each oscillator after
         the last step. Then, if ``joint_rates`` is True: each joint rate in units of ``max_rate``,
         clipped to -1 and 1. Last, not in Table 2: readings of depth gauges and of extra sensors.
+        Slides of a root that hangs on the world are left out.
         """
         angle = self._as_angle(observation.joint_angle)
+        rate = self._as_angle(observation.joint_rate)
+        output = matsuoka.output(state)
+        if self.sensed is not None:
+            own = np.array(self.sensed, int)
+            angle, rate, output = angle[own], rate[own], output[own]
         values = [
             observation.light,
             observation.pressure,
@@ -406,10 +415,9 @@ class BrainCpg(Controller):
             observation.vertical_sine,
             jnp.cos(angle),
             jnp.sin(angle),
-            jnp.abs(matsuoka.output(state)) / self.max_amplitude,
+            jnp.abs(output) / self.max_amplitude,
         ]
         if self.joint_rates:
-            rate = self._as_angle(observation.joint_rate)
             values.append(jnp.clip(rate / self.max_rate, -1.0, 1.0))
         values.append(observation.depth)
         if observation.custom is not None:
@@ -477,7 +485,8 @@ def build_brain_cpg(
     }[settings.drive]
     senses_per_joint = 4 if settings.joint_rates else 3
     input_count = 3 * light_count + pressure_count + depth_count + custom_count
-    input_count += senses_per_joint * tree.dof_count
+    sensed = tuple(i for i in range(tree.dof_count) if i not in tree.root_slides)
+    input_count += senses_per_joint * len(sensed)
     output_count = 2 * (max(source) + 1) + max(gain_source) + 1
     own = [settings.axes.get(axis, AxisSettings()) for axis in axes]
     brain = build_brain(input_count, output_count, settings.brain)
@@ -520,6 +529,7 @@ def build_brain_cpg(
         muscles=tree.muscles is not None,
         gear=tree.gears,
         angles=_angle_range(tree, settings, follows) if any(follows) else None,
+        sensed=sensed if len(sensed) < tree.dof_count else None,
         unit=units_of(tree),
     )
 

@@ -150,12 +150,12 @@ def copies_of(data: Data, index: int) -> list[Copy]:
     return [each for each in all_copies(data) if each.entry == index]
 
 
-def free_name(data: Data, wanted: str) -> str:
-    """Return a name that no part has: the wanted one, or with a number."""
+def free_name(data: Data, proposed: str) -> str:
+    """Return a name that no part has: the proposed one, or with a number."""
     taken = {each.name for each in all_copies(data)} | {str(x.get("name")) for x in bodies(data)}
-    number, name = 2, wanted
+    number, name = 2, proposed
     while name in taken:
-        name, number = f"{wanted}{number}", number + 1
+        name, number = f"{proposed}{number}", number + 1
     return name
 
 

@@ -293,8 +293,8 @@ def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
         name: name of the part.
         factors: factors along x, y and z.
     """
-    wanted = np.asarray(factors, float)
-    if wanted.shape != (3,) or not np.isfinite(wanted).all() or (wanted <= 0).any():
+    ratios = np.asarray(factors, float)
+    if ratios.shape != (3,) or not np.isfinite(ratios).all() or (ratios <= 0).any():
         raise DrawingError("the factors of a stretch must be three positive numbers")
     entry = entry_of(data, name)
     shape = entry["shape"]
@@ -303,15 +303,15 @@ def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
         if "file" not in shape:
             raise DrawingError(f"{name}: only a mesh from a file can be stretched")
         scale = np.broadcast_to(np.asarray(shape.get("scale", 1.0), float), 3)
-        shape["scale"] = tidy(scale * wanted)
+        shape["scale"] = tidy(scale * ratios)
     elif kind in _LENGTHS:
         before = np.array(_half_extents(shape))
         for key, axes in _LENGTHS[kind].items():
-            shape[key] = _stretched(kind, key, shape, axes, wanted)
-        wanted = np.array(_half_extents(shape)) / before
+            shape[key] = _stretched(kind, key, shape, axes, ratios)
+        ratios = np.array(_half_extents(shape)) / before
     else:
         raise DrawingError(f"{name}: a shape of type {kind!r} cannot be stretched")
-    _carry(data, str(entry["name"]), wanted)
+    _carry(data, str(entry["name"]), ratios)
 
 
 def _stretched(kind: str, key: str, shape: Data, axes: Any, factors: np.ndarray) -> Any:

@@ -91,11 +91,11 @@ def turn(data: Data, source: Path, part: str, rotation: Sequence[Sequence[float]
     here = posed(data, source)
     index = here.index(part)
     joint, parent = _joint(data, here, index)
-    wanted = np.asarray(rotation, float)
-    if wanted.shape != (3, 3) or not np.allclose(wanted @ wanted.T, np.eye(3), atol=1e-3):
+    turned = np.asarray(rotation, float)
+    if turned.shape != (3, 3) or not np.allclose(turned @ turned.T, np.eye(3), atol=1e-3):
         raise DrawingError("a turn needs a rotation matrix")
     body = here.copies[index]
-    between = here.rotations[parent].T @ wanted
+    between = here.rotations[parent].T @ turned
     between = Rotation.from_euler("z", -body.turn_deg, degrees=True).as_matrix() @ between
     if body.mirror:
         mirror = np.diag(reflected_if(np.ones(3), body.mirror))

@@ -1,8 +1,8 @@
 """Change the data of a YAML text, and keep the rest of the text.
 
-`with_data` compares the data of a text with the wanted data. It edits only the lines of values that
+`with_data` compares the data of a text with changed data. It edits only the lines of values that
 differ, so comments, anchors, layout and number formats stay elsewhere. The result is parsed again.
-It always contains exactly the wanted data, because a part that cannot be edited is written anew.
+It always contains exactly the changed data, because a part that cannot be edited is written anew.
 """
 
 import difflib
@@ -172,7 +172,7 @@ class _Editor:
                 if key.value in new and key.value in old:
                     self._value((*path, key.value), value, old[key.value], new[key.value], inner)
             end = own_end
-        # A key is added behind the key that it follows in the wanted data, if that stays.
+        # A key is added behind the key that it follows in the changed data, if that stays.
         behind: dict[str, dict[str, Any]] = {}
         last, stays = "", {key.value for key, _ in node.value if key.value not in gone}
         for key, value in new.items():
@@ -322,11 +322,11 @@ class _Place:
 
 def _steps(old: list, new: list) -> list[tuple[str, int, int]]:
     """Return how one list becomes another: entries to keep (and change), remove and add."""
-    names, wanted = list(map(_identity, old)), list(map(_identity, new))
-    if len(old) == len(new) and Counter(names) != Counter(wanted):
+    names, later = list(map(_identity, old)), list(map(_identity, new))
+    if len(old) == len(new) and Counter(names) != Counter(later):
         return [("keep", i, i) for i in range(len(old))]
     steps: list[tuple[str, int, int]] = []
-    matcher = difflib.SequenceMatcher(None, names, wanted, autojunk=False)
+    matcher = difflib.SequenceMatcher(None, names, later, autojunk=False)
     for what, i, i_end, j, j_end in matcher.get_opcodes():
         both = min(i_end - i, j_end - j) if what in ("equal", "replace") else 0
         steps += [("keep", i + k, j + k) for k in range(both)]

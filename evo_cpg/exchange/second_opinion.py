@@ -131,32 +131,36 @@ class Brain:
             constants, animal = begin_episode(simulation, alone, keys, number)
         contact_model = simulation.world.contact_model
         owners = np.array([] if contact_model is None else contact_model.bodies, int)
-        # The force of a body is put on its first contact point. Pressure sensors sum the forces of
-        # all points of a body.
+        # The force of a body is put on its first contact point. Pressure sensors and loads sum the
+        # forces of all points of a body.
         self._first = {body: int(np.flatnonzero(owners == body)[0]) for body in set(owners)}
         self._points, self._nerves = len(owners), animal.nerves
 
-        def think(state: State, nerves: Any, force: Array) -> tuple[Any, Command]:
+        def think(state: State, nerves: Any, forces: Array) -> tuple[Any, Command]:
             with using(simulation.engine):
                 kin = kinematics(simulation.world.tree, state)
-                felt = pressure_readings(simulation.sensors, simulation.world, kin, force)
+                last, mean = forces
+                felt = pressure_readings(simulation.sensors, simulation.world, kin, last)
                 there = animal._replace(state=state, nerves=nerves, pressure=felt)
+                if there.forces is not None:
+                    there = there._replace(forces=there.forces._replace(contact_force=mean))
                 return act(simulation, constants, there, sense(simulation, constants, there))
 
         self._think = jax.jit(think)
 
-    def think(self, state: State, borne: Float[np.ndarray, " b"]) -> MotorCommand:
+    def think(self, state: State, borne: Float[np.ndarray, "t b"]) -> MotorCommand:
         """Return the command to motors and muscles, with an axis of one individual.
 
         Args:
             state: state of the animal.
-            borne: normal force of the ground on each body, N.
+            borne: normal force of the ground on each body after each step of the last control step,
+                N. Pressure sensors feel the last one, and limbs their mean.
         """
-        force = np.zeros((3, self._points, 1), np.float32)
+        forces = np.zeros((2, 3, self._points, 1), np.float32)
         for body, point in self._first.items():
-            force[2, point] = borne[body]
+            forces[:, 2, point, 0] = borne[-1, body], borne[:, body].mean()
         here = jax.tree.map(lambda x: np.asarray(x, np.float32)[..., None], state)
-        self._nerves, command = jax.device_get(self._think(here, self._nerves, force))
+        self._nerves, command = jax.device_get(self._think(here, self._nerves, forces))
         return motor_command(command).filled()
 
 
@@ -203,13 +207,16 @@ def second_opinion(
     pushes = _pushes(steps)
     recorded = steps.target_rate, steps.target_angle, steps.activation, steps.commanded_torque
     commands, active = player.commands(MotorCommand(*recorded))
-    states, held = [before], []
+    states, held, borne = [before], [], [np.zeros(len(world.tree.names))]
     for index in range(steps.torque.shape[-1]):
         player.push(pushes[:, index])
         if brain is not None and index % substeps == 0:
-            own = player.commands(brain.think(player.state(), player.weight_borne()))
+            own = player.commands(brain.think(player.state(), np.array(borne)))
             commands[index : index + substeps], active[index : index + substeps] = own
+            borne.clear()
         player.advance(commands[index], active[index], finer)
+        if brain is not None:
+            borne.append(player.weight_borne())
         if not np.isfinite(player.data.qpos).all():
             raise ExchangeError("MuJoCo's animal diverged")
         if (index + 1) % substeps == 0:

@@ -41,7 +41,7 @@ from evo_cpg.physics.pairs import (
     placed_boxes,
 )
 from evo_cpg.physics.spatial_algebra import BodyMotion
-from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, where_each
 
 # Number of steps at present joint rates that a point is watched ahead.
 _STEPS_AHEAD = 2.0
@@ -56,6 +56,7 @@ class _Points(NamedTuple):
     Attributes:
         watched: 1 where a point counts in this step.
         gap: distance between the bodies, m, negative where they overlap.
+        drift: mean change of the separation velocity over the step by velocity products, m/s.
         normal: x, y and z, from the first body to the second.
         first: the first body's point, x, y and z from the root's origin, m.
         second: the second body's point, x, y and z from the root's origin, m.
@@ -64,6 +65,7 @@ class _Points(NamedTuple):
 
     watched: Array
     gap: Array
+    drift: Array
     normal: tuple[Array, Array, Array]
     first: tuple[Array, Array, Array]
     second: tuple[Array, Array, Array]
@@ -94,6 +96,7 @@ class _Run(NamedTuple):
         stiffness: c h of each point, kg.
         paths: joint axes between the bodies.
         points: nearest points in this step.
+        near: 1 for each pair with a point that counts in this step, ``(pairs, *n)``.
     """
 
     kind: Alike
@@ -102,6 +105,7 @@ class _Run(NamedTuple):
     stiffness: Any
     paths: _Paths
     points: _Points
+    near: Array
 
     @property
     def count(self) -> int:
@@ -137,12 +141,19 @@ class ManyPairContacts:
         self.kin = kin
         self.places = kin.origin - kin.origin[:, :1]
         self.bias = jnp.zeros_like(qd) if rates_change is None else rates_change
-        self.runs = _find(self) if found is None else found
+        if found is None:
+            found = _find(self)
+            found = _with_drift(found, self.drifts_of(found, self.bias))
+        self.runs = found
 
     def with_bias(self, bias: Float[Array, "d *n"]) -> "ManyPairContacts":
         """Return the contacts with the velocity-product bias at other joint rates."""
         given = self.tree, self.pairs, self.kin, self.qd, self.h
-        return ManyPairContacts(*given, self.runs, bias)
+        old, other = [run.points.drift for run in self.runs], (bias != self.bias).any(0)
+        # The bias of most steps never changes.
+        new = jax.lax.cond(jnp.any(other), lambda: self.drifts_of(self.runs, bias), lambda: old)
+        drift = [where_each(other, *both) for both in zip(new, old, strict=True)]
+        return ManyPairContacts(*given, _with_drift(self.runs, drift), bias)
 
     def bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Return `bias` for the joint rates after the step: the joint accelerations themselves.
@@ -162,29 +173,23 @@ class ManyPairContacts:
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
         """Return for which individuals any pair pushes at joint accelerations."""
-        twists, accelerations = self.twists(qdd), self.accelerations(self.bias)
+        twists = self.twists(qdd)
 
         def look(run: _Run, found: Array, q: Array) -> Array:
             point = _point(run, q)
-            velocity = self.velocity(run, point, q, twists, accelerations)
+            velocity = self.velocity(run, point, q, twists)
             return found | (point.watched & (rest_velocity(point.gap, self.h) > velocity))
 
         return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
 
     def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
         """Return for which individuals another bias moves a touching pair by > `LARGEST_DRIFT`."""
-        twists, before, after = (
-            self.twists(qdd),
-            self.accelerations(self.bias),
-            self.accelerations(bias),
-        )
+        twists, accelerations = self.twists(qdd), self.accelerations(bias)
 
         def look(run: _Run, found: Array, q: Array) -> Array:
             point = _point(run, q)
-            velocity, other = (
-                self.velocity(run, point, q, twists, accelerations)
-                for accelerations in (before, after)
-            )
+            velocity = self.velocity(run, point, q, twists)
+            other = velocity - point.drift + self.drift(run, point, q, accelerations)
             rest = rest_velocity(point.gap, self.h)
             pushes = point.watched & ((rest > velocity) | (rest > other))
             return found | (pushes & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT))
@@ -239,10 +244,12 @@ class ManyPairContacts:
         second_part = dot(n, _row(linear, j)) + dot(_row(spin, j), cross(second, n))
         return second_part - dot(n, _row(linear, i)) - dot(_row(spin, i), cross(first, n))
 
-    def velocity(
-        self, run: _Run, point: "_Point", q: Array, twists: Any, accelerations: Any
-    ) -> Array:
+    def velocity(self, run: _Run, point: "_Point", q: Array, twists: Any) -> Array:
         """Return the mean separation velocity of a point over the step, m/s."""
+        return self.turning_apart(run, point, q, twists) + point.drift
+
+    def drift(self, run: _Run, point: "_Point", q: Array, accelerations: Any) -> Array:
+        """Return `_Points.drift` of a point, from `accelerations`."""
         spin, linear, base, A = accelerations
         bodies, n = _bodies(run, q), point.normal
 
@@ -252,8 +259,12 @@ class ManyPairContacts:
             return PointMotion(angular, velocity, _row(base, body) + matvec(_row(A, body, 2), p))
 
         points = map(moving, bodies, (point.first, point.second))
-        bias = parting_acceleration(n, point.carried, points)
-        return self.turning_apart(run, point, q, twists) + 0.5 * self.h * bias
+        return 0.5 * self.h * parting_acceleration(n, point.carried, points)
+
+    def drifts_of(self, runs: tuple[_Run, ...], bias: Float[Array, "d *n"]) -> list[Array]:
+        """Return `_Points.drift` of all points of some runs, with a velocity-product bias."""
+        accelerations = self.accelerations(bias)
+        return _of_points(runs, lambda run, q: self.drift(run, _point(run, q), q, accelerations))
 
     def jacobian(self, run: _Run, point: "_Point", q: Array, axes: Any) -> tuple[Array, Array]:
         """Return the nonzero entries of J, ``(k, *n)``, and their axes, ``(k,)``."""
@@ -272,28 +283,30 @@ class ManyPairContacts:
         """Fold a function over the points that are watched for at least one individual."""
         for run in self.runs:
 
-            def round_(carry: Any, q: Array, run: _Run = run) -> tuple[Any, None]:
+            def point(carry: Any, q: Array, run: _Run = run) -> tuple[Any, None]:
                 anyone = jnp.any(_at(run.points.watched, q) > 0)
                 return jax.lax.cond(
                     anyone, lambda carry: look(run, carry, q), lambda carry: carry, carry
                 ), None
 
-            start, _ = jax.lax.scan(round_, start, jnp.arange(run.count))
+            def pair(
+                carry: Any, p: Array, run: _Run = run, point: Callable = point
+            ) -> tuple[Any, None]:
+                # Most pairs are far apart, so one test skips all points of a pair.
+                points = p + run.kind.count * jnp.arange(run.count // run.kind.count)
+                return jax.lax.cond(
+                    jnp.any(_at(run.near, p) > 0),
+                    lambda carry: jax.lax.scan(point, carry, points)[0],
+                    lambda carry: carry,
+                    carry,
+                ), None
+
+            start, _ = jax.lax.scan(pair, start, jnp.arange(run.kind.count))
         return start
 
     def of_points(self, look: Callable) -> Float[Array, "p *n"]:
         """Return a function's value for every point; 0 where it is not watched."""
-        found = []
-        for run in self.runs:
-
-            def round_(carry: None, q: Array, run: _Run = run) -> tuple[None, Array]:
-                watched = _at(run.points.watched, q)
-                none = jnp.zeros_like(watched)
-                value = jax.lax.cond(jnp.any(watched > 0), lambda: look(run, q), lambda: none)
-                return carry, jnp.where(watched > 0, value, none)
-
-            found.append(jax.lax.scan(round_, None, jnp.arange(run.count))[1])
-        return jnp.concatenate(found)
+        return jnp.concatenate(_of_points(self.runs, look))
 
 
 class ManyPairForces:
@@ -372,13 +385,13 @@ class ManyPairForces:
         return torque[:count], load
 
     @functools.cached_property
-    def _tables(self) -> tuple[Any, Any]:
-        return self._contacts.twists(self._qdd), self._contacts.accelerations(self._contacts.bias)
+    def _twists(self) -> tuple[Array, Array]:
+        return self._contacts.twists(self._qdd)
 
     def _push(self, run: _Run, q: Array) -> tuple["_Point", Array]:
         """Return a point and its force, N."""
         contacts, point = self._contacts, _point(run, q)
-        velocity = contacts.velocity(run, point, q, *self._tables)
+        velocity = contacts.velocity(run, point, q, self._twists)
         short = rest_velocity(point.gap, contacts.h) - velocity
         force = self._stiffness(run, q, short) * jnp.maximum(short, 0.0)
         return point, jnp.where(point.watched, force, 0.0)
@@ -390,7 +403,7 @@ class ManyPairForces:
     def _where_pushing(self, add: Callable, start: Any) -> Any:
         """Fold sums over the points that push."""
         # Computed before the loop, so that its iterations only read the tables.
-        _ = self._tables
+        _ = self._twists
 
         def look(run: _Run, sums: Any, q: Array) -> Any:
             point, push = self._push(run, q)
@@ -409,6 +422,7 @@ class _Point(NamedTuple):
 
     watched: Array
     gap: Array
+    drift: Array
     normal: Array
     first: Array
     second: Array
@@ -416,10 +430,33 @@ class _Point(NamedTuple):
 
 
 def _point(run: _Run, q: Array) -> _Point:
-    watched, gap, *vectors = jax.tree.map(
+    watched, gap, drift, *vectors = jax.tree.map(
         lambda x: _at(x, q), run.points, is_leaf=lambda x: isinstance(x, jax.Array)
     )
-    return _Point(watched > 0, gap, *(jnp.stack(x) for x in vectors))
+    return _Point(watched > 0, gap, drift, *(jnp.stack(x) for x in vectors))
+
+
+def _of_points(runs: tuple[_Run, ...], look: Callable) -> list[Float[Array, "k *n"]]:
+    """Return a function's value for every point of each run; 0 where it is not watched."""
+    found = []
+    for run in runs:
+
+        def round_(carry: None, q: Array, run: _Run = run) -> tuple[None, Array]:
+            watched = _at(run.points.watched, q)
+            none = jnp.zeros_like(watched)
+            value = jax.lax.cond(jnp.any(watched > 0), lambda: look(run, q), lambda: none)
+            return carry, jnp.where(watched > 0, value, none)
+
+        found.append(jax.lax.scan(round_, None, jnp.arange(run.count))[1])
+    return found
+
+
+def _with_drift(runs: tuple[_Run, ...], drifts: list[Array]) -> tuple[_Run, ...]:
+    """Return the runs with other values of `_Points.drift`."""
+    return tuple(
+        run._replace(points=run.points._replace(drift=drift))
+        for run, drift in zip(runs, drifts, strict=True)
+    )
 
 
 def _bodies(run: _Run, q: Array) -> tuple[Array, Array]:
@@ -458,16 +495,10 @@ def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
         count = run.count * KINDS[run.kind][1]
         stiffness = pairs.stiffness[points : points + count]
         placed = centre, half, radius, kin.rotation, size, slack
-        found.append(
-            _Run(
-                run,
-                first,
-                second,
-                stiffness,
-                _paths(tree, first, second),
-                _nearest(run, first, second, placed),
-            )
-        )
+        nearest = _nearest(run, first, second, placed)
+        near = nearest.watched.reshape(-1, run.count, *nearest.watched.shape[1:]).max(0)
+        paths = _paths(tree, first, second)
+        found.append(_Run(run, first, second, stiffness, paths, nearest, near))
         start, points = stop, points + count
     return tuple(found)
 
@@ -487,7 +518,7 @@ def _nearest(run: Alike, first: np.ndarray, second: np.ndarray, placed: tuple) -
     like = slack[0]
     none = jnp.zeros((run.count * each, *like.shape), like.dtype)
     triple = none, none, none
-    start = _Points(none, none, triple, triple, triple, (none, none))
+    start = _Points(none, none, none, triple, triple, triple, (none, none))
 
     def round_(points: _Points, p: Array) -> tuple[_Points, None]:
         bodies = jnp.asarray(first)[p], jnp.asarray(second)[p]
@@ -512,6 +543,7 @@ def _nearest(run: Alike, first: np.ndarray, second: np.ndarray, placed: tuple) -
             new = _Points(
                 jnp.where(close[None] & (gap < reach[None]), jnp.ones_like(gap), 0.0),
                 gap,
+                jnp.zeros_like(gap),
                 _components([one.normal for one in found]),
                 _components([one.first for one in found]),
                 _components([one.second for one in found]),

@@ -13,7 +13,15 @@ from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
 # Cases that simulate an animal. Their rates are also drawn as a picture.
-_MOVING = ("swimmer", "salamander-water", "salamander-land", "quadruped")
+_MOVING = (
+    "swimmer",
+    "salamander-water",
+    "salamander-land",
+    "quadruped",
+    "half_cheetah",
+    "ant",
+    "humanoid",
+)
 
 
 class SuiteError(UserError):
@@ -56,6 +64,9 @@ _TITLES = {
     "salamander-water": "sixteen ellipsoids and capsules in water, compared with MuJoCo",
     "salamander-land": "sixteen ellipsoids and capsules on hills, compared with MuJoCo",
     "quadruped": "nine boxes on flat ground, compared with MuJoCo, MJX and Brax",
+    "half_cheetah": "gymnasium's half_cheetah, imported, compared with MuJoCo",
+    "ant": "gymnasium's ant, imported, compared with MuJoCo",
+    "humanoid": "gymnasium's humanoid, imported, compared with MuJoCo",
     "cpg": "oscillators of the swimmer",
     "brain": "neural network of the swimmer",
     "ga": "step of the genetic algorithm, compared with evosax",

@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.exercise import Postures, Wave
+from benchmarks.exercise import Postures, Torques, Wave
 from benchmarks.mujoco_model import mujoco_model
-from benchmarks.mujoco_peer import DRY, WET, Motion, peer_model, stopped
-from benchmarks.plan import experiment_of
+from benchmarks.mujoco_peer import DRY, WET, Motion, Peer, peer_model, stopped
+from benchmarks.plan import MODELS, experiment_of
 from evo_cpg.exchange.mujoco_state import dof_order, motor_order
 from evo_cpg.simulation.situation import Situation
 
@@ -100,18 +100,22 @@ def test_individuals_that_diverged_are_counted(quadruped, monkeypatch, tmp_path)
     assert stopped(states, seconds).all()
 
 
-@pytest.mark.parametrize("kind", ["wave", "postures"])
+@pytest.mark.parametrize("kind", ["wave", "postures", "torques"])
 def test_both_sides_get_equal_commands(quadruped, kind):
     """Our commands are computed step by step, and MuJoCo's all at once."""
-    exercise = Wave(experiment_of("iwadate2010_swimmer")) if kind == "wave" else Postures(quadruped)
+    exercise = {
+        "wave": lambda: Wave(experiment_of("iwadate2010_swimmer")),
+        "postures": lambda: Postures(quadruped),
+        "torques": lambda: Torques.of(MODELS / "ant.xml"),
+    }[kind]()
     lanes = exercise.lanes(3)
     np.testing.assert_array_equal(lanes, exercise.lanes(50)[:, :3])
     index = np.array([0, 1, 79, 80, 119, 120, 300])
     signals = exercise.signals(lanes, index)
     commands = exercise.prepare(jnp.asarray(lanes))
     for place, number in enumerate(index):
-        rate, angle = exercise.command(commands, jnp.int32(number))
-        ours = rate if angle is None else angle
+        rate, angle, _, torque = exercise.command(commands, jnp.int32(number))
+        ours = next((x for x in (angle, torque) if x is not None), rate)
         np.testing.assert_allclose(ours.T, signals[:, place], atol=1e-5)
     assert np.ptp(signals, axis=0).max() > 0.1
 
@@ -122,3 +126,25 @@ def test_the_swimmer_has_three_kinds_of_water():
     assert [model.opt.density for model in models] == [1000, 1000, 0]
     assert [bool(model.geom_fluid[:, 0].any()) for model in models] == [True, False, False]
     assert all(not model.opt.gravity.any() for model in models)
+
+
+@pytest.mark.parametrize("name", ["half_cheetah", "ant"])
+def test_an_imported_animal_starts_at_our_height_with_our_motors(name):
+    """MuJoCo's controls times gears are our torques at the joints of the same names."""
+    exercise = Torques.of(MODELS / f"{name}.xml")
+    simulation, lanes = exercise.experiment.simulation, exercise.lanes(2)
+    model, *_ = Peer.of(exercise, DRY[0])
+    assert model.opt.timestep == simulation.step_length
+    motion = Motion(exercise, DRY[0], lanes, 1)
+    start = motion.places(motion.rest()[:, None])
+    np.testing.assert_allclose(start[:, 0], simulation.situations[0].start_position, atol=1e-9)
+    forces = motion.signals(1)[:, 0] * model.actuator_gear[:, 0]
+    torques = exercise.signals(lanes, np.array([0]))[:, 0]
+    joints = [model.joint(number).name for number in model.actuator_trnid[:, 0]]
+    tree = simulation.world.tree
+    ours = [tree.names[body] for body in tree.dof_bodies]
+    own = {joint: name for name, (joint, *_) in exercise.imported.joints.items()}
+    for place, joint in enumerate(joints):
+        body = own[model.actuator_trnid[place, 0]]
+        np.testing.assert_allclose(forces[:, place], torques[:, ours.index(body)], err_msg=joint)
+    assert (np.abs(motion.signals(40)) <= 1).all()

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from evo_cpg.config.build import build_creature
+from evo_cpg.config.load import load_config
 from evo_cpg.control import controller as protocol
 from evo_cpg.control import matsuoka
 from evo_cpg.control.brain import BrainSettings
@@ -19,6 +21,8 @@ from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.creature import Muscle, TorqueMotor
 from evo_cpg.creature.muscles import muscles_of
 from evo_cpg.creature.torque_motors import torque_motors_of
+from evo_cpg.creature.tree import build_tree
+from tiny_run import REPOSITORY
 
 
 def observe(rng, dofs, batch=(), lights=1, pressures=10, gauges=0):
@@ -69,6 +73,22 @@ def test_brain_senses_table_2_in_order(chain):
     )
     np.testing.assert_allclose(grown.brain_inputs(state, sense), expected, rtol=0, atol=1e-15)
     assert len(expected) == grown.brain.sizes[0]
+
+
+def test_brain_does_not_sense_its_place():
+    """The half cheetah's root slides along x and z, and turns about y like its six joints."""
+    path = REPOSITORY / "configs" / "half_cheetah.yaml"
+    tree = build_tree(build_creature(load_config(path), path))
+    grown = build_brain_cpg(tree, 0, 0, BrainCpgSettings(joint_rates=True))
+    rng = np.random.default_rng(0)
+    sense = observe(rng, 9, lights=0, pressures=0)
+    state = matsuoka.MatsuokaState(jnp.asarray(rng.uniform(-1, 1, (2, 9))), jnp.zeros((2, 9)))
+    firing = np.maximum(state.potential, 0)[:, 2:]
+    angle, rate = sense.joint_angle[2:], sense.joint_rate[2:]
+    size = np.abs(firing[0] - firing[1]) / 1.3
+    expected = np.concatenate([np.cos(angle), np.sin(angle), size, np.clip(rate / 5.0, -1, 1)])
+    np.testing.assert_allclose(grown.brain_inputs(state, sense), expected, rtol=0, atol=1e-15)
+    assert grown.brain.sizes[0] == 28
 
 
 OUTPUTS = {

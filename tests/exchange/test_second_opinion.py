@@ -14,6 +14,7 @@ from evo_cpg.control.postures import PostureController
 from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, own_opinion, second_opinion
 from evo_cpg.physics.contact_model import Ground, make_contact_model
+from evo_cpg.physics.state import resting_state
 from evo_cpg.simulation.physics_steps import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 from tiny_run import CONFIG, PAIR, TINY
@@ -157,6 +158,26 @@ def test_the_controller_uses_the_senses_of_mujocos_animal(swimmer):
     own = own_opinion(simulation, steps).joint_angle
     off = [np.abs(each.joint_angle - own)[:, -1].max() for each in (commanded, sensed)]
     assert off[0] > 0.2 and off[1] < 0.7 * off[0]
+
+
+@pytest.mark.slow
+def test_the_controller_feels_loads_of_mujocos_animal():
+    """The load of the cheetah's hind leg is input to its oscillators."""
+    path = CONFIG.with_name("half_cheetah.yaml")
+    experiment = build_experiment(load_config(path), path)
+    simulation, tree = experiment.simulation, experiment.simulation.world.tree
+    genes = np.zeros(simulation.genome.gene_count, np.float32)
+    genes[-4:] = 3.0
+    state = jax.tree.map(np.asarray, resting_state(tree))
+    borne = np.zeros((8, len(tree.names)))
+    foot = tree.names.index("bfoot")
+    commands = []
+    for load in (0.0, simulation.world.weight):
+        borne[:, foot] = load
+        brain = Brain(simulation, genes, jax.random.key_data(jax.random.key(0))[:, None])
+        commands.append(np.asarray(brain.think(state, borne).torque)[:, 0])
+    moved = np.array(tree.dof_names)[np.abs(commands[1] - commands[0]) > 0.1]
+    assert "bthigh.y" in moved
 
 
 @pytest.mark.slow

@@ -205,7 +205,7 @@ class WalkConfig(_TaskSection):
 
 
 def _torso_length(creature: Creature) -> Number:
-    """Return the length of the root along x, m, or of its longest part if it has no shape."""
+    """Return the length of the root along x, m. Without a shape, its longest part counts."""
     torso = creature.bodies[creature.root_index]
     if torso.shape.exists:
         return 2 * torso.shape.half_extents[0]
