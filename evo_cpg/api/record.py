@@ -102,11 +102,12 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
         for first, second in zip(pairs.first, pairs.second, strict=True):
             own = (points[0] == first) & (points[1] == second)
             add(f"{tree.names[first]}-{tree.names[second]}.push", "N", pushes[:, own].sum(1))
-    for j, dof in enumerate(recording.dof_names):
-        add(f"{dof}.angle", "rad", recording.joint_angle[:, j])
-        add(f"{dof}.rate", "rad/s", arrays["joint_rate"][:, j])
-        add(f"{dof}.target_rate", "rad/s", recording.target_rate[:, j])
-        add(f"{dof}.torque", "N m", recording.torque[:, j])
+    for j, (dof, slides) in enumerate(zip(recording.dof_names, recording.slides, strict=True)):
+        unit, torque = ("m", "N") if slides else ("rad", "N m")
+        add(f"{dof}.angle", unit, recording.joint_angle[:, j])
+        add(f"{dof}.rate", f"{unit}/s", arrays["joint_rate"][:, j])
+        add(f"{dof}.target_rate", f"{unit}/s", recording.target_rate[:, j])
+        add(f"{dof}.torque", torque, recording.torque[:, j])
         add(f"{dof}.signal", "1", recording.cpg_output[:, j])
     for name, values in arrays.items():
         if name.startswith((SENSE, NERVE)):

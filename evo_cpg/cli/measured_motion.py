@@ -26,7 +26,9 @@ _UNIT = re.compile(r"\s*\[([^]]*)\]$")
 _TIMES = {"s": 1.0, "ms": 1e-3}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
-_RATES = {f"{angle}/s": size for angle, size in _ANGLES.items()}
+_RATES, _SPEEDS = (
+    {f"{unit}/s": size for unit, size in units.items()} for units in (_ANGLES, _LENGTHS)
+)
 # A column with this suffix shows that `evo-cpg export` wrote the file. The first such column
 # belongs to the root.
 _EXPORTED = ".rotation_xx"
@@ -106,14 +108,16 @@ def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
     from evo_cpg.simulation.track import POSITION
 
     body, _, what = name.rpartition(".")
+    slides = ".slide_" in name
     if name == "time":
         allowed = _TIMES
     elif name.startswith(TARGET) or (root and what == "target_rate"):
-        allowed = _RATES
+        allowed = _SPEEDS if slides else _RATES
     elif body == root and what in POSITION:
         allowed = _LENGTHS
     else:
-        allowed = _ANGLES if what == "angle" or not root else None
+        angles = _LENGTHS if slides else _ANGLES
+        allowed = angles if what == "angle" or not root else None
     if unit is None or allowed is None:
         return 1.0
     if unit not in allowed:

@@ -1,8 +1,11 @@
 """Joints of a tree: frames across them, their motion subspace, and their elimination.
 
-A joint has up to three degrees of freedom, and a weld has none. Each one turns about an axis
-through the origin of the joint's body, in the frame after the preceding turns. So its world axis
-defines a degree of freedom, and S, the motion per rate, has no linear part.
+A joint has up to six degrees of freedom, and a weld has none. There are three kinds (`Group.kind`):
+
+- "turns": up to three axes through the origin of the joint's body, each in the frame after the
+  preceding turns. S, the motion per rate, has no linear part.
+- "ball": three axes that turn at once, with a rotation vector as coordinates.
+- "chain": any other axes, such as slides and axes at their own places. S has a linear part.
 
 Every recursion over a tree (`kinematics`, `articulated`, `generalized`, `statics`, contacts between
 limbs) uses joints through these functions. Torques are in `evo_cpg.physics.joint_torque`.

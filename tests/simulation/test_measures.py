@@ -1,13 +1,27 @@
 """Measures of gait equal the numbers computed from a recording."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
 
 import evo_cpg as evo
 from evo_cpg.config.load import load_config
+from evo_cpg.creature.creature import WORLD, Body, Creature, Joint, Material
 from evo_cpg.creature.limbs import limbs
-from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES
+from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.measures import (
+    GROUND_MEASURES,
+    MEASURES,
+    Amplitude,
+    Frequency,
+    Strides,
+    Swing,
+    Trial,
+)
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from tiny_run import REPOSITORY
@@ -43,6 +57,23 @@ def evaluated(request):
     assert set(names) == set(found.descriptors)
     records = [experiment.record(0, genome) for genome in genomes]
     return experiment, on_ground, found, records
+
+
+def test_frequency_and_amplitude_leave_out_slides():
+    """In two seconds a hinge turns back 16 times, with a variance of 0.25. The root drifts."""
+    origin = (0.0, 0.0, 0.0)
+    hinge = Joint("a", origin, origin, ((0.0, 1.0, 0.0),), (-9.0,), (9.0,))
+    bodies = (
+        Body("a", Box((0.1,) * 3), Material(1000.0)),
+        Body("b", Box((0.1,) * 3), Material(1000.0), hinge),
+    )
+    slide = dataclasses.replace(hinge, parent=WORLD, kinds=("slide",))
+    tree = build_tree(Creature("crab", bodies, root_joint=slide))
+    assert tree.dof_kinds == ("slide", "turn")
+    trial = Trial(World(tree, 9.81), 2.0)
+    changes, angle, square = (np.array(x) for x in ([0.0, 16.0], [50.0, 0.0], [900.0, 0.5]))
+    assert float(Frequency().finish(Strides(changes, changes), trial)) == 4.0
+    assert float(Amplitude().finish(Swing(angle, square), trial)) == pytest.approx(0.5)
 
 
 def test_measures_equal_numbers_from_a_recording(evaluated):
