@@ -55,6 +55,7 @@ def test_swimmer_in_a_flume_holds_its_place_at_its_speed(ribbon):
     assert still - against == pytest.approx(0.1, rel=0.1)
 
 
+@pytest.mark.slow
 def test_size_scales_speed_without_viscosity(ribbon):
     """Form drag ~ L^4 (speed ~ L), inertia ~ L^5: lengths per second do not depend on size."""
     rows = ask(ribbon, FORWARDS | {"size": [1.0, 2.0]}).rows
@@ -140,6 +141,7 @@ def test_largest_drive_of_the_configuration_is_the_unit_of_the_drive(ribbon):
     np.testing.assert_allclose(*largest, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_joints_without_a_change_are_those_of_the_animal(ribbon):
     plain = ask(ribbon, {"u": [0.5]}, seconds=0.5).rows
     same = ask(ribbon, {"u": [0.5], "passive": ["none"], "stiffness": [0.0]}, seconds=0.5).rows

@@ -285,6 +285,7 @@ def test_planar_animals_move_like_free_ones_in_a_plane(medium):
     assert not across.any()
 
 
+@pytest.mark.slow
 def test_native_code_moves_a_planar_animal_like_jax():
     """The native code rounds in float32."""
     plain, _ = planar_in_water()
@@ -305,6 +306,7 @@ def test_gradients_of_a_planar_animal_equal_differences():
     assert float(slope) == pytest.approx(float(high - low) / 2e-5, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_pushes_move_a_planar_root_in_its_plane():
     """The slides take the push along them, however the animal is turned."""
     tree = build_tree(planar(hangs=True))

@@ -207,6 +207,7 @@ def test_free_motion_converges_to_mujocos_at_second_order(drifting):
     assert (errors[1] < 0.3 * errors[0]).all()
 
 
+@pytest.mark.slow
 def test_gradients_of_a_step_equal_finite_differences():
     """By poses, rates and places of axes: 1e-6."""
     tree = build_tree(jointed("a few", 0.01))

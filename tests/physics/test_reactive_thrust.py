@@ -477,6 +477,7 @@ def test_wrenches_turn_and_move_with_the_animal():
     )
 
 
+@pytest.mark.slow
 def test_a_uniform_current_is_a_moving_frame():
     stream, creature = np.array([0.7, -0.4, 0.2]), patchwork()
     still, streaming = ideal(creature), ideal(creature, current=tuple(stream))

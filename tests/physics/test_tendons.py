@@ -236,6 +236,7 @@ def test_gradients_by_the_numbers_of_a_tendon(motor, loss):
         np.testing.assert_allclose(slopes[:, i], difference, rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_native_code_equals_jax():
     """A branching animal with all laws, dry and in a step that needs iteration."""
     tendons = [

@@ -66,6 +66,7 @@ def test_a_refined_champion_replays_exactly(refined):
     assert (fitness, terms) == (after.fitness, after.terms)
 
 
+@pytest.mark.slow
 def test_refinement_depends_on_its_seed_and_ignores_recorded_fitness(refined):
     before, _, rounds = refined
     settings, again = SETTINGS._replace(rounds=1), []
