@@ -32,6 +32,7 @@ def numbers(experiment):
     return {key: value * np.array([0.8, 1.0, 1.3]) for key, value in own.items()}
 
 
+@pytest.mark.slow
 def test_each_body_equals_an_experiment_with_its_numbers(experiment, genomes, numbers):
     together = experiment.evaluate(0, genomes, numbers)
     for i in range(3):

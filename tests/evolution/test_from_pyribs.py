@@ -123,7 +123,9 @@ def require_same(strategy, generations, evaluate=worth):
     [
         pytest.param(
             es,
-            marks=[pytest.mark.slow] if es in ("cma_es", "sep_cma_es", "lm_ma_es") else [],
+            marks=[pytest.mark.slow]
+            if es in ("cma_es", "sep_cma_es", "lm_ma_es", "openai_es")
+            else [],
             id=es,
         )
         for es in ALGORITHMS
@@ -211,6 +213,7 @@ def replaced(genes, fitness, measures):
     return genes, fitness, measures
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [diverged, unmeasured, replaced])
 def test_excluded_individuals_rank_last_and_stay_off_the_emitters_map(change):
     """The emitters' state equals the state with individuals that are worst and below thresholds."""

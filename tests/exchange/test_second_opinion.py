@@ -135,6 +135,7 @@ def test_an_animal_in_water_is_not_airborne(swimmer):
         assert own_opinion(pool, steps).airborne == fraction
 
 
+@pytest.mark.slow
 def test_mujocos_animal_in_water_is_not_airborne():
     """The animal floats a metre above the floor of a pool 3 m deep."""
     pool = ["world.ground={}", "world.water.surface=3", "simulation.start_clearance=1"]

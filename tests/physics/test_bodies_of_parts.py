@@ -273,6 +273,7 @@ def test_parts_belong_to_the_limb_of_their_body():
     ]
 
 
+@pytest.mark.slow
 def test_gradients_by_the_numbers_of_a_body_equal_finite_differences():
     """The acceleration of a body by its mass and by the place of a part."""
     state = random_state(build_tree(built()), np.random.default_rng(1))

@@ -121,15 +121,16 @@ def kinetic_energy(world, states):
     return 0.5 * np.einsum("ib...,ijb,jb...->...", own, tree.inertia, own)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "axes"),
     [
         ("capsules", "z"),
         ("ellipsoids", "z"),
-        pytest.param("boxes", "yz", marks=pytest.mark.slow),
-        pytest.param("boxes", "z", marks=pytest.mark.slow),
-        pytest.param("capsules", "yz", marks=pytest.mark.slow),
-        pytest.param("ellipsoids", "yz", marks=pytest.mark.slow),
+        ("boxes", "yz"),
+        ("boxes", "z"),
+        ("capsules", "yz"),
+        ("ellipsoids", "yz"),
     ],
 )
 def test_limbs_clap_without_passing_through(x64, shape, axes):

@@ -76,13 +76,14 @@ def one_step(world, state):
     return quick_jit(lambda s: step(world, s, rates, H))(state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shape", "axes"),
     [
         ("capsules", "z"),
-        pytest.param("boxes", "z", marks=pytest.mark.slow),
-        pytest.param("boxes", "yz", marks=pytest.mark.slow),
-        pytest.param("ellipsoids", "yz", marks=pytest.mark.slow),
+        ("boxes", "z"),
+        ("boxes", "yz"),
+        ("ellipsoids", "yz"),
     ],
 )
 def test_loops_find_the_same_step(x64, loops, shape, axes):

@@ -393,6 +393,7 @@ def test_accelerations_agree_with_mujoco():
     np.testing.assert_allclose(ours, theirs, atol=1e-9 * np.abs(theirs).max())
 
 
+@pytest.mark.slow
 def test_gradients_equal_central_differences():
     """Displacement by the shed mass, the wave's amplitude and its frequency: 1e-6."""
     creature = box_chain(3, "z", Actuator(5.0), (0.2, 0.04, 0.1))

@@ -145,6 +145,7 @@ def test_no_body_enters_a_floor(name, floor):
     assert depth.min() > -0.025
 
 
+@pytest.mark.slow
 def test_a_rod_that_whirls_does_not_pass_a_post():
     """It turns by up to a quarter per step. Steps a fiftieth as long give the same result."""
     post = Block((0.25, 0.12, 0.0), (0.005, 0.005, 1.0))

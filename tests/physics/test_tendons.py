@@ -198,9 +198,10 @@ def test_a_motor_that_pulls_a_tendon_pays_for_its_own_work():
     assert missing[1] < 0.55 * missing[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("motor", "loss"),
-    [(Actuator(0.3), 0.0), pytest.param(Actuator(0.3, 0.25), 0.1, marks=pytest.mark.slow)],
+    [(Actuator(0.3), 0.0), (Actuator(0.3, 0.25), 0.1)],
 )
 def test_gradients_by_the_numbers_of_a_tendon(motor, loss):
     """Central differences, in a step of one solve, and with friction and a force limit."""

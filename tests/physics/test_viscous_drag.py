@@ -439,6 +439,7 @@ def test_order_of_the_step():
         assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.25)
 
 
+@pytest.mark.slow
 def test_gradient_by_viscosity_equals_finite_differences():
     """Swimming distance of a short chain, in double precision."""
     world = in_viscous_water(box_chain(3, "z", Actuator(5.0)), viscosity=0.1)

@@ -279,6 +279,7 @@ def test_a_tripod_obeys_friction_and_conserves_momentum(tumbling):
     assert np.abs(gained - (last - first)).max() < 0.01 * world.gravity * seconds
 
 
+@pytest.mark.slow
 def test_a_tripod_loses_energy_and_stays_shallow(tumbling):
     world, start, states, _ = tumbling
     _, energy = mechanics(world, jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states))

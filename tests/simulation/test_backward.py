@@ -110,9 +110,10 @@ def plain():
     return slopes(None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "budget",
-    [pytest.param(2**30, marks=pytest.mark.slow), 0],
+    [2**30, 0],
     ids=["one level", "segments"],
 )
 def test_gradients_do_not_depend_on_the_memory_budget(budget, plain, monkeypatch):

@@ -85,15 +85,16 @@ def genes_of(simulation, dtype):
     return simulation.genome.random(jax.random.key(1), (BODIES,), dtype)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "dtype", "error"),
     [
-        pytest.param("swimmer", np.float32, 1e-5, marks=pytest.mark.slow),
+        ("swimmer", np.float32, 1e-5),
         ("hopper", np.float64, 1e-10),
-        pytest.param("walker", np.float64, 1e-10, marks=pytest.mark.slow),
-        pytest.param("viscous swimmer", np.float32, 1e-5, marks=pytest.mark.slow),
-        pytest.param("swimmer", np.float64, 1e-10, marks=pytest.mark.slow),
-        pytest.param("walker", np.float32, 1e-5, marks=pytest.mark.slow),
+        ("walker", np.float64, 1e-10),
+        ("viscous swimmer", np.float32, 1e-5),
+        ("swimmer", np.float64, 1e-10),
+        ("walker", np.float32, 1e-5),
     ],
 )
 def test_batched_bodies_equal_single_bodies(case, dtype, error, request):

@@ -105,6 +105,7 @@ def test_the_first_touch_is_a_kink():
     assert np.ptp(values) < 2e-4 * H
 
 
+@pytest.mark.slow
 def test_a_bounce_begins_with_a_jump():
     """A ball bounces if its speed at the start of a step would carry it into the ground."""
     speed, restitution = 1.0, 0.5
