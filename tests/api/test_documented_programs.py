@@ -60,6 +60,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_in_order(here, capsys):
     first, search, *others = programs("docs/notebook.md")
     assert len(first.strip().splitlines()) <= 8 and len(search.strip().splitlines()) <= 12

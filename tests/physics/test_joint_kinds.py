@@ -236,6 +236,7 @@ def test_gradients_of_a_step_equal_finite_differences():
     assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / (2 * e), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_native_code_equals_plain_jax():
     world = World(build_tree(jointed("a few", 0.01)), 9.81)
     state = random_state(world.tree, np.random.default_rng(6), (3,), speed=0.2)

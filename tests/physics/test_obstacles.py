@@ -73,9 +73,8 @@ def overlap(shape, position, orientation):
     return np.maximum(-np.min(gap, 0), 0.0)
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name == "box" else pytest.mark.slow) for name in SHAPES]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SHAPES)
 def test_thrown_bodies_do_not_pass_through_rubble(x64, name):
     """The bound on depth is half of the displacement of the fastest points in a step, at 4 m/s.
 
