@@ -134,16 +134,14 @@ def follow(
         moves = not isinstance(turned, np.ndarray)
         return _filled(start, points, aspect, np.array(more).reshape(-1, 3), moves)
 
-    if turn is not None:
-        return seen(turn)
-    if not lit:
-        return seen(_SIDE)
+    if turn is not None or not lit:
+        return _uncropped(seen(_SIDE if turn is None else turn), points, aspect)
     # The first picture shows the light, too, unless the animal would be small in it.
     turns = [sign * angle for angle in _BEARINGS for sign in (1, -1)]
     best = _clearest([seen(turned, goal) for turned in turns], goal, points, aspect)
     if best is None or _extent(best, points, aspect)[0] < _SMALLEST:
         best = _clearest([seen(turned) for turned in turns], goal, points, aspect) or best
-    return best or seen(_BEARINGS[-1])
+    return _uncropped(best or seen(_BEARINGS[-1]), points, aspect)
 
 
 def _filled(
@@ -179,6 +177,15 @@ def _filled(
         if not moves:
             beyond = np.maximum(-low / [_ROOM, _BELOW], most / [_ROOM, _ABOVE])
         path = _moved(path, max(across / wide, upright / high, *beyond), off, aspect)
+    return path
+
+
+def _uncropped(
+    path: CameraPath, points: Float[np.ndarray, "frames n 3"], aspect: float
+) -> CameraPath:
+    """Return the path, stepped back until every point is inside the frame at every instant."""
+    while not np.abs(np.nan_to_num(project(path, points, aspect), nan=np.inf)).max() < 1:
+        path = _moved(path, _STEP_BACK, np.zeros(2), aspect)
     return path
 
 
