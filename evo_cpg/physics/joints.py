@@ -28,6 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.creature import SPANNING
 from evo_cpg.creature.tree import Group, Tree
 from evo_cpg.fusion.fuse import symmetric
 from evo_cpg.physics.per_body import PerBody, in_dof_order, of_joints, take
@@ -60,10 +61,6 @@ from evo_cpg.spatial.rotation import (
     rotation_vector_to_quaternion,
 )
 
-# Number of axes that span all rotations.
-_SPANNING = 3
-
-
 # Position.
 
 
@@ -74,12 +71,12 @@ def moved(
     return displaced(tree, q, h * rate)
 
 
-def displaced(tree: Tree, q: Float[Array, " d *n"], x: Float[Array, " d *n"]) -> Array:
+def displaced(tree: Tree, q: Float[Array, "d *n"], x: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
     """Return coordinates displaced by x: angles and lengths add up, rotations of balls compose."""
     there, starts = q + x, _balls(tree)
     if not len(starts):
         return there
-    rows = starts[None] + np.arange(_SPANNING)[:, None]
+    rows = starts[None] + np.arange(SPANNING)[:, None]
     one, other = (
         rotation_vector_to_quaternion(jnp.stack([take(v, row, 0) for row in rows])) for v in (q, x)
     )
@@ -88,7 +85,7 @@ def displaced(tree: Tree, q: Float[Array, " d *n"], x: Float[Array, " d *n"]) ->
 
 def _balls(tree: Tree) -> np.ndarray:
     """Return the first degree of freedom of each ball joint."""
-    return np.flatnonzero(np.array(tree.dof_kinds) == "ball")[::_SPANNING]
+    return np.flatnonzero(np.array(tree.dof_kinds) == "ball")[::SPANNING]
 
 
 def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3 c *n"]]:
@@ -238,11 +235,8 @@ class Subspace(eqx.Module):
     def of(self, group: Group, batch_ndim: int) -> "Subspace":
         """Return a group's part ``(3, k, b, *n)`` of a subspace of all degrees of freedom."""
         linear = self.linear if group.kind == "chain" else None
-        angular, linear = (
-            None if x is None else of_joints(x, group, batch_ndim) for x in (self.angular, linear)
-        )
-        assert angular is not None
-        return Subspace(angular, linear, group.kind == "ball")
+        own = Subspace(self.angular, linear, group.kind == "ball")
+        return jax.tree.map(lambda x: of_joints(x, group, batch_ndim), own)
 
     def take(self, dofs: np.ndarray) -> "Subspace":
         """Return the columns of some degrees of freedom."""
@@ -422,7 +416,7 @@ def joints_of(
     if group.kind == "chain" or not group.axes:
         return Chain(own, tau, diagonal)
     identity = expand_dims_like(np.eye(group.axes), tau, tau.ndim + 1)
-    if group.axes != _SPANNING:
+    if group.axes != SPANNING:
         return Joints(own, tau, identity * diagonal[None], None)
     to_q = _inverse_columns(own.angular)
     derivative = symmetric(t_matmul(to_q, diagonal[:, None] * to_q))
@@ -509,18 +503,16 @@ class Chain(NamedTuple):
         found = []
         for k in reversed(range(len(self.torque))):
             S = self._axis(k)
-            U = momentum(inertia, S)
-            G = torque_of(S, Wrench(U.moment[:, 0], U.force[:, 0]))[0] + self.derivative[k]
+            moment, force = (x[:, 0] for x in momentum(inertia, S))
+            G = torque_of(S, Wrench(moment, force))[0] + self.derivative[k]
             G_inverse = (1.0 / G)[None]
             u = self.torque[k] - torque_of(S, bias)[0]
-            moment, force = U.moment[:, 0], U.force[:, 0]
             K = Motion(G_inverse * moment, G_inverse * force)
-            felt = make_inertia(
+            inertia = make_inertia(
                 inertia.angular - moment[:, None] * K.angular[None],
                 inertia.mixed - moment[:, None] * K.linear[None],
                 inertia.linear - force[:, None] * K.linear[None],
             )
-            inertia = felt
             bias = Wrench(bias.moment + K.angular * u[None], bias.force + K.linear * u[None])
             found.append((K, G_inverse[0] * u))
         yields = [K for K, _ in reversed(found)]
