@@ -10,7 +10,8 @@ from evo_cpg.config.lint.rule import Case, Jointed, LintWarning, rule
 from evo_cpg.config.schema.joint import MuscleConfig, TorqueMotorConfig
 from evo_cpg.config.schema.typical import ROUNDING, TURN
 from evo_cpg.creature.creature import SPANNING, Body, Muscle, TorqueMotor
-from evo_cpg.creature.shapes import Capsule, Cylinder
+from evo_cpg.creature.cylinder import Cylinder
+from evo_cpg.creature.shapes import Capsule
 from evo_cpg.spatial.numerics import Triple
 
 # Range of the longest edge of a body, from the limb of a small insect to a whale, m.
