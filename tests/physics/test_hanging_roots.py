@@ -166,6 +166,13 @@ def pendulum(stiffness: float = 0.0) -> World:
     return World(build_tree(Creature("pendulum", (body,), root_joint=joint)), GRAVITY)
 
 
+def test_the_state_of_a_hanging_root_needs_its_base():
+    tree = pendulum().tree
+    state = dataclasses.replace(resting_state(tree), base=None)
+    with pytest.raises(ValueError, match="its state needs a base"):
+        kinematics(tree, state)
+
+
 @pytest.mark.usefixtures("x64")
 def test_pendulum_swings_with_its_period():
     """The period at any amplitude is ``4 K(sin^2(a/2)) sqrt(I/(m g l))``.
