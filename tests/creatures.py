@@ -12,13 +12,21 @@ from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.added_mass import AddedMass, added_inertia
+from evo_cpg.physics.articulated import solve
+from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.fluid import Drag, DragLaw, make_patches
+from evo_cpg.physics.generalized import generalized_force, mass_matrix
+from evo_cpg.physics.joint_torque import passive_torque
+from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.reactive_thrust import reactive_water
+from evo_cpg.physics.root import plus_joint_diagonal, plus_torque
+from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import step
 from evo_cpg.physics.water import Current, Gradient, Vortex, Water
 from evo_cpg.physics.world import World
+from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.rotation import euler_to_matrix
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -191,3 +199,17 @@ def coast(world: World, state: State, seconds: float, h: float) -> State:
         return jax.lax.scan(advance, state, None, round(seconds / h))[1]
 
     return jax.tree.map(np.asarray, motion(state))
+
+
+@quick_jit
+def accelerations(tree: Tree, state: State, tau):
+    """Return the accelerations on dry land in two ways: by bodies, and by the mass matrix."""
+    world = World(tree, 9.81)
+    kin = kinematics(tree, state)
+    inertia, bias = body_equations(world, kin, 0.0)
+    passive, derivative = passive_torque(tree, state, 0.0)
+    rotor = derivative + expand_dims_like(tree.armature, tau)
+    by_bodies = jnp.concatenate(solve(tree, kin, inertia, bias, tau + passive, rotor))
+    matrix = plus_joint_diagonal(mass_matrix(tree, kin, inertia), rotor)
+    force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
+    return by_bodies, jnp.linalg.solve(matrix, plus_torque(force, tau + passive))

@@ -1,10 +1,13 @@
 """Numbers of force laws that act on one coordinate: a joint axis, or the length of a tendon."""
 
+from typing import Any
+
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from evo_cpg.creature.torque_motors import TorqueMotors
+from evo_cpg.spatial.decisions import some_hold
 from evo_cpg.spatial.numerics import Numbers, xp
 
 # A soft limit is a critically damped spring on the effective inertia of the coordinate. A step of
@@ -57,3 +60,24 @@ def push_of(
         return servo
     full = xp.minimum(xp.abs(torque_motors.gear), torque_limit)
     return servo + xp.where(np.array(torque_motors.driven), full, 0.0)
+
+
+def dry_friction_of(
+    loss: Float[Numbers, " d"], inertia: Float[Numbers, " d"]
+) -> DryFriction | None:
+    """Return the dry friction of joint axes or tendons (`DryFriction`), or None without any."""
+    return DryFriction(loss, inertia) if some_hold(lambda: loss != 0) else None
+
+
+def idle_motors(laws: Any, axes: Bool[np.ndarray, " d"]) -> dict[str, Numbers]:
+    """Return the numbers of motors that change if some motors have no torque and cost no energy.
+
+    Args:
+        laws: `evo_cpg.creature.tree.Tree` or `evo_cpg.creature.tendons.Tendons`.
+        axes: axes or tendons whose motors are idle.
+    """
+    limit = laws.torque_limit
+    if laws.torque_motors is not None:
+        limit = xp.where(np.array(laws.torque_motors.driven) & axes, 0.0, limit)
+    gains = laws.servo_gain * ~axes, laws.servo_stiffness * ~axes
+    return {"servo_gain": gains[0], "servo_stiffness": gains[1], "torque_limit": limit}

@@ -6,12 +6,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.creature.creature import NO_LIMIT, DegreeOfFreedom
+from evo_cpg.creature.creature import NO_LIMIT, SPANNING, DegreeOfFreedom
 from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Numbers, xp
-
-# Number of degrees of freedom of a ball.
-_AXES = 3
 
 
 class BallLimits(eqx.Module):
@@ -44,7 +41,7 @@ def ball_limits_of(
         stiffness: stiffness of the soft limit of each, N m/rad.
         damping: damping of the soft limit of each, N m s/rad.
     """
-    balls = [i for i, dof in enumerate(dofs) if dof.kind == "ball"][::_AXES]
+    balls = [i for i, dof in enumerate(dofs) if dof.kind == "ball"][::SPANNING]
     if not balls:
         return None
 
@@ -54,7 +51,7 @@ def ball_limits_of(
     first = tuple(i for i, has in zip(balls, chosen(limited), strict=True) if has)
     if not first:
         return None
-    rows = np.array(first)[:, None] + np.arange(_AXES)
+    rows = np.array(first)[:, None] + np.arange(SPANNING)
     return BallLimits(
         first,
         np.full(len(first), -NO_LIMIT),

@@ -202,8 +202,8 @@ class DegreeOfFreedom(NamedTuple):
 # any other axes, whose equations are eliminated one by one.
 JointKind = Literal["turns", "ball", "chain"]
 
-# Number of axes that span all rotations.
-_SPANNING = 3
+# Number of axes that span all rotations, such as those of a ball.
+SPANNING = 3
 
 # Smallest distance (rad) of the middle one of three angles from the angle at which the axes lie in
 # one plane, and rounding errors of angles.
@@ -278,9 +278,9 @@ class Joint:
             return "ball"
         if "slide" in kinds or any(self.places or ()):
             return "chain"
-        if len(self.axes) < _SPANNING:
+        if len(self.axes) < SPANNING:
             return "turns"
-        if len(self.axes) > _SPANNING:
+        if len(self.axes) > SPANNING:
             return "chain"
 
         def spans() -> Condition:
@@ -513,6 +513,19 @@ class Creature:
         return sum(body.mass for body in self.bodies)
 
 
+def rigid_owners(bodies: Sequence[Body]) -> list[int]:
+    """Return the index of the first body of the rigid group of each body, often its own.
+
+    Args:
+        bodies: all bodies of a creature, each after its parent.
+    """
+    owners: dict[str, int] = {}
+    for i, body in enumerate(bodies):
+        welded = body.joint is not None and not body.joint.axes
+        owners[body.name] = owners[body.joint.parent] if welded and body.joint else i
+    return list(owners.values())
+
+
 def require_masses(creature: Creature) -> None:
     """Check that every body that moves has a mass, or is welded to one that has.
 
@@ -520,13 +533,10 @@ def require_masses(creature: Creature) -> None:
         CreatureError: a body that moves has no mass.
     """
     bodies = [creature.bodies[i] for i in topological_order(creature)]
-    owners: dict[str, str] = {}
     masses: dict[str, Number] = {}
-    for body in bodies:
-        welded = body.joint is not None and not body.joint.dofs
-        owner = owners.get(body.joint.parent, body.name) if welded and body.joint else body.name
-        owners[body.name] = owner
-        masses[owner] = masses.get(owner, 0.0) + body.mass
+    for body, owner in zip(bodies, rigid_owners(bodies), strict=True):
+        name = bodies[owner].name
+        masses[name] = masses.get(name, 0.0) + body.mass
     for i, body in enumerate(creature.bodies):
         joint = creature.joint_of(body)
         moves = joint is None or bool(joint.dofs)

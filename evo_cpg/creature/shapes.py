@@ -21,7 +21,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from evo_cpg.spatial.decisions import Condition, chosen
+from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
 
 # Number n of discs that a capsule's cylinder is cut into. Together they have its second moment. The
@@ -32,15 +32,11 @@ _SLICES = 4
 _NEARLY_ALONG = 0.9
 
 # Least length, so that a body without size has no 0 / 0, m, and least semi-axis of `ellipsoid`.
-_LEAST, _LEAST_ELLIPSOID = 1e-12, 1e-9
+LEAST, _LEAST_ELLIPSOID = 1e-12, 1e-9
 
 # Edge radius of a box in pictures, as a fraction of its smallest half size. Vertices along an
 # eighth of a circle: 6 look round on a body that fills a third of a frame.
 _ROUNDING, _QUARTER = 0.28, 6
-
-# Points on each rim of a cylinder that stand for it in pictures of contact, and corners of a rim in
-# pictures of the body.
-_RIM, _ROUND_RIM = 16, 48
 
 Profile = Literal["box", "ball", "disc", "cylinder", "polyhedron"]
 
@@ -395,7 +391,7 @@ class Ellipsoid(Shape):
 
     @override
     def distance(self, points: Numbers) -> Numbers:
-        half = xp.maximum(self.half_extents, _LEAST)
+        half = xp.maximum(self.half_extents, LEAST)
         scaled = points / half
         level = xp.linalg.norm(scaled, axis=-1)
         gradient = xp.linalg.norm(scaled / half, axis=-1)
@@ -406,13 +402,13 @@ class Ellipsoid(Shape):
     @override
     def support(self, direction: Numbers) -> Numbers:
         stretched = self.half_extents * direction
-        return self.half_extents * stretched / xp.maximum(xp.linalg.norm(stretched), _LEAST)
+        return self.half_extents * stretched / xp.maximum(xp.linalg.norm(stretched), LEAST)
 
     @override
     def surface(self, resolution: int) -> Surface:
         """Map the sphere's product rule (Gauss in x, uniform around x) to the ellipsoid."""
         directions, solid_angles = _sphere_rule(resolution)
-        scaled = directions / xp.maximum(self.half_extents, _LEAST)
+        scaled = directions / xp.maximum(self.half_extents, LEAST)
         stretch = xp.linalg.norm(scaled, axis=-1)
         return Surface(
             directions * self.half_extents,
@@ -508,7 +504,7 @@ class Capsule(Shape):
     @override
     def inertia(self, mass: Number) -> Numbers:
         r, length = self.radius, self.length
-        cylinder = mass * xp.pi * r**2 * length / xp.maximum(self.volume, _LEAST**3)
+        cylinder = mass * xp.pi * r**2 * length / xp.maximum(self.volume, LEAST**3)
         ends = mass - cylinder
         axial = cylinder * r**2 / 2 + ends * 0.4 * r**2
         across = cylinder * (length**2 / 12 + r**2 / 4) + ends * (
@@ -531,7 +527,7 @@ class Capsule(Shape):
     def surface(self, resolution: int) -> Surface:
         """Return rings of points on the cylinder, and a product rule on each half-sphere."""
         nodes, weights = np.polynomial.legendre.leggauss(resolution)
-        around = _ring(resolution)
+        around = ring(resolution)
         points = xp.concatenate(
             [
                 xp.column_stack([xp.full(len(around), x * self.length / 2), self.radius * around])
@@ -549,7 +545,7 @@ class Capsule(Shape):
         )
         shift = xp.sign(directions[:, :1]) * xp.array([[self.length / 2, 0.0, 0.0]])
         ends = Surface(self.radius * directions + shift, directions, solid_angles * self.radius**2)
-        return _join([side, ends])
+        return joined([side, ends])
 
     @override
     def barrel(self, direction: Numbers) -> Barrel:
@@ -600,173 +596,6 @@ class Capsule(Shape):
         directions, signs, faces = _split_sphere()
         points = signs * [self.length / 2, 0, 0] + self.radius * directions
         return Skin(points, directions, faces)
-
-
-@dataclasses.dataclass(frozen=True)
-class Cylinder(Shape):
-    """Cylinder along x with flat ends.
-
-    Limbs that touch each other, and obstacles, see a long cylinder as a capsule of equal length and
-    radius, so its rims may enter by 0.41 radii. They see a disc as a square plate with round edges.
-
-    Attributes:
-        radius: radius, m.
-        length: length, m.
-    """
-
-    blunt: ClassVar[bool] = True
-
-    radius: Number
-    length: Number
-
-    @property
-    @override
-    def volume(self) -> Number:
-        return xp.pi * self.radius**2 * self.length
-
-    @property
-    @override
-    def half_extents(self) -> Numbers:
-        return xp.array([self.length / 2, self.radius, self.radius])
-
-    @property
-    @override
-    def reach(self) -> Number:
-        return xp.sqrt(self.length**2 / 4 + self.radius**2)
-
-    @override
-    def inertia(self, mass: Number) -> Numbers:
-        r, length = self.radius, self.length
-        across = mass * (length**2 / 12 + r**2 / 4)
-        return xp.array([mass * r**2 / 2, across, across])
-
-    @property
-    @override
-    def ellipsoid(self) -> Numbers:
-        """Semi-axes of an ellipsoid of equal volume.
-
-        A thin disc has its radius, so the added mass is 8/3 rho r^3. A long cylinder has its second
-        moment along the axis, so a rod that tumbles has rho pi r^2 L^3 / 12.
-        """
-        r, length = xp.maximum(self.radius, _LEAST), xp.maximum(self.length, _LEAST)
-        slender = length**2 / (length**2 + 4 * r**2)
-        along = length / 2 * (1.5 + (np.sqrt(5 / 3) - 1.5) * slender)
-        across = r * xp.sqrt(0.75 * length / along)
-        return xp.array([along, across, across])
-
-    @property
-    @override
-    def rounded_box(self) -> RoundedBox:
-        edge = xp.minimum(self.radius, self.length / 2)
-        along = self.length / 2 - edge
-        # A square of equal area stands for the flat part of a disc.
-        across = np.sqrt(np.pi) / 2 * (self.radius - edge)
-        return RoundedBox(np.zeros(3), xp.array([along, across, across]), edge)
-
-    @override
-    def distance(self, points: Numbers) -> Numbers:
-        around = xp.sqrt(xp.square(points[:, 1]) + xp.square(points[:, 2]))
-        excess = xp.stack([xp.abs(points[:, 0]) - self.length / 2, around - self.radius], 1)
-        outside = xp.linalg.norm(xp.maximum(excess, 0), axis=-1)
-        return outside + xp.minimum(excess.max(-1), 0)
-
-    @override
-    def support(self, direction: Numbers) -> Numbers:
-        around = direction * np.array([0.0, 1.0, 1.0])
-        size = xp.linalg.norm(around)
-        # The middle of an end is its farthest point if the axis lies along the direction.
-        outward = around / xp.where(size > 0, size, 1.0)
-        end = xp.array([xp.sign(direction[0]) * self.length / 2, 0.0, 0.0])
-        return end + self.radius * outward
-
-    @override
-    def height(self, directions: np.ndarray) -> np.ndarray:
-        across = np.hypot(directions[..., 1], directions[..., 2])
-        return np.abs(directions[..., 0]) * float(self.length) / 2 + across * float(self.radius)
-
-    @override
-    def surface(self, resolution: int) -> Surface:
-        """Return rings of points on the side and on both ends.
-
-        The rings of an end are Gauss points of the squared radius.
-        """
-        nodes, weights = np.polynomial.legendre.leggauss(resolution)
-        around = _ring(resolution)
-        count = len(around)
-        places = xp.repeat(nodes * self.length / 2, count)[:, None]
-        normals = xp.tile(xp.column_stack([xp.zeros(count), around]), (resolution, 1))
-        side = Surface(
-            xp.concatenate([places, self.radius * xp.tile(around, (resolution, 1))], 1),
-            normals,
-            xp.repeat(weights / 2 * 2 * xp.pi * self.radius * self.length / count, count),
-        )
-        radii = np.repeat(np.sqrt((nodes + 1) / 2), count)[:, None]
-        disc = self.radius * radii * xp.tile(around, (resolution, 1))
-        areas = xp.repeat(weights / 2 * xp.pi * self.radius**2 / count, count)
-        ends = [
-            Surface(
-                xp.concatenate([xp.full((len(disc), 1), sign * self.length / 2), disc], 1),
-                xp.tile(xp.array([[sign, 0.0, 0.0]]), (len(disc), 1)),
-                areas,
-            )
-            for sign in (1.0, -1.0)
-        ]
-        return _join([side, *ends])
-
-    @override
-    def cells(self) -> tuple[Cell, ...]:
-        return (Cell("cylinder", (0.0, 0.0, 0.0), as_vector(self.half_extents), self.volume),)
-
-    @override
-    def floor_parts(self) -> tuple[FloorPart, ...]:
-        return (FloorPart("cylinder", xp.array([self.length / 2, self.radius])),)
-
-    @override
-    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
-        """Return a capsule, or the ellipsoid in a disc, so that a wheel rolls over obstacles."""
-
-        def is_disc() -> Condition:
-            return self.length < 2 * self.radius
-
-        if chosen(lambda: bool(is_disc()), lambda made: is_disc() == made):
-            return (ObstaclePart("ellipsoid", np.zeros(3), self.half_extents, 0.0),)
-        return (ObstaclePart("line", *self.rounded_box),)
-
-    @property
-    @override
-    def corners(self) -> Numbers:
-        angles = 2 * np.pi * np.arange(_RIM) / _RIM
-        around = self.radius * np.column_stack([np.cos(angles), np.sin(angles)])
-        ends = [
-            xp.concatenate([xp.full((_RIM, 1), sign * self.length / 2), around], 1)
-            for sign in (1.0, -1.0)
-        ]
-        return xp.concatenate(ends)
-
-    @override
-    def skin(self) -> Skin:
-        """Return the side and both ends, with points of their own, so that the rims are sharp."""
-        angles = 2 * np.pi * np.arange(_ROUND_RIM) / _ROUND_RIM
-        around = np.column_stack([np.cos(angles), np.sin(angles)])
-        here, ahead = np.arange(_ROUND_RIM), np.roll(np.arange(_ROUND_RIM), -1)
-        points, normals, faces = [], [], []
-        for sign in (1.0, -1.0):
-            end = np.full((_ROUND_RIM, 1), sign * self.length / 2)
-            rim = np.column_stack([end, self.radius * around])
-            first = _ROUND_RIM * len(points)
-            points += [rim, rim]
-            normals += [
-                np.column_stack([0 * end, around]),
-                np.tile([sign, 0.0, 0.0], (_ROUND_RIM, 1)),
-            ]
-            fan = np.column_stack([0 * here[1:-1], here[1:-1], ahead[1:-1]])
-            faces.append(first + _ROUND_RIM + fan[:, :: int(sign)])
-        back = 2 * _ROUND_RIM
-        faces += [
-            np.column_stack([here, back + here, back + ahead]),
-            np.column_stack([here, back + ahead, ahead]),
-        ]
-        return Skin(np.concatenate(points), np.concatenate(normals), np.concatenate(faces))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -842,7 +671,7 @@ def _frame_along(direction: Numbers) -> Numbers:
     return xp.stack([first, second, xp.cross(first, second)], 1)
 
 
-def _ring(resolution: int) -> Numbers:
+def ring(resolution: int) -> Numbers:
     """Return unit vectors ``(4 resolution, 2)`` evenly on a circle, symmetric about both axes."""
     count = 4 * resolution
     angles = (xp.arange(count) + 0.5) * 2 * xp.pi / count
@@ -868,7 +697,7 @@ def _cube_rule(resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _sphere_rule(resolution: int) -> tuple[Numbers, Numbers]:
     """Return directions ``(n, 3)``, solid angles ``(n,)``: Gauss-Legendre in x, uniform around."""
-    return _around_x(*np.polynomial.legendre.leggauss(2 * resolution), _ring(resolution))
+    return _around_x(*np.polynomial.legendre.leggauss(2 * resolution), ring(resolution))
 
 
 def _around_x(nodes: Numbers, weights: Numbers, around: Numbers) -> tuple[Numbers, Numbers]:
@@ -879,7 +708,8 @@ def _around_x(nodes: Numbers, weights: Numbers, around: Numbers) -> tuple[Number
     return directions, xp.repeat(weights * 2 * xp.pi / len(around), len(around))
 
 
-def _join(parts: list[Surface]) -> Surface:
+def joined(parts: list[Surface]) -> Surface:
+    """Return the points of several surfaces as one."""
     return Surface(*(xp.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 

@@ -7,11 +7,16 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from evo_cpg.creature.axis_laws import DryFriction, push_of, soft_limits
+from evo_cpg.creature.axis_laws import (
+    DryFriction,
+    dry_friction_of,
+    idle_motors,
+    push_of,
+    soft_limits,
+)
 from evo_cpg.creature.creature import CreatureError, Tendon, driven_by
 from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
 from evo_cpg.errors import nearest
-from evo_cpg.spatial.decisions import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 
@@ -82,15 +87,7 @@ class Tendons(eqx.Module):
         """Return the tendons with idle motors where a tendon spans any of some joint axes."""
         idle = np.zeros(len(self.names), bool)
         idle[[owner for owner, dof in zip(self.owners, self.dofs, strict=True) if axes[dof]]] = True
-        limit = self.torque_limit
-        if self.torque_motors is not None:
-            limit = xp.where(np.array(self.torque_motors.driven) & idle, 0.0, limit)
-        return dataclasses.replace(
-            self,
-            servo_gain=self.servo_gain * ~idle,
-            servo_stiffness=self.servo_stiffness * ~idle,
-            torque_limit=limit,
-        )
+        return dataclasses.replace(self, **idle_motors(self, idle))
 
 
 def tendons_of(
@@ -149,7 +146,6 @@ def tendons_of(
 
     armature, loss = each("armature"), each("friction_loss")
     own = 1.0 / (belongs * softness).sum(1) + armature
-    rubs = chosen(lambda: bool((loss != 0).any()), lambda made: made | ~(loss != 0).any())
     gain, spring, limit, motors, _ = zip(*(driven_by(x.actuator) for x in tendons), strict=True)
     gain, spring, limit = (xp.array(list(x), float) for x in (gain, spring, limit))
     torque_motors = torque_motors_of(motors)
@@ -165,7 +161,7 @@ def tendons_of(
         longest_rest=xp.array([tendon.rest[1] for tendon in tendons], float),
         damping=each("damping"),
         armature=armature,
-        dry_friction=DryFriction(loss, own) if rubs else None,
+        dry_friction=dry_friction_of(loss, own),
         lower=each("lower"),
         upper=each("upper"),
         servo_gain=gain,

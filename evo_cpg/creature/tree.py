@@ -22,22 +22,28 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from evo_cpg.creature.axis_laws import DryFriction, push_of, soft_limits
+from evo_cpg.creature.axis_laws import (
+    DryFriction,
+    dry_friction_of,
+    idle_motors,
+    push_of,
+    soft_limits,
+)
 from evo_cpg.creature.ball_limits import BallLimits, ball_limits_of
 from evo_cpg.creature.creature import (
     NO_LIMIT,
     AxisKind,
-    Body,
     Creature,
     DegreeOfFreedom,
     JointKind,
     neutral_pose,
+    rigid_owners,
     topological_order,
 )
 from evo_cpg.creature.muscles import Muscles, muscles_of
 from evo_cpg.creature.tendons import Tendons, tendons_of
 from evo_cpg.creature.torque_motors import TorqueMotors, torque_motors_of
-from evo_cpg.spatial.decisions import chosen
+from evo_cpg.spatial.decisions import chosen, some_hold
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 
 # Least volume of a body, so that a body without size has a fraction under water, m^3.
@@ -222,19 +228,14 @@ class Tree(eqx.Module):
         Idle motors and muscles have no torque and cost no energy. The springs and dampers of
         relaxed muscles stay. The motor of a tendon is idle if any of the tendon's joints is.
         """
-        others = ~axes
-        limit, muscles = self.torque_limit, self.muscles
-        if self.torque_motors is not None:
-            limit = xp.where(np.array(self.torque_motors.driven) & axes, 0.0, limit)
+        muscles = self.muscles
         if muscles is not None:
             active = ("strength", "stiffening", "power")
-            none = {name: getattr(muscles, name) * others for name in active}
+            none = {name: getattr(muscles, name) * ~axes for name in active}
             muscles = dataclasses.replace(muscles, **none)
         return dataclasses.replace(
             self,
-            servo_gain=self.servo_gain * others,
-            servo_stiffness=self.servo_stiffness * others,
-            torque_limit=limit,
+            **idle_motors(self, axes),
             muscles=muscles,
             tendons=None if self.tendons is None else self.tendons.without_motors(axes),
         )
@@ -271,12 +272,9 @@ def build_tree(creature: Creature) -> Tree:
         com = centre + xp.array(
             [np.zeros(3) if body.inertial is None else body.inertial.centre for body in bodies]
         )
-    about = [
-        body.inertia if body.inertial else body.shape.inertia_tensor(m)
-        for m, body in zip(mass, bodies, strict=True)
-    ]
-    inertias = [spatial_inertia(*own) for own in zip(mass, com, about, strict=True)]
-    owners = _owners(bodies, parents)
+    about = [body.inertia for body in bodies]
+    inertias = list(map(spatial_inertia, mass, com, about))
+    owners = rigid_owners(bodies)
     if owners != list(range(len(bodies))):
         places = _places_in_owner(owners, parents, offset, orientation)
         inertias = [
@@ -298,14 +296,10 @@ def build_tree(creature: Creature) -> Tree:
     kinds: tuple[AxisKind, ...] = tuple(dof.kind for dof in dofs)
     groups, hanging = _groups(bodies, parents, dof_bodies), _hanging(creature)
     rest, armature, loss = each("rest"), each("armature"), each("friction_loss")
-    rubs = chosen(lambda: bool((loss != 0).any()), lambda made: made | ~(loss != 0).any())
-    sprung = chosen(lambda: bool((rest != 0).any()), lambda made: made | ~(rest != 0).any())
     gain, spring = each("servo_gain"), each("servo_stiffness")
     muscles = muscles_of([dof.muscle for dof in dofs])
-    torque_motors, torque_limit = (
-        torque_motors_of([dof.torque_motor for dof in dofs]),
-        each("torque_limit"),
-    )
+    torque_motors = torque_motors_of([dof.torque_motor for dof in dofs])
+    torque_limit = each("torque_limit")
     push = gain + spring if muscles is None else gain + spring + muscles.strength
     push = push_of(push, torque_limit, torque_motors)
     limit_stiffness, limit_damping = soft_limits(leverage, push)
@@ -338,10 +332,10 @@ def build_tree(creature: Creature) -> Tree:
         centre_of_volume=None if com is centre else centre.T,
         inertia=inertia,
         stiffness=each("stiffness"),
-        rest=rest if sprung else None,
+        rest=rest if some_hold(lambda: rest != 0) else None,
         damping=each("damping"),
         armature=armature,
-        dry_friction=DryFriction(loss, leverage + armature) if rubs else None,
+        dry_friction=dry_friction_of(loss, leverage + armature),
         lower=xp.array([-NO_LIMIT if dof.kind == "ball" else dof.lower for dof in dofs], float),
         upper=xp.array([NO_LIMIT if dof.kind == "ball" else dof.upper for dof in dofs], float),
         ball_limits=ball_limits_of(dofs, limit_stiffness, limit_damping),
@@ -360,15 +354,6 @@ def build_tree(creature: Creature) -> Tree:
             leverage + armature,
         ),
     )
-
-
-def _owners(bodies: list[Body], parents: list[int]) -> list[int]:
-    """Return the index of the first body of the rigid group of each body."""
-    owners: list[int] = []
-    for i, (body, parent) in enumerate(zip(bodies, parents, strict=True)):
-        welded = body.joint is not None and parent >= 0 and not body.joint.dofs
-        owners.append(owners[parent] if welded else i)
-    return owners
 
 
 def _places_in_owner(
@@ -462,12 +447,7 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     directions = xp.einsum("dij,dj->di", rotations[moved], axes)
     places = centres[moved] + xp.einsum("dij,dj->di", rotations[moved], anchors.reshape(-1, 3))
     mass = xp.array([body.mass for body in creature.bodies])
-    own = xp.stack(
-        [
-            body.inertia if body.inertial else body.shape.inertia_tensor(m)
-            for m, body in zip(mass, creature.bodies, strict=True)
-        ]
-    )
+    own = xp.stack([body.inertia for body in creature.bodies])
     spin = rotations @ own @ xp.swapaxes(rotations, 1, 2)
     if any(body.inertial is not None for body in creature.bodies):
         within = [np.zeros(3) if x.inertial is None else x.inertial.centre for x in creature.bodies]

@@ -22,8 +22,9 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from evo_cpg.creature.creature import Body, Creature
+from evo_cpg.creature.cylinder import Cylinder
 from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh
-from evo_cpg.creature.shapes import Box, Capsule, Cylinder, Ellipsoid, Sphere
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.exchange.compiled import Compiled, tidy, tidy_vector
 from evo_cpg.exchange.mjcf_ground import number_text
 from evo_cpg.exchange.refusals import ExchangeError

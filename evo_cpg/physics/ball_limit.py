@@ -14,14 +14,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.ball_limits import BallLimits
+from evo_cpg.creature.creature import SPANNING
 from evo_cpg.physics.joint_torque import expected_limit_torque, limit_torque
 from evo_cpg.physics.per_body import take
-from evo_cpg.physics.root import joint_rows, plus_torque
+from evo_cpg.physics.root import joint_part, joint_rows, plus_torque
 from evo_cpg.physics.state import State
 from evo_cpg.spatial.linear import dot, expand_dims_like
-
-# Number of degrees of freedom of a ball.
-_AXES = 3
 
 # Square of the angle (rad) below which its direction does not matter.
 _NO_ANGLE = 1e-12
@@ -92,14 +90,14 @@ class BallForce(NamedTuple):
         return self.laws.torque_of(along, len(qdd))
 
     def added_to(
-        self, matrix: Float[Array, "v v *n"], force: Float[Array, "v *n"], dofs: int
+        self, matrix: Float[Array, "v v *n"], force: Float[Array, "v *n"]
     ) -> tuple[Float[Array, "v v *n"], Float[Array, "v *n"]]:
         """Return the matrix plus ``n T n^T``, and the generalized force plus the torque."""
         n, rows = self.laws.direction, joint_rows(_rows(self.laws.limits))
         block = n[:, None] * n[None] * self.resistance[None, None]
         one, other = np.broadcast_arrays(rows[:, None], rows[None])
         matrix = matrix.at[one, other].add(block)
-        return matrix, plus_torque(force, self.laws.torque_of(self.torque, dofs))
+        return matrix, plus_torque(force, self.laws.torque_of(self.torque, len(joint_part(force))))
 
 
 def ball_laws(limits: BallLimits | None, state: State) -> BallLaws | None:
@@ -128,7 +126,7 @@ def within(limits: BallLimits | None, q: Float[Array, "d *n"]) -> Float[Array, "
 
 def _rows(limits: BallLimits) -> np.ndarray:
     """Return the degrees of freedom of the balls, one row for each axis."""
-    return np.arange(_AXES)[:, None] + np.array(limits.first)[None]
+    return np.arange(SPANNING)[:, None] + np.array(limits.first)[None]
 
 
 def _of_balls(limits: BallLimits, q: Float[Array, "d *n"]) -> Float[Array, "3 b *n"]:

@@ -190,7 +190,7 @@ def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations
     if equations.tendons is not None:
         matrix, force = equations.tendons.expected(h).added_to(matrix, force)
     if equations.balls is not None:
-        matrix, force = equations.balls.expected(h).added_to(matrix, force, tree.dof_count)
+        matrix, force = equations.balls.expected(h).added_to(matrix, force)
     if world.held:
         qdd = solve_symmetric(joint_block(matrix), joint_part(force))
         return Accelerations(jnp.zeros_like(root_part(force)), qdd)

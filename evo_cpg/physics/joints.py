@@ -1,4 +1,4 @@
-"""Joints of a tree: frames across them, their motion subspace, and their elimination.
+"""Joints of a tree: frames across them, and their motion subspace.
 
 A joint has up to six degrees of freedom, and a weld has none. There are three kinds (`Group.kind`):
 
@@ -8,19 +8,12 @@ A joint has up to six degrees of freedom, and a weld has none. There are three k
 - "chain": any other axes, such as slides and axes at their own places. S has a linear part.
 
 Every recursion over a tree (`kinematics`, `articulated`, `generalized`, `statics`, contacts between
-limbs) uses joints through these functions. Torques are in `evo_cpg.physics.joint_torque`.
-
-| symbol | name |
-|---|---|
-| S_i | ``axes``: world axes of the degrees of freedom |
-| I^A_i, p^A_i | articulated-body inertia and bias wrench of the body on the joint |
-| U, G, u | ``I^A S``, ``S^T I^A S + T`` and ``tau - S^T p^A`` |
-| I^a_i, p^a_i | parts of I^A and p^A that the parent feels through the joint |
-| ``K = G^-1 U^T`` | yielding of the joint to its parent's acceleration |
+limbs) uses joints through these functions. Torques are in `evo_cpg.physics.joint_torque`, and
+`evo_cpg.physics.joint_elimination` eliminates joints from the equations of bodies.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -28,15 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.creature import SPANNING
 from evo_cpg.creature.tree import Group, Tree
-from evo_cpg.fusion.fuse import symmetric
 from evo_cpg.physics.per_body import PerBody, in_dof_order, of_joints, take
 from evo_cpg.physics.spatial_algebra import (
     BodyMotion,
     Inertia,
     Motion,
     Wrench,
-    make_inertia,
     motion_at_child,
     motion_product,
 )
@@ -44,13 +36,10 @@ from evo_cpg.spatial.linear import (
     cross,
     dot,
     expand_dims_like,
-    inverse_symmetric,
     matmul,
-    matmul_t,
     matvec,
     matvec_t,
     t_matmul,
-    transpose,
 )
 from evo_cpg.spatial.rotation import (
     axis_rotation,
@@ -59,10 +48,6 @@ from evo_cpg.spatial.rotation import (
     quaternion_to_rotation_vector,
     rotation_vector_to_quaternion,
 )
-
-# Number of axes that span all rotations.
-_SPANNING = 3
-
 
 # Position.
 
@@ -74,12 +59,12 @@ def moved(
     return displaced(tree, q, h * rate)
 
 
-def displaced(tree: Tree, q: Float[Array, " d *n"], x: Float[Array, " d *n"]) -> Array:
+def displaced(tree: Tree, q: Float[Array, "d *n"], x: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
     """Return coordinates displaced by x: angles and lengths add up, rotations of balls compose."""
     there, starts = q + x, _balls(tree)
     if not len(starts):
         return there
-    rows = starts[None] + np.arange(_SPANNING)[:, None]
+    rows = starts[None] + np.arange(SPANNING)[:, None]
     one, other = (
         rotation_vector_to_quaternion(jnp.stack([take(v, row, 0) for row in rows])) for v in (q, x)
     )
@@ -88,7 +73,7 @@ def displaced(tree: Tree, q: Float[Array, " d *n"], x: Float[Array, " d *n"]) ->
 
 def _balls(tree: Tree) -> np.ndarray:
     """Return the first degree of freedom of each ball joint."""
-    return np.flatnonzero(np.array(tree.dof_kinds) == "ball")[::_SPANNING]
+    return np.flatnonzero(np.array(tree.dof_kinds) == "ball")[::SPANNING]
 
 
 def local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3 c *n"]]:
@@ -238,11 +223,8 @@ class Subspace(eqx.Module):
     def of(self, group: Group, batch_ndim: int) -> "Subspace":
         """Return a group's part ``(3, k, b, *n)`` of a subspace of all degrees of freedom."""
         linear = self.linear if group.kind == "chain" else None
-        angular, linear = (
-            None if x is None else of_joints(x, group, batch_ndim) for x in (self.angular, linear)
-        )
-        assert angular is not None
-        return Subspace(angular, linear, group.kind == "ball")
+        own = Subspace(self.angular, linear, group.kind == "ball")
+        return jax.tree.map(lambda x: of_joints(x, group, batch_ndim), own)
 
     def take(self, dofs: np.ndarray) -> "Subspace":
         """Return the columns of some degrees of freedom."""
@@ -382,175 +364,6 @@ def about(
     """
     moments = cross(S.angular, origins)
     return S.angular, moments if S.linear is None else moments - S.linear
-
-
-# Elimination.
-
-
-class Condensed(NamedTuple):
-    """Joints of a group, eliminated from the equations of their bodies.
-
-    Attributes:
-        inertia: I^a, the inertias that the parents feel.
-        bias: p^a, the bias wrenches that the parents feel.
-        yielding: K, the joints' yielding to accelerations of the parents.
-        free: ``G^-1 u``: joint accelerations if the parents do not accelerate.
-    """
-
-    inertia: Inertia
-    bias: Wrench
-    yielding: Motion
-    free: Array
-
-
-def joints_of(
-    group: Group,
-    S: Subspace,
-    torque: Float[Array, "d *n"],
-    torque_derivative: Float[Array, "d *n"],
-) -> "Joints | Chain":
-    """Return the joints of a group (see `evo_cpg.physics.articulated.solve`).
-
-    Args:
-        group: the group.
-        S: motion per rate of all degrees of freedom, ``(3, d, *n)``.
-        torque: tau of all degrees of freedom.
-        torque_derivative: the diagonal T.
-    """
-    own = S.of(group, torque.ndim - 1)
-    tau, diagonal = (of_joints(x, group, torque.ndim - 1) for x in (torque, torque_derivative))
-    if group.kind == "chain" or not group.axes:
-        return Chain(own, tau, diagonal)
-    identity = expand_dims_like(np.eye(group.axes), tau, tau.ndim + 1)
-    if group.axes != _SPANNING:
-        return Joints(own, tau, identity * diagonal[None], None)
-    to_q = _inverse_columns(own.angular)
-    derivative = symmetric(t_matmul(to_q, diagonal[:, None] * to_q))
-    return Joints(Subspace(identity), matvec_t(to_q, tau), derivative, to_q)
-
-
-class Joints(NamedTuple):
-    """Joints of a group that turn at one place, in their own coordinates x.
-
-    For one or two axes x is ``q``. For three axes x is the rotation across the joint in world axes,
-    and S is 1.
-
-    Attributes:
-        S: motion per rate of each degree of freedom, without linear parts.
-        torque: tau, in the coordinates x.
-        derivative: T, in the coordinates x.
-        to_q: matrix from x to ``q``, or None if x is ``q``.
-    """
-
-    S: Subspace
-    torque: Array
-    derivative: Array
-    to_q: Array | None
-
-    def condensed(self, inertia: Inertia, bias: Wrench) -> Condensed:
-        """Eliminate the joints: ``I^a = I^A - U K`` and ``p^a = p^A + K^T u``.
-
-        If S is 1, U consists of the blocks (A, B^T) of I^A, and G is A + T. Then
-        ``P = T G^-1 = 1 - A G^-1`` gives I^a a form without cancellation for a free joint.
-
-        Args:
-            inertia: I^A of the bodies.
-            bias: p^A of the bodies.
-        """
-        axes = self.S.angular
-        U = momentum(inertia, self.S)
-        G_inverse = inverse_symmetric(t_matmul(axes, U.moment) + self.derivative)
-        u = self.torque - torque_of(self.S, bias)
-        K = Motion(matmul_t(G_inverse, U.moment), matmul_t(G_inverse, U.force))
-        linear = inertia.linear - matmul(U.force, K.linear)
-        if self.to_q is None:
-            angular = inertia.angular - matmul(U.moment, K.angular)
-            mixed = inertia.mixed - matmul(U.moment, K.linear)
-        else:
-            P = matmul(self.derivative, G_inverse)
-            K = Motion(axes - transpose(P), K.linear)
-            angular, mixed = matmul(P, inertia.angular), matmul(P, inertia.mixed)
-        felt = make_inertia(angular, mixed, linear)
-        moment, force = matvec_t(K.angular, u), matvec_t(K.linear, u)
-        wrench = Wrench(bias.moment + moment, bias.force + force)
-        return Condensed(felt, wrench, K, matvec(G_inverse, u))
-
-    def accelerations(self, condensed: Condensed, motion: Motion) -> tuple[Motion, Array]:
-        """Return the accelerations of the bodies, and of the joints in q, ``(k, bodies, ...)``.
-
-        Args:
-            condensed: result of the elimination.
-            motion: accelerations of the bodies with locked joints.
-        """
-        K = condensed.yielding
-        x = condensed.free - matvec(K.angular, motion.angular) - matvec(K.linear, motion.linear)
-        moved = accelerated(motion, self.S, x)
-        return moved, x if self.to_q is None else matvec(self.to_q, x)
-
-
-class Chain(NamedTuple):
-    """Joints of a group with any axes, eliminated one by one, the last axis first.
-
-    The axes are those of a chain of bodies without mass whose origins coincide. G of one axis is a
-    number. A weld has no axes.
-
-    Attributes:
-        S: motion per rate of each degree of freedom.
-        torque: tau.
-        derivative: the diagonal T.
-    """
-
-    S: Subspace
-    torque: Array
-    derivative: Array
-
-    def condensed(self, inertia: Inertia, bias: Wrench) -> Condensed:
-        """Eliminate the joints. The arguments are those of `Joints.condensed`."""
-        found = []
-        for k in reversed(range(len(self.torque))):
-            S = self._axis(k)
-            U = momentum(inertia, S)
-            G = torque_of(S, Wrench(U.moment[:, 0], U.force[:, 0]))[0] + self.derivative[k]
-            G_inverse = (1.0 / G)[None]
-            u = self.torque[k] - torque_of(S, bias)[0]
-            moment, force = U.moment[:, 0], U.force[:, 0]
-            K = Motion(G_inverse * moment, G_inverse * force)
-            felt = make_inertia(
-                inertia.angular - moment[:, None] * K.angular[None],
-                inertia.mixed - moment[:, None] * K.linear[None],
-                inertia.linear - force[:, None] * K.linear[None],
-            )
-            inertia = felt
-            bias = Wrench(bias.moment + K.angular * u[None], bias.force + K.linear * u[None])
-            found.append((K, G_inverse[0] * u))
-        yields = [K for K, _ in reversed(found)]
-        angular, linear = (
-            jnp.stack(x) if x else self.S.angular.swapaxes(0, 1)
-            for x in ([K.angular for K in yields], [K.linear for K in yields])
-        )
-        free = jnp.stack([x for _, x in reversed(found)]) if found else self.torque
-        return Condensed(inertia, bias, Motion(angular, linear), free)
-
-    def accelerations(self, condensed: Condensed, motion: Motion) -> tuple[Motion, Array]:
-        """Return the accelerations. The arguments are those of `Joints.accelerations`."""
-        K, found = condensed.yielding, []
-        for k in range(len(self.torque)):
-            x = condensed.free[k] - dot(K.angular[k], motion.angular)
-            x = x - dot(K.linear[k], motion.linear)
-            motion = accelerated(motion, self._axis(k), x[None])
-            found.append(x)
-        return motion, jnp.stack(found) if found else condensed.free
-
-    def _axis(self, k: int) -> Subspace:
-        """Return one column of S."""
-        return jax.tree.map(lambda x: x[:, k : k + 1], self.S)
-
-
-def _inverse_columns(m: Float[Array, "3 3 *rest"]) -> Float[Array, "3 3 *rest"]:
-    """Return the inverse of a matrix, with cross products of its columns as rows."""
-    a, b, c = m[:, 0], m[:, 1], m[:, 2]
-    rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
-    return rows * (1.0 / dot(a, rows[0]))[None, None]
 
 
 def _range(bodies: slice) -> range:

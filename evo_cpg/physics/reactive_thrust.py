@@ -49,7 +49,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part, blocks
 from evo_cpg.physics.per_body import spread, take
 from evo_cpg.physics.sections import Sections, chain_inertia, sections
-from evo_cpg.spatial.decisions import Condition, chosen
+from evo_cpg.spatial.decisions import some_hold
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, smooth_step, xp
 
@@ -239,7 +239,4 @@ def _shedding(
 
 
 def _sheds(masses: Float[Numbers, " 2"], whole: Float[Numbers, " 2"]) -> bool:
-    def any_shed() -> Condition:
-        return (masses > _NO_DIFFERENCE * whole).any()
-
-    return bool(chosen(lambda: bool(any_shed()), lambda made: made | ~any_shed()))
+    return some_hold(lambda: masses > _NO_DIFFERENCE * whole)

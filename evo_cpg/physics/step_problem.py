@@ -219,7 +219,7 @@ class StepProblem(NamedTuple):
         if linear.tendons is not None:
             matrix, force = linear.tendons.added_to(matrix, force)
         if linear.balls is not None:
-            matrix, force = linear.balls.added_to(matrix, force, tree.dof_count)
+            matrix, force = linear.balls.added_to(matrix, force)
         return solve_symmetric(matrix, plus_torque(force, torque))
 
     def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:

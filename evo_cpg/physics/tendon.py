@@ -98,7 +98,7 @@ class TendonForce(NamedTuple):
     Attributes:
         tendons: the tendons.
         force: force at zero joint acceleration.
-        resistance: decrease of the force per second rate of the length.
+        resistance: decrease of the force per acceleration of the length.
     """
 
     tendons: Tendons

@@ -115,6 +115,17 @@ def chosen(choose: Callable[[], _T], holds: Callable[[_T], Condition] | None = N
     return made
 
 
+def some_hold(conditions: Callable[[], Condition]) -> bool:
+    """Return whether any of some conditions holds, to decide whether a model gets a part.
+
+    The part stays right if all conditions cease to hold.
+
+    Args:
+        conditions: function that returns an array of truth values, which may be traced.
+    """
+    return chosen(lambda: bool(conditions().any()), lambda made: made | ~conditions().any())
+
+
 def searched(search: Callable[[], _T], holds: Callable[[_T], Condition]) -> _T:
     """Return the result of a search with known numbers, or in a replay its recorded result.
 

@@ -7,7 +7,8 @@ from scipy.special import ellipeinc, ellipkinc
 
 from benchmarks.mujoco_model import mujoco_model
 from evo_cpg.creature.creature import Body, Creature, Material
-from evo_cpg.creature.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from evo_cpg.creature.cylinder import Cylinder
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 
 SHAPES = {
     "box": Box((0.3, 0.2, 0.1)),

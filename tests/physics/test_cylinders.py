@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 
 from evo_cpg.creature.creature import Body, Creature, Material
-from evo_cpg.creature.shapes import Cylinder
+from evo_cpg.creature.cylinder import Cylinder
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.added_mass import ellipsoid

@@ -5,6 +5,7 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from creatures import STRUCTURES, box_chain, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator
@@ -100,3 +101,10 @@ def test_free_root_has_no_holding_wrench():
         lambda state: step(world, state, jnp.zeros(1), H), resting_state(world.tree)
     )
     assert effort.holding is None
+
+
+def test_steps_that_need_iteration_hold_no_root():
+    """Limits of torque have a kink."""
+    world = World(build_tree(box_chain(2, "z", Actuator(1.0, torque_limit=1.0))), 9.81, held=True)
+    with pytest.raises(ValueError, match="only a step without iteration can hold the root"):
+        step(world, resting_state(world.tree), jnp.zeros(1), H)

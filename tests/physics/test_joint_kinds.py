@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from creatures import quick_jit, random_shape, random_state
+from creatures import accelerations, quick_jit, random_shape, random_state
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, TorqueMotor
 from evo_cpg.creature.reach import keeps_apart
 from evo_cpg.creature.shapes import Box
@@ -17,17 +17,10 @@ from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, joint_state, load_state
 from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.physics import joints
-from evo_cpg.physics.articulated import solve
-from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.generalized import generalized_force, mass_matrix
-from evo_cpg.physics.joint_torque import MotorCommand, passive_torque
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.root import plus_joint_diagonal, plus_torque
-from evo_cpg.physics.spatial_algebra import Wrench
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.rotation import euler_to_matrix
 
 TURN, SLIDE, BALL = ("turn",), ("slide",), ("ball",) * 3
@@ -89,20 +82,6 @@ def theirs_of(creature: Creature, gravity: float):
     model = mujoco.MjModel.from_xml_string(mjcf_text(mjcf_model(creature, gravity, time_step=1e-4)))
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     return model, mujoco.MjData(model)
-
-
-@quick_jit
-def accelerations(tree: Tree, state: State, tau):
-    """Return the accelerations by bodies, and by the mass matrix."""
-    world = World(tree, 9.81)
-    kin = kinematics(tree, state)
-    inertia, bias = body_equations(world, kin, 0.0)
-    passive, derivative = passive_torque(tree, state, 0.0)
-    rotor = derivative + expand_dims_like(tree.armature, tau)
-    by_bodies = jnp.concatenate(solve(tree, kin, inertia, bias, tau + passive, rotor))
-    matrix = plus_joint_diagonal(mass_matrix(tree, kin, inertia), rotor)
-    force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
-    return by_bodies, jnp.linalg.solve(matrix, plus_torque(force, tau + passive))
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,9 @@ from evo_cpg.config.errors import Key
 from evo_cpg.config.lint.rule import Case, Jointed, LintWarning, rule
 from evo_cpg.config.schema.joint import MuscleConfig, TorqueMotorConfig
 from evo_cpg.config.schema.typical import ROUNDING, TURN
-from evo_cpg.creature.creature import Body, Muscle, TorqueMotor
-from evo_cpg.creature.shapes import Capsule, Cylinder
+from evo_cpg.creature.creature import SPANNING, Body, Muscle, TorqueMotor
+from evo_cpg.creature.cylinder import Cylinder
+from evo_cpg.creature.shapes import Capsule
 from evo_cpg.spatial.numerics import Triple
 
 # Range of the longest edge of a body, from the limb of a small insect to a whale, m.
@@ -31,9 +32,6 @@ _LEAST_TURN = 1.0
 # Largest distance of a position outside its body, as a fraction of the body's largest half extent.
 # Joints have gaps between bodies, and eyes stand on stalks.
 _OUT = 0.3
-
-# Number of axes that span all rotations.
-_SPANNING = 3
 
 # Smallest angle between successive bodies of a row, degrees, for a warning. The row curls up into a
 # ring.
@@ -129,7 +127,7 @@ def axes_in_a_plane(case: Case) -> Iterator[LintWarning]:
     for joint in case.joints():
         built = joint.built
         at_one_place = not any(built.kinds or ()) and not any(built.places or ())
-        if len(built.axes) != _SPANNING or not at_one_place or built.kind == "turns":
+        if len(built.axes) != SPANNING or not at_one_place or built.kind == "turns":
             continue
         if not any(dof.armature for dof in built.dofs):
             yield case.warning(
@@ -202,12 +200,12 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
     time = simulation.steps / simulation.control_rate_hz
     found = []
     motors = [
-        (joint, motor, dof.kind == "slide")
+        (joint, motor, axis, dof.kind == "slide")
         for joint in case.joints()
-        for motor, dof in zip(joint.given.motors, joint.built.dofs, strict=True)
+        for axis, (motor, dof) in enumerate(zip(joint.given.motors, joint.built.dofs, strict=True))
         if motor is not None
     ]
-    for joint, motor, slides in motors:
+    for joint, motor, axis, slides in motors:
         built = motor.build()
         if isinstance(built, Muscle):
             limit, word = built.strength, "area"
@@ -220,7 +218,7 @@ def weak_motors(case: Case) -> Iterator[LintWarning]:
             continue
         turn = float(np.rad2deg(limit / inertia * time**2 / 2))
         listed = isinstance(joint.given.actuator, list)
-        place = (joint.given.motors.index(motor),) if listed else ()
+        place = (axis,) if listed else ()
         found.append((turn, (*joint.key, "actuator", *place, word)))
     if not found or max(found)[0] >= _LEAST_TURN:
         return

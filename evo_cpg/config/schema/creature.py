@@ -340,14 +340,12 @@ class CreatureConfig(Section):
 
     def entry_of(self, body: int) -> int:
         """Return the index in ``bodies`` of the entry of a body, given the body's index."""
-        counts = [1 + len(self.bodies[copy.entry].parts) for copy in self.copies()]
-        return self.copies()[int(np.repeat(range(len(counts)), counts)[body])].entry
+        return [copy.entry for copy in self.copies() for _ in self._names_of(copy)][body]
 
     def entry_of_tendon(self, tendon: int) -> int:
         """Return the index in ``tendons`` of the entry of a tendon, given the tendon's index."""
         everything = self.copies()
-        counts = [len(given.build(everything)) for given in self.tendons]
-        return int(np.repeat(np.arange(len(counts)), counts)[tendon])
+        return [i for i, given in enumerate(self.tendons) for _ in given.build(everything)][tendon]
 
     def require_names(self) -> None:
         """Check that the names of bodies are unique, and that every name used exists.
@@ -427,9 +425,8 @@ class CreatureConfig(Section):
             return made if density is None else dataclasses.replace(made, density=density)
 
         own = NoShape() if entry.shape is None else shapes.pop(0)
-        found = [Body(copy.name, own, material(entry.material), joint, entry.color, inertial)]
-        if entry.shape is None and inertial is None:
-            found = [dataclasses.replace(found[0], inertial=NO_MASS)]
+        first = NO_MASS if entry.shape is None and inertial is None else inertial
+        found = [Body(copy.name, own, material(entry.material), joint, entry.color, first)]
         for i, (part, shape) in enumerate(zip(entry.parts, shapes, strict=True), start=2):
             at, turn_deg = part.at, part.rotation_deg
             if copy.mirror:
@@ -475,9 +472,9 @@ def _inertial(entry: BodyConfig, copy: Copy, centre: np.ndarray) -> Inertial:
         copy: the copy.
         centre: centre of its shape in the frame of the configuration, m.
     """
-    place = _image(entry.centre_of_mass, copy) if entry.centre_of_mass else as_vector(centre)
     if entry.inertia is None:
         return Inertial(entry.mass, np.zeros(3), np.zeros((3, 3)))
+    place = _image(entry.centre_of_mass, copy) if entry.centre_of_mass else as_vector(centre)
     tensor = symmetric(entry.inertia)
     if copy.mirror:
         image = xp.diag(xp.array(reflected((1.0, 1.0, 1.0), copy.mirror)))

@@ -10,8 +10,9 @@ from typing_extensions import override
 from evo_cpg.config.schema.copies import MirrorAxis
 from evo_cpg.config.schema.frames import reflected
 from evo_cpg.config.schema.section import Positive, Section, Vector
+from evo_cpg.creature.cylinder import Cylinder
 from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
-from evo_cpg.creature.shapes import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 
 Size = tuple[Positive, Positive, Positive]
 # Index of a vertex. Larger numbers do not fit into arrays.
