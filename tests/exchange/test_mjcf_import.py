@@ -439,8 +439,11 @@ def test_refused_parts_can_be_dropped(read):
     )
     assert [body["name"] for body in found.experiment["creature"]["bodies"]] == ["trunk", "limb"]
     driven = ball.replace("<geom", '<body name="arm"><joint name="j"/><geom size="1"/></body><geom')
-    with pytest.raises(ExchangeError, match="it moves beside"):
-        read(model(actuators=MOTOR + '<motor joint="j"/>', beside=driven), drop=True)
+    tendon = '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
+    for motor in ('joint="j"', 'tendon="t"'):
+        actuators = f"{MOTOR}<motor {motor}/>"
+        with pytest.raises(ExchangeError, match="it moves beside"):
+            read(model(actuators=actuators, beside=driven, extra=tendon), drop=True)
 
 
 @pytest.mark.parametrize(
