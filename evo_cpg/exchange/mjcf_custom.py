@@ -20,9 +20,10 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from evo_cpg.creature.creature import Body, Creature, Muscle
+from evo_cpg.creature.creature import Body, Creature, Material, Muscle
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.exchange.compiled import Compiled
+from evo_cpg.exchange.mjcf_joints import one_or_each
 
 # Name of our text.
 _NAME = "evo_cpg"
@@ -127,7 +128,7 @@ def restored_material(
     if not found:
         return material
     density = not weighed or np.isclose(found["density"], material["density"], rtol=_MESH_AGREES)
-    friction = material.get("dynamic_friction", 0.4)
+    friction = material.get("dynamic_friction", Material(0.0).dynamic_friction)
     slides = np.isclose(found["dynamic_friction"], friction, rtol=_AGREES)
     return dict(found) if density and slides else material
 
@@ -151,9 +152,8 @@ def restore_muscles(custom: Custom, name: str, joint: dict[str, Any]) -> None:
             lists["stiffness"][i], lists["damping"][i] = axis["stiffness"], axis["damping"]
             lists["actuator"][i] = {"type": "muscle", **axis["muscle"]}
     for key, values in lists.items():
-        every = values[0] if all(value == values[0] for value in values) else values
         joint.pop(key, None)
-        if every:
+        if every := one_or_each(values):
             joint[key] = every
 
 
