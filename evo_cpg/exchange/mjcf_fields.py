@@ -237,6 +237,9 @@ def refuse_elements(compiled: Compiled) -> None:
     for flag in ("override", "sleep", "diagexact", "ipc", "speculative"):
         if compiled.enabled(flag):
             compiled.refusals.leave_out(f"flag {flag}")
+    # Neighbours at a joint touch here only if a pair names them.
+    if compiled.disabled("filterparent"):
+        compiled.refusals.leave_out("flag filterparent")
 
 
 def leave_out_elements(compiled: Compiled) -> None:
