@@ -128,7 +128,7 @@ def restored_material(
     if not found:
         return material
     density = not weighed or np.isclose(found["density"], material["density"], rtol=_MESH_AGREES)
-    friction = material.get("dynamic_friction", Material(0.0).dynamic_friction)
+    friction = Material(**material).dynamic_friction
     slides = np.isclose(found["dynamic_friction"], friction, rtol=_AGREES)
     return dict(found) if density and slides else material
 
