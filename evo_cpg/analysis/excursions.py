@@ -98,7 +98,7 @@ def excursions(
     clearance, apart, swims = along_time(depths, steps)
     overlap, overlapping = _deepest_overlap(every, world, creature, steps, apart)
     rate = (steps.before.qd + steps.after.qd) / 2
-    turns = np.array([kind != "slide" for kind in world.tree.dof_kinds], bool)
+    turns = ~world.tree.slides
     power = steps.torque * rate
     root = np.asarray(steps.after.position, float)
     h = simulation.step_length

@@ -158,6 +158,9 @@ def short_heads(keys: Sequence[str]) -> list[str]:
     """Return the last parts of keys of a configuration, enough of them to tell the keys apart."""
     ends = [[".".join(key.split(".")[i:]) for i in range(key.count("."), -1, -1)] for key in keys]
     return [
-        next(end for end in own if not end[0].isdigit() and sum(end in each for each in ends) == 1)
+        next(
+            (end for end in own if not end[0].isdigit() and sum(end in each for each in ends) == 1),
+            own[-1],
+        )
         for own in ends
     ]

@@ -241,7 +241,7 @@ class BrainCpg(Controller):
     muscles: bool = eqx.field(static=True)
     feedback: Feedback | None = None
     gear: Float[Numbers, " d"] | None = None
-    angles: "AngleRange | None" = None
+    angles: AngleRange | None = None
     unit: Float[Numbers, " d"] | None = None
     sensed: tuple[int, ...] | None = eqx.field(static=True, default=None)
 
@@ -540,14 +540,14 @@ def units_of(tree: Tree) -> Float[Numbers, " d"] | None:
     A slide's is its farther limit, or without limits the radius of gyration of its body, m. Cosine
     and sine then tell its positions apart, and animals of any size have equal brains.
     """
-    if "slide" not in tree.dof_kinds:
+    slides = tree.slides
+    if not slides.any():
         return None
     body = np.array(tree.dof_bodies)
     own = xp.trace(tree.inertia[:3, :3])[body] / 2
     away = (tree.com * tree.com).sum(0)[body]
     radius = xp.sqrt(xp.maximum(own / tree.mass[body] - away, _LEAST_UNIT**2))
     farther = xp.maximum(xp.abs(tree.lower), xp.abs(tree.upper))
-    slides = np.array(tree.dof_kinds) == "slide"
     return xp.where(slides, xp.where(farther < NO_LIMIT, farther, radius), 1.0)
 
 

@@ -242,7 +242,7 @@ def _beyond(
     least, most = xp.deg2rad(xp.array([lowest, highest]))
     beyond = (least < tree.lower - _ANGLE_TOLERANCE) | (most > tree.upper + _ANGLE_TOLERANCE)
     # An angle is no command for a slide.
-    beyond = beyond | np.array([kind == "slide" for kind in tree.dof_kinds], bool)
+    beyond = beyond | tree.slides
     # A motor without a spring has no commanded angle.
     return beyond & (tree.servo_stiffness > 0), (lowest, highest)
 
@@ -250,7 +250,7 @@ def _beyond(
 def _check_limits(tree: Tree, settings: PostureSettings) -> None:
     beyond, (lowest, highest) = _beyond(tree, settings)
     for i in np.flatnonzero(beyond):
-        if tree.dof_kinds[i] == "slide":
+        if tree.slides[i]:
             raise ValueError(
                 f"postures command angles, but joint {tree.dof_names[i]} slides. Set the stiffness "
                 "of its actuator to 0, or choose brain_cpg"

@@ -206,6 +206,11 @@ class Tree(eqx.Module):
         return xp.array([pulling.get(dof, number) for dof, number in enumerate(own)], float)
 
     @property
+    def slides(self) -> Bool[np.ndarray, " d"]:
+        """Degrees of freedom that are displacements, with the units m, m/s and N."""
+        return np.array([kind == "slide" for kind in self.dof_kinds], bool)
+
+    @property
     def root_slides(self) -> tuple[int, ...]:
         """Degrees of freedom of the slides on which the root hangs."""
         kinds = () if self.hanging is None else self.hanging.kinds

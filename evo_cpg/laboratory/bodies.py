@@ -31,6 +31,8 @@ _POWERS = {
     "child_at": _LENGTH,
     "position": _LENGTH,
     "distance": _LENGTH,
+    "limits_m": _LENGTH,
+    "rest_m": _LENGTH,
     "centre_of_mass": _LENGTH,
     "mass": _VOLUME,
     "inertia": _INERTIA,
@@ -148,16 +150,19 @@ def config_of(config: ExperimentConfig, source: Path, setting: Setting) -> Exper
     if water is not None and "viscosity" in setting:
         if water.viscosity is None:
             raise LabError("viscosity: the water has none. Set world.water.viscosity")
-        numbers["world.water.viscosity"] = water.viscosity * setting["viscosity"]
+        key = "world.water.viscosity"
+        numbers[key] = numbers.get(key, water.viscosity) * setting["viscosity"]
     if "gravity" in setting:
-        numbers["world.gravity"] = config.world.gravity * setting["gravity"]
+        key = "world.gravity"
+        numbers[key] = numbers.get(key, config.world.gravity) * setting["gravity"]
     # A body that is towed in still water feels what a held body feels in a current.
     current = -setting.get("current", 0.0) - setting.get("tow", 0.0)
     if current and water is not None:
         heading = math.radians(config.simulation.start_heading_deg)
         along = current * math.cos(heading), current * math.sin(heading)
         for axis, value in enumerate(along):
-            numbers[f"world.water.current.{axis}"] = water.current[axis] + value
+            key = f"world.water.current.{axis}"
+            numbers[key] = numbers.get(key, water.current[axis]) + value
     for key in numbers:
         number_at(config, key, source)
     return with_numbers(config, numbers, source) if numbers else config

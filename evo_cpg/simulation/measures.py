@@ -15,8 +15,8 @@ place of the root's centre. If there is ground, only the horizontal distance cou
 | ``airborne`` | fraction of time in which nothing touches the ground | - |
 | ``relative_slip`` | slip speed on the ground / speed (`evo_cpg.simulation.foot_slip`) | - |
 | ``stride_length`` | distance / number of strides, from ``frequency`` | m |
-| ``frequency`` | sign changes of a joint's velocity / (2 x duration), mean of all joints | Hz |
-| ``amplitude`` | standard deviation of the joints' angles, mean of all joints | rad |
+| ``frequency`` | sign changes of a joint's velocity / (2 x duration), mean of turning axes | Hz |
+| ``amplitude`` | standard deviation of the joints' angles, mean of turning axes | rad |
 | ``turning`` | mean angular velocity of the root about the vertical, to the left | rad/s |
 | ``tilt`` | mean of 1 - cos(angle between the root's z axis and the vertical) | - |
 """
@@ -266,7 +266,7 @@ def _of_angles(each: Float[Array, "d *n"], world: World) -> Float[Array, "k *n"]
 
     Slides have another unit, and those of a root drift.
     """
-    slides = np.array([kind == "slide" for kind in world.tree.dof_kinds], bool)
+    slides = world.tree.slides
     return each if slides.all() or not slides.any() else each[np.flatnonzero(~slides)]
 
 

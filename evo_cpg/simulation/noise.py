@@ -86,9 +86,8 @@ def disturb_start(
     orientation = state.orientation
     if not _is_none(noise.tilt):
         orientation = integrate_quaternion(orientation, tilt, 1.0)
-    if "slide" in tree.dof_kinds:
-        angles = np.array([kind != "slide" for kind in tree.dof_kinds], float)
-        bend = bend * expand_dims_like(angles, bend)
+    if tree.slides.any():
+        bend = bend * expand_dims_like(1.0 - tree.slides, bend)
     q = jnp.clip(state.q + noise.joint_angle * bend, lower, upper)
     q = ball_limit.within(tree.ball_limits, q)
     state = dataclasses.replace(state, orientation=orientation, q=q).placed(tree)

@@ -8,7 +8,7 @@ window, which does not lag. The distance is fixed, and so is the viewing directi
 circling camera. So everything that moves in the picture moves in the world.
 
 The distance lets the animal fill two fifths of the frame's width in half of the frames. It then
-grows until every body is inside the frame at every instant, above the captions.
+grows until every body is inside the frame, above the captions.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,11 +30,12 @@ _ROOM, _BELOW, _ABOVE = 0.95, 0.8, 0.92
 _APART = 1.1
 # Least fraction of the width, below which the first frame need not show the light.
 _SMALLEST = 0.2
-# Largest number of frames in which the animal's extent is measured, and rounds of improvement.
+# Number of frames, or up to twice as many, in which the animal's extent is measured, and rounds of
+# improvement.
 _MEASURED, _ROUNDS = 120, 5
-# The focus lies this fraction of the animal's radius further towards the goal. Without a goal the
-# focus lies further along the path.
-_LEAD, _LEAD_UNLIT = 0.6, 0.4
+# The focus lies this fraction of the animal's radius further towards the light, until the animal is
+# near the light.
+_LEAD = 0.6
 # Angles to try between the line of sight and the direction of the goal, on either side. None is
 # from right behind the animal. The last ones keep the eye away from a goal that the animal reaches.
 _BEARINGS = np.radians([32.0, 47.0, 62.0, 90.0, 130.0, 180.0])
@@ -67,60 +68,6 @@ class CameraPath(NamedTuple):
     view_angle: float
 
 
-def follow(
-    bodies: "Bodies",
-    goal: Float[np.ndarray, "3"],
-    rate: float,
-    aspect: float,
-    elevation: float,
-    turn: float | Float[np.ndarray, " frames"] | None = None,
-) -> CameraPath:
-    """Plan the camera's path over a recording.
-
-    Args:
-        bodies: places and sizes of the bodies in every frame.
-        goal: place of the light ``(3,)``, m, or NaN without a light.
-        rate: frames per second of recorded time.
-        aspect: width of the picture over its height.
-        elevation: height of the eye above the focus as an angle, rad.
-        turn: angle between the line of sight and the animal's course, rad, with a value per frame
-            if it changes. None for a camera that shows the light, or the animal's side if there is
-            no light.
-    """
-    position = bodies.position
-    centre = smooth(position.mean(1), SMOOTHING * rate)
-    radius = bodies.radius(centre)
-    lit = bool(np.isfinite(goal).all())
-    bearing = course(centre, goal, radius / 10)
-    if not lit:
-        # Place a goal so far ahead that the animal never reaches it.
-        goal = centre.mean(0) + 1e3 * (radius + np.ptp(centre)) * _direction(bearing, 0.0)
-    ahead = goal - centre
-    away = np.linalg.norm(ahead, axis=-1, keepdims=True)
-    # A camera that circles the animal keeps it in the middle.
-    reached = 0.0 if isinstance(turn, np.ndarray) else _LEAD if lit else _LEAD_UNLIT
-    lead = ahead * (reached * radius / np.maximum(away, 2 * radius))
-    focus = smooth(centre + lead, SMOOTHING * rate)
-    first, points = radius / np.sin(np.radians(VIEW_ANGLE / 2)), bodies.corners()
-
-    def seen(turned: float | np.ndarray, *more: np.ndarray) -> CameraPath:
-        sight = _direction(bearing + turned, elevation)
-        start = CameraPath(focus - first * sight, focus, VIEW_ANGLE)
-        moves = not isinstance(turned, np.ndarray)
-        return _filled(start, points, aspect, np.array(more).reshape(-1, 3), moves)
-
-    if turn is not None:
-        return seen(turn)
-    if not lit:
-        return seen(_SIDE)
-    # The first picture shows the light, too, unless the animal would be small in it.
-    turns = [sign * angle for angle in _BEARINGS for sign in (1, -1)]
-    best = _clearest([seen(turned, goal) for turned in turns], goal, points, aspect)
-    if best is None or _extent(best, points, aspect)[0] < _SMALLEST:
-        best = _clearest([seen(turned) for turned in turns], goal, points, aspect) or best
-    return best or seen(_BEARINGS[-1])
-
-
 class Bodies(NamedTuple):
     """Boxes around all bodies in every frame.
 
@@ -145,6 +92,58 @@ class Bodies(NamedTuple):
         own = signs * self.half_extents[:, None]
         found = self.position[:, :, None] + np.einsum("fbij,bkj->fbki", self.rotation, own)
         return found.reshape(len(self.position), -1, 3)
+
+
+def follow(
+    bodies: Bodies,
+    goal: Float[np.ndarray, "3"],
+    rate: float,
+    aspect: float,
+    elevation: float,
+    turn: float | Float[np.ndarray, " frames"] | None = None,
+) -> CameraPath:
+    """Plan the camera's path over a recording.
+
+    Args:
+        bodies: places and sizes of the bodies in every frame.
+        goal: place of the light ``(3,)``, m, or NaN without a light.
+        rate: frames per second of recorded time.
+        aspect: width of the picture over its height.
+        elevation: height of the eye above the focus as an angle, rad.
+        turn: angle between the line of sight and the animal's course, rad, with a value per frame
+            if it changes. None for a camera that shows the light, or the animal's side if there is
+            no light.
+    """
+    position = bodies.position
+    centre = smooth(position.mean(1), SMOOTHING * rate)
+    radius = bodies.radius(centre)
+    lit = bool(np.isfinite(goal).all())
+    bearing = course(centre, goal, radius / 10)
+    focus = centre
+    # A camera that circles the animal keeps it in the middle.
+    if lit and not isinstance(turn, np.ndarray):
+        ahead = goal - centre
+        away = np.linalg.norm(ahead, axis=-1, keepdims=True)
+        focus = centre + ahead * (_LEAD * radius / np.maximum(away, 2 * radius))
+    focus = smooth(focus, SMOOTHING * rate)
+    first, points = radius / np.sin(np.radians(VIEW_ANGLE / 2)), bodies.corners()
+
+    def seen(turned: float | np.ndarray, *more: np.ndarray) -> CameraPath:
+        sight = _direction(bearing + turned, elevation)
+        start = CameraPath(focus - first * sight, focus, VIEW_ANGLE)
+        moves = not isinstance(turned, np.ndarray)
+        return _filled(start, points, aspect, np.array(more).reshape(-1, 3), moves)
+
+    if turn is not None:
+        return seen(turn)
+    if not lit:
+        return seen(_SIDE)
+    # The first picture shows the light, too, unless the animal would be small in it.
+    turns = [sign * angle for angle in _BEARINGS for sign in (1, -1)]
+    best = _clearest([seen(turned, goal) for turned in turns], goal, points, aspect)
+    if best is None or _extent(best, points, aspect)[0] < _SMALLEST:
+        best = _clearest([seen(turned) for turned in turns], goal, points, aspect) or best
+    return best or seen(_BEARINGS[-1])
 
 
 def _filled(

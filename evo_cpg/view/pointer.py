@@ -15,7 +15,7 @@ _SIDEWAYS, _DOWN, _UP = 0.93, 0.6, 0.88
 # Length and half width of the arrow, and height of the letters, as fractions of the picture's
 # height.
 _LENGTH, _HALF_WIDTH, _LETTERS = 0.055, 0.026, 0.032
-# Colour of the arrow, that of the light, and of its rim.
+# Colours of the arrow and of its rim.
 _COLOR, _RIM = "#ffd37a", "#4a3a12"
 
 
@@ -42,10 +42,9 @@ def pointer(
         tip = tips[number]
         if not np.isfinite(tip).all():
             return
-        half = np.array([width, -height]) / 2
-        place = np.array([width, height]) / 2 + tip * half
-        along = place - np.array([width, height]) / 2
-        along /= np.linalg.norm(along)
+        outwards = tip * [width / 2, -height / 2]
+        place = outwards + np.array([width, height]) / 2
+        along = outwards / np.linalg.norm(outwards)
         across = np.array([-along[1], along[0]])
         back, side = place - _LENGTH * height * along, _HALF_WIDTH * height * across
         with lettering(picture) as draw:

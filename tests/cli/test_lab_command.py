@@ -55,6 +55,7 @@ def test_answers_are_kept(animal, cli, tmp_path, monkeypatch):
 def test_heads_of_a_table_are_the_last_parts_of_keys():
     assert short_heads(["u", "world.water.density"]) == ["u", "density"]
     assert short_heads(["a.b.0", "a.c.0", "x.c.0"]) == ["b.0", "a.c.0", "x.c.0"]
+    assert short_heads(["gravity", "world.gravity"]) == ["gravity", "world.gravity"]
 
 
 @pytest.mark.slow
