@@ -15,10 +15,12 @@ a muscle's spring in the file gets the changed value.
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NotRequired
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
+from typing_extensions import TypedDict  # pydantic takes no other before Python 3.12
 
 from evo_cpg.creature.creature import Body, Creature, Material, Muscle
 from evo_cpg.creature.mesh import ConvexMesh
@@ -32,6 +34,47 @@ _NAME = "evo_cpg"
 _AGREES, _MESH_AGREES = 1e-9, 1e-5
 
 Custom = Mapping[str, Any]
+
+
+class _Material(TypedDict):
+    density: float
+    restitution: float
+    static_friction: float
+    dynamic_friction: float
+
+
+class _Mesh(TypedDict):
+    vertices: list[tuple[float, float, float]]
+    faces: list[list[int]]
+
+
+class _Muscle(TypedDict):
+    muscle: dict[str, Any]
+    stiffness: float
+    damping: float
+    exported: tuple[float, float, float]
+
+
+class _Body(TypedDict):
+    material: _Material
+    mesh: NotRequired[_Mesh]
+    muscles: NotRequired[list[_Muscle | None]]
+
+
+class _Sensors(TypedDict):
+    light_sensors: list[dict[str, Any]]
+    depth_sensors: list[dict[str, Any]]
+    pressure_sensors: list[str]
+    sensors: list[dict[str, Any]]
+
+
+class _Text(TypedDict):
+    bodies: dict[str, _Body]
+    sensors: _Sensors
+    heading: float
+
+
+_TEXT = TypeAdapter(_Text)
 
 
 def add_custom(
@@ -84,15 +127,9 @@ def read_custom(compiled: Compiled) -> Custom:
     first, size = int(model.text_adr[number]), int(model.text_size[number])
     raw = bytes(model.text_data[first : first + size]).rstrip(b"\0")
     try:
-        data = json.loads(raw)
-    except ValueError:
+        return _TEXT.validate_json(raw)
+    except ValidationError:
         return {}
-    kinds = {"bodies": dict, "sensors": dict, "heading": float}
-    if not isinstance(data, dict) or any(
-        not isinstance(data.get(name), kind) for name, kind in kinds.items()
-    ):
-        return {}
-    return data
 
 
 def root_axes(custom: Custom) -> np.ndarray:
