@@ -133,7 +133,7 @@ def sampled(
         q, qd, qdd = (np.zeros(tree.dof_count) for _ in range(3))
         for dof in dofs:
             q[dof.ours], qd[dof.ours], qdd[dof.ours] = dof.read(
-                model, data, turns[tree.names[dof.body]]
+                compiled, data, turns[tree.names[dof.body]]
             )
         command = _command(tree, compiled, data, dofs)
         root, root_acceleration = _root(imported, tree, compiled, data) if free else (rest, [])
@@ -156,31 +156,25 @@ class Dof(NamedTuple):
     body: int
     ours: slice
 
-    def read(self, model: Any, data: Any, axes: np.ndarray) -> tuple[Any, Any, Any]:
+    def read(self, compiled: Compiled, data: Any, axes: np.ndarray) -> tuple[Any, Any, Any]:
         """Return angles, rates and accelerations in our coordinates.
 
         Args:
-            model: MuJoCo's model.
+            compiled: MuJoCo's model.
             data: MuJoCo's state.
             axes: axes of our body in the neutral pose, in the world ``(3, 3)``.
         """
+        model = compiled.model
         place, dof = int(model.jnt_qposadr[self.joint]), int(model.jnt_dofadr[self.joint])
         count = self.ours.stop - self.ours.start
         rate, acceleration = data.qvel[dof : dof + count], data.qacc[dof : dof + count]
         if count == 1:
             return data.qpos[place] - model.qpos0[place], rate, acceleration
         # A ball. MuJoCo's axes are those of its body, and ours those of our body.
-        turn = axes.T @ _neutral_axes(model, self.joint)
+        neutral = compiled.data.xmat[model.jnt_bodyid[self.joint]]
+        turn = axes.T @ np.array(neutral).reshape(3, 3)
         angle = Rotation.from_quat(data.qpos[place : place + 4], scalar_first=True).as_rotvec()
         return turn @ angle, turn @ rate, turn @ acceleration
-
-
-def _neutral_axes(model: Any, joint: int) -> np.ndarray:
-    import mujoco
-
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    return np.array(data.xmat[model.jnt_bodyid[joint]]).reshape(3, 3)
 
 
 def _dofs(imported: Imported, tree: Tree, compiled: Compiled) -> list[Dof]:
@@ -200,9 +194,7 @@ def _root(
     imported: Imported, tree: Tree, compiled: Compiled, data: Any
 ) -> tuple[State, np.ndarray]:
     """Return the pose and velocity of a free root in our frame, and its acceleration."""
-    mujoco, model = compiled.mujoco, compiled.model
-    start = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, start)
+    model, start = compiled.model, compiled.data
     body = _root_body(imported, compiled)
     dof = int(model.body_dofadr[body])
     turn = np.array(data.xmat[body]).reshape(3, 3)

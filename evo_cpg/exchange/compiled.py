@@ -57,10 +57,10 @@ class Compiled(NamedTuple):
         bit = getattr(self.mujoco.mjtEnableBit, f"mjENBL_{flag.upper()}", 0)
         return bool(self.model.opt.enableflags & int(bit))
 
-    def disabled(self, flag: str) -> bool:
-        """Return whether an option flag, on by default, is disabled. False for an unknown flag."""
-        bit = getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}", 0)
-        return bool(self.model.opt.disableflags & int(bit))
+    def disabled(self, *flags: str) -> bool:
+        """Return whether any of these flags, on by default, is disabled. Skip unknown flags."""
+        bits = (getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}", 0) for flag in flags)
+        return any(self.model.opt.disableflags & int(bit) for bit in bits)
 
     def owners(self, kind: str, wrong: Any) -> Iterator[tuple["Item", tuple[int, ...]]]:
         """Yield the elements with wrong values, and the index of each. Skip geoms of the world.

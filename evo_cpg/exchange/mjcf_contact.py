@@ -26,7 +26,7 @@ _GREY = (0.5, 0.5, 0.5, 1.0)
 
 def touches_nothing(compiled: Compiled) -> bool:
     """Return whether flags switch all contacts off."""
-    return compiled.disabled("contact") or compiled.disabled("constraint")
+    return compiled.disabled("contact", "constraint")
 
 
 def read_ground(

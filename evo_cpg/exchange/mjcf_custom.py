@@ -15,14 +15,17 @@ a muscle's spring in the file gets the changed value.
 import dataclasses
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NotRequired
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
+from typing_extensions import TypedDict  # pydantic takes no other before Python 3.12
 
-from evo_cpg.creature.creature import Body, Creature, Muscle
+from evo_cpg.creature.creature import Body, Creature, Material, Muscle
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.exchange.compiled import Compiled
+from evo_cpg.exchange.mjcf_joints import one_or_each
 
 # Name of our text.
 _NAME = "evo_cpg"
@@ -31,6 +34,47 @@ _NAME = "evo_cpg"
 _AGREES, _MESH_AGREES = 1e-9, 1e-5
 
 Custom = Mapping[str, Any]
+
+
+class _Material(TypedDict):
+    density: float
+    restitution: float
+    static_friction: float
+    dynamic_friction: float
+
+
+class _Mesh(TypedDict):
+    vertices: list[tuple[float, float, float]]
+    faces: list[list[int]]
+
+
+class _Muscle(TypedDict):
+    muscle: dict[str, Any]
+    stiffness: float
+    damping: float
+    exported: tuple[float, float, float]
+
+
+class _Body(TypedDict):
+    material: _Material
+    mesh: NotRequired[_Mesh]
+    muscles: NotRequired[list[_Muscle | None]]
+
+
+class _Sensors(TypedDict):
+    light_sensors: list[dict[str, Any]]
+    depth_sensors: list[dict[str, Any]]
+    pressure_sensors: list[str]
+    sensors: list[dict[str, Any]]
+
+
+class _Text(TypedDict):
+    bodies: dict[str, _Body]
+    sensors: _Sensors
+    heading: float
+
+
+_TEXT = TypeAdapter(_Text)
 
 
 def add_custom(
@@ -83,15 +127,9 @@ def read_custom(compiled: Compiled) -> Custom:
     first, size = int(model.text_adr[number]), int(model.text_size[number])
     raw = bytes(model.text_data[first : first + size]).rstrip(b"\0")
     try:
-        data = json.loads(raw)
-    except ValueError:
+        return _TEXT.validate_json(raw)
+    except ValidationError:
         return {}
-    kinds = {"bodies": dict, "sensors": dict, "heading": float}
-    if not isinstance(data, dict) or any(
-        not isinstance(data.get(name), kind) for name, kind in kinds.items()
-    ):
-        return {}
-    return data
 
 
 def root_axes(custom: Custom) -> np.ndarray:
@@ -127,7 +165,7 @@ def restored_material(
     if not found:
         return material
     density = not weighed or np.isclose(found["density"], material["density"], rtol=_MESH_AGREES)
-    friction = material.get("dynamic_friction", 0.4)
+    friction = Material(**material).dynamic_friction
     slides = np.isclose(found["dynamic_friction"], friction, rtol=_AGREES)
     return dict(found) if density and slides else material
 
@@ -151,9 +189,8 @@ def restore_muscles(custom: Custom, name: str, joint: dict[str, Any]) -> None:
             lists["stiffness"][i], lists["damping"][i] = axis["stiffness"], axis["damping"]
             lists["actuator"][i] = {"type": "muscle", **axis["muscle"]}
     for key, values in lists.items():
-        every = values[0] if all(value == values[0] for value in values) else values
         joint.pop(key, None)
-        if every:
+        if every := one_or_each(values):
             joint[key] = every
 
 

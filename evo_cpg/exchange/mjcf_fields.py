@@ -227,7 +227,7 @@ def refuse_elements(compiled: Compiled) -> None:
     model = compiled.model
     for count, kind in REFUSED_COUNTS.items():
         for number in range(int(getattr(model, count, 0))):
-            idle = compiled.disabled("equality") or compiled.disabled("constraint")
+            idle = compiled.disabled("equality", "constraint")
             if kind == "equality" and (idle or not model.eq_active0[number]):
                 continue
             vital = kind == "flex"
@@ -237,6 +237,9 @@ def refuse_elements(compiled: Compiled) -> None:
     for flag in ("override", "sleep", "diagexact", "ipc", "speculative"):
         if compiled.enabled(flag):
             compiled.refusals.leave_out(f"flag {flag}")
+    # Neighbours at a joint touch here only if a pair names them.
+    if compiled.disabled("filterparent"):
+        compiled.refusals.leave_out("flag filterparent")
 
 
 def leave_out_elements(compiled: Compiled) -> None:

@@ -5,6 +5,7 @@ two are finite. A relief is a height field. MuJoCo halves its cells into triangl
 bilinear. MuJoCo's field ends at its edges, and ours continues level.
 """
 
+from collections.abc import Mapping
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
@@ -25,6 +26,13 @@ def number_text(*values: float) -> str:
     """Return numbers as the shortest text that reads back exactly."""
     # Adding 0 removes a negative zero.
     return " ".join(np.format_float_positional(float(v) + 0.0, trim="-") for v in values)
+
+
+def set_effects(element: Element, values: Mapping[str, float]) -> None:
+    """Set attributes of an element, except those that are 0 and have no effect."""
+    for key, value in values.items():
+        if value:
+            element.set(key, number_text(value))
 
 
 def place_text(values: np.ndarray) -> str:

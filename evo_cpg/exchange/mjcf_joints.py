@@ -23,7 +23,7 @@ import numpy as np
 
 from evo_cpg.creature.creature import NO_LIMIT, Body, Joint
 from evo_cpg.exchange.compiled import Compiled, tidy, tidy_vector
-from evo_cpg.exchange.mjcf_ground import number_text, place_text
+from evo_cpg.exchange.mjcf_ground import number_text, place_text, set_effects
 from evo_cpg.exchange.mjcf_shapes import Placed
 from evo_cpg.spatial.rotation import matrix_to_euler
 
@@ -61,16 +61,14 @@ def add_joints(element: Element, body: Body, joint: Joint) -> None:
             lower = 0.0 if dof.kind == "ball" else dof.lower
             hinge.set("range", number_text(lower, dof.upper))
         muscle = dof.muscle
-        values = {
+        effects = {
             "stiffness": dof.stiffness + (muscle.rest_stiffness if muscle else 0.0),
             "damping": dof.damping + (muscle.damping if muscle else 0.0),
             "armature": dof.armature,
             "springref": dof.rest,
             "frictionloss": dof.friction_loss,
         }
-        for key, value in values.items():
-            if value:
-                hinge.set(key, number_text(value))
+        set_effects(hinge, effects)
 
 
 def read_joint(
@@ -129,11 +127,11 @@ def read_joint(
     if keys["axes"] == "ball":
         keys["limits_deg"] = limits[0]
     else:
-        keys["limits_deg"] = _one_or_each(limits)
+        keys["limits_deg"] = one_or_each(limits)
     keys |= _passive(compiled, joints, rests)
     driven = [motors.get(joint) for joint in joints]
     if any(driven):
-        keys["actuator"] = _one_or_each(driven)
+        keys["actuator"] = one_or_each(driven)
     return keys
 
 
@@ -142,9 +140,9 @@ def _passive(compiled: Compiled, joints: Iterable[int], rests: list[float]) -> d
     model = compiled.model
     every = list(joints)
     dofs = model.jnt_dofadr[every]
-    sprung = not (compiled.disabled("spring") or compiled.disabled("passive"))
-    damped = not (compiled.disabled("damper") or compiled.disabled("passive"))
-    rubbed = not (compiled.disabled("frictionloss") or compiled.disabled("constraint"))
+    sprung = not compiled.disabled("spring", "passive")
+    damped = not compiled.disabled("damper", "passive")
+    rubbed = not compiled.disabled("frictionloss", "constraint")
     values = {
         "stiffness": model.jnt_stiffness[every] * sprung,
         "rest_deg": rests,
@@ -152,13 +150,13 @@ def _passive(compiled: Compiled, joints: Iterable[int], rests: list[float]) -> d
         "armature": model.dof_armature[dofs],
         "friction_loss": model.dof_frictionloss[dofs] * rubbed,
     }
-    return {name: _one_or_each(map(tidy, value)) for name, value in values.items() if np.any(value)}
+    return {name: one_or_each(map(tidy, value)) for name, value in values.items() if np.any(value)}
 
 
 def _limits(compiled: Compiled, joint: int) -> list[float] | None:
     """Return the limits of a joint, counted from the neutral pose, or None."""
     model = compiled.model
-    off = compiled.disabled("limit") or compiled.disabled("constraint")
+    off = compiled.disabled("limit", "constraint")
     if off or not model.jnt_limited[joint]:
         return None
     lower, upper = map(float, model.jnt_range[joint])
@@ -174,13 +172,11 @@ def _rest(compiled: Compiled, joint: int) -> float:
     """Return where the spring of a joint is relaxed, counted from the neutral pose."""
     model = compiled.model
     place = int(model.jnt_qposadr[joint])
-    sprung = model.jnt_stiffness[joint] and not (
-        compiled.disabled("spring") or compiled.disabled("passive")
-    )
+    sprung = model.jnt_stiffness[joint] and not compiled.disabled("spring", "passive")
     return float(model.qpos_spring[place] - model.qpos0[place]) if sprung else 0.0
 
 
-def _one_or_each(values: Iterable[Any]) -> Any:
+def one_or_each(values: Iterable[Any]) -> Any:
     """Return the value that all axes have in common, or a list."""
     every = list(values)
     return every[0] if all(value == every[0] for value in every) else every

@@ -55,7 +55,7 @@ class Solid(NamedTuple):
         shape: its keys in a configuration.
         centre: origin of its frame in the neutral pose, in the world, m.
         turn: rotation from its frame to the world ``(3, 3)``.
-        size: volume of the box around it, m^3.
+        size: volume of the box around it, m^3, without the ends of a capsule.
     """
 
     geom: int

@@ -8,8 +8,8 @@
 | limits of the length | ``range`` |
 | motor | an actuator with ``tendon`` |
 
-Our length is 0 in the neutral pose. A tendon without a spring, a damper, dry friction, limits and a
-motor has no effect and is left out.
+Our length is 0 in the neutral pose. A tendon without a spring, a damper, a rotor, dry friction,
+limits and a motor has no effect and is left out.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ import numpy as np
 from evo_cpg.creature.creature import NO_LIMIT, Creature, topological_order
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.compiled import Compiled, tidy
-from evo_cpg.exchange.mjcf_ground import number_text
+from evo_cpg.exchange.mjcf_ground import number_text, set_effects
 from evo_cpg.exchange.mjcf_joints import joint_names
 from evo_cpg.exchange.mjcf_motors import add_motor
 
@@ -43,15 +43,13 @@ def add_tendons(root: Element, actuator: Element, creature: Creature) -> None:
         element.set("limited", "true" if limited else "false")
         if limited:
             element.set("range", number_text(tendon.lower, tendon.upper))
-        values = {
+        effects = {
             "stiffness": tendon.stiffness,
             "damping": tendon.damping,
             "armature": tendon.armature,
             "frictionloss": tendon.friction_loss,
         }
-        for key, value in values.items():
-            if value:
-                element.set(key, number_text(value))
+        set_effects(element, effects)
         if tendon.stiffness:
             rest = [np.nextafter(x, 0.0) if x == _NEUTRAL else x for x in tendon.rest]
             element.set("springlength", number_text(*rest))
@@ -113,21 +111,20 @@ def _law(compiled: Compiled, number: int) -> dict[str, Any]:
     law: dict[str, Any] = {}
     neutral = float(model.tendon_length0[number])
     stiffness, damping = float(model.tendon_stiffness[number]), float(model.tendon_damping[number])
-    if stiffness and not (compiled.disabled("spring") or compiled.disabled("passive")):
+    if stiffness and not compiled.disabled("spring", "passive"):
         law["stiffness"] = tidy(stiffness)
         rest = [tidy(float(x) - neutral) for x in model.tendon_lengthspring[number]]
         if any(rest):
             law["rest"] = rest[0] if rest[0] == rest[1] else rest
-    if damping and not (compiled.disabled("damper") or compiled.disabled("passive")):
+    if damping and not compiled.disabled("damper", "passive"):
         law["damping"] = tidy(damping)
     armature = float(getattr(model, "tendon_armature", np.zeros(model.ntendon))[number])
     if armature:
         law["armature"] = tidy(armature)
-    constrained = not compiled.disabled("constraint")
     loss = float(model.tendon_frictionloss[number])
-    if loss and constrained and not compiled.disabled("frictionloss"):
+    if loss and not compiled.disabled("frictionloss", "constraint"):
         law["friction_loss"] = tidy(loss)
-    if model.tendon_limited[number] and constrained and not compiled.disabled("limit"):
+    if model.tendon_limited[number] and not compiled.disabled("limit", "constraint"):
         law["limits"] = [tidy(float(x)) for x in model.tendon_range[number] - neutral]
     return law
 

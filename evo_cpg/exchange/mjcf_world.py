@@ -8,8 +8,8 @@
 | a ``plane`` that the animal can touch | ``world.ground`` (`mjcf_contact`) |
 | height of the animal above the ground | ``simulation.start_clearance`` |
 
-Controller, task and search are defaults that can be trained at once: every motor gets an
-oscillator, and the fitness is the displacement.
+Controller, task and search are defaults that can be trained at once: every axis gets an oscillator,
+and the fitness is the displacement.
 """
 
 from collections.abc import Sequence
@@ -154,25 +154,18 @@ def _compensated(
     """
     model = compiled.model
     moving = [i for i, body in enumerate(placed) if body.rigid.joints or body.rigid.free]
-    lifts = [
-        sum(
-            float(model.body_gravcomp[member] * model.body_mass[member])
-            for member in placed[i].rigid.members
-        )
-        for i in moving
-    ]
-    if not np.any(np.abs(lifts) > 0):
+    members = [list(placed[i].rigid.members) for i in moving]
+    lifts = np.array([sum(model.body_gravcomp[own] * model.body_mass[own]) for own in members])
+    if not lifts.any():
         return gravity, 0.0
-    masses = [
-        sum(float(model.body_mass[member]) for member in placed[i].rigid.members) for i in moving
-    ]
+    masses = np.array([sum(model.body_mass[own]) for own in members])
     spaces = np.array([volumes[i] for i in moving])
     with np.errstate(divide="ignore", invalid="ignore"):
-        fluid = np.array(lifts) / spaces
+        fluid = lifts / spaces
     alike = np.isfinite(fluid).all() and np.ptp(fluid) < _ALIKE * fluid.max() and fluid[0] > 0
     if floats and alike:
         return gravity, float(fluid[0])
-    fractions = np.array(lifts) / masses
+    fractions = lifts / masses
     if np.ptp(fractions) < _ALIKE and fractions[0] <= 1:
         return gravity * (1 - float(fractions[0])), 0.0
     lead = placed[moving[int(np.argmax(np.abs(lifts)))]].rigid.lead

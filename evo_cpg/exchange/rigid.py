@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.exchange.compiled import WORLD, Compiled
+from evo_cpg.exchange.refusals import RefusedError
 
 
 class Rigid(NamedTuple):
@@ -42,7 +43,7 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
     """Return the rigid bodies of the animal, parents first.
 
     Raises:
-        ExchangeError: nothing moves, or several trees move and the user does not accept a loss.
+        RefusedError: nothing moves.
     """
     model = compiled.model
     welded: dict[int, list[int]] = {}
@@ -98,7 +99,7 @@ def is_flat(compiled: Compiled, geom: int) -> bool:
     return int(compiled.model.geom_type[geom]) in (kinds.mjGEOM_PLANE, kinds.mjGEOM_HFIELD)
 
 
-def _none_moves(compiled: Compiled):
+def _none_moves(compiled: Compiled) -> RefusedError:
     if compiled.model.nbody == 1:
         return compiled.item("body", WORLD).refusal(
             "the worldbody holds no body", "at least one", vital=True
@@ -115,9 +116,9 @@ def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[i
     if len(tops) == 1 or not free:
         return tops
     motors = dict.fromkeys(tops, 0)
-    for number in range(model.nu):
-        joint = int(model.actuator_trnid[number, 0])
-        if int(model.actuator_trntype[number]) <= 1:
+    for number in range(len(model.actuator_trnid)):
+        joint = _driven_joint(compiled, number)
+        if joint is not None:
             motors[_top(model, int(model.body_weldid[model.jnt_bodyid[joint]]))] += 1
     sizes = {top: sum(_top(model, lead) == top for lead in leads) for top in tops}
     best = max(tops, key=lambda top: (motors[top], sizes[top]))
@@ -128,6 +129,19 @@ def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[i
             allowed = "one tree of bodies, or several that all hang on the world by joints"
             compiled.item("body", top).refuse(problem, allowed, vital=motors[top] > 0)
     return kept
+
+
+def _driven_joint(compiled: Compiled, number: int) -> int | None:
+    """Return the joint, or the first joint of the tendon, that an actuator drives, or None."""
+    mujoco, model = compiled.mujoco, compiled.model
+    transmission, target = int(model.actuator_trntype[number]), int(model.actuator_trnid[number, 0])
+    if transmission in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+        return target
+    if transmission == mujoco.mjtTrn.mjTRN_TENDON:
+        first = int(model.tendon_adr[target])
+        if int(model.wrap_type[first]) == mujoco.mjtWrap.mjWRAP_JOINT:
+            return int(model.wrap_objid[first])
+    return None
 
 
 def _top(model: Any, lead: int) -> int:

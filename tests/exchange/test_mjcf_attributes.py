@@ -193,9 +193,7 @@ REFUSED = {
         "body 'k': it is a mocap body, moved from outside. Allowed: no mocap",
     ),
     "muscle": (
-        model(drive="muscle", actuator='kv="-" lengthrange="0 1"').replace(
-            ' lengthrange="0 1"', ""
-        ),
+        model(drive="muscle", actuator='kv="-"'),
         MOTOR + "its law is not linear",
     ),
     "actuator bias that pushes": (
@@ -302,6 +300,7 @@ LEFT_OUT = {
     "noslip_iterations": (model(option='noslip_iterations="3"'), "option noslip_iterations"),
     "flag override": (model(flag='override="enable"', option='o_margin="0.1"'), "flag override"),
     "flag sleep": (model(flag='sleep="enable"'), "flag sleep"),
+    "flag filterparent": (model(flag='filterparent="disable"'), "flag filterparent"),
     "flag actuation": (model(flag='actuation="disable"'), "1 actuator"),
     "ctrlrange": (model(actuator='ctrlrange="-1 1"'), "ctrlrange of actuator 'm'"),
     "forcerange": (
@@ -341,18 +340,18 @@ def test_other_settings_are_left_out_by_name(read, name):
 # Treatment of every field of the compiled model that `mjcf_fields` does not refuse, so that a new
 # field of MuJoCo fails the test. A "*" stands for any characters.
 READ = (
-    "opt names qpos0 nbody njnt ngeom nu npair nexclude body_mocapid body_weldid body_dofnum "
-    "body_parentid body_rootid body_pos body_quat body_gravcomp body_mass "
-    "body_ipos body_iquat body_inertia body_jntnum body_jntadr body_geomnum body_geomadr "
+    "opt names qpos0 nbody njnt ngeom body_mocapid body_weldid body_dofnum "
+    "body_parentid body_pos body_quat body_gravcomp body_mass "
+    "body_ipos body_iquat body_inertia body_jntnum body_jntadr "
     "jnt_type jnt_pos jnt_axis jnt_range jnt_limited jnt_stiffness jnt_qposadr jnt_dofadr "
     "jnt_bodyid jnt_actfrclimited jnt_actfrcrange dof_damping dof_armature dof_jntid "
     "dof_frictionloss "
     "geom_bodyid geom_type geom_size geom_pos geom_quat geom_friction geom_rgba geom_dataid "
-    "geom_contype geom_conaffinity geom_matid mat_rgba body_dofadr actuator_actadr eq_active0 "
+    "geom_contype geom_conaffinity geom_matid mat_rgba eq_active0 "
     "exclude_signature tendon_length0 tendon_adr tendon_num tendon_limited wrap_type wrap_objid "
     "tendon_actfrclimited tendon_actfrcrange text_adr text_size text_data mesh_pos mesh_quat "
-    "ntendon mesh_vert mesh_vertadr mesh_vertnum mesh_face mesh_faceadr "
-    "mesh_facenum actuator_trnid actuator_trntype actuator_dyntype actuator_gaintype "
+    "ntendon mesh_vert mesh_vertadr mesh_vertnum "
+    "actuator_trnid actuator_trntype actuator_dyntype actuator_gaintype "
     "actuator_gainprm actuator_biastype actuator_biasprm actuator_gear actuator_forcelimited "
     "actuator_forcerange actuator_ctrllimited actuator_ctrlrange actuator_group pair_geom1 "
     "pair_geom2 "
@@ -371,7 +370,10 @@ WITHOUT_EFFECT = {
     "presence of properties that are read or refused": "flg_*",
     "computed from geoms, which are read": "body_contype body_conaffinity",
     "computed from geoms, whose margin is left out": "body_margin",
-    "addresses": "dof_Madr actuator_ctrladr actuator_outadr",
+    "addresses": (
+        "body_rootid body_geomnum body_geomadr body_dofadr dof_Madr actuator_actadr "
+        "actuator_ctrladr actuator_outadr"
+    ),
     "computed from joints, which are read": "dof_bodyid dof_parentid",
     "computed from masses and joints": "body_invweight0 dof_M0 dof_invweight0",
     "computed from masses": "body_subtreemass body_simple dof_simplenum",
@@ -439,7 +441,7 @@ FLAGS_WITHOUT_EFFECT = {
     "inverse dynamics": "invdiscrete",
 }
 
-# Flags that the import leaves out by name, and a rule of contacts that is ours.
+# Flags that the import leaves out by name.
 FLAGS_LEFT_OUT = {"override", "sleep", "diagexact", "ipc", "speculative", "filterparent"}
 
 

@@ -180,6 +180,22 @@ def test_changes_in_an_exported_file_count(read):
     assert changed and all("restitution" not in made for made in changed)
 
 
+def test_a_damaged_text_of_an_export_does_not_count(read):
+    """The animal comes in as a foreign one, without restitution."""
+    path = REPOSITORY / "configs" / "hexapod.yaml"
+    text = mjcf_text(mjcf_model(build_creature(load_config(path), path), GRAVITY))
+    changes = {
+        "density&quot;": "dens&quot;",
+        "pressure_sensors&quot;: [": "pressure_sensors&quot;: 3, &quot;x&quot;: [",
+    }
+    for old, new in changes.items():
+        assert old in text
+        found = read(text.replace(old, new))
+        assert not found.exported
+        materials = found.experiment["creature"]["materials"].values()
+        assert all("restitution" not in made for made in materials)
+
+
 def _with_friction(text: str, friction: float) -> str:
     head, _, tail = text.partition(' friction="')
     return f'{head} friction="{friction}{tail[tail.index(chr(34)) :]}'
@@ -439,8 +455,11 @@ def test_refused_parts_can_be_dropped(read):
     )
     assert [body["name"] for body in found.experiment["creature"]["bodies"]] == ["trunk", "limb"]
     driven = ball.replace("<geom", '<body name="arm"><joint name="j"/><geom size="1"/></body><geom')
-    with pytest.raises(ExchangeError, match="it moves beside"):
-        read(model(actuators=MOTOR + '<motor joint="j"/>', beside=driven), drop=True)
+    tendon = '<tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>'
+    for motor in ('joint="j"', 'tendon="t"'):
+        actuators = f"{MOTOR}<motor {motor}/>"
+        with pytest.raises(ExchangeError, match="it moves beside"):
+            read(model(actuators=actuators, beside=driven, extra=tendon), drop=True)
 
 
 @pytest.mark.parametrize(
