@@ -259,11 +259,9 @@ class Document:
             self._undo, self.texts, self.recovered = [self.texts], texts, True
 
     def _read(self) -> Texts:
-        data = read_yaml(self.path)
+        name = _creature_name(read_yaml(self.path))
         main = self._text(self.path)
-        given = data.get("creature")
-        name = given.get("file") if isinstance(given, dict) else given
-        if not isinstance(name, str):
+        if name is None:
             return Texts(main)
         try:
             file = beside(self.path, name)
@@ -273,9 +271,8 @@ class Document:
         return Texts(main, self._text(file))
 
     def _creature_file(self) -> Path | None:
-        given = parse_yaml(self.texts.main).get("creature")
-        name = given.get("file") if isinstance(given, dict) else given
-        return self.path.parent / name if isinstance(name, str) else None
+        name = _creature_name(parse_yaml(self.texts.main))
+        return None if name is None else beside(self.path, name)
 
     def _text(self, file: Path) -> str:
         """Return the text of a file, and note its byte order mark and its ends of lines."""
@@ -286,6 +283,13 @@ class Document:
         end = "\r\n" if crlf and crlf == text.count("\n") and crlf == text.count("\r") else "\n"
         self._bytes[file] = mark, end
         return text.removeprefix(mark).replace(end, "\n")
+
+
+def _creature_name(data: Data) -> str | None:
+    """Return the name of the creature's own file, or None without one."""
+    given = data.get("creature")
+    name = given.get("file") if isinstance(given, dict) else given
+    return name if isinstance(name, str) else None
 
 
 def _written(text: str, data: Data) -> str:
