@@ -60,8 +60,7 @@ def _document(config: Path | None):
     from evo_cpg.drawing.document import Document
 
     if config is None:
-        names = itertools.chain(["animal"], (f"animal{i}" for i in itertools.count(2)))
-        return Document.new(next(p for name in names if not (p := Path(f"{name}.yaml")).exists()))
+        return Document.new(_free("animal"))
     if config.exists():
         return Document.open(config)
     if config.suffix in (".yaml", ".yml"):
@@ -69,7 +68,13 @@ def _document(config: Path | None):
 
         return Document.new(require_place(config))
     shipped = find_config(config)
-    return Document.copy_of(shipped, Path(f"{shipped.stem}.yaml"))
+    return Document.copy_of(shipped, _free(shipped.stem))
+
+
+def _free(stem: str) -> Path:
+    """Return a .yaml file that does not exist: of this name, or with a number."""
+    names = itertools.chain([stem], (f"{stem}{i}" for i in itertools.count(2)))
+    return next(path for name in names if not (path := Path(f"{name}.yaml")).exists())
 
 
 def _opened(address: str) -> bool:

@@ -1,6 +1,7 @@
 """Edits of copies: mirror a limb, repeat a segment, make a star of limbs, separate copies."""
 
 import copy as copying
+import itertools
 import re
 from collections.abc import Callable
 from typing import Any
@@ -10,6 +11,8 @@ import numpy as np
 from evo_cpg.config.schema.copies import Copy, MirrorAxis, copies_named, fill
 from evo_cpg.config.schema.frames import opposed, reflected
 from evo_cpg.config.schema.joint import JointConfig
+from evo_cpg.config.schema.tendon import TendonConfig
+from evo_cpg.creature.tree import body_and_axis
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.drawing.lookup import (
     all_copies,
@@ -97,6 +100,15 @@ def separate(data: Data, name: str) -> None:
 
 def _separate_all(data: Data, indices: list[int]) -> None:
     entries, everything = bodies(data), all_copies(data)
+
+    def separated(name: Any) -> list[Copy]:
+        """Return the bodies of a name with placeholders, if they get entries of their own."""
+        found = copies_named(str(name), everything) if "{" in str(name) else []
+        return found if any(each.entry in indices for each in found) else []
+
+    def names(name: str) -> list[str]:
+        return [each.name for each in separated(name)] or [name]
+
     made: list[Data] = []
     for i, entry in enumerate(entries):
         if i not in indices:
@@ -110,12 +122,24 @@ def _separate_all(data: Data, indices: list[int]) -> None:
             continue
         eyes = []
         for eye in creature[kind]:
-            carriers = copies_named(str(eye.get("body")), everything)
-            if "{" in str(eye.get("body")) and any(each.entry in indices for each in carriers):
-                eyes += [_own_eye(eye, each) for each in carriers]
-            else:
-                eyes.append(eye)
+            eyes += [_own_eye(eye, each) for each in separated(eye.get("body"))] or [eye]
         creature[kind] = eyes
+    pressed = creature.get("pressure_sensors")
+    if isinstance(pressed, list):
+        creature["pressure_sensors"] = [each for word in pressed for each in names(word)]
+    rule = creature.get("self_collision")
+    for kind, pairs in rule.items() if isinstance(rule, dict) else ():
+        each_pair = (itertools.product(*map(names, pair)) for pair in pairs)
+        rule[kind] = [list(pair) for some in each_pair for pair in some]
+    tendons: list[Data] = []
+    for tendon in creature.get("tendons") or []:
+        if any(separated(body_and_axis(joint)[0]) for joint in tendon["joints"]):
+            own = TendonConfig.model_validate(tendon).build(everything)
+            tendons += [tendon | {"name": x.name, "joints": dict(x.joints)} for x in own]
+        else:
+            tendons.append(tendon)
+    if tendons:
+        creature["tendons"] = tendons
 
 
 def _single(entry: Data, body: Copy) -> Data:
@@ -190,7 +214,8 @@ def _number(data: Data, name: str, key: str, count: int) -> str:
         raise DrawingError(f"{key}: must be a whole number from 1 to 1000, got {count!r}")
     index, mark = entry_index(data, name), _MARKS[key]
     entry = bodies(data)[index]
-    joint_of(data, name)
+    if parent_of(entry) is None:
+        raise DrawingError(f"{name} is the root, which cannot be copied")
     if key in entry or mark in str(entry["name"]):
         if mark in (parent_of(entry) or ""):
             raise DrawingError(f"{entry['name']} is copied with its parent {parent_of(entry)}")

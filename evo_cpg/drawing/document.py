@@ -6,7 +6,6 @@ the texts, so it is exact.
 """
 
 import copy
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -135,11 +134,12 @@ class Document:
         creature = self.texts.creature
         if creature is not None:
             given, whole = main.get("creature"), dict(data["creature"])
-            own = {k: whole.pop(k) for k in list(whole) if _is_section(given) and k in given}
-            creature = with_data(creature, whole)
+            inside = set(given) - {"file"} if _is_section(given) else set()
+            own = {k: whole.pop(k) for k in list(whole) if k in inside}
+            creature = _written(creature, whole)
             file = given["file"] if _is_section(given) else given
             data["creature"] = {"file": file, **own} if _is_section(given) else file
-        texts = Texts(with_data(self.texts.main, data), creature)
+        texts = Texts(_written(self.texts.main, data), creature)
         pairs = zip(self.texts, texts, strict=True)
         lost = [each for old, new in pairs if old and new for each in lost_comments(old, new)]
         return Change(texts, tuple(lost))
@@ -198,12 +198,25 @@ class Document:
                     f"{self.path} has changed on the disk since it was opened. Save under another "
                     "name, or open it again"
                 )
-            files = [self.path, self._creature_file()]
-            for file, old, new in zip(files, self._on_disk, self.texts, strict=True):
-                if file is not None and new is not None and old != new:
-                    mark, end = self._bytes[file]
-                    write_text(file, mark + new.replace("\n", end))
-        self._on_disk = self.texts
+            changed = [
+                (name, file, new)
+                for name, file, old, new in zip(
+                    Texts._fields,
+                    (self.path, self._creature_file()),
+                    self._on_disk,
+                    self.texts,
+                    strict=True,
+                )
+                if file is not None and new is not None and old != new
+            ]
+            for _, file, _ in changed:
+                require_place(file)
+            for name, file, new in changed:
+                mark, end = self._bytes[file]
+                write_text(file, mark + new.replace("\n", end))
+                # If the next file cannot be written, this one is saved all the same.
+                self._on_disk = self._on_disk._replace(**{name: new})
+        self._on_disk, self.recovered = self.texts, False
         self._autosave.drop()
 
     def save_as(self, path: Path) -> None:
@@ -226,18 +239,19 @@ class Document:
         """Return to the texts before the recovery, as an edit that can be undone."""
         if self.recovered:
             self.recovered = False
-            self.accept(Change(self._undo[0], ()))
+            # Undo may have returned to them already.
+            self.accept(Change([*self._undo, self.texts][0], ()))
 
     def _show(self, texts: Texts) -> None:
         self.texts = texts
         if self.is_changed:
-            self._autosave.write(texts, _digest(self._on_disk))
+            self._autosave.write(texts, self._on_disk)
         else:
             self._autosave.drop()
 
     def _recover(self) -> None:
         """Continue with the autosave of a program that ended without saving."""
-        found = self._autosave.read(_digest(self._on_disk))
+        found = self._autosave.read(self._on_disk)
         if found is None:
             return
         texts = Texts(*found)
@@ -245,11 +259,9 @@ class Document:
             self._undo, self.texts, self.recovered = [self.texts], texts, True
 
     def _read(self) -> Texts:
-        data = read_yaml(self.path)
+        name = _creature_name(read_yaml(self.path))
         main = self._text(self.path)
-        given = data.get("creature")
-        name = given.get("file") if isinstance(given, dict) else given
-        if not isinstance(name, str):
+        if name is None:
             return Texts(main)
         try:
             file = beside(self.path, name)
@@ -259,9 +271,8 @@ class Document:
         return Texts(main, self._text(file))
 
     def _creature_file(self) -> Path | None:
-        given = parse_yaml(self.texts.main).get("creature")
-        name = given.get("file") if isinstance(given, dict) else given
-        return self.path.parent / name if isinstance(name, str) else None
+        name = _creature_name(parse_yaml(self.texts.main))
+        return None if name is None else beside(self.path, name)
 
     def _text(self, file: Path) -> str:
         """Return the text of a file, and note its byte order mark and its ends of lines."""
@@ -272,6 +283,20 @@ class Document:
         end = "\r\n" if crlf and crlf == text.count("\n") and crlf == text.count("\r") else "\n"
         self._bytes[file] = mark, end
         return text.removeprefix(mark).replace(end, "\n")
+
+
+def _creature_name(data: Data) -> str | None:
+    """Return the name of the creature's own file, or None without one."""
+    given = data.get("creature")
+    name = given.get("file") if isinstance(given, dict) else given
+    return name if isinstance(name, str) else None
+
+
+def _written(text: str, data: Data) -> str:
+    try:
+        return with_data(text, data)
+    except ValueError as error:
+        raise DrawingError(str(error)) from None
 
 
 def _is_section(given: Any) -> bool:
@@ -285,7 +310,3 @@ def _unshared(value: Any) -> Any:
     if isinstance(value, list):
         return [_unshared(each) for each in value]
     return copy.copy(value)
-
-
-def _digest(texts: Texts | None) -> str:
-    return "" if texts is None else hashlib.sha256(repr(tuple(texts)).encode()).hexdigest()

@@ -10,6 +10,7 @@ import numpy as np
 from evo_cpg.config.schema.copies import copies_named, fill
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.drawing.lookup import (
+    Posed,
     all_copies,
     bodies,
     copies_of,
@@ -70,7 +71,7 @@ def add_part(
     here = posed(data, source)
     index = here.index(parent)
     body, on = here.copies[index], bodies(data)[here.copies[index].entry]
-    carrying = here.creature.bodies[here.creature.body_index(body.name)].shape
+    carrying = _solid(here, body.name)
     at, out = _surface(place, normal, carrying.half_extents)
     carrier = body.name
     copied = len(copies_of(data, body.entry)) > 1
@@ -124,7 +125,7 @@ def add_shape(
     """
     here = posed(data, source)
     body = here.copies[here.index(part)]
-    own = here.creature.bodies[here.creature.body_index(body.name)].shape
+    own = _solid(here, body.name)
     at, out = _surface(place, normal, own.half_extents)
     at, out = reflected_if(at, body.mirror), reflected_if(out, body.mirror)
     form = shape or _fitting(own)
@@ -146,6 +147,14 @@ def remove_shape(data: Data, name: str, index: int) -> None:
     entry["parts"] = [each for i, each in enumerate(further) if i != index]
     if not entry["parts"]:
         del entry["parts"]
+
+
+def _solid(here: Posed, name: str) -> Any:
+    """Return the shape of a body, or its first further shape if it has no shape of its own."""
+    for each in here.creature.bodies:
+        if name in (each.name, each.whole) and each.shape.exists:
+            return each.shape
+    raise DrawingError(f"{name} has no shape, so it has no surface")
 
 
 def _surface(
@@ -340,6 +349,9 @@ def _carry(data: Data, name: str, factors: np.ndarray) -> None:
     joint = entry.get("joint")
     if isinstance(joint, dict) and "child_at" in joint:
         joint["child_at"] = tidy(np.array(joint["child_at"], float) * factors)
+        for axis in joint["axes"] if isinstance(joint.get("axes"), list) else ():
+            if isinstance(axis, dict) and axis.get("at"):
+                axis["at"] = tidy(np.array(axis["at"], float) * factors)
     for further in entry.get("parts") or []:
         further["at"] = tidy(np.array(further["at"], float) * factors)
     everything = all_copies(data)

@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from evo_cpg.config.errors import KeyProblem
+from evo_cpg.config.trust import is_trusted, trusting
 from evo_cpg.creature.creature import CreatureError
 from evo_cpg.drawing.commands import edit
 from evo_cpg.drawing.document import Document, DrawingError
+from evo_cpg.drawing.lookup import bodies
 from evo_cpg.drawing.mesh_file import add_mesh_file
 from evo_cpg.drawing.problems import Advice, Problem, no_advice, problems
 from evo_cpg.drawing.scene import scene
@@ -30,6 +32,8 @@ class Session:
     def __init__(self, document: Document, advice: Advice = no_advice):
         self.document, self._advice = document, advice
         self._lock = threading.Lock()
+        # Requests run in threads of their own, which do not inherit it.
+        self._trusted = is_trusted()
         self._revision = 0
         self._sent: set[str] = set()
         self._try: Answer = {"state": "none"}
@@ -58,7 +62,7 @@ class Session:
             The state of the document, with ``error`` for a refused request, or with ``lost`` for an
             edit that waits for consent.
         """
-        with self._lock:
+        with self._lock, trusting(self._trusted):
             extra: Answer = {}
             try:
                 if request not in self._requests:
@@ -77,7 +81,8 @@ class Session:
         """
         with self._lock:
             data, source, revision = self.document.data, self.document.path, self._revision
-        found = problems(data, source, advice=self._advice)
+        with trusting(self._trusted):
+            found = problems(data, source, advice=self._advice)
         return {"problems": _listed(found), "revision": revision}
 
     def poll(self) -> Answer:
@@ -113,8 +118,10 @@ class Session:
         return {"new": new[0] if len(new) == 1 else None}
 
     def _names(self) -> list[str]:
-        bodies = self.document.data.get("creature", {}).get("bodies") or []
-        return [str(each.get("name")) for each in bodies if isinstance(each, dict)]
+        try:
+            return [str(each.get("name")) for each in bodies(self.document.data)]
+        except DrawingError:
+            return []
 
     def _save(self, name: str | None = None) -> Answer:
         if name is None:
@@ -133,7 +140,9 @@ class Session:
 
         def work() -> None:
             try:
-                self._try = {"state": "done", **simulate(data, source, how)}  # pyright: ignore
+                with trusting(self._trusted):
+                    motion = simulate(data, source, how)  # pyright: ignore[reportArgumentType]
+                self._try = {"state": "done", **motion}
             except (UserError, ValueError) as error:
                 self._try = {"state": "failed", "error": str(error)}
             except Exception as error:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from evo_cpg.config.load import load_run_config
+from evo_cpg.config.trust import is_trusted
 from evo_cpg.drawing.document import DrawingError
 from evo_cpg.drawing.trying import motion
 from evo_cpg.errors import UserError
@@ -37,13 +38,18 @@ class TrainingRun:
         folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
         places = (config.parent / "runs" / named(folder) for folder in folders)
         self.folder = next(place for place in places if not place.exists())
-        command = [sys.executable, "-m", "evo_cpg", "train", str(config), "--out", str(self.folder)]
+        trust = ["--trust"] if is_trusted() else []
+        command = [sys.executable, "-m", "evo_cpg", *trust, "train", str(config)]
+        command += ["--out", str(self.folder)]
         if generations is not None:
             command.append(f"evolution.generations={generations}")
-        self._output = tempfile.TemporaryFile()  # noqa: SIM115 (`close` closes it)
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=self._output, stderr=subprocess.STDOUT
-        )
+        self._scratch = tempfile.TemporaryDirectory()
+        # A file object of our own would share its position with the process that writes.
+        self._output = Path(self._scratch.name) / "output.txt"
+        with self._output.open("wb") as output:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
+            )
 
     @property
     def is_running(self) -> bool:
@@ -52,13 +58,12 @@ class TrainingRun:
 
     def state(self) -> dict[str, Any]:
         """Return the progress of the run, as JSON."""
-        self._output.seek(0)
-        words = self._output.read().decode(errors="replace")
+        words = self._output.read_text(encoding="utf-8", errors="replace")
         return {
             "folder": str(self.folder),
             "running": self.is_running,
             "code": self._process.poll(),
-            "output": words[-_SHOWN:].replace("\r", "\n").strip(),
+            "output": words[-_SHOWN:].strip(),
             "curves": self._curves(),
         }
 
@@ -91,9 +96,9 @@ class TrainingRun:
                 self._process.wait()
 
     def close(self) -> None:
-        """Stop the process, and forget its output."""
+        """Stop the process, and delete its output."""
         self.stop()
-        self._output.close()
+        self._scratch.cleanup()
 
     def _curves(self) -> dict[str, list[float]]:
         try:

@@ -33,6 +33,9 @@ def with_data(text: str, data: Any) -> str:
     Args:
         text: YAML text, valid, with line feeds as ends of lines.
         data: text, numbers, booleans, None, and lists and mappings of them.
+
+    Raises:
+        ValueError: no configuration can contain the data, such as a NaN or very deep lists.
     """
     edited, now = text, parse_yaml(text)
     for _ in range(_PASSES):
@@ -391,4 +394,11 @@ def _rewritten(text: str, data: dict[str, Any]) -> str:
             return edited
     except (_UnplacedError, yaml.YAMLError, AttributeError, LookupError):
         pass
-    return "\n".join(_pair(key, value, 0) for key, value in data.items()) + "\n"
+    edited = "\n".join(_pair(key, value, 0) for key, value in data.items()) + "\n"
+    try:
+        if equal(parse_yaml(edited), data):
+            return edited
+        problem = "it is not read as it is written"
+    except yaml.YAMLError as error:
+        problem = str(getattr(error, "problem", None) or error)
+    raise ValueError(f"no configuration can contain this value ({problem})")

@@ -71,6 +71,9 @@ def test_a_shipped_configuration_is_copied(cli, opened, tmp_path):
     assert str(document.path) == "fish.yaml" and document.texts.creature is None
     assert document.data["creature"]["name"] == "fish" and list(tmp_path.iterdir()) == []
     assert "not saved" not in out
+    (tmp_path / "fish.yaml").write_text("mine")
+    assert cli("model", "fish", folder=tmp_path)[0] == 0
+    assert str(opened[1].path) == "fish2.yaml"
 
 
 def test_edits_that_are_not_saved_are_mentioned(cli, opened, monkeypatch, tmp_path):

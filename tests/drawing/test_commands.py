@@ -1,5 +1,6 @@
 """Commands: animals from nothing, and edits that keep a body valid."""
 
+import json
 import random
 from pathlib import Path
 
@@ -15,6 +16,9 @@ from evo_cpg.drawing.lookup import posed
 from evo_cpg.drawing.problems import problems
 
 CONFIGS = Path(__file__).parents[2] / "configs"
+
+# Sixty lists, each in another.
+DEEP = json.loads("[" * 60 + "]" * 60)
 
 
 @pytest.fixture
@@ -180,6 +184,48 @@ def test_tendons_follow_the_names_of_their_joints(animal):
     assert animal.data["creature"]["tendons"] == []
 
 
+def errors(document: Document) -> list[str]:
+    found = problems(document.data, document.path, thorough=False)
+    return [each.words for each in found if each.kind == "error"]
+
+
+def test_separate_copies_keep_what_refers_to_them(animal):
+    do(animal, "add_part", parent="body", place=[0, 0.05, 0], normal=[0, 1, 0], name="fin")
+    do(animal, "mirror", name="fin")
+    side = {"name": "{side}", "joints": {"{side}_fin.z": 0.5}, "stiffness": 1}
+    both = {"name": "both", "joints": {"{side}_fin.y": 1}, "damping": 1}
+    for key, value in {
+        "pressure_sensors": ["{side}_fin"],
+        "self_collision": {"include": [["{side}_fin", "all"]]},
+        "tendons": [side, both],
+    }.items():
+        do(animal, "set_value", key=["creature", key], value=value)
+    before = posed(animal.data, animal.path)
+    do(animal, "separate", name="left_fin")
+    assert errors(animal) == []
+    after = posed(animal.data, animal.path)
+    assert after.creature.tendons == before.creature.tendons and len(after.creature.tendons) == 3
+    assert after.creature.pressure_sensors == before.creature.pressure_sensors
+    rules = [each.config.build_self_collision(False) for each in (before, after)]
+    assert rules[0] == rules[1] and rules[0] and len(rules[0].include) == 4
+
+
+def test_a_part_stands_on_a_body_without_own_shape(animal):
+    further = {"shape": {"type": "box", "size": [0.1, 0.1, 0.1]}, "at": [0, 0, 0]}
+    do(animal, "set_value", key=["creature", "bodies", 0, "parts"], value=[further])
+    do(animal, "set_value", key=["creature", "bodies", 0, "mass"], value=1)
+    do(animal, "set_value", key=["creature", "bodies", 0, "shape"], value=None)
+    do(animal, "add_part", parent="body", place=[0.05, 0, 0], normal=[1, 0, 0], name="nose")
+    do(animal, "add_shape", part="body", place=[0, 0, 0.05], normal=[0, 0, 1])
+    assert errors(animal) == []
+    assert animal.data["creature"]["bodies"][1]["shape"]["radius"] == 0.025
+    bare = {"shape": None, "parts": [], "inertia": [1, 1, 1, 0, 0, 0]}
+    for key, value in bare.items():
+        do(animal, "set_value", key=["creature", "bodies", 0, key], value=value)
+    with pytest.raises(DrawingError, match="body has no shape, so it has no surface"):
+        do(animal, "add_shape", part="body", place=[0, 0, 0.05], normal=[0, 0, 1])
+
+
 def test_a_row_of_another_size_follows_its_first_body(animal):
     do(animal, "add_part", parent="body", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="tail",
        shape={"type": "box", "size": [0.06, 0.04, 0.04]})  # fmt: skip
@@ -205,6 +251,10 @@ def test_a_stretched_part_keeps_what_is_on_its_surface(animal):
     assert creature["light_sensors"][0]["position"] == [0.2, 0, 0]
     do(animal, "resize", name="body", key="size", value=[0.5, 0.1, 0.1])
     assert animal.data["creature"]["bodies"][1]["joint"]["at"] == [0.25, 0, 0]
+    axes = ["y", {"turn": "z", "at": [-0.06, 0, 0]}]
+    do(animal, "set_joint", name="nose", key="axes", value=axes)
+    do(animal, "stretch", name="nose", factors=[2, 1, 1])
+    assert animal.data["creature"]["bodies"][1]["joint"]["axes"][1]["at"] == [-0.12, 0, 0]
     do(animal, "set_shape", name="nose", type="ellipsoid")
     assert centres(animal)["nose"][0] > 0.2
 
@@ -236,6 +286,7 @@ def test_removed_parts_leave_no_reference(animal):
         ("remove_shape", {"name": "fin", "index": 0}, "fin has no further shape 0"),
         ("shift", {"part": "body", "by": [1, 0, 0]}, "is the root, to which"),
         ("mirror", {"name": "body"}, "is the root, which has no joint"),
+        ("radial", {"name": "body", "count": 3}, "is the root, which cannot be copied"),
         ("mirror", {"name": "fin"}, "its joint is in the mirror plane"),
         ("stretch", {"name": "fin", "factors": [1, 0, 1]}, "three positive numbers"),
         ("resize", {"name": "fin", "key": "radius", "value": -1}, "must be greater than 0, got -1"),
@@ -248,6 +299,8 @@ def test_removed_parts_leave_no_reference(animal):
         ("turn", {"part": "fin", "rotation": [[1, 0], [0, 1]]}, "needs a rotation matrix"),
         ("remove_sensor", {"kind": "light_sensors", "index": 0}, "has no entry 0"),
         ("set_value", {"key": ["seed", "x", "y"], "value": 1}, None),
+        ("set_value", {"key": ["seed"], "value": float("nan")}, "not read as it is written"),
+        ("set_value", {"key": ["seed"], "value": DEEP}, "nested more than 50 levels"),
         ("set_value", {"key": ["creature", "bodies", 9, "name"], "value": 1}, "there is no 9"),
         ("add_part", {"parent": "fin"}, "add_part: missing a required argument: 'place'"),
         ("fly", {}, "there is no command 'fly'. Commands: add_part, "),

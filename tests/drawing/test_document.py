@@ -10,6 +10,7 @@ from evo_cpg.drawing.commands import edit
 from evo_cpg.drawing.document import Document, DrawingError, Texts
 from evo_cpg.drawing.problems import problems
 from evo_cpg.drawing.yaml_edit import equal
+from evo_cpg.files import OutputError, write_text
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -98,6 +99,14 @@ def test_an_autosave_survives_a_crash(fish):
     autosave = fish.path.parent / ".fish.yaml.autosave"
     again = Document.open(fish.path)
     assert again.recovered and again.texts == fish.texts and again.is_changed
+    undone = Document.open(fish.path)
+    undone.undo()
+    undone.discard()
+    assert not undone.recovered and not undone.is_changed
+    # The other program still works, and saves itself again.
+    fish.undo()
+    fish.redo()
+    again = Document.open(fish.path)
     again.discard()
     assert not again.is_changed and not autosave.exists() and again.can_undo
     again.undo()
@@ -110,11 +119,41 @@ def test_an_autosave_survives_a_crash(fish):
 def test_an_autosave_of_other_texts_is_ignored(fish):
     do(fish, "set_value", key=["seed"], value=7)
     fish.path.write_text(fish.path.read_text() + "runs: 2\n")
+    autosave, old = (fish.path.parent / f".fish.yaml.autosave{end}" for end in ("", ".old"))
+    kept = autosave.read_bytes()
     assert not Document.open(fish.path).recovered
-    autosave = fish.path.parent / ".fish.yaml.autosave"
+    assert old.read_bytes() == kept and not autosave.exists()
     for wrong in ("", "[]", json.dumps({"base": "", "texts": [1, 2]})):
         autosave.write_text(wrong)
         assert not Document.open(fish.path).recovered
+
+
+def test_an_interrupted_save_loses_no_edit(fish, monkeypatch):
+    creature = fish.path.parent / "creatures/fish.yaml"
+    before = creature.read_bytes()
+    do(fish, "set_value", key=["seed"], value=7)
+    do(fish, "set_value", key=["creature", "bodies", 0, "color"], value="#ff8800")
+
+    def write(path: Path, text: str) -> None:
+        if path == creature:
+            raise OutputError("the disk is full")
+        write_text(path, text)
+
+    with monkeypatch.context() as broken:
+        broken.setattr("evo_cpg.drawing.document.write_text", write)
+        with pytest.raises(OutputError, match="the disk is full"):
+            fish.save()
+    assert load_config(fish.path).seed == 7 and creature.read_bytes() == before
+    again = Document.open(fish.path)
+    assert again.recovered and again.texts == fish.texts
+    fish.save()
+    assert load_config(fish.path).creature.bodies[0].color == "#ff8800"
+
+
+def test_the_creature_stays_in_its_own_file(fish):
+    main = fish.texts.main
+    do(fish, "set_value", key=["creature", "file"], value="../elsewhere.yaml")
+    assert fish.texts.main == main
 
 
 def test_a_file_that_changed_on_the_disk_is_not_overwritten(fish, tmp_path):

@@ -2,8 +2,10 @@
 
 import http.client
 import json
+import socket
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -11,6 +13,7 @@ import trimesh
 
 from evo_cpg.cli.advice import about_oscillators
 from evo_cpg.config.load import load_config
+from evo_cpg.config.trust import trusting
 from evo_cpg.drawing.document import Document
 from evo_cpg.drawing.page.server import MOST_BYTES, PageServer
 from evo_cpg.drawing.session import Session
@@ -175,6 +178,49 @@ def test_meshes_are_checked_before_they_are_kept(server, tmp_path):
     }
     answer = ask(server, "/edit", {"command": "set_value", "given": given})[1]
     assert "error" not in answer and len(answer["scene"]["bodies"]) == 1
+
+
+def test_a_request_that_is_cut_off_writes_nothing(server, tmp_path):
+    mesh = str(trimesh.creation.box((0.2, 0.1, 0.1)).export(file_type="obj")).encode()
+    head = (
+        f"POST /upload?name=a.obj HTTP/1.1\r\nHost: 127.0.0.1:{server.server_address[1]}\r\n"
+        f"X-Token: {server.token}\r\nContent-Length: {len(mesh) + 1}\r\n\r\n"
+    )
+    with socket.create_connection(server.server_address[:2], timeout=20) as link:
+        link.sendall(head.encode() + mesh)
+        link.shutdown(socket.SHUT_WR)
+        answer = http.client.HTTPResponse(link)
+        answer.begin()
+        assert answer.status == 400 and b"cut off" in answer.read()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+def test_trust_reaches_the_threads_of_requests(tmp_path, monkeypatch, trusted):
+    monkeypatch.delenv("EVO_CPG_TRUST")
+    (tmp_path / "here").mkdir()
+    trimesh.creation.box((0.2, 0.1, 0.1)).export(tmp_path / "a.stl")
+    document = Document.new(tmp_path / "here/animal.yaml")
+    with trusting(trusted):
+        session = Session(document)
+    shape = {"type": "mesh", "file": "../a.stl"}
+    given = {"key": ["creature", "bodies", 0, "shape"], "value": shape}
+    with ThreadPoolExecutor(1) as thread:
+        edited = {"command": "set_value", "given": given}
+        answer = thread.submit(session.answer, "edit", edited).result()
+        words = [each["words"] for each in thread.submit(session.check).result()["problems"]]
+    assert (answer["undrawn"] is None) == trusted
+    assert any("lies outside" in each for each in words) != trusted
+
+
+def test_a_creature_that_is_missing_can_be_set(tmp_path):
+    (tmp_path / "a.yaml").write_text("name: a\ncreature:\n")
+    session = Session(Document.open(tmp_path / "a.yaml"))
+    answer = session.answer("edit", {"command": "add_part", "given": {}})
+    assert "missing a required argument" in answer["error"]
+    given = {"key": ["creature"], "value": Document.new(tmp_path / "b.yaml").data["creature"]}
+    answer = session.answer("edit", {"command": "set_value", "given": given})
+    assert answer["new"] == "body" and answer["undrawn"] is None
 
 
 def test_a_session_refuses_in_words(server):

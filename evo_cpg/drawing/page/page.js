@@ -3,7 +3,7 @@
 (() => {
   const token = new URLSearchParams(location.search).get("token") || "";
   const $ = (id) => document.getElementById(id);
-  let state = null, chosen = null, adding = null, busy = 0;
+  let state = null, chosen = null, adding = null, busy = 0, kept = false;
 
   // ---- requests
   async function send(path, body, method = "POST") {
@@ -260,9 +260,8 @@
   function copyPanel(each) {
     const name = each.name, made = [make("h3", {}, "Copies")];
     const copies = bodyOf(name)?.copies ?? 1;
-    const follow = (answer) => answer;
-    made.push(row("in a row", number("repeat", each.repeat ?? 1, (count) => edit("repeat", { name, count }).then(follow))));
-    made.push(row("in a star", number("radial", each.radial ?? 1, (count) => edit("radial", { name, count }).then(follow))));
+    made.push(row("in a row", number("repeat", each.repeat ?? 1, (count) => edit("repeat", { name, count }))));
+    made.push(row("in a star", number("radial", each.radial ?? 1, (count) => edit("radial", { name, count }))));
     made.push(make("div", { className: "row" },
       each.mirror ? make("span", {}, `mirrored: ${each.mirror}`) : button("Mirror left and right", () => edit("mirror", { name }), { id: "mirror" }),
       copies > 1 ? button("Separate the copies", () => edit("separate", { name }).then(() => choose(null)), { id: "separate" }) : null));
@@ -338,7 +337,7 @@
     document.title = `${state.changed ? "* " : ""}${state.data.name} - evo-cpg model`;
     $("undo").disabled = !state.undo;
     $("redo").disabled = !state.redo;
-    $("recovered").hidden = !state.recovered;
+    $("recovered").hidden = kept || !state.recovered;
     $("text").textContent = [state.text[0], state.text[1]].filter((text) => text !== null).join("\n# ---- the creature's own file\n");
     if (chosen && !chosenEntry()) chosen = null;
     if (drawnState !== state) {
@@ -387,12 +386,10 @@
     setAdding(what);
     const copies = bodyOf(found.name)?.copies ?? 1, carrier = entry(found.entry);
     let each = true;
-    if (copies > 1 && what !== "shape") {
-      // Limbs get one on each side. In a row, the answer decides.
-      if ((carrier?.repeat ?? 1) > 1) {
-        each = await ask(`${found.name} is one of ${copies} bodies in a row. Add the ${what} to`, { choices: [`all ${copies}`, `${found.name} only`] });
-        if (each === null) return;
-      }
+    // Limbs get one on each side. In a row, the answer decides.
+    if (copies > 1 && what !== "shape" && (carrier?.repeat ?? 1) > 1) {
+      each = await ask(`${found.name} is one of ${copies} bodies in a row. Add the ${what} to`, { choices: [`all ${copies}`, `${found.name} only`] });
+      if (each === null) return;
     }
     if (what === "eye") {
       await edit("add_eye", { part: found.name, place: found.place, axis: found.normal, each });
@@ -430,14 +427,17 @@
     const name = await ask("Save as a new file in the same folder", { words: "name", value: "animal2.yaml" });
     if (name) request("save", { name });
   });
-  $("keep").addEventListener("click", () => ($("recovered").hidden = true));
+  $("keep").addEventListener("click", () => ($("recovered").hidden = kept = true));
   $("discard").addEventListener("click", () => request("discard"));
   addEventListener("keydown", (event) => {
     if ($("dialog").open) return;
     const control = event.ctrlKey || event.metaKey, letter = event.key.toLowerCase();
     const writing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName);
-    if (control && letter === "s") $("save").click();
-    else if (writing) return;
+    if (control && letter === "s") {
+      // A field that is being written makes its edit first.
+      event.target.blur?.();
+      $("save").click();
+    } else if (writing) return;
     else if (control && (letter === "y" || (letter === "z" && event.shiftKey))) $("redo").click();
     else if (control && letter === "z") $("undo").click();
     else if (event.key === "Escape" && adding) setAdding(adding);
@@ -458,7 +458,8 @@
     for (;;) {
       await new Promise((done) => setTimeout(done, 250));
       const found = (await send("/poll", undefined, "GET")).try;
-      if (!found || found.state === "running") continue;
+      if (!found) return;
+      if (found.state === "running") continue;
       if (found.state === "failed") notice(found.error, true);
       if (found.state === "done") play(found);
       return;

@@ -133,7 +133,10 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         elif int(length) > most:
             self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"more than {most // 2**20} MiB")
         else:
-            return self.rfile.read(int(length))
+            body = self.rfile.read(int(length))
+            if len(body) == int(length):
+                return body
+            self._refuse(HTTPStatus.BAD_REQUEST, "the request is cut off")
         return None
 
     def _send_json(self, answer: Any) -> None:
