@@ -44,7 +44,8 @@ def pointer(
             return
         outwards = tip * [width / 2, -height / 2]
         place = outwards + np.array([width, height]) / 2
-        along = outwards / np.linalg.norm(outwards)
+        # A light right behind the camera has no direction, and the arrow points down.
+        along = outwards / np.linalg.norm(outwards) if outwards.any() else np.array([0.0, 1.0])
         across = np.array([-along[1], along[0]])
         back, side = place - _LENGTH * height * along, _HALF_WIDTH * height * across
         with lettering(picture) as draw:

@@ -69,6 +69,13 @@ def test_a_moving_body_needs_a_mass():
     assert built.bodies[0].mass == 0 and float(built.bodies[1].mass) == pytest.approx(0.5)
 
 
+def test_a_creature_needs_a_shape():
+    body = {"name": "a", "shape": None, "material": "m", "mass": 1, "inertia": [1, 1, 1, 0, 0, 0]}
+    given = {"name": "c", "materials": {"m": {"density": 1.0}}, "bodies": [body]}
+    with pytest.raises(ValidationError, match="bodies: no body has a shape"):
+        CreatureConfig.model_validate(given)
+
+
 def test_a_mass_alone_sets_one_density():
     """All shapes get the mass over the sum of their volumes."""
     part = {

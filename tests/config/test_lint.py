@@ -569,6 +569,12 @@ def test_unusual_but_sensible_values_get_no_warning(path, settings):
     assert found(path, settings) == {}
 
 
+def test_a_root_that_hangs_does_not_fall():
+    joint = "{parent: world, at: [0, 0, 0], child_at: [0, 0, 0], axes: []}"
+    config = load_config(CONFIG, ["world.water=null", f"creature.bodies.0.joint={joint}"])
+    assert not [each for each in lint(config, CONFIG) if "falls from start" in str(each)]
+
+
 def test_a_mesh_is_measured_in_its_own_frame(tmp_path):
     """Positions on a mesh are in the frame of its file, even far from the origin."""
     made = trimesh.creation.box((0.2, 0.1, 0.1))

@@ -162,9 +162,13 @@ def water_below_ground(case: Case) -> Iterator[LintWarning]:
 
 @rule
 def nothing_to_hold_it(case: Case) -> Iterator[LintWarning]:
-    """Warn of gravity without water, ground or a force law, because the animal falls forever."""
-    world = case.config.world
-    if world.gravity and world.water is None and world.ground is None and not world.forces:
+    """Warn of gravity without water, ground or a force law, because the animal falls forever.
+
+    A root that hangs on the world does not fall.
+    """
+    world, hangs = case.config.world, any(body.hangs for body in case.config.creature.bodies)
+    empty = world.water is None and world.ground is None and not world.forces
+    if world.gravity and empty and not hangs:
         yield case.warning(
             ("world", "gravity"),
             "there is neither water nor ground, so the animal falls from start to end. Give the "

@@ -246,6 +246,8 @@ class CreatureConfig(Section):
     @model_validator(mode="after")
     def _require_few(self) -> "CreatureConfig":
         self.copies()
+        if not any(body.shapes for body in self.bodies):
+            raise ValueError("bodies: no body has a shape. Give one of them a shape")
         return self
 
     def build(self) -> Creature:

@@ -130,7 +130,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
         length = self.headers.get("Content-Length", "")
         if not (length.isascii() and length.isdigit()):
             self._refuse(HTTPStatus.LENGTH_REQUIRED, "the request has no length")
-        elif int(length) > most:
+        elif len(length) > len(str(most)) or int(length) > most:
             self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"more than {most // 2**20} MiB")
         else:
             body = self.rfile.read(int(length))
