@@ -33,6 +33,8 @@ _SMALLEST = 0.2
 # Number of frames, or up to twice as many, in which the animal's extent is measured, and rounds of
 # improvement.
 _MEASURED, _ROUNDS = 120, 5
+# Factor of the distance by which the camera steps back from bodies outside of the frame.
+_STEP_BACK = 1.05
 # The focus lies this fraction of the animal's radius further towards the light, until the animal is
 # near the light.
 _LEAD = 0.6
