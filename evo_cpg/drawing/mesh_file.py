@@ -10,6 +10,8 @@ from evo_cpg.drawing.document import DrawingError
 from evo_cpg.files import write_whole
 
 _SUFFIXES = (".stl", ".obj")
+# Longest name before the suffix, characters.
+_LONGEST = 100
 
 
 def add_mesh_file(document: Path, name: str, content: bytes) -> str:
@@ -24,13 +26,15 @@ def add_mesh_file(document: Path, name: str, content: bytes) -> str:
         DrawingError: it is no mesh that a body can have, or another file has its name.
     """
     bare = re.sub(r"[^A-Za-z0-9_.-]+", "_", re.split(r"[/\\]", name)[-1]).lstrip("._")
+    stem, dot, suffix = bare.rpartition(".")
+    bare = f"{stem[:_LONGEST]}{dot}{suffix[:_LONGEST]}"
     place = document.parent / bare
     if place.suffix.lower() not in _SUFFIXES:
         raise DrawingError(f"{name[:80]}: a mesh is a file {' or '.join(_SUFFIXES)}")
     if len(content) > LARGEST:
         raise DrawingError(f"{bare}: more than the limit of {LARGEST // 2**20} MiB")
     if place.exists():
-        if place.read_bytes() == content:
+        if place.is_file() and place.read_bytes() == content:
             return bare
         raise DrawingError(f"{place} exists with other content. Rename your file")
     write_whole(place, lambda file: file.write(content))

@@ -111,7 +111,9 @@ class RandomEdits:
         return self.draw.choice([1, 2, 2, 3, 4])
 
     def shape(self) -> Any:
-        size = lambda: round(self.draw.uniform(0.005, 0.1), 4)
+        def size() -> float:
+            return round(self.draw.uniform(0.005, 0.1), 4)
+
         return self.draw.choice([
             None,
             {"type": "box", "size": [size(), size(), size()]},
@@ -123,11 +125,13 @@ class RandomEdits:
 
     def size(self) -> dict[str, Any]:
         key = self.draw.choice(["size", "radii", "radius", "length"])
-        one = lambda: round(self.draw.uniform(0.005, 0.2), 4)
-        return {"key": key, "value": [one(), one(), one()] if key in ("size", "radii") else one()}
+        some = [round(self.draw.uniform(0.005, 0.2), 4) for _ in "xyz"]
+        return {"key": key, "value": some if key in ("size", "radii") else some[0]}
 
     def joint(self) -> dict[str, Any]:
-        angle = lambda: round(self.draw.uniform(0, 90), 1)
+        def angle() -> float:
+            return round(self.draw.uniform(0, 90), 1)
+
         made: dict[str, Callable[[], Any]] = {
             "axes": lambda: self.draw.sample(["x", "y", "z", "-x", {"turn": "y"}, {"slide": "z"}],
                                              self.draw.randint(0, 3)),

@@ -23,7 +23,7 @@
   // One request after the other, so that answers arrive in order.
   let queue = Promise.resolve();
   function request(name, given = {}) {
-    const answer = queue.then(() => send(`/${name}`, JSON.stringify(given)));
+    const answer = queue.then(() => send(`/${name}`, JSON.stringify({ ...given, ...(name === "open" || !state ? {} : { seen: state.revision }) })));
     queue = answer.then(take, () => {});
     return queue.then(() => answer);
   }
@@ -36,6 +36,7 @@
     }
     if (answer.error) notice(answer.error, true);
     else if (answer.saved) notice(`Saved ${answer.saved}`);
+    else if (answer.unsafe) notice(`There is no autosave: ${answer.unsafe}. Save under another name or free some space.`, true);
     else if (answer.data) notice("");
   }
   async function edit(command, given) {
@@ -193,7 +194,7 @@
     const made = [
       make("h2", {}, "Part"),
       ...own.map((problem) => make("p", { className: problem.kind }, `${problem.key.slice(3).join(".")}: ${problem.words}`)),
-      row("name", field("name", name, (text) => edit("rename_part", { name, new: text }).then(() => choose(text)))),
+      row("name", field("name", name, (text) => edit("rename_part", { name, new: text }).then((answer) => { if (!answer.error && !answer.lost) choose(text); }))),
       row("shape", make("select", { "aria-label": "shape", onchange: (event) => edit("set_shape", { name, type: event.target.value }) },
         ...[...new Set([...TYPES, shape.type ?? "none"])].map((type) => make("option", { value: type, selected: type === (shape.type ?? "none") }, type)))),
     ];
