@@ -12,7 +12,7 @@ from evo_cpg.config.errors import KeyProblem
 from evo_cpg.config.schema.section import Section
 from evo_cpg.config.wording import checked
 from evo_cpg.creature.creature import CreatureError
-from evo_cpg.drawing import blocks, parts, placing, sensors, world
+from evo_cpg.drawing import blocks, joints, lofting, parts, placing, sensors, world
 from evo_cpg.drawing.document import Data, DrawingError, Edit
 
 COMMANDS: Mapping[str, Callable[..., Any]] = {
@@ -24,9 +24,14 @@ COMMANDS: Mapping[str, Callable[..., Any]] = {
         parts.remove_part,
         parts.rename_part,
         parts.set_shape,
-        parts.set_joint,
+        joints.set_joint,
+        joints.set_axes,
         parts.resize,
         parts.stretch,
+        lofting.add_section,
+        lofting.remove_section,
+        lofting.move_section,
+        lofting.scale_section,
         placing.shift,
         placing.turn,
         blocks.mirror,

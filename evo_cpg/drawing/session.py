@@ -92,10 +92,10 @@ class Session:
         return {"try": self._try, "run": run.state() if run else None}
 
     def upload(self, name: str, content: bytes) -> Answer:
-        """Take a mesh file. Return its name beside the document, or an error."""
+        """Take a mesh file, see `add_mesh_file`. Return an ``error`` if it is refused."""
         with self._lock:
             try:
-                return {"file": add_mesh_file(self.document.path, name, content)}
+                return dict(add_mesh_file(self.document.path, name, content))
             except UserError as error:
                 return {"error": str(error)}
 
