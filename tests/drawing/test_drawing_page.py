@@ -10,7 +10,7 @@ import pytest
 import chromium
 from evo_cpg.config.load import load_config
 from evo_cpg.drawing.document import Document
-from evo_cpg.drawing.page.server import PageServer
+from evo_cpg.drawing.page.server import DrawingServer
 from evo_cpg.drawing.problems import problems
 from evo_cpg.drawing.session import Session
 
@@ -24,7 +24,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 class Drawn:
     """The page of a document, used with mouse and fields."""
 
-    def __init__(self, page: chromium.Page, server: PageServer):
+    def __init__(self, page: chromium.Page, server: DrawingServer):
         self.page, self.server = page, server
         self.document = server.session.document
 
@@ -92,7 +92,7 @@ class Drawn:
 @pytest.fixture
 def drawn(tmp_path) -> Iterator[Drawn]:
     document = Document.new(tmp_path / "animal.yaml")
-    with PageServer(Session(document)) as server, chromium.browser(tmp_path / "profile") as page:
+    with DrawingServer(Session(document)) as server, chromium.browser(tmp_path / "profile") as page:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         page.visit(server.address)
@@ -213,7 +213,7 @@ def test_edits_of_a_program_that_crashed_are_offered(drawn, tmp_path):
     # The program ends without saving, and starts again.
     again = Document.new(drawn.document.path)
     with (
-        PageServer(Session(again)) as server,
+        DrawingServer(Session(again)) as server,
         chromium.browser(tmp_path / "another profile") as page,
     ):
         thread = threading.Thread(target=server.serve_forever)

@@ -15,14 +15,14 @@ from evo_cpg.cli.advice import about_oscillators
 from evo_cpg.config.load import load_config
 from evo_cpg.config.trust import trusting
 from evo_cpg.drawing.document import Document
-from evo_cpg.drawing.page.server import MOST_BYTES, PageServer
+from evo_cpg.drawing.page.server import MOST_BYTES, DrawingServer
 from evo_cpg.drawing.session import Session
 
 
 @pytest.fixture
-def server(tmp_path) -> Iterator[PageServer]:
+def server(tmp_path) -> Iterator[DrawingServer]:
     document = Document.new(tmp_path / "animal.yaml")
-    with PageServer(Session(document, advice=about_oscillators)) as made:
+    with DrawingServer(Session(document, advice=about_oscillators)) as made:
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
         yield made
@@ -30,7 +30,7 @@ def server(tmp_path) -> Iterator[PageServer]:
         thread.join()
 
 
-def ask(server: PageServer, path: str, body: Any = None, **headers: str) -> tuple[int, Any]:
+def ask(server: DrawingServer, path: str, body: Any = None, **headers: str) -> tuple[int, Any]:
     """A request of a plain client. The token is sent unless ``X_Token`` is given."""
     link = http.client.HTTPConnection("127.0.0.1", server.server_address[1], timeout=20)
     sent = {"X-Token": server.token} | {k.replace("_", "-"): v for k, v in headers.items()}
