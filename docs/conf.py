@@ -15,6 +15,7 @@ extensions = [
     "myst_parser",
     "sphinx_copybutton",
     "mathml",
+    "animal_pages",
     "notebook_pages",
 ]
 # The pages of the studies contain the tables in these folders, see `generate.py`.
