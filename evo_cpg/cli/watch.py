@@ -160,7 +160,7 @@ def _in_lines(
         time.sleep(LOOK)
 
 
-def _line(row: dict[str, float], now: Standing) -> str:
+def _line(row: dict[str, float], now: "Standing") -> str:
     run = f"  run {int(row['run'])}" if "run" in row else ""
     return (
         f"{int(row['generation']) + 1:4d}/{now.generations} generations{run}  "
@@ -169,7 +169,7 @@ def _line(row: dict[str, float], now: Standing) -> str:
     )
 
 
-def _newest(now: Standing, draw: "Callable[[Champion, Standing], Any]") -> Path | None:
+def _newest(now: "Standing", draw: "Callable[[Champion, Standing], Any]") -> Path | None:
     champion = now.checkpoint.champion if now.checkpoint else None
     return None if champion is None else draw(champion, now)
 
@@ -187,7 +187,7 @@ class _Pictures:
         self._next = -math.inf
         self._replays: Replays | None = None
 
-    def draw(self, champion: "Champion", now: Standing) -> Path | None:
+    def draw(self, champion: "Champion", now: "Standing") -> Path | None:
         """Draw a new champion if a picture is due, and return the path of the picture, if any."""
         which = (champion.run, champion.generation, champion.fitness)
         began = time.monotonic()
@@ -205,7 +205,7 @@ class _Pictures:
         self._next = time.monotonic() + max(_SELDOM, took / _LARGEST_FRACTION)
         return made
 
-    def _make(self, champion: "Champion", now: Standing) -> Path:
+    def _make(self, champion: "Champion", now: "Standing") -> Path:
         from evo_cpg.cli.building import build
         from evo_cpg.live.replays import Replays
         from evo_cpg.training.checkpoint import history_columns

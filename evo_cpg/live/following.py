@@ -25,6 +25,8 @@ _LOOK, _PAUSE = 1.0, 0.2
 _NICE = 10
 # Largest number of the champion's terms that are shown.
 _TERMS = 4
+# Size of the curves, inches: their letters are legible on a phone.
+_SIZE = (4.8, 3.4)
 _CAPTION = "Fitness over the generations, and number of individuals that diverged or broke a rule."
 _DELETED = "deleted", "The run folder was deleted. The page keeps what it shows"
 
@@ -129,6 +131,7 @@ class Following:
             self._drawn = now
             with self._drawing.working():
                 figure = fitness_figure(history_columns(now.checkpoint.history))
+                figure.set_size_inches(_SIZE)
                 self._chart = self._chart.replaced({"html": chart(figure, _CAPTION)})
         if now.finished:
             return "finished", "All generations are done. Control-C ends the program of this page"
@@ -162,7 +165,7 @@ def _numbers(now: Standing) -> list[tuple[str, str]]:
     rows = [row for row in history if row["generation"] == history[-1]["generation"]]
     found = [(f"{now.checkpoint.generation} of {now.generations}", "generations")]
     if champion is not None:
-        found.append((number(champion.worth), "fitness of the champion"))
+        found.append((number(champion.worth), "champion's fitness"))
         for name, value in list(champion.terms.items())[:_TERMS]:
             found.append((f"{number(value)} {UNITS.get(name, '')}".rstrip(), in_words(name)))
     found.append((number(np.mean([row["mean"] for row in rows])), "mean fitness"))

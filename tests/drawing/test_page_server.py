@@ -217,7 +217,7 @@ def test_a_creature_that_is_missing_can_be_set(tmp_path):
     (tmp_path / "a.yaml").write_text("name: a\ncreature:\n")
     session = Session(Document.open(tmp_path / "a.yaml"))
     answer = session.answer("edit", {"command": "add_part", "given": {}})
-    assert "missing a required argument" in answer["error"]
+    assert "parent: is missing" in answer["error"]
     given = {"key": ["creature"], "value": Document.new(tmp_path / "b.yaml").data["creature"]}
     answer = session.answer("edit", {"command": "set_value", "given": given})
     assert answer["new"] == "body" and answer["undrawn"] is None
@@ -231,6 +231,7 @@ def test_a_session_refuses_in_words(server):
     assert "must be the name of a .yaml file" in error("/save", name="x.txt")
     assert "at least 1, got 0" in error("/train", generations=0)
     assert "save first" in error("/train")
+    assert "there is no run" in error("/watch")
     ask(server, "/save", {})
     assert "at least one joint" in error("/train")
     ask(server, "/edit", {"command": "set_value", "given": {"key": ["seed"], "value": -1}})

@@ -57,7 +57,7 @@ def test_a_run_is_followed_from_before_its_start_to_after_its_end(tmp_path):
     first = state()
     assert first["status"] == {"kind": "running", "words": "Evolving, about 4 s to go"}
     assert first["numbers"][:3] == [
-        ("1 of 3", "generations"), ("1.5", "fitness of the champion"), ("0.25 m/s", "speed"),
+        ("1 of 3", "generations"), ("1.5", "champion's fitness"), ("0.25 m/s", "speed"),
     ]  # fmt: skip
     assert "<svg" in first["chart"]["html"]
     # The curves are sent again only after another generation.

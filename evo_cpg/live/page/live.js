@@ -28,7 +28,6 @@
     showNumbers(numbers);
     if (chart) {
       $("curves").innerHTML = chart.html;
-      $("evolution").hidden = false;
       known.chart = chart.number;
     }
     if (motion) {

@@ -1,8 +1,8 @@
 // The wall of the population: many animals that move side by side on one canvas. Needs Viewer.
 "use strict";
 const Wall = (() => {
-  // Frames per second.
-  const RATE = 20;
+  // Frames per second, and distance of the camera in multiples of the player's.
+  const RATE = 20, NEAR = 0.7;
 
   // Returns a wall in an element with a canvas and a list, or null without WebGL.
   function wall(element, pause) {
@@ -53,7 +53,7 @@ const Wall = (() => {
         if (!motion || own.bottom < 0 || own.top > innerHeight) continue;
         const { here } = world.pose(motion, now % motion.duration);
         Viewer.fitted(camera, own.width / own.height);
-        camera.position.copy(world.offset("side")).add(here);
+        camera.position.copy(world.offset("side")).multiplyScalar(NEAR).add(here);
         camera.lookAt(here);
         const at = [own.left - box.left, box.bottom - own.bottom, own.width, own.height];
         renderer.setViewport(...at);

@@ -235,6 +235,7 @@ const Viewer = (() => {
     scene.add(line);
 
     // Specks in the water show the motion. A fixed seed always gives the same specks.
+    let cloud = null;
     if (look.particles && data.water) {
       let seed = 1;
       const chance = () => ((seed = (seed * 16807) % 2147483647) / 2147483647);
@@ -250,11 +251,12 @@ const Viewer = (() => {
         const to = k === 2 ? most[k] + 2 * radius : most[k] + 4 * radius;
         specks[i] = from + chance() * (to - from);
       }
-      const cloud = new THREE.BufferGeometry();
-      cloud.setAttribute("position", new THREE.BufferAttribute(specks, 3));
-      scene.add(new THREE.Points(cloud, new THREE.PointsMaterial({
+      const places = new THREE.BufferGeometry();
+      places.setAttribute("position", new THREE.BufferAttribute(specks, 3));
+      cloud = new THREE.Points(places, new THREE.PointsMaterial({
         color: "#bfeee8", size: 0.016 * radius, transparent: true, opacity: 0.6,
-      })));
+      }));
+      scene.add(cloud);
     }
 
     const here = new THREE.Vector3(), there = new THREE.Vector3();
@@ -281,7 +283,9 @@ const Viewer = (() => {
         floor.position.set(whole(here.x), whole(here.y), data.floor);
       }
       if (surface) surface.position.set(here.x, here.y, data.surface);
+      // Trail and specks belong to the scene's own motion.
       line.visible = motion === own;
+      if (cloud) cloud.visible = motion === own;
       trail.setDrawRange(Math.max(0, i - 8 * rate), Math.min(i, 8 * rate) + 1);
       return { here, frame: i };
     }
