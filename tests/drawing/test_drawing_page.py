@@ -2,6 +2,7 @@
 
 import json
 import threading
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -90,7 +91,9 @@ class Drawn:
 
 
 @pytest.fixture
-def drawn(tmp_path) -> Iterator[Drawn]:
+def drawn(tmp_path, monkeypatch) -> Iterator[Drawn]:
+    for display in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(display, raising=False)
     document = Document.new(tmp_path / "animal.yaml")
     with DrawingServer(Session(document)) as server, chromium.browser(tmp_path / "profile") as page:
         thread = threading.Thread(target=server.serve_forever)
@@ -153,6 +156,10 @@ def test_the_swimmer_of_the_paper_is_drawn_tried_and_trained(drawn):
     assert (drawn.document.path.parent / "runs/animal/champion.npz").exists()
     drawn.page.click("#champion")
     drawn.page.wait("View.playing")
+    drawn.click("#live")
+    address = drawn.page.run("document.getElementById('notice').textContent").rpartition(" ")[2]
+    with urllib.request.urlopen(address, timeout=20) as answer:
+        assert "<h1>animal</h1>" in answer.read().decode()
 
 
 def test_a_four_legged_animal_is_drawn_with_the_mouse(drawn):

@@ -236,6 +236,7 @@ def test_a_session_refuses_in_words(server):
     assert "must be the name of a .yaml file" in error("/save", name="x.txt")
     assert "at least 1, got 0" in error("/train", generations=0)
     assert "save first" in error("/train")
+    assert "there is no run" in error("/watch")
     ask(server, "/save", {})
     assert "at least one joint" in error("/train")
     ask(server, "/edit", {"command": "set_value", "given": {"key": ["seed"], "value": -1}})

@@ -16,6 +16,14 @@ from evo_cpg.view.page.shell import asset, policy
 from evo_cpg.view.page.subject import RecordedMotion, Subject
 from evo_cpg.view.page.words import number, with_unit
 
+_ALONE = """
+html, body { height: 100%; }
+body { max-width: none; padding: 0; }
+#animal { height: 100%; margin: 0; display: flex; flex-direction: column; }
+#animal .screen { flex: 1 1 0; min-height: 8rem; aspect-ratio: auto; }
+.hint { display: none; }
+"""
+
 
 def document(subject: Subject, motion: RecordedMotion) -> str:
     """Return the whole page."""
@@ -30,9 +38,10 @@ def document(subject: Subject, motion: RecordedMotion) -> str:
         ("repeat", "How to repeat it", origin.repetition(subject)),
     ]
     shown = [(key, title, inner) for key, title, inner in sections if inner]
-    scripts = [asset("three.min.js"), asset("viewer.js")]
-    body = tag(
-        "body",
+    return _whole(
+        f"{subject.name}: its champion",
+        motion.scene,
+        asset("page.css"),
         tag("h1", f"{subject.name}: its champion"),
         tag("p", subject.sentence, class_="lead"),
         _changed(subject),
@@ -48,7 +57,26 @@ def document(subject: Subject, motion: RecordedMotion) -> str:
             f"Made by {subject.program} on {subject.made}. The animal is drawn by three.js (MIT "
             "licence). This page makes no network requests.",
         ),
-        _json_script("scene", motion.scene),
+    )
+
+
+def animal_alone(title: str, scene: Mapping[str, Any], picture: bytes) -> str:
+    """Return a page that has nothing but the animal, and fills its window or frame.
+
+    Args:
+        title: title of the page.
+        scene: data of the viewer.
+        picture: what browsers without WebGL show, JPEG.
+    """
+    return _whole(title, scene, asset("page.css") + _ALONE, player(_still(picture)))
+
+
+def _whole(title: str, scene: Mapping[str, Any], style: str, *body: Html | None) -> str:
+    scripts = [asset("three.min.js"), asset("viewer.js")]
+    inner = tag(
+        "body",
+        *body,
+        _json_script("scene", scene),
         *(Html(f"<script>{script}</script>") for script in scripts),
     )
     head = tag(
@@ -57,10 +85,10 @@ def document(subject: Subject, motion: RecordedMotion) -> str:
         tag("meta", http_equiv="Content-Security-Policy", content=policy(scripts)),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
         tag("meta", name="generator", content="evo-cpg analyse"),
-        tag("title", f"{subject.name}: its champion"),
-        Html(f"<style>{asset('page.css')}</style>"),
+        tag("title", title),
+        Html(f"<style>{style}</style>"),
     )
-    return "<!doctype html>\n" + tag("html", head, body, lang="en")
+    return "<!doctype html>\n" + tag("html", head, inner, lang="en")
 
 
 def _changed(subject: Subject) -> Html | None:
