@@ -7,7 +7,7 @@ from typing import Any
 
 from evo_cpg.config.errors import KeyProblem
 from evo_cpg.creature.creature import CreatureError
-from evo_cpg.drawing import blocks, parts, placing, sensors, world
+from evo_cpg.drawing import blocks, joints, lofting, parts, placing, sensors, world
 from evo_cpg.drawing.arguments import checked_arguments
 from evo_cpg.drawing.document import Data, DrawingError, Edit
 
@@ -20,9 +20,14 @@ COMMANDS: Mapping[str, Callable[..., Any]] = {
         parts.remove_part,
         parts.rename_part,
         parts.set_shape,
-        parts.set_joint,
+        joints.set_joint,
+        joints.set_axes,
         parts.resize,
         parts.stretch,
+        lofting.add_section,
+        lofting.remove_section,
+        lofting.move_section,
+        lofting.scale_section,
         placing.shift,
         placing.turn,
         blocks.mirror,

@@ -61,6 +61,7 @@ class Session:
             "train": self._train,
             "stop": self._stop,
             "champion": self._champion,
+            "watch": self._watch,
         }
 
     def answer(self, request: str, given: Mapping[str, Any]) -> Answer:
@@ -117,10 +118,10 @@ class Session:
         return {"try": self._try, "run": run.state() if run else None}
 
     def upload(self, name: str, content: bytes) -> Answer:
-        """Take a mesh file. Return its name beside the document, or an error."""
+        """Take a mesh file, see `add_mesh_file`. Return an ``error`` if it is refused."""
         with self._lock:
             try:
-                return {"file": add_mesh_file(self.document.path, name, content)}
+                return dict(add_mesh_file(self.document.path, name, content))
             except UserError as error:
                 return {"error": str(error)}
 
@@ -204,6 +205,11 @@ class Session:
         if self._run is None:
             raise DrawingError("there is no run")
         return {"motion": self._run.champion()}
+
+    def _watch(self) -> Answer:
+        if self._run is None:
+            raise DrawingError("there is no run")
+        return {"address": self._run.watch()}
 
     def _state(self) -> Answer:
         document = self.document

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from evo_cpg.training.run_folder import RunFolder
 _CURVES = ("generation", "best", "mean")
 # Time that a process gets to end, s.
 _PATIENCE = 10.0
+# Time in which the live page must start, s.
+_START = 60.0
 # Number of characters of its output that are shown.
 _SHOWN = 2000
 
@@ -38,20 +41,14 @@ class TrainingRun:
         folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
         places = (config.parent / "runs" / named(folder) for folder in folders)
         self.folder = next(place for place in places if not place.exists())
-        trust = ["--trust"] if is_trusted() else []
-        tethered = [sys.executable, "-m", "evo_cpg.drawing.tethered"]
-        command = [*tethered, *trust, "train", str(config)]
-        command += ["--out", str(self.folder)]
+        command = ["train", str(config), "--out", str(self.folder)]
         if generations is not None:
             command.append(f"evolution.generations={generations}")
         self._is_stopping = False
         self._scratch = tempfile.TemporaryDirectory()
-        # A file object of our own would share its position with the process that writes.
         self._output = Path(self._scratch.name) / "output.txt"
-        with self._output.open("wb") as output:
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=output, stderr=subprocess.STDOUT
-            )
+        self._process = _started(command, self._output)
+        self._watching: subprocess.Popen | None = None
 
     @property
     def is_running(self) -> bool:
@@ -88,6 +85,24 @@ class TrainingRun:
             raise DrawingError("the champion has no recording")
         return motion(recording, [body.name for body in config.creature.build().bodies])
 
+    def watch(self) -> str:
+        """Open the live page of the run, which `evo-cpg watch` serves, and return its address.
+
+        Raises:
+            DrawingError: the program did not start.
+        """
+        output = Path(self._scratch.name) / "watch.txt"
+        if self._watching is None or self._watching.poll() is not None:
+            self._watching = _started(["watch", str(self.folder), "--page"], output)
+        until = time.monotonic() + _START
+        while time.monotonic() < until and self._watching.poll() is None:
+            words = output.read_text(encoding="utf-8", errors="replace").splitlines(True)
+            for line in words:
+                if line.startswith("http://") and line.endswith("\n"):
+                    return line.strip()
+            time.sleep(0.1)
+        raise DrawingError("the live page did not start")
+
     def stop(self) -> None:
         """Interrupt the process as Control-C does, which keeps its generations.
 
@@ -101,9 +116,12 @@ class TrainingRun:
             threading.Thread(target=self._end, daemon=True).start()
 
     def close(self) -> None:
-        """Stop the process, wait for its end, and delete its output."""
+        """Stop the process and its live page, wait for their ends, and delete their output."""
         self.stop()
         self._end()
+        if self._watching is not None:
+            self._watching.kill()
+            self._watching.wait()
         self._scratch.cleanup()
 
     def _end(self) -> None:
@@ -133,3 +151,16 @@ def _number(text: str | None) -> float | None:
         return float(text or "")
     except ValueError:
         return None
+
+
+def _started(arguments: list[str], output: Path) -> subprocess.Popen:
+    """Start `evo-cpg`, which ends with this program, and write its output to a file.
+
+    A file object of our own would share its position with the process that writes.
+    """
+    trust = ["--trust"] if is_trusted() else []
+    command = [sys.executable, "-m", "evo_cpg.drawing.tethered", *trust, *arguments]
+    with output.open("wb") as file:
+        return subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=file, stderr=subprocess.STDOUT
+        )
