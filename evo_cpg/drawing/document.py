@@ -197,6 +197,7 @@ class Document:
             if self.path.exists():
                 raise DrawingError(f"{self.path} exists. Save under another name")
             write_text(self.path, self.texts.main)
+            self._bytes[self.path] = "", "\n"
         else:
             if not os.path.lexists(self.path):
                 mark, end = self._bytes[self.path]

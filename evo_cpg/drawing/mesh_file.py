@@ -12,6 +12,7 @@ from evo_cpg.files import write_whole
 # Longest name before the suffix, characters.
 _LONGEST = 100
 
+
 def add_mesh_file(document: Path, name: str, content: bytes) -> dict[str, str]:
     """Write a mesh file beside a document.
 

@@ -5,13 +5,14 @@ Control-C does when its standard input closes. The system closes it when the pag
 """
 
 import _thread
+import os
 import runpy
-import sys
 import threading
 
 
 def _interrupt_at_the_end_of_input() -> None:
-    while sys.stdin.buffer.read(4096):
+    # A thread inside a file object would hold its lock when Python ends, which Python refuses.
+    while os.read(0, 4096):
         pass
     _thread.interrupt_main()
 
