@@ -36,7 +36,7 @@ def policy() -> str:
 
 @functools.cache
 def _scripts() -> tuple[str, ...]:
-    own = [_asset("evo_cpg.drawing.page", name) for name in ("view.js", "page.js")]
+    own = [_asset("evo_cpg.drawing.page", name) for name in ("view.js", "forms.js", "page.js")]
     return _asset("evo_cpg.view.page", "three.min.js"), *own
 
 

@@ -32,10 +32,12 @@ const View = (() => {
   const proxy = new THREE.Group();
   scene.add(proxy);
 
-  const events = { pick: () => {}, moved: () => {} };
+  const events = { pick: () => {}, moved: () => {}, section: () => {} };
   const arrays = new Map(), shapes = new Map(), bodies = new Map();
   let drawn = null, selected = null, mode = "translate", size = 0, dirty = true, motion = null;
   let grabbed = null, armed = false;
+  // Number of the chosen section of a loft, and the drawn rings and dots of all its sections.
+  let section = null, rings = [];
 
   // ---- geometry
   const kinds = { f4: Float32Array, i1: Int8Array, i2: Int16Array, u4: Uint32Array };
@@ -150,6 +152,7 @@ const View = (() => {
 
   // ---- selection: the part, its copies, its joint and its eyes
   function select(name) {
+    if (name !== selected) section = null;
     selected = name;
     const chosen = bodies.get(name);
     for (const body of bodies.values()) {
@@ -161,6 +164,8 @@ const View = (() => {
     if (chosen && !motion) {
       if (chosen.joint) drawJoint(chosen);
       drawViews(chosen);
+      drawPressure(chosen);
+      drawSections(chosen);
       attach(chosen);
     }
     dirty = true;
@@ -224,8 +229,68 @@ const View = (() => {
     }
   }
 
+  // A pad on each side of a body with a pressure sensor, which feels the whole body.
+  function drawPressure(body) {
+    if (!drawn.pressure.includes(body.whole || body.name) || !body.mesh.geometry.index) return;
+    const far = 4 * Math.max(...body.half), radius = 0.25 * Math.min(...body.half);
+    body.group.updateMatrixWorld();
+    for (const side of [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]) {
+      const out = vector(side).applyQuaternion(body.group.quaternion);
+      ray.set(body.group.position.clone().addScaledVector(out, far), out.clone().negate());
+      const [first] = ray.intersectObject(body.mesh, false);
+      if (!first) continue;
+      const normal = first.face.normal.clone().applyQuaternion(body.group.quaternion);
+      const pad = new THREE.Mesh(new THREE.SphereGeometry(radius, 20, 12), new THREE.MeshStandardMaterial({ color: "#2f6fe0", roughness: 0.4 }));
+      pad.scale.z = 0.2;
+      pad.position.copy(first.point);
+      pad.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), normal);
+      marks.add(pad);
+    }
+  }
+
+  // ---- sections of a loft: a ring and a dot for each
+  function drawSections(body) {
+    rings = [];
+    if (section !== null && !body.sections?.[section]) section = null;
+    const size = 0.035 * Math.max(...body.half);
+    (body.sections || []).forEach((each, i) => {
+      const color = i === section ? "#ffb000" : "#ffffff", group = new THREE.Group(), points = [];
+      for (let k = 0; k <= 48; k++) {
+        const angle = (k * Math.PI) / 24;
+        points.push(vector(each.across).multiplyScalar(Math.cos(angle)).addScaledVector(vector(each.up), Math.sin(angle)));
+      }
+      const ring = new THREE.Line(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial({ color, depthTest: false }));
+      const dot = new THREE.Mesh(new THREE.SphereGeometry(size, 14, 10), new THREE.MeshBasicMaterial({ color, depthTest: false }));
+      dot.userData.section = i;
+      ring.renderOrder = dot.renderOrder = 6;
+      group.add(ring, dot);
+      group.position.copy(vector(each.place)).applyQuaternion(body.group.quaternion).add(body.group.position);
+      group.quaternion.copy(body.group.quaternion);
+      marks.add(group);
+      rings.push(group);
+    });
+  }
+  function attachSection(body) {
+    const { across, up } = body.sections[section], [y, z] = [vector(across), vector(up)];
+    if (mode === "rotate") return;
+    // An edge or a tip has no direction of its own.
+    if (y.lengthSq() < 1e-20) y.set(0, 1, 0);
+    if (z.lengthSq() < 1e-20 || Math.abs(z.clone().normalize().dot(y.clone().normalize())) > 0.9) z.set(0, 0, 1);
+    const turn = new THREE.Matrix4().makeBasis(y.clone().cross(z).normalize(), y.normalize(), z.normalize());
+    proxy.position.copy(rings[section].position);
+    proxy.quaternion.copy(body.group.quaternion).multiply(new THREE.Quaternion().setFromRotationMatrix(turn));
+    proxy.scale.set(1, 1, 1);
+    proxy.updateMatrixWorld();
+    gizmo.showX = mode !== "scale";
+    gizmo.setMode(mode);
+    gizmo.setSpace(mode === "translate" ? "world" : "local");
+    gizmo.attach(proxy);
+  }
+
   // ---- gizmo: the proxy is at the joint, or at the centre for a stretch
   function attach(body) {
+    gizmo.showX = true;
+    if (!armed && section !== null && body.sections?.[section]) return attachSection(body);
     if (armed || (!body.joint && mode !== "scale")) return;
     proxy.position.copy(vector(mode === "scale" ? body.place : body.joint.place));
     proxy.quaternion.set(...body.turn);
@@ -248,12 +313,18 @@ const View = (() => {
     const body = bodies.get(selected);
     if (!body) return;
     if (event.value) {
-      grabbed = { start: proxy.matrixWorld.clone(), limb: limb(selected).map((name) => bodies.get(name)) };
+      grabbed = { from: proxy.position.clone(), start: proxy.matrixWorld.clone(), limb: limb(selected).map((name) => bodies.get(name)) };
       for (const each of grabbed.limb) each.held = each.group.matrix.clone();
       return;
     }
     if (!grabbed) return;
+    const { from } = grabbed;
     grabbed = null;
+    if (section !== null) {
+      if (mode === "translate") events.moved("move_section", { part: selected, index: section, by: proxy.position.clone().sub(from).toArray() });
+      else events.moved("scale_section", { part: selected, index: section, factors: [proxy.scale.y, proxy.scale.z] });
+      return;
+    }
     const place = vector(mode === "scale" ? body.place : body.joint.place);
     if (mode === "translate") events.moved("shift", { part: selected, by: proxy.position.clone().sub(place).toArray() });
     if (mode === "scale") events.moved("stretch", { name: selected, factors: proxy.scale.toArray().map((x) => Math.max(Math.abs(x), 0.02)) });
@@ -265,7 +336,10 @@ const View = (() => {
   gizmo.addEventListener("objectChange", () => {
     if (!grabbed) return;
     proxy.updateMatrixWorld();
-    if (mode === "scale") {
+    if (section !== null) {
+      rings[section].position.copy(proxy.position);
+      rings[section].scale.setScalar(Math.max(proxy.scale.y, proxy.scale.z));
+    } else if (mode === "scale") {
       bodies.get(selected).mesh.scale.copy(proxy.scale);
     } else {
       const change = proxy.matrixWorld.clone().multiply(grabbed.start.clone().invert());
@@ -285,12 +359,24 @@ const View = (() => {
     const dragged = Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) > 4;
     pressed = null;
     if (dragged) return;
+    const dot = armed ? null : sectionAt(event.clientX, event.clientY);
+    if (dot !== null) return events.section(dot);
     const found = hit(event.clientX, event.clientY);
     events.pick(found);
   });
-  function hit(x, y) {
+  function aim(x, y) {
     const box = canvas.getBoundingClientRect();
     ray.setFromCamera(new THREE.Vector2((2 * (x - box.left)) / box.width - 1, 1 - (2 * (y - box.top)) / box.height), camera);
+  }
+  function sectionAt(x, y) {
+    if (motion || !rings.length || !bodies.get(selected)?.sections?.length) return null;
+    aim(x, y);
+    for (const ring of rings) ring.updateMatrixWorld();
+    const [first] = ray.intersectObjects(rings.map((ring) => ring.children[1]), false);
+    return first ? first.object.userData.section : null;
+  }
+  function hit(x, y) {
+    aim(x, y);
     const [first] = ray.intersectObjects([...bodies.values()].map((body) => body.mesh), false);
     if (!first) return null;
     const body = bodies.get(first.object.userData.name);
@@ -400,6 +486,12 @@ const View = (() => {
     pause: (paused) => { if (motion) { motion.going = !paused; motion.last = null; } },
     // While a place is asked for, no gizmo is in the way.
     arm: (asked) => { armed = asked; select(selected); },
+    get section() { return section; },
+    chooseSection: (index) => { section = index; select(selected); },
+    dot: (index) => {
+      const box = canvas.getBoundingClientRect(), at = rings[index].position.clone().project(camera);
+      return [box.left + ((at.x + 1) / 2) * box.width, box.top + ((1 - at.y) / 2) * box.height];
+    },
     setMode: (name) => { mode = name; select(selected); },
     screen: (name) => {
       const box = canvas.getBoundingClientRect(), at = bodies.get(name).group.position.clone().project(camera);
