@@ -38,7 +38,7 @@ def import_(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Import a creature and its world from a MuJoCo model or a URDF."""
+    """Import a creature and its world from MJCF or URDF."""
     from evo_cpg.config.schema.section import LARGEST
     from evo_cpg.exchange.imported_files import write_imported
     from evo_cpg.exchange.mjcf_import import read_model

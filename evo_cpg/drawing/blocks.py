@@ -210,7 +210,7 @@ def _own_eye(eye: Data, body: Copy) -> Data:
 
 
 def _number(data: Data, name: str, key: str, count: int) -> str:
-    if not isinstance(count, int) or not 1 <= count <= 1000:
+    if not 1 <= count <= 1000:
         raise DrawingError(f"{key}: must be a whole number from 1 to 1000, got {count!r}")
     index, mark = entry_index(data, name), _MARKS[key]
     entry = bodies(data)[index]

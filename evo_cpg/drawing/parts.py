@@ -1,13 +1,14 @@
 """Edits of parts: add, remove, rename, and change shapes."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from evo_cpg.config.schema.copies import copies_named, fill
+from evo_cpg.config.schema.section import Vector
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.drawing.lofting import loft_half_extents, new_loft, stretch_loft
 from evo_cpg.drawing.lookup import (
@@ -47,8 +48,8 @@ def add_part(
     data: Data,
     source: Path,
     parent: str,
-    place: Sequence[float],
-    normal: Sequence[float],
+    place: Vector,
+    normal: Vector,
     name: str = "part",
     each: bool = True,
     shape: Data | None = None,
@@ -109,8 +110,8 @@ def add_shape(
     data: Data,
     source: Path,
     part: str,
-    place: Sequence[float],
-    normal: Sequence[float],
+    place: Vector,
+    normal: Vector,
     shape: Data | None = None,
 ) -> None:
     """Add a further shape to a body, rigidly joined to it, on its surface.
@@ -158,12 +159,12 @@ def _solid(here: Posed, name: str) -> Any:
 
 
 def _surface(
-    place: Sequence[float], normal: Sequence[float], half_extents: np.ndarray
+    place: Vector, normal: Vector, half_extents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a checked place and normal, in the body's planes of symmetry if they are close."""
     at, out = np.asarray(place, float), np.asarray(normal, float)
-    if not (np.isfinite(at).all() and np.isfinite(out).all() and np.linalg.norm(out) > 0):
-        raise DrawingError("place and normal must be finite, and the normal not zero")
+    if not np.linalg.norm(out) > 0:
+        raise DrawingError("the normal of a surface must not be zero")
     return on_planes(at, out, half_extents)
 
 
@@ -313,7 +314,7 @@ def resize(data: Data, name: str, key: str, value: Any) -> None:
     _carry(data, str(entry["name"]), np.array(_half_extents(shape)) / before)
 
 
-def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
+def stretch(data: Data, name: str, factors: Vector) -> None:
     """Stretch a part along its own axes, and move what sits on its surface.
 
     Args:
@@ -322,7 +323,7 @@ def stretch(data: Data, name: str, factors: Sequence[float]) -> None:
         factors: factors along x, y and z.
     """
     ratios = np.asarray(factors, float)
-    if ratios.shape != (3,) or not np.isfinite(ratios).all() or (ratios <= 0).any():
+    if (ratios <= 0).any():
         raise DrawingError("the factors of a stretch must be three positive numbers")
     entry = entry_of(data, name)
     shape = entry["shape"]

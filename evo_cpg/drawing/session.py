@@ -49,6 +49,7 @@ class Session:
             "train": self._train,
             "stop": self._stop,
             "champion": self._champion,
+            "watch": self._watch,
         }
 
     def answer(self, request: str, given: Mapping[str, Any]) -> Answer:
@@ -175,6 +176,11 @@ class Session:
         if self._run is None:
             raise DrawingError("there is no run")
         return {"motion": self._run.champion()}
+
+    def _watch(self) -> Answer:
+        if self._run is None:
+            raise DrawingError("there is no run")
+        return {"address": self._run.watch()}
 
     def _state(self) -> Answer:
         document = self.document

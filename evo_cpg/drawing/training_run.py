@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from evo_cpg.training.run_folder import RunFolder
 _CURVES = ("generation", "best", "mean")
 # Time that a process gets to end, s.
 _PATIENCE = 10.0
+# Time in which the live page must start, s.
+_START = 60.0
 # Number of characters of its output that are shown.
 _SHOWN = 2000
 
@@ -38,18 +41,13 @@ class TrainingRun:
         folders = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
         places = (config.parent / "runs" / named(folder) for folder in folders)
         self.folder = next(place for place in places if not place.exists())
-        trust = ["--trust"] if is_trusted() else []
-        command = [sys.executable, "-m", "evo_cpg", *trust, "train", str(config)]
-        command += ["--out", str(self.folder)]
+        command = ["train", str(config), "--out", str(self.folder)]
         if generations is not None:
             command.append(f"evolution.generations={generations}")
         self._scratch = tempfile.TemporaryDirectory()
-        # A file object of our own would share its position with the process that writes.
         self._output = Path(self._scratch.name) / "output.txt"
-        with self._output.open("wb") as output:
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
-            )
+        self._process = _started(command, self._output)
+        self._watching: subprocess.Popen | None = None
 
     @property
     def is_running(self) -> bool:
@@ -82,6 +80,24 @@ class TrainingRun:
             raise DrawingError("the champion has no recording")
         return motion(recording, [body.name for body in config.creature.build().bodies])
 
+    def watch(self) -> str:
+        """Open the live page of the run, which `evo-cpg watch` serves, and return its address.
+
+        Raises:
+            DrawingError: the program did not start.
+        """
+        output = Path(self._scratch.name) / "watch.txt"
+        if self._watching is None or self._watching.poll() is not None:
+            self._watching = _started(["watch", str(self.folder), "--page"], output)
+        until = time.monotonic() + _START
+        while time.monotonic() < until and self._watching.poll() is None:
+            words = output.read_text(encoding="utf-8", errors="replace").splitlines(True)
+            for line in words:
+                if line.startswith("http://") and line.endswith("\n"):
+                    return line.strip()
+            time.sleep(0.1)
+        raise DrawingError("the live page did not start")
+
     def stop(self) -> None:
         """Interrupt the process as Control-C does, which keeps its generations."""
         if self.is_running:
@@ -96,8 +112,11 @@ class TrainingRun:
                 self._process.wait()
 
     def close(self) -> None:
-        """Stop the process, and delete its output."""
+        """Stop the process and its live page, and delete their output."""
         self.stop()
+        if self._watching is not None:
+            self._watching.kill()
+            self._watching.wait()
         self._scratch.cleanup()
 
     def _curves(self) -> dict[str, list[float]]:
@@ -111,3 +130,16 @@ class TrainingRun:
             if rows and name in rows[0]:
                 found[name] = [float(row[name]) for row in rows if row[name]]
         return found
+
+
+def _started(arguments: list[str], output: Path) -> subprocess.Popen:
+    """Start `evo-cpg`, and write its output to a file.
+
+    A file object of our own would share its position with the process that writes.
+    """
+    trust = ["--trust"] if is_trusted() else []
+    command = [sys.executable, "-m", "evo_cpg", *trust, *arguments]
+    with output.open("wb") as file:
+        return subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT
+        )

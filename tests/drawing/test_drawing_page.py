@@ -2,6 +2,7 @@
 
 import json
 import threading
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 import chromium
 from evo_cpg.config.load import load_config
 from evo_cpg.drawing.document import Document
-from evo_cpg.drawing.page.server import PageServer
+from evo_cpg.drawing.page.server import DrawingServer
 from evo_cpg.drawing.problems import problems
 from evo_cpg.drawing.session import Session
 
@@ -24,7 +25,7 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 class Drawn:
     """The page of a document, used with mouse and fields."""
 
-    def __init__(self, page: chromium.Page, server: PageServer):
+    def __init__(self, page: chromium.Page, server: DrawingServer):
         self.page, self.server = page, server
         self.document = server.session.document
 
@@ -90,9 +91,11 @@ class Drawn:
 
 
 @pytest.fixture
-def drawn(tmp_path) -> Iterator[Drawn]:
+def drawn(tmp_path, monkeypatch) -> Iterator[Drawn]:
+    for display in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(display, raising=False)
     document = Document.new(tmp_path / "animal.yaml")
-    with PageServer(Session(document)) as server, chromium.browser(tmp_path / "profile") as page:
+    with DrawingServer(Session(document)) as server, chromium.browser(tmp_path / "profile") as page:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         page.visit(server.address)
@@ -153,6 +156,10 @@ def test_the_swimmer_of_the_paper_is_drawn_tried_and_trained(drawn):
     assert (drawn.document.path.parent / "runs/animal/champion.npz").exists()
     drawn.page.click("#champion")
     drawn.page.wait("View.playing")
+    drawn.click("#live")
+    address = drawn.page.run("document.getElementById('notice').textContent").rpartition(" ")[2]
+    with urllib.request.urlopen(address, timeout=20) as answer:
+        assert "<h1>animal</h1>" in answer.read().decode()
 
 
 def test_a_four_legged_animal_is_drawn_with_the_mouse(drawn):
@@ -213,7 +220,7 @@ def test_edits_of_a_program_that_crashed_are_offered(drawn, tmp_path):
     # The program ends without saving, and starts again.
     again = Document.new(drawn.document.path)
     with (
-        PageServer(Session(again)) as server,
+        DrawingServer(Session(again)) as server,
         chromium.browser(tmp_path / "another profile") as page,
     ):
         thread = threading.Thread(target=server.serve_forever)

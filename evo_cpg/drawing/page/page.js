@@ -476,6 +476,10 @@
     const answer = await request("champion");
     if (answer.motion) play(answer.motion);
   });
+  $("live").addEventListener("click", async () => {
+    const { address } = await request("watch");
+    if (address) notice(`The run has a page of its own, in another tab. Its address: ${address}`);
+  });
   let watching = false;
   async function watch() {
     if (watching) return;
