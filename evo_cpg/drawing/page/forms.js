@@ -35,7 +35,7 @@ const Forms = ({ make, button, row, number, numbers, set, edit }) => {
         made.push(row("file", make("span", { className: "value" }, given.file)));
         const scale = given.scale ?? 1;
         made.push(row("scale", ...(Array.isArray(scale) ? numbers(`${before}scale`, scale, put("scale")) : [number(`${before}scale`, scale, put("scale"))])));
-        made.push(row("", tick(`${before}hull`, given.hull, (on) => put("hull")(on || null), " convex hull")));
+        made.push(row("", tick(`${before}hull`, given.hull, (on) => put("hull")(on || null), "convex hull")));
       } else made.push(row("corners", make("span", { className: "value" }, `${given.vertices?.length ?? 0} in the file`)));
     } else {
       for (const [key, size] of Object.entries(given)) {
@@ -105,7 +105,7 @@ const Forms = ({ make, button, row, number, numbers, set, edit }) => {
           const next = ["x", "y", "z"].filter((other) => (other === word) !== on.includes(other));
           edit("set_axes", { name, axes: next, kept: next.map((other) => (on.includes(other) ? on.indexOf(other) : null)) });
         };
-        made.push(row("turns about", ...["x", "y", "z"].map((word) => tick(`axis ${word}`, on.includes(word), () => toggle(word), word))));
+        made.push(row("axes", ...["x", "y", "z"].map((word) => tick(`axis ${word}`, on.includes(word), () => toggle(word), word))));
       }
       const list = axes.flatMap((axis, i) => axisRows(axis, i, axes, putAxes));
       if (axes.length < 6) list.push(button("Add an axis", () => putAxes([...axes, { kind: "slide", along: NAMES.slice(0, 3).find((word) => !axes.some((axis) => axis.kind === "slide" && axis.along === word)) ?? "x" }], [...axes.keys(), null]), { id: "add-axis" }));
@@ -122,7 +122,7 @@ const Forms = ({ make, button, row, number, numbers, set, edit }) => {
     const named = NAMES.includes(axis.along), label = `axis ${i + 1}`;
     const vector = () => VECTORS[axis.along] || axis.along;
     const made = [row(label,
-      select(`${label} kind`, axis.kind, [["turn", "turns about"], ["slide", "slides along"]], (kind) => change({ kind, at: null })),
+      select(`${label} kind`, axis.kind, [["turn", "turns"], ["slide", "slides"]], (kind) => change({ kind, at: null })),
       select(`${label} direction`, named ? axis.along : "other", [...NAMES, "other"], (word) => change({ along: word === "other" ? vector() : word })),
       axes.length > 1 ? button("\u00d7", () => putAxes(axes.filter((_, k) => k !== i), [...axes.keys()].filter((k) => k !== i)), { title: "remove this axis", "aria-label": `remove ${label}` }) : null)];
     if (!named) made.push(row("direction", ...numbers(`${label} vector`, axis.along, (along) => change({ along }))));
@@ -152,7 +152,7 @@ const Forms = ({ make, button, row, number, numbers, set, edit }) => {
       ? axes.flatMap((axis, i) => (axis.kind === "slide" ? [] : [pair(`${names[i]} (\u00b0)`, names[i], value[i], LIMITS, (limit) => put("limits_deg", replaced(value, i, limit)))]))
       : [pair("limits (\u00b0)", "", value, LIMITS, (limit) => put("limits_deg", limit))];
     if (axes.length > 1) {
-      made.push(row("", tick("limits of each axis", own, (on) => put("limits_deg", on ? axes.map((axis) => (axis.kind === "slide" ? null : value)) : (value.find(Boolean) ?? null)), " for each axis")));
+      made.push(row("", tick("limits of each axis", own, (on) => put("limits_deg", on ? axes.map((axis) => (axis.kind === "slide" ? null : value)) : (value.find(Boolean) ?? null)), "for each axis")));
     }
     return made;
   }
@@ -197,7 +197,7 @@ const Forms = ({ make, button, row, number, numbers, set, edit }) => {
       ? value.flatMap((motor, i) => motorRows(motor, names[i] ?? `axis ${i + 1}`, names[i] ?? `axis ${i + 1}`, (next) => put("actuator", replaced(value, i, next)), body, !ball && axes[i]?.kind === "turn"))
       : motorRows(value, "", "motor", (next) => put("actuator", next), body, !ball && axes.every((axis) => axis.kind === "turn"));
     if (axes.length > 1) {
-      made.push(row("", tick("motor of each axis", own, (on) => put("actuator", on ? axes.map(() => value) : (value.find(Boolean) ?? null)), " for each axis")));
+      made.push(row("", tick("motor of each axis", own, (on) => put("actuator", on ? axes.map(() => value) : (value.find(Boolean) ?? null)), "for each axis")));
     }
     return made;
   }

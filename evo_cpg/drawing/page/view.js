@@ -497,10 +497,10 @@ const View = (() => {
       const box = canvas.getBoundingClientRect(), at = bodies.get(name).group.position.clone().project(camera);
       return [box.left + ((at.x + 1) / 2) * box.width, box.top + ((1 - at.y) / 2) * box.height];
     },
-    gizmo: () => {
-      // A place on the arrow along x.
+    gizmo: (axis = "x") => {
+      // A place on the arrow along an axis.
       const at = proxy.position.clone(), far = at.distanceTo(camera.position);
-      at.x += 0.04 * far;
+      at[axis] += 0.04 * far;
       const box = canvas.getBoundingClientRect();
       at.project(camera);
       return [box.left + ((at.x + 1) / 2) * box.width, box.top + ((1 - at.y) / 2) * box.height];
