@@ -1,7 +1,6 @@
 """Edits of joints: single keys, and the axes together with the values of each axis."""
 
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 from evo_cpg.drawing.document import Data
 from evo_cpg.drawing.lookup import joint_of
@@ -27,7 +26,7 @@ def set_joint(data: Data, name: str, key: str, value: Any) -> None:
 
 
 def set_axes(
-    data: Data, name: str, axes: str | list[Any], kept: Sequence[int | None] | None = None
+    data: Data, name: str, axes: Literal["ball"] | list[Any], kept: list[int | None] | None = None
 ) -> None:
     """Set the axes of a part's joint. Values of each axis follow their axis.
 

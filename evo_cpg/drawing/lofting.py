@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from evo_cpg.config.schema.section import Finite, Vector
 from evo_cpg.config.schema.shape import LoftConfig
 from evo_cpg.creature.loft import section_axes
 from evo_cpg.drawing.document import Data, DrawingError
@@ -91,7 +92,7 @@ def remove_section(data: Data, name: str, index: int) -> None:
     del sections[index]
 
 
-def move_section(data: Data, source: Path, part: str, index: int, by: Sequence[float]) -> None:
+def move_section(data: Data, source: Path, part: str, index: int, by: Vector) -> None:
     """Move a section of a loft.
 
     Args:
@@ -109,7 +110,7 @@ def move_section(data: Data, source: Path, part: str, index: int, by: Sequence[f
     section["at"] = tidy(np.array(section["at"], float) + moved)
 
 
-def scale_section(data: Data, part: str, index: int, factors: Sequence[float]) -> None:
+def scale_section(data: Data, part: str, index: int, factors: tuple[Finite, Finite]) -> None:
     """Scale a section of a loft.
 
     Args:
@@ -118,11 +119,8 @@ def scale_section(data: Data, part: str, index: int, factors: Sequence[float]) -
         index: number of the section, from 0.
         factors: factors of width and height.
     """
-    ratios = np.asarray(factors, float)
-    if ratios.shape != (2,) or not np.isfinite(ratios).all():
-        raise DrawingError("the factors of a section must be two numbers")
     section = _section(_sections(data, part), part, index)
-    for key, factor in zip(("width", "height"), ratios, strict=True):
+    for key, factor in zip(("width", "height"), factors, strict=True):
         section[key] = tidy(section[key] * max(abs(factor), _LEAST))
 
 
@@ -134,6 +132,6 @@ def _sections(data: Data, name: str) -> list[Data]:
 
 
 def _section(sections: list[Data], name: str, index: int) -> Data:
-    if not isinstance(index, int) or not 0 <= index < len(sections):
-        raise DrawingError(f"{name} has no section {index!r}")
+    if not 0 <= index < len(sections):
+        raise DrawingError(f"{name} has no section {index}")
     return sections[index]

@@ -71,6 +71,7 @@ def scene(data: Data, source: Path) -> dict[str, Any]:
     return {
         "bodies": bodies,
         "eyes": _eyes(here),
+        "pressure": list(creature.pressure_sensors),
         "length": float(length_of(creature)),
         "lowest": float(lowest_height(creature)),
         "mass": float(creature.mass),
