@@ -69,7 +69,8 @@ class Replaying:
         which = champion.run, champion.generation, champion.index, champion.worth
         generation = champion.run, checkpoint.generation
         new = which != self._shown and (finished or self._champions.due)
-        if not (new or ((self._rest or generation != self._filled) and self._walls.due)):
+        more = self._rest is not None or generation != self._filled
+        if not (new or (more and (finished or self._walls.due))):
             return
         try:
             replays = self._replays_now()

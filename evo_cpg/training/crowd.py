@@ -46,15 +46,16 @@ def compile_crowd(
     """
     simulation = experiment.simulation
     names = [body.name for body in experiment.creature.bodies]
-    numbers = np.zeros(LANES, int) if len(simulation.situations) > 1 else None
 
     def trial(
         genes: Float[Array, "g lanes"],
         keys: UInt32[Array, "w lanes"] | None,
         scales: dict[str, Float[Array, ""]],
     ) -> tuple[Float[Array, " lanes"], dict[str, Array]]:
+        several = len(simulation.situations) > 1
+        first = jnp.zeros(LANES, int) if several else None
         observers = JUDGE, Recorder(count=None)
-        outcome, frames = rollout(simulation, genes, keys, numbers, observers)
+        outcome, frames = rollout(simulation, genes, keys, first, observers)
         return score(simulation.task, outcome, scales), frames
 
     program = jax.jit(trial)
