@@ -13,6 +13,7 @@ from evo_cpg.live.contents import Answer, Numbered, Pace
 from evo_cpg.live.replays import Replays
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.page.viewer_data import motion_data, viewer_data
 from evo_cpg.view.page.words import number
@@ -75,9 +76,13 @@ class Replaying:
         try:
             replays = self._replays_now()
             if new:
+                kept = self._kept(champion)
+                if kept is None and replays.prepare():
+                    # By now there may be a newer champion.
+                    return
                 self._shown = which
                 with self._champions.working():
-                    self._replay(replays, champion)
+                    self._show(replays.experiment, champion, kept or replays.champion(champion))
                 return
             if self._rest is None:
                 self._filled = generation
@@ -111,10 +116,8 @@ class Replaying:
             self._settings = settings
         return self._replays
 
-    def _replay(self, replays: Replays, champion: Champion) -> None:
-        recording = self._kept(champion) or replays.champion(champion)
+    def _show(self, experiment: ExperimentParts, champion: Champion, recording: Recording) -> None:
         words = f"Champion of generation {champion.generation}, fitness {number(champion.worth)}"
-        experiment = replays.experiment
         scene = viewer_data(panel_of(experiment, recording, experiment.name))
         self.motion = self.motion.replaced({"words": words, "scene": scene})
 

@@ -32,6 +32,12 @@ class Replays:
         self.experiment = build(config, folder.config, class_folders(folder))
         self._devices = folder.read_meta().get("devices", 1)
 
+    def prepare(self) -> bool:
+        """Compile the replay of champions. Return whether it was not compiled before."""
+        new = "_champion" not in self.__dict__
+        _ = self._champion
+        return new
+
     def champion(self, champion: Champion) -> Recording:
         """Return the motion of a champion in its first trial."""
         return self._champion(champion)[2]
