@@ -77,12 +77,14 @@ class Replaying:
             replays = self._replays_now()
             if new:
                 kept = self._kept(champion)
-                if kept is None and replays.prepare():
+                if kept is None and replays.prepare("champion"):
                     # By now there may be a newer champion.
                     return
                 self._shown = which
                 with self._champions.working():
                     self._show(replays.experiment, champion, kept or replays.champion(champion))
+                return
+            if replays.prepare("population"):
                 return
             if self._rest is None:
                 self._filled = generation

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable, Sequence
+from typing import Literal
 
 from evo_cpg.api.opened import class_folders
 from evo_cpg.config.build import build_experiment
@@ -32,10 +33,11 @@ class Replays:
         self.experiment = build(config, folder.config, class_folders(folder))
         self._devices = folder.read_meta().get("devices", 1)
 
-    def prepare(self) -> bool:
-        """Compile the replay of champions. Return whether it was not compiled before."""
-        new = "_champion" not in self.__dict__
-        _ = self._champion
+    def prepare(self, program: Literal["champion", "population"]) -> bool:
+        """Compile a program. Return whether it was not compiled before."""
+        name = f"_{program}"
+        new = name not in self.__dict__
+        getattr(self, name)
         return new
 
     def champion(self, champion: Champion) -> Recording:
@@ -44,7 +46,7 @@ class Replays:
 
     def population(self, checkpoint: Checkpoint, run: int, places: Sequence[int]) -> Crowd:
         """Run individuals of the next generation (see `compile_crowd`)."""
-        return self._crowd(checkpoint, run, places)
+        return self._population(checkpoint, run, places)
 
     @functools.cached_property
     def _champion(self) -> Callable[[Champion], tuple]:
@@ -52,5 +54,5 @@ class Replays:
         return compile_replay(self.experiment, self._devices)
 
     @functools.cached_property
-    def _crowd(self) -> Callable[[Checkpoint, int, Sequence[int]], Crowd]:
+    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], Crowd]:
         return compile_crowd(self.experiment)
