@@ -423,7 +423,7 @@ const View = (() => {
     for (const body of bodies.values()) {
       const from = body.group.position.clone().sub(centre), reach = Math.max(...body.half);
       const [x, y] = [right, up].map((axis) => Math.abs(from.dot(axis)) + reach);
-      far = Math.max(far, 1.15 * Math.max(x / wide, y / tall) + from.dot(out));
+      far = Math.max(far, 1.15 * Math.max(x / wide, y / tall) + from.dot(out) + reach);
     }
     orbit.target.copy(centre);
     camera.position.copy(centre).addScaledVector(out, far);
