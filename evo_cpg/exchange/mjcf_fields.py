@@ -230,8 +230,9 @@ def refuse_elements(compiled: Compiled) -> None:
             idle = compiled.disabled("equality", "constraint")
             if kind == "equality" and (idle or not model.eq_active0[number]):
                 continue
-            vital = kind == "flex"
-            compiled.item(kind, number).refuse("a creature cannot have it", f"no {kind}", vital)
+            word = "mimic" if kind == "equality" and compiled.urdf else kind
+            item = compiled.item(kind, number)
+            item.refuse("a creature cannot have it", f"no {word}", vital=kind == "flex")
     for body in np.flatnonzero(model.body_mocapid >= 0).tolist():
         compiled.item("body", body).refuse("it is a mocap body, moved from outside", "no mocap")
     for flag in ("override", "sleep", "diagexact", "ipc", "speculative"):

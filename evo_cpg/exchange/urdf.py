@@ -5,8 +5,10 @@ looked for in the folders above the file. Drawings beside collision shapes are l
 are fixed to each other stay separate, so that the first one can be released.
 
 Links without mass or inertia get very small ones: other programs take them, and MuJoCo does not.
+trimesh converts meshes that MuJoCo cannot read. It reads Collada files (``.dae``) with pycollada.
 """
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -50,7 +52,10 @@ def read_urdf(path: Path, refusals: Refusals) -> Urdf:
     meshes: dict[str, bytes] = {}
     for link in robot.iter("link"):
         for drawn in link.findall("visual"):
-            if link.find("collision") is not None or not _is_readable(path, drawn, meshes):
+            if link.find("collision") is not None:
+                link.remove(drawn)
+            elif not _is_readable(path, drawn, meshes):
+                refusals.leave_out("unreadable drawing", f"body {link.get('name', '')!r}")
                 link.remove(drawn)
         for solid in link.findall("collision"):
             if not _is_readable(path, solid, meshes):
@@ -64,7 +69,10 @@ def read_urdf(path: Path, refusals: Refusals) -> Urdf:
 def _refuse(path: Path, shape: Element, refusals: Refusals) -> None:
     mesh = shape.find("geometry/mesh")
     name = "" if mesh is None else mesh.get("filename", "")
-    problem = "it is missing" if _found(path, name) is None else "it cannot be read"
+    found = _found(path, name)
+    problem = "it is missing" if found is None else "it cannot be read"
+    if found is not None and found.suffix.lower() == ".dae" and find_spec("collada") is None:
+        problem = "it is a Collada file, and the package pycollada is not installed"
     allowed = "a .stl, .obj or .msh file in a folder beside or above the URDF"
     refusals.add(Refusal(f"mesh {name!r}", f"{problem}. Allowed: {allowed}"))
 

@@ -172,3 +172,15 @@ def test_a_mesh_that_cannot_be_a_body_is_refused(read):
         ExchangeError, match="unnamed geom of body 'trunk': its mesh cannot be a body: it"
     ):
         read(model(speck).replace("<geom ", '<geom mass="1" '))
+
+
+def test_a_mesh_with_needles_becomes_a_coarser_hull(read):
+    """Pairs of close corners at the ends of a rod give needles, which fewer corners avoid."""
+    angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles), 0 * angles], 1) * 0.0005
+    end, middle = ring + np.array([0, 0, 0.5]), 0.999 * ring + np.array([0, 0, 0.2])
+    corners = np.concatenate([ring, end, middle])
+    rod = trimesh.Trimesh(corners).convex_hull
+    shape = creature_of(read(model(rod))).bodies[0].shape
+    assert isinstance(shape, ConvexMesh) and len(shape.vertices) < 100
+    assert shape.volume == pytest.approx(rod.volume, rel=0.1)
