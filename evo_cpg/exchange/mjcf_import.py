@@ -210,7 +210,8 @@ def _check_joint(compiled: Compiled, own: Placed, keys: dict[str, Any]) -> None:
         checked(JointConfig, keys)
     except KeyProblem as error:
         item = compiled.item("joint", own.rigid.joints[0])
-        compiled.refusals.add(Refusal(str(item), str(error), item.line, vital=True))
+        problem = str(error).removeprefix(": ")
+        compiled.refusals.add(Refusal(str(item), problem, item.line, vital=True))
 
 
 def _warnings(compiled: Compiled, root: Placed, driven: bool) -> Iterator[str]:
