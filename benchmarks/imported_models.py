@@ -44,7 +44,7 @@ from evo_cpg.spatial.linear import expand_dims_like
 _ANGLE, _RATE = 0.5, 2.0
 
 # Accelerations (rad/s^2 or m/s^2) below which a model counts as at rest.
-_RESTING = 1e-6
+_RESTING = 1e-3
 
 # Bodies of the smallest model that counts, with the world.
 _FEWEST = 3

@@ -3,13 +3,13 @@
 import dataclasses
 from pathlib import Path
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
 import trimesh
 
-from creatures import quick_jit, random_state
+from benchmarks.imported_models import accelerations
+from creatures import random_state
 from evo_cpg.config.load import complete_config, load_config
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, neutral_pose
 from evo_cpg.creature.mesh import ConvexMesh
@@ -20,11 +20,8 @@ from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_model
 from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.exchange.refusals import ExchangeError
-from evo_cpg.physics.articulated import solve
-from evo_cpg.physics.body_equations import body_equations
-from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.joint_torque import MotorCommand
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.rotation import euler_to_matrix
 from imported import creature_of
 from polyhedra import tetrahedron, wedge
@@ -81,24 +78,15 @@ def test_accelerations_equal_mujocos(compiled):
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
     data, order = mujoco.MjData(model), dof_order(model, tree)
 
-    @quick_jit
-    def ours(state):
-        kin = kinematics(tree, state)
-        inertia, bias = body_equations(World(tree, GRAVITY), kin, 0.0)
-        torque = (
-            -expand_dims_like(tree.stiffness, state.q) * state.q
-            - expand_dims_like(tree.damping, state.q) * state.qd
-        )
-        found = solve(tree, kin, inertia, bias, torque, expand_dims_like(tree.armature, torque))
-        return jnp.concatenate(found)
-
     for seed in range(5):
         state = random_state(tree, np.random.default_rng(seed))
         rotation = load_state(model, data, tree, state)
         mujoco.mj_forward(model, data)
         theirs = [rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[6 + order]]
         theirs = np.concatenate(theirs)
-        assert np.abs(ours(state) - theirs).max() < 1e-4 * np.abs(theirs).max()
+        still = MotorCommand(np.zeros_like(state.q))
+        ours = accelerations(World(tree, GRAVITY), state, still)
+        assert np.abs(ours - theirs).max() < 1e-4 * np.abs(theirs).max()
 
 
 @pytest.fixture
