@@ -230,9 +230,8 @@ def refuse_elements(compiled: Compiled) -> None:
             idle = compiled.disabled("equality", "constraint")
             if kind == "equality" and (idle or not model.eq_active0[number]):
                 continue
-            word = "mimic" if kind == "equality" and compiled.urdf else kind
-            item = compiled.item(kind, number)
-            item.refuse("a creature cannot have it", f"no {word}", vital=kind == "flex")
+            vital = kind == "flex"
+            compiled.item(kind, number).refuse("a creature cannot have it", f"no {kind}", vital)
     for body in np.flatnonzero(model.body_mocapid >= 0).tolist():
         compiled.item("body", body).refuse("it is a mocap body, moved from outside", "no mocap")
     for flag in ("override", "sleep", "diagexact", "ipc", "speculative"):

@@ -1,8 +1,9 @@
 """Preparation of URDF files for MuJoCo: the folders of meshes, and links without mass.
 
 A URDF names meshes as ``package://PACKAGE/FOLDER/FILE``. MuJoCo knows no packages. Each mesh is
-looked for in the folders above the file. Drawings beside collision shapes are left out. Bodies that
-are fixed to each other stay separate, so that the first one can be released.
+looked for in the folders above the file. Drawings beside collision shapes are left out, and joints
+that copy the angle of another one (``mimic``) are refused. Bodies that are fixed to each other stay
+separate, so that the first one can be released.
 
 Links without mass or inertia get very small ones: other programs take them, and MuJoCo does not.
 trimesh converts meshes that MuJoCo cannot read. It reads Collada files (``.dae``) with pycollada.
@@ -62,6 +63,7 @@ def read_urdf(path: Path, refusals: Refusals) -> Urdf:
                 _refuse(path, solid, refusals)
                 link.remove(solid)
         _give_inertia(link, refusals)
+    _refuse_mimics(robot, refusals)
     _set_compiler(robot)
     return Urdf(ElementTree.tostring(robot, encoding="unicode"), meshes)
 
@@ -75,6 +77,16 @@ def _refuse(path: Path, shape: Element, refusals: Refusals) -> None:
         problem = "it is a Collada file, and the package pycollada is not installed"
     allowed = "a .stl, .obj or .msh file in a folder beside or above the URDF"
     refusals.add(Refusal(f"mesh {name!r}", f"{problem}. Allowed: {allowed}"))
+
+
+def _refuse_mimics(robot: Element, refusals: Refusals) -> None:
+    """Refuse joints that copy the angle of another one. Some versions of MuJoCo ignore them."""
+    for joint in robot.iter("joint"):
+        for mimic in joint.findall("mimic"):
+            name = f"joint {joint.get('name', '')!r}"
+            problem = f"it mimics joint {mimic.get('joint', '')!r}. Allowed: no mimic"
+            refusals.add(Refusal(name, problem))
+            joint.remove(mimic)
 
 
 def _give_inertia(link: Element, refusals: Refusals) -> None:

@@ -106,9 +106,10 @@ def test_drawings_that_cannot_be_read_are_left_out_by_name(robot):
 def test_a_mimic_is_refused_by_its_joint(robot):
     mimic = '<axis xyz="1 0 0"/><mimic joint="shoulder" multiplier="2"/>'
     robot.write_text(ROBOT.replace('<axis xyz="1 0 0"/>', mimic))
-    words = r"equality of joint 'axle': a creature cannot have it\. Allowed: no mimic"
+    words = r"joint 'axle': it mimics joint 'shoulder'\. Allowed: no mimic"
     with pytest.raises(ExchangeError, match=words):
         read_model(robot)
+    assert len(read_model(robot, drop=True).dropped) == 1
 
 
 @pytest.mark.parametrize(
