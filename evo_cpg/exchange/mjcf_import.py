@@ -237,7 +237,7 @@ def _body_names(compiled: Compiled, rigids: Sequence[Rigid]) -> dict[int, str]:
         elif not given and rigid.joints:
             given = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, rigid.joints[0])
         # Braces stand for numbers in our names, and these two words for all bodies and no body.
-        name = re.sub(r"[{}*]", "_", given or f"body{rigid.lead}")
+        name = re.sub(r"[{}*\x00-\x1f\x7f-\x9f\u2028\u2029]", "_", given or f"body{rigid.lead}")
         name = f"{name}_" if name in ("all", "world") else name
         while name in names.values():
             name += "_"

@@ -164,7 +164,7 @@ def _converted(path: Path) -> bytes | None:
 
     try:
         mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
-        return export_stl(mesh)
+        return export_stl(mesh) if len(mesh.faces) else None
     except Exception:
         # Any error of the reader concerns the file.
         return None

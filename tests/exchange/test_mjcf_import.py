@@ -566,9 +566,9 @@ def test_names_are_made_unique(read):
     text = model().replace('name="limb"', "").replace('name="trunk"', 'name="h"')
     names = [body["name"] for body in read(text).experiment["creature"]["bodies"]]
     assert names == ["h", "h_"]
-    odd = model().replace('"limb"', '"limb{i}"').replace('"trunk"', '"all"')
+    odd = model().replace('"limb"', '"li&#10;mb{i}"').replace('"trunk"', '"all"')
     names = [body["name"] for body in read(odd).experiment["creature"]["bodies"]]
-    assert names == ["all_", "limb_i_"]
+    assert names == ["all_", "li_mb_i_"]
 
 
 @pytest.mark.parametrize(

@@ -94,6 +94,10 @@ def test_an_unreadable_mesh_is_refused_or_dropped(robot, monkeypatch):
             read_model(robot)
     found = read_model(robot, drop=True)
     assert found.dropped[0].startswith("mesh 'package://arm/meshes/upper.dae'")
+    robot.write_text(ROBOT)
+    (robot.parents[1] / "arm" / "meshes" / "upper.stl").write_text("solid x\nfacet")
+    with pytest.raises(ExchangeError, match=r"upper.stl': it cannot be read"):
+        read_model(robot)
     assert found.experiment["creature"]["bodies"][1]["shape"] is None
 
 
