@@ -95,6 +95,14 @@ def section_axes(sections: tuple[LoftSection, ...]) -> list[tuple[np.ndarray, np
     return _axes(_normals(np.array([each.at for each in sections])))
 
 
+def outline(corners: int | None) -> np.ndarray:
+    """Return the corners ``(n, 2)`` of a section with half sizes of 1."""
+    count = corners or _ROUND
+    angles = 2 * np.pi * (np.arange(count) + 0.5) / count - np.pi / 2
+    found = np.column_stack([np.cos(angles), np.sin(angles)])
+    return found * _EQUAL_AREA if corners is None else found / np.abs(found).max(0)
+
+
 def _made(rings: list[np.ndarray], first: int) -> Piece:
     """Return the hull of neighbouring sections."""
     vertices, faces = hull(np.concatenate(rings), f"sections {first} and {first + 1}")
@@ -110,10 +118,10 @@ def _rings(sections: tuple[LoftSection, ...], corners: int | None) -> list[np.nd
     places = np.array([each.at for each in sections])
     _require_sizes(sections)
     normals = _normals(places)
-    outline = _outline(corners)
+    corners_at = outline(corners)
     rings = []
     for place, (across, up), each in zip(places, _axes(normals), sections, strict=True):
-        ring = outline * (each.width / 2, each.height / 2) @ np.array([across, up])
+        ring = corners_at * (each.width / 2, each.height / 2) @ np.array([across, up])
         rings.append(np.unique(place + ring, axis=0))
     size = np.ptp(np.concatenate(rings), axis=0).max()
     for i, (one, two) in enumerate(itertools.pairwise(rings)):
@@ -170,11 +178,3 @@ def _axes(normals: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         found.append((across, np.cross(normal, across)))
         before = normal
     return found
-
-
-def _outline(corners: int | None) -> np.ndarray:
-    """Return the corners ``(n, 2)`` of a section with half sizes of 1."""
-    count = corners or _ROUND
-    angles = 2 * np.pi * (np.arange(count) + 0.5) / count - np.pi / 2
-    outline = np.column_stack([np.cos(angles), np.sin(angles)])
-    return outline * _EQUAL_AREA if corners is None else outline / np.abs(outline).max(0)
