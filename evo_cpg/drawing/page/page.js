@@ -163,7 +163,8 @@
       const name = problem.part
         ? button(where, () => choose(problem.part), { className: problem.kind })
         : make("b", { className: problem.kind }, where || "file");
-      return make("li", {}, name, ` ${problem.part ? problem.key.slice(3).join(".") : ""}: ${problem.words}`);
+      const inside = problem.part ? problem.key.slice(3).join(".") : "";
+      return make("li", {}, name, `${inside && " "}${inside}: ${problem.words}`);
     });
     if (!items.length) items.push(make("li", { className: "count" }, "none: the animal can be trained"));
     $("problems").replaceChildren(...items);
@@ -281,7 +282,7 @@
     }));
     if (state.scene) {
       const { bodies, axes, mass, length } = state.scene;
-      made.push(make("p", { className: "count" }, `${bodies.length} bodies, ${axes} joint axes, ${mass.toPrecision(3)} kg, ${length.toPrecision(3)} m long`));
+      made.push(make("p", { className: "count" }, `${bodies.length} ${bodies.length === 1 ? "body" : "bodies"}, ${axes} joint ${axes === 1 ? "axis" : "axes"}, ${mass.toPrecision(3)} kg, ${length.toPrecision(3)} m long`));
     }
     return made;
   }
