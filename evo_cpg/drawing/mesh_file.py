@@ -9,6 +9,9 @@ from evo_cpg.config.named_files import MESH_SUFFIXES, read_mesh
 from evo_cpg.drawing.document import DrawingError
 from evo_cpg.files import write_whole
 
+# Longest name before the suffix, characters.
+_LONGEST = 100
+
 
 def add_mesh_file(document: Path, name: str, content: bytes) -> dict[str, str]:
     """Write a mesh file beside a document.
@@ -25,6 +28,8 @@ def add_mesh_file(document: Path, name: str, content: bytes) -> dict[str, str]:
         DrawingError: it is no mesh that a body can have, or another file has its name.
     """
     bare = re.sub(r"[^A-Za-z0-9_.-]+", "_", re.split(r"[/\\]", name)[-1]).lstrip("._")
+    stem, dot, suffix = bare.rpartition(".")
+    bare = f"{stem[:_LONGEST]}{dot}{suffix[:_LONGEST]}"
     place = document.parent / bare
     if place.suffix.lower() not in MESH_SUFFIXES:
         raise DrawingError(f"{name[:80]}: a mesh is a file {', '.join(MESH_SUFFIXES)}")
@@ -33,7 +38,7 @@ def add_mesh_file(document: Path, name: str, content: bytes) -> dict[str, str]:
     is_new = not place.exists()
     if is_new:
         write_whole(place, lambda file: file.write(content))
-    elif place.read_bytes() != content:
+    elif not place.is_file() or place.read_bytes() != content:
         raise DrawingError(f"{place} exists with other content. Rename your file")
     given = {"type": "mesh", "file": bare}
     try:

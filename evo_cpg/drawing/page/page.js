@@ -23,7 +23,7 @@
   // One request after the other, so that answers arrive in order.
   let queue = Promise.resolve();
   function request(name, given = {}) {
-    const answer = queue.then(() => send(`/${name}`, JSON.stringify(given)));
+    const answer = queue.then(() => send(`/${name}`, JSON.stringify({ ...given, ...(name === "open" || !state ? {} : { seen: state.revision }) })));
     queue = answer.then(take, () => {});
     return queue.then(() => answer);
   }
@@ -36,6 +36,7 @@
     }
     if (answer.error) notice(answer.error, true);
     else if (answer.saved) notice(`Saved ${answer.saved}`);
+    else if (answer.unsafe) notice(`There is no autosave: ${answer.unsafe}. Save under another name or free some space.`, true);
     else if (answer.data) notice("");
   }
   async function edit(command, given) {
@@ -58,9 +59,9 @@
   }
   // Returns the text of the field, or null if it was not confirmed. With two choices it returns
   // true for the first, false for the second, and null if the dialog was closed.
-  function ask(question, { lost = "", words = null, value = "", choices = null } = {}) {
+  function ask(question, { lost = "", words = null, value = "", choices = null, act = "Continue" } = {}) {
     const dialog = $("dialog");
-    [$("yes").textContent, $("no").textContent] = choices || ["Continue", "Cancel"];
+    [$("yes").textContent, $("no").textContent] = choices || [act, "Cancel"];
     $("question").textContent = question;
     $("lost").textContent = lost;
     $("lost").hidden = !lost;
@@ -70,7 +71,6 @@
     $("answer").disabled = words === null;
     dialog.returnValue = "";
     dialog.showModal();
-    // Enter in the field is a yes.
     $("yes").focus();
     if (words !== null) $("answer").select();
     return new Promise((done) => {
@@ -93,6 +93,8 @@
     made.append(...children.filter((child) => child !== null));
     return made;
   }
+  // Only a button of type submit is pressed by Enter in the field.
+  $("no").addEventListener("click", () => $("dialog").close("no"));
   const button = (words, act, more = {}) => make("button", { type: "button", onclick: act, ...more }, words);
   function row(label, ...inputs) {
     return make("div", { className: "row" }, make("span", {}, label), ...inputs);
@@ -157,16 +159,22 @@
     const rest = all.filter((each) => !seen.has(each)).map(item).filter(Boolean);
     $("tree").replaceChildren(...roots, ...rest);
   }
+  // Buttons that mend a problem, by words of its message.
+  const CURES = [["has no eye", "add-eye"], ["at least one joint", "add-part"]];
   function renderProblems() {
     const items = state.problems.map((problem) => {
+      const [first, ...rest] = problem.words.split(/(?<=[.!]) (?=[A-Z])/);
       const where = problem.part || problem.key.join(".");
       const name = problem.part
         ? button(where, () => choose(problem.part), { className: problem.kind })
         : make("b", { className: problem.kind }, where || "file");
       const inside = problem.part ? problem.key.slice(3).join(".") : "";
-      return make("li", {}, name, `${inside && " "}${inside}: ${problem.words}`);
+      const cure = CURES.find(([words]) => problem.words.includes(words))?.[1];
+      return make("li", {}, name, `${inside && " "}${inside}: ${first}`,
+        rest.length ? make("details", {}, make("summary", {}, "more"), rest.join(" ")) : null,
+        cure ? button($(cure).textContent, () => $(cure).click(), { className: "cure" }) : null);
     });
-    if (!items.length) items.push(make("li", { className: "count" }, "none: the animal can be trained"));
+    if (!items.length) items.push(make("li", { className: "count" }, state.checked ? "none: the animal can be trained" : "checking..."));
     $("problems").replaceChildren(...items);
   }
 
@@ -184,7 +192,7 @@
     const made = [
       make("h2", {}, "Part"),
       ...own.map((problem) => make("p", { className: problem.kind }, `${problem.key.slice(3).join(".")}: ${problem.words}`)),
-      row("name", field("name", name, (text) => edit("rename_part", { name, new: text }).then(() => choose(text)))),
+      row("name", field("name", name, (text) => edit("rename_part", { name, new: text }).then((answer) => { if (!answer.error && !answer.lost) choose(text); }))),
       ...Form.shape(name, each.shape, [...key, "shape"], { section: View?.section ?? null, chooseSection }),
       row("mesh file", make("input", { type: "file", accept: ".glb,.stl,.obj,.ply,.off", "aria-label": "mesh file", onchange: (event) => upload(event.target.files[0], key) })),
       row("material", Form.select("material", each.material, materials, (word) => set([...key, "material"], word))),
@@ -327,6 +335,7 @@
       const asked = state.revision, found = await send("/check", "{}");
       if (found.revision === asked && state.revision === asked) {
         state.problems = found.problems;
+        state.checked = true;
         renderTree();
         renderProblems();
         // A field with the focus keeps it.
@@ -338,7 +347,7 @@
     let words = adding ? `Click the surface where the new ${adding} shall sit. Escape cancels.` : "";
     if (state.undrawn) words = `Not drawn, because of ${state.undrawn}`;
     else if (!adding && chosen && bodyOf(chosen)?.sections?.length) words = View?.section === null ? "Click the dot of a section to move it or to stretch it." : "Move or stretch the section with the gizmo. Click its dot again for the part.";
-    else if (!adding && !chosen) words = "Click a part to select it. Drag to turn the view, right-drag to move it.";
+    else if (!adding && !chosen) words = "Click a part to select it. Drag to turn the view, right-drag to move it. The arrow points ahead.";
     $("hint").textContent = View ? words : "This browser has no WebGL, so the animal is not drawn. The fields work.";
     for (const each of document.querySelectorAll("[data-add]")) each.setAttribute("aria-pressed", String(each.dataset.add === adding));
   }
@@ -395,7 +404,7 @@
   $("redo").addEventListener("click", () => request("redo"));
   $("save").addEventListener("click", () => request("save"));
   $("save-as").addEventListener("click", async () => {
-    const name = await ask("Save as a new file in the same folder", { words: "name", value: "animal2.yaml" });
+    const name = await ask("Save as a new file in the same folder", { words: "name", value: "animal2.yaml", act: "Save" });
     if (name) request("save", { name });
   });
   $("keep").addEventListener("click", () => ($("recovered").hidden = kept = true));
@@ -467,7 +476,7 @@
       if (saved.error) return;
     }
     const usual = state.data.evolution?.generations ?? 50;
-    const given = await ask("Train a run in the folder runs, beside the file", { words: "generations", value: String(usual) });
+    const given = await ask("Train a run in the folder runs, beside the file", { words: "generations", value: String(usual), act: "Train" });
     if (given === null) return;
     const answer = await request("train", { generations: Math.round(Number(given)) || null });
     if (!answer.error) watch();
@@ -498,10 +507,10 @@
     $("run").hidden = false;
     $("run-folder").textContent = run.folder;
     $("output").textContent = run.output;
-    $("stop").disabled = !run.running;
+    $("stop").disabled = !run.running || run.stopping;
     $("champion").disabled = run.running || run.code !== 0;
     const best = run.curves.best || [], count = best.length;
-    const how = run.running ? "running" : run.code === 0 ? "finished" : run.code === 2 ? `refused: ${run.output.split("\n").pop()}` : "stopped";
+    const how = run.running ? (run.stopping ? "stopping after this generation" : "running") : run.code === 0 ? "finished" : run.code === 2 ? `refused: ${run.output.split("\n").pop()}` : "stopped";
     const line = count ? `, generation ${count}, best fitness ${best[count - 1].toPrecision(4)}` : "";
     $("run-state").textContent = `${how}${line}`;
     const lines = [];
@@ -516,6 +525,7 @@
       lines.push(line);
     }
     $("curve").replaceChildren(...lines);
+    $("curve-range").textContent = all.length ? `from ${low.toPrecision(3)} to ${high.toPrecision(3)}` : "";
   }
 
   setMode("translate");

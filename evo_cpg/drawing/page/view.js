@@ -124,6 +124,9 @@ const View = (() => {
     lines.rotation.x = Math.PI / 2;
     lines.position.z = given.ground ? 1e-4 * drawn.length : drawn.lowest - 0.15 * drawn.length;
     world.add(lines);
+    // The animal faces +x.
+    const ahead = new THREE.ArrowHelper(new THREE.Vector3(1, 0, 0), new THREE.Vector3(0.6 * drawn.length, 0, lines.position.z), 0.5 * drawn.length, "#7d8a90", 0.15 * drawn.length, 0.1 * drawn.length);
+    world.add(ahead);
     if (given.ground) {
       const ground = new THREE.Mesh(new THREE.PlaneGeometry(cells * step, cells * step), new THREE.MeshStandardMaterial({ color: dark.matches ? "#57503f" : "#d9cfb6", roughness: 1 }));
       ground.receiveShadow = true;
@@ -162,6 +165,7 @@ const View = (() => {
     clear(marks);
     gizmo.detach();
     if (chosen && !motion) {
+      drawBox(chosen);
       if (chosen.joint) drawJoint(chosen);
       drawViews(chosen);
       drawPressure(chosen);
@@ -169,6 +173,16 @@ const View = (() => {
       attach(chosen);
     }
     dirty = true;
+  }
+  // Edges around the chosen part, which has any color.
+  function drawBox(body) {
+    if (!Math.max(...body.half)) return;
+    const box = new THREE.BoxGeometry(...body.half.map((half) => 2.1 * half)), edges = new THREE.EdgesGeometry(box);
+    box.dispose();
+    const frame = new THREE.LineSegments(edges, new THREE.LineBasicMaterial({ color: dark.matches ? "#ffd9c2" : "#7a3410" }));
+    frame.position.copy(body.group.position);
+    frame.quaternion.copy(body.group.quaternion);
+    marks.add(frame);
   }
   const AXES = ["#e0342b", "#27963c", "#2f6fe0", "#b04fd0", "#c08a00", "#109a9a"];
   function drawJoint(body) {
@@ -392,10 +406,18 @@ const View = (() => {
     fit();
     const centre = new THREE.Vector3();
     for (const body of bodies.values()) centre.addScaledVector(body.group.position, 1 / bodies.size);
-    const far = 2.4 * drawn.length;
     const from = { corner: [0.55, -0.75, 0.45], side: [0, -1, 0.02], top: [0, -0.001, 1], front: [1, 0, 0.02], back: [-1, 0, 0.02] }[view];
+    const out = vector(from).normalize(), right = camera.up.clone().cross(out).normalize(), up = out.clone().cross(right);
+    // The distance at which every body is inside the picture, with a margin.
+    const tall = Math.tan((camera.fov * Math.PI) / 360), wide = tall * camera.aspect;
+    let far = 0.8 * drawn.length;
+    for (const body of bodies.values()) {
+      const from = body.group.position.clone().sub(centre), reach = Math.max(...body.half);
+      const [x, y] = [right, up].map((axis) => Math.abs(from.dot(axis)) + reach);
+      far = Math.max(far, 1.15 * Math.max(x / wide, y / tall) + from.dot(out));
+    }
     orbit.target.copy(centre);
-    camera.position.copy(centre).addScaledVector(vector(from).normalize(), far);
+    camera.position.copy(centre).addScaledVector(out, far);
     camera.near = 0.01 * drawn.length;
     camera.far = Math.max(80 * drawn.length, 60);
     camera.updateProjectionMatrix();
@@ -408,20 +430,23 @@ const View = (() => {
   // ---- motion
   function play(given) {
     const place = decoded(given.place, "f4"), turn = decoded(given.turn, "i2");
-    motion = { ...given, places: place, turns: turn, time: 0, going: true, last: null, duration: (given.count - 1) / given.rate };
+    motion = { ...given, from: [camera.position.clone(), orbit.target.clone()], places: place, turns: turn, time: 0, going: true, last: null, duration: (given.count - 1) / given.rate };
     select(selected);
     world.position.z = 0;
     seek(0);
   }
   function stop() {
     if (!motion) return;
+    const [place, target] = motion.from;
     motion = null;
     world.position.z = raised;
     for (const body of bodies.values()) {
       body.group.position.copy(vector(body.place));
       body.group.quaternion.set(...body.turn);
     }
-    look("corner");
+    camera.position.copy(place);
+    orbit.target.copy(target);
+    orbit.update();
     select(selected);
   }
   const one = new THREE.Quaternion(), two = new THREE.Quaternion();
