@@ -167,9 +167,14 @@ class ManyPairContacts:
         """Return the argument of `ManyPairForces.power` for a change of joint accelerations."""
         return turn
 
-    def at(self, qdd: Float[Array, "d *n"]) -> "ManyPairForces":
-        """Return the forces at joint accelerations, and their derivatives."""
-        return ManyPairForces(self, qdd)
+    def at(self, qdd: Float[Array, "d *n"], sums: "_Sums | None" = None) -> "ManyPairForces":
+        """Return the forces at joint accelerations, and their derivatives.
+
+        Args:
+            qdd: joint accelerations, rad/s^2.
+            sums: `ManyPairForces.sums` at these accelerations, if they are known.
+        """
+        return ManyPairForces(self, qdd, sums)
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
         """Return for which individuals any pair pushes at joint accelerations."""
@@ -309,16 +314,33 @@ class ManyPairContacts:
         return jnp.concatenate(_of_points(self.runs, look))
 
 
+class _Sums(NamedTuple):
+    """Sums over all points.
+
+    Attributes:
+        torque: joint torques of the forces, N m.
+        load: sum of all forces, N.
+    """
+
+    torque: Float[Array, "d *n"]
+    load: Float[Array, "*n"]
+
+
 class ManyPairForces:
     """The forces of all pairs at joint accelerations, and their derivatives.
 
     Args:
         contacts: the contacts of the step.
         qdd: joint accelerations, rad/s^2.
+        sums: `sums` at these accelerations, or None to compute them.
     """
 
-    def __init__(self, contacts: ManyPairContacts, qdd: Float[Array, "d *n"]):
+    def __init__(
+        self, contacts: ManyPairContacts, qdd: Float[Array, "d *n"], sums: _Sums | None = None
+    ):
         self._contacts, self._qdd = contacts, qdd
+        if sums is not None:
+            self.sums = sums
 
     @functools.cached_property
     def force(self) -> Float[Array, "p *n"]:
@@ -328,28 +350,32 @@ class ManyPairForces:
     @property
     def load(self) -> Float[Array, "*n"]:
         """Sum of all forces, N."""
-        return self._sums[1]
+        return self.sums.load
 
     @property
     def torque(self) -> Float[Array, "d *n"]:
         """Joint torques of the forces, ``J^T f``, N m."""
-        return self._sums[0]
+        return self.sums.torque
 
     def power(self, change: Float[Array, "d *n"]) -> Float[Array, "*n"]:
         """Return the forces' power for a change from `ManyPairContacts.change`, W."""
         return self._contacts.h * dot(change, self.torque)
 
     def newton(self) -> tuple[Float[Array, "d *n"], Float[Array, "d d *n"]]:
-        """Return the linearized torques at zero joint acceleration, and ``h J^T K J``."""
+        """Return the linearized torques at zero joint acceleration, and ``h J^T K J``.
+
+        The loop over the points computes `sums`, too, unless they are known.
+        """
         contacts, qdd = self._contacts, self._qdd
         h, batch, count = contacts.h, qdd.shape[1:], contacts.tree.dof_count
         none = jnp.zeros((1, *batch), qdd.dtype)
         rates, axes = jnp.concatenate([qdd, none]), contacts.axes()
         size = (count + 1) * (count + 2) // 2
         start = jnp.zeros((count + 1, *batch), qdd.dtype), jnp.zeros((size, *batch), qdd.dtype)
+        known = "sums" in vars(self)
 
-        def add(run: _Run, sums: tuple[Array, Array], q: Array, point: Any, push: Array) -> Any:
-            torque, matrix = sums
+        def add(run: _Run, found: Any, q: Array, point: Any, push: Array) -> Any:
+            (torque, matrix), sums = found
             J, dofs = contacts.jacobian(run, point, q, axes)
             derivative = jnp.where(push > 0, self._stiffness(run, q, push), 0.0)
             own = jnp.take(rates, dofs, axis=0, mode="clip")
@@ -357,32 +383,36 @@ class ManyPairForces:
             rows = jnp.asarray(run.paths.rows)[q % run.kind.count]
             i, j = np.tril_indices(len(dofs))
             values = (h * derivative)[None] * J[i] * J[j]
-            return (
-                _plus(torque, dofs, J * force[None]),
-                _plus(matrix, rows[i] + dofs[j], values),
-            )
+            torque = _plus(torque, dofs, J * force[None])
+            matrix = _plus(matrix, rows[i] + dofs[j], values)
+            return (torque, matrix), sums if known else _plus_push(sums, J, dofs, push)
 
-        torque, packed = self._where_pushing(add, start)
+        start = start, None if known else self._no_sums()
+        (torque, packed), sums = self._where_pushing(add, start)
+        if sums is not None:
+            self.sums = _Sums(sums.torque[:count], sums.load)
         rows, columns = np.indices((count, count))
         most, least = np.maximum(rows, columns), np.minimum(rows, columns)
         places = most * (most + 1) // 2 + least
         return torque[:count], packed[places.ravel()].reshape(count, count, *batch)
 
     @functools.cached_property
-    def _sums(self) -> tuple[Float[Array, "d *n"], Float[Array, "*n"]]:
-        """Joint torques, N m, and the sum of all forces, N."""
-        contacts, qdd = self._contacts, self._qdd
-        axes, count = contacts.axes(), contacts.tree.dof_count
+    def sums(self) -> _Sums:
+        """Joint torques and the sum of all forces."""
+        contacts = self._contacts
+        axes = contacts.axes()
+
+        def add(run: _Run, sums: _Sums, q: Array, point: Any, push: Array) -> _Sums:
+            return _plus_push(sums, *contacts.jacobian(run, point, q, axes), push)
+
+        torque, load = self._where_pushing(add, self._no_sums())
+        return _Sums(torque[: contacts.tree.dof_count], load)
+
+    def _no_sums(self) -> _Sums:
+        """Return the sums over no points, with a row for the padding of `_Paths`."""
+        qdd = self._qdd
         none = jnp.zeros_like(qdd[:1]).sum(0)
-        start = jnp.zeros((count + 1, *qdd.shape[1:]), qdd.dtype), none
-
-        def add(run: _Run, sums: tuple[Array, Array], q: Array, point: Any, push: Array) -> Any:
-            torque, load = sums
-            J, dofs = contacts.jacobian(run, point, q, axes)
-            return _plus(torque, dofs, J * push[None]), load + push
-
-        torque, load = self._where_pushing(add, start)
-        return torque[:count], load
+        return _Sums(jnp.zeros((len(qdd) + 1, *qdd.shape[1:]), qdd.dtype), none)
 
     @functools.cached_property
     def _twists(self) -> tuple[Array, Array]:
@@ -470,6 +500,11 @@ def _at(x: Array, index: Array) -> Array:
 
 def _row(x: Array, body: Array, axis: int = 1, keepdims: bool = False) -> Array:
     return jax.lax.dynamic_index_in_dim(x, body, axis, keepdims=keepdims)
+
+
+def _plus_push(sums: _Sums, J: Array, dofs: Array, push: Array) -> _Sums:
+    """Return the sums with the force of one more point."""
+    return _Sums(_plus(sums.torque, dofs, J * push[None]), sums.load + push)
 
 
 def _plus(sums: Array, places: Array, values: Array) -> Array:
