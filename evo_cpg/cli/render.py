@@ -70,7 +70,7 @@ def render(
     which: Which = BEST,
     cores: Cores = None,
 ) -> None:
-    """Film the champion of a run, or the elite of one cell of its map of gaits."""
+    """Film the champion of a run, or an elite of its map of gaits."""
     others = beside or []
     moments = None if sheet is None else _moments(sheet)
     several = lineage is not None or bool(others)
