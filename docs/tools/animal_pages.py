@@ -19,6 +19,7 @@ import json
 import math
 import re
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,7 @@ _SHOWN = (
 def collect(run: Path) -> str:
     """Write the files of a run's champion, and return the name of the animal."""
     from evo_cpg.api.opened import open_run
+    from evo_cpg.api.paper_differences import paper_differences
     from evo_cpg.config.shipped import shipped_names
     from evo_cpg.training.checkpoint import genes_digest
     from evo_cpg.view.film import picture
@@ -51,8 +53,11 @@ def collect(run: Path) -> str:
     opened = open_run(run).load_champion()
     experiment, champion, meta = opened.experiment, opened.champion, opened.folder.read_meta()
     name = experiment.name
-    if name not in shipped_names() or opened.changed or opened.recording is None:
-        raise ValueError(f"{run}: not the champion of a shipped configuration")
+    found = paper_differences(opened.config)
+    if name not in shipped_names() or opened.changed or found is None or found.differences:
+        raise ValueError(f"{run}: not the champion of a shipped configuration: {found}")
+    if opened.recording is None:
+        raise ValueError(f"{run}: no recording")
     panel = panel_of(experiment, opened.recording, "")
     ANIMALS.mkdir(exist_ok=True)
     scene = json.dumps(rounded(viewer_data(panel)), separators=(",", ":"), allow_nan=False)
@@ -115,8 +120,7 @@ def page(name: str) -> str:
     from evo_cpg.config.shipped import shipped
 
     about = re.sub(r"docs/([\w/-]+\.md)", r"[this page](../\1)", shipped(name).about)
-    # A line break stands after each sentence, so that a change of one is a change of one line.
-    parts = [re.sub(r"(?<=[.:]) (?=[A-Z])", "\n", about)]
+    parts = [textwrap.fill(about, 100, break_long_words=False, break_on_hyphens=False)]
     study = next((link for start, link in _STUDIES if name.startswith(start)), None)
     if study:
         parts.append(f"Read more: {study}.")
@@ -195,8 +199,8 @@ TITLES = {
     "iwadate2010_salamander_water": "Salamander in water",
     "salamander_amphibious": "Salamander at the shore",
     "salamander_boulders": "Salamander among boulders",
-    "salamander_swim": "Salamander with a coordinated cord, swimming",
-    "salamander_trot": "Salamander with a coordinated cord, trotting",
+    "salamander_swim": "Swimming salamander",
+    "salamander_trot": "Trotting salamander",
     "hexapod": "Hexapod with postures",
     "hexapod_tripod": "Insect on tripods",
     "starfish": "Starfish in water",
