@@ -15,6 +15,7 @@ into its page: a frame with `NAME.animal.html`, which is one file without a netw
 
 import base64
 import gzip
+import hashlib
 import json
 import math
 import re
@@ -42,7 +43,6 @@ _SHOWN = (
 def collect(run: Path) -> str:
     """Write the files of a run's champion, and return the name of the animal."""
     from evo_cpg.api.opened import open_run
-    from evo_cpg.api.paper_differences import paper_differences
     from evo_cpg.config.shipped import shipped_names
     from evo_cpg.training.checkpoint import genes_digest
     from evo_cpg.view.film import picture
@@ -53,11 +53,9 @@ def collect(run: Path) -> str:
     opened = open_run(run).load_champion()
     experiment, champion, meta = opened.experiment, opened.champion, opened.folder.read_meta()
     name = experiment.name
-    found = paper_differences(opened.config)
-    if name not in shipped_names() or opened.changed or found is None or found.differences:
-        raise ValueError(f"{run}: not the champion of a shipped configuration: {found}")
-    if opened.recording is None:
-        raise ValueError(f"{run}: no recording")
+    digest = _digest(opened.config)
+    if name not in shipped_names() or opened.recording is None or digest != config_digest(name):
+        raise ValueError(f"{run}: not the champion of a shipped configuration as it is now")
     panel = panel_of(experiment, opened.recording, "")
     ANIMALS.mkdir(exist_ok=True)
     scene = json.dumps(rounded(viewer_data(panel)), separators=(",", ":"), allow_nan=False)
@@ -68,6 +66,7 @@ def collect(run: Path) -> str:
     audit = _read(run / "audit.json")
     mine = all(audit.get(key) == getattr(champion, key) for key in ("generation", "fitness"))
     facts = {
+        "config_sha256": digest,
         "bodies": len(experiment.creature.bodies),
         "axes": simulation.world.tree.dof_count,
         "mass_kg": float(f"{float(experiment.creature.mass):.4g}"),
@@ -83,6 +82,27 @@ def collect(run: Path) -> str:
     text = json.dumps(facts, indent=1, allow_nan=False, ensure_ascii=False)
     (ANIMALS / f"{name}.json").write_text(text + "\n", encoding="utf-8")
     return name
+
+
+def config_digest(name: str) -> str:
+    """Return the digest of all values of a shipped configuration."""
+    from evo_cpg.config.load import load_config
+    from evo_cpg.config.shipped import shipped
+
+    return _digest(load_config(shipped(name).path))
+
+
+def _digest(config: Any) -> str:
+    from evo_cpg.config.fingerprint import fingerprint
+
+    values = json.dumps(fingerprint(config)["config"], sort_keys=True)
+    return hashlib.sha256(values.encode()).hexdigest()
+
+
+def outdated() -> list[str]:
+    """Return the names of animals whose configuration has changed since their champion evolved."""
+    found = {path.stem: _read(path) for path in sorted(ANIMALS.glob("*.json"))}
+    return [name for name, facts in found.items() if facts["config_sha256"] != config_digest(name)]
 
 
 def _read(path: Path) -> dict[str, Any]:
