@@ -364,6 +364,10 @@ def _reflect_shapes(entry: Data, axis: MirrorAxis) -> None:
         raise DrawingError(f"{entry['name']}: a mesh has no mirror image of its own in the file")
     if entry.get("inertia"):
         raise DrawingError(f"{entry['name']}: an inertia in numbers cannot be mirrored here")
+    for shape in shapes:
+        if isinstance(shape, dict) and shape.get("type") == "loft":
+            for section in shape["sections"]:
+                section["at"] = tidy(reflected_if(section["at"], axis))
     for each in further:
         each["at"] = tidy(reflected_if(each["at"], axis))
         if "rotation_deg" in each:

@@ -1,18 +1,14 @@
 """Commands of the page: the edits by name, with checked arguments."""
 
-import functools
 import inspect
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, get_type_hints
-
-from pydantic import create_model
+from typing import Any
 
 from evo_cpg.config.errors import KeyProblem
-from evo_cpg.config.schema.section import Section
-from evo_cpg.config.wording import checked
 from evo_cpg.creature.creature import CreatureError
-from evo_cpg.drawing import blocks, parts, placing, sensors, world
+from evo_cpg.drawing import blocks, joints, lofting, parts, placing, sensors, world
+from evo_cpg.drawing.arguments import checked_arguments
 from evo_cpg.drawing.document import Data, DrawingError, Edit
 
 COMMANDS: Mapping[str, Callable[..., Any]] = {
@@ -24,9 +20,14 @@ COMMANDS: Mapping[str, Callable[..., Any]] = {
         parts.remove_part,
         parts.rename_part,
         parts.set_shape,
-        parts.set_joint,
+        joints.set_joint,
+        joints.set_axes,
         parts.resize,
         parts.stretch,
+        lofting.add_section,
+        lofting.remove_section,
+        lofting.move_section,
+        lofting.scale_section,
         placing.shift,
         placing.turn,
         blocks.mirror,
@@ -60,10 +61,7 @@ def edit(command: str, source: Path, given: Mapping[str, Any]) -> Edit:
     function = COMMANDS.get(command)
     if function is None:
         raise DrawingError(f"there is no command {command!r}. Commands: {', '.join(COMMANDS)}")
-    try:
-        known = dict(checked(_arguments(command), dict(given)))
-    except KeyProblem as error:
-        raise DrawingError(f"{command}: {error}") from None
+    known = checked_arguments(command, function, given)
     if "source" in inspect.signature(function).parameters:
         known["source"] = source
 
@@ -83,16 +81,3 @@ def edit(command: str, source: Path, given: Mapping[str, Any]) -> Edit:
             raise DrawingError(f"{command} is not possible here ({error})") from None
 
     return apply
-
-
-@functools.cache
-def _arguments(command: str) -> type[Section]:
-    """Return the model of a command's arguments, from the types in its signature."""
-    function = COMMANDS[command]
-    types = get_type_hints(function, include_extras=True)
-    fields: dict[str, Any] = {}
-    for name, parameter in inspect.signature(function).parameters.items():
-        if name not in ("data", "source"):
-            required = parameter.default is parameter.empty
-            fields[name] = (types[name], ... if required else parameter.default)
-    return create_model(command, __base__=Section, **fields)

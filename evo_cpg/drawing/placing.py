@@ -15,7 +15,7 @@ from evo_cpg.drawing.lookup import Posed, bodies, posed, tidy
 # Angle within which a direction counts as one of the parent's axes, degrees.
 _SNAP_DEG = 4.0
 # Distance from a plane of symmetry within which a place is in the plane, in half extents.
-_NEAR = 0.06
+_NEAR = 0.15
 # A part that points backward by more than this cosine keeps its parent's axes, as in a spine.
 _BACKWARD = -0.5
 

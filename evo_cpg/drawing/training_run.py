@@ -2,10 +2,10 @@
 
 import csv
 import itertools
-import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,7 @@ class TrainingRun:
         command = ["train", str(config), "--out", str(self.folder)]
         if generations is not None:
             command.append(f"evolution.generations={generations}")
+        self._is_stopping = False
         self._scratch = tempfile.TemporaryDirectory()
         self._output = Path(self._scratch.name) / "output.txt"
         self._process = _started(command, self._output)
@@ -56,10 +57,14 @@ class TrainingRun:
 
     def state(self) -> dict[str, Any]:
         """Return the progress of the run, as JSON."""
-        words = self._output.read_text(encoding="utf-8", errors="replace")
+        try:
+            words = self._output.read_text(encoding="utf-8", errors="replace")
+        except OSError:  # The run was closed at this moment.
+            words = ""
         return {
             "folder": str(self.folder),
             "running": self.is_running,
+            "stopping": self._is_stopping,
             "code": self._process.poll(),
             "output": words[-_SHOWN:].strip(),
             "curves": self._curves(),
@@ -99,25 +104,33 @@ class TrainingRun:
         raise DrawingError("the live page did not start")
 
     def stop(self) -> None:
-        """Interrupt the process as Control-C does, which keeps its generations."""
-        if self.is_running:
-            if sys.platform == "win32":
-                self._process.terminate()
-            else:
-                self._process.send_signal(signal.SIGINT)
-            try:
-                self._process.wait(_PATIENCE)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        """Interrupt the process as Control-C does, which keeps its generations.
+
+        The process ends after the generation that it computes. It is killed if it takes longer.
+        """
+        if self.is_running and not self._is_stopping:
+            self._is_stopping = True
+            # The process interrupts itself (`tethered`).
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+            threading.Thread(target=self._end, daemon=True).start()
 
     def close(self) -> None:
-        """Stop the process and its live page, and delete their output."""
+        """Stop the process and its live page, wait for their ends, and delete their output."""
         self.stop()
+        self._end()
         if self._watching is not None:
             self._watching.kill()
             self._watching.wait()
         self._scratch.cleanup()
+
+    def _end(self) -> None:
+        """Wait for the end of the process, and kill it after some time."""
+        try:
+            self._process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
     def _curves(self) -> dict[str, list[float]]:
         try:
@@ -128,18 +141,26 @@ class TrainingRun:
         found = {}
         for name in _CURVES:
             if rows and name in rows[0]:
-                found[name] = [float(row[name]) for row in rows if row[name]]
+                found[name] = [value for row in rows if (value := _number(row[name])) is not None]
         return found
 
 
+def _number(text: str | None) -> float | None:
+    """Return the number of a cell, or None if the cell is not written yet."""
+    try:
+        return float(text or "")
+    except ValueError:
+        return None
+
+
 def _started(arguments: list[str], output: Path) -> subprocess.Popen:
-    """Start `evo-cpg`, and write its output to a file.
+    """Start `evo-cpg`, which ends with this program, and write its output to a file.
 
     A file object of our own would share its position with the process that writes.
     """
     trust = ["--trust"] if is_trusted() else []
-    command = [sys.executable, "-m", "evo_cpg", *trust, *arguments]
+    command = [sys.executable, "-m", "evo_cpg.drawing.tethered", *trust, *arguments]
     with output.open("wb") as file:
         return subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT
+            command, stdin=subprocess.PIPE, stdout=file, stderr=subprocess.STDOUT
         )

@@ -1,7 +1,8 @@
 """A file compiled by MuJoCo, with the names, lines and places of its elements.
 
-All places are those of the neutral pose (``qpos0``), in world axes. MuJoCo computes them. If gravity
-is tilted, the whole world is turned until gravity points down. A level ground becomes a slope.
+All places are those of the neutral pose (``qpos0``), in world axes. MuJoCo computes them. If
+gravity is tilted, the whole world is turned until gravity points down. A level ground becomes a
+slope.
 """
 
 import importlib

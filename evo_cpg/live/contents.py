@@ -39,7 +39,7 @@ class Pace:
         seldom: least time between two starts, s.
     """
 
-    def __init__(self, seldom: float = 0.0):
+    def __init__(self, seldom: float):
         self._seldom, self._next = seldom, 0.0
 
     @property

@@ -13,6 +13,7 @@ from evo_cpg.live.contents import Answer, Numbered, Pace
 from evo_cpg.live.replays import Replays
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.training.experiment import ExperimentParts
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.page.viewer_data import motion_data, viewer_data
 from evo_cpg.view.page.words import number
@@ -69,14 +70,21 @@ class Replaying:
         which = champion.run, champion.generation, champion.index, champion.worth
         generation = champion.run, checkpoint.generation
         new = which != self._shown and (finished or self._champions.due)
-        if not (new or ((self._rest or generation != self._filled) and self._walls.due)):
+        more = self._rest is not None or generation != self._filled
+        if not (new or (more and (finished or self._walls.due))):
             return
         try:
             replays = self._replays_now()
             if new:
+                kept = self._kept(champion)
+                if kept is None and replays.prepare("champion"):
+                    # By now there may be a newer champion.
+                    return
                 self._shown = which
                 with self._champions.working():
-                    self._replay(replays, champion)
+                    self._show(replays.experiment, champion, kept or replays.champion(champion))
+                return
+            if replays.prepare("population"):
                 return
             if self._rest is None:
                 self._filled = generation
@@ -110,10 +118,8 @@ class Replaying:
             self._settings = settings
         return self._replays
 
-    def _replay(self, replays: Replays, champion: Champion) -> None:
-        recording = self._kept(champion) or replays.champion(champion)
+    def _show(self, experiment: ExperimentParts, champion: Champion, recording: Recording) -> None:
         words = f"Champion of generation {champion.generation}, fitness {number(champion.worth)}"
-        experiment = replays.experiment
         scene = viewer_data(panel_of(experiment, recording, experiment.name))
         self.motion = self.motion.replaced({"words": words, "scene": scene})
 

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable, Sequence
+from typing import Literal
 
 from evo_cpg.api.opened import class_folders
 from evo_cpg.config.build import build_experiment
@@ -32,13 +33,20 @@ class Replays:
         self.experiment = build(config, folder.config, class_folders(folder))
         self._devices = folder.read_meta().get("devices", 1)
 
+    def prepare(self, program: Literal["champion", "population"]) -> bool:
+        """Compile a program. Return whether it was not compiled before."""
+        name = f"_{program}"
+        new = name not in self.__dict__
+        getattr(self, name)
+        return new
+
     def champion(self, champion: Champion) -> Recording:
         """Return the motion of a champion in its first trial."""
         return self._champion(champion)[2]
 
     def population(self, checkpoint: Checkpoint, run: int, places: Sequence[int]) -> Crowd:
         """Run individuals of the next generation (see `compile_crowd`)."""
-        return self._crowd(checkpoint, run, places)
+        return self._population(checkpoint, run, places)
 
     @functools.cached_property
     def _champion(self) -> Callable[[Champion], tuple]:
@@ -46,5 +54,5 @@ class Replays:
         return compile_replay(self.experiment, self._devices)
 
     @functools.cached_property
-    def _crowd(self) -> Callable[[Checkpoint, int, Sequence[int]], Crowd]:
+    def _population(self) -> Callable[[Checkpoint, int, Sequence[int]], Crowd]:
         return compile_crowd(self.experiment)

@@ -17,7 +17,8 @@ _SENSELESS: tuple[Any, ...] = (
     ["x", "y", "z"], {"x": 1}, {"": None}, {"type": "box"}, {"type": "mesh", "file": "../../a.stl"},
     {"type": 3}, [1e300, -1e300, 0], ["a", "a"], {"a": {"b": {"c": []}}},
 )  # fmt: skip
-_KINDS = ("box", "ellipsoid", "sphere", "capsule", "cylinder")
+_KINDS = ("box", "ellipsoid", "sphere", "capsule", "cylinder", "loft")
+_AXES = ("ball", [], ["z"], ["x", "y", "z"], [{"slide": "x"}, "y"], [[1, 0, 1], "y"])
 _SECTIONS = ("creature", "world", "controller", "evolution", "task", "simulation", "name", "seed")
 
 
@@ -41,6 +42,13 @@ class RandomEdits:
             "remove_part": lambda: {"name": self.part()},
             "rename_part": lambda: {"name": self.part(), "new": self.name()},
             "set_shape": lambda: {"name": self.part(), "type": self.draw.choice(_KINDS)},
+            "set_axes": lambda: {"name": self.part(), "axes": self.draw.choice(_AXES)},
+            "add_section": lambda: {"name": self.part(), "after": self.draw.randint(-1, 2)},
+            "remove_section": lambda: {"name": self.part(), "index": self.draw.randint(-1, 2)},
+            "move_section": lambda: {"part": self.part(), "index": self.draw.randint(-1, 2),
+                                     "by": self.vector(0.05)},
+            "scale_section": lambda: {"part": self.part(), "index": self.draw.randint(-1, 2),
+                                      "factors": [self.draw.uniform(0.3, 2) for _ in "wh"]},
             "set_joint": lambda: {"name": self.part(), **self.joint()},
             "resize": lambda: {"name": self.part(), **self.size()},
             "stretch": lambda: {"name": self.part(), "factors": [
@@ -111,7 +119,9 @@ class RandomEdits:
         return self.draw.choice([1, 2, 2, 3, 4])
 
     def shape(self) -> Any:
-        size = lambda: round(self.draw.uniform(0.005, 0.1), 4)
+        def size() -> float:
+            return round(self.draw.uniform(0.005, 0.1), 4)
+
         return self.draw.choice([
             None,
             {"type": "box", "size": [size(), size(), size()]},
@@ -123,11 +133,16 @@ class RandomEdits:
 
     def size(self) -> dict[str, Any]:
         key = self.draw.choice(["size", "radii", "radius", "length"])
-        one = lambda: round(self.draw.uniform(0.005, 0.2), 4)
+
+        def one() -> float:
+            return round(self.draw.uniform(0.005, 0.2), 4)
+
         return {"key": key, "value": [one(), one(), one()] if key in ("size", "radii") else one()}
 
     def joint(self) -> dict[str, Any]:
-        angle = lambda: round(self.draw.uniform(0, 90), 1)
+        def angle() -> float:
+            return round(self.draw.uniform(0, 90), 1)
+
         made: dict[str, Callable[[], Any]] = {
             "axes": lambda: self.draw.sample(["x", "y", "z", "-x", {"turn": "y"}, {"slide": "z"}],
                                              self.draw.randint(0, 3)),

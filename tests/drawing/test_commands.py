@@ -258,6 +258,72 @@ def test_a_stretched_part_keeps_what_is_on_its_surface(animal):
     assert centres(animal)["nose"][0] > 0.2
 
 
+def test_sections_of_a_loft_are_added_moved_scaled_and_mirrored(animal):
+    do(animal, "set_shape", name="body", type="loft")
+    key = ["creature", "bodies", 0, "shape", "sections"]
+
+    def sections():
+        return animal.data["creature"]["bodies"][0]["shape"]["sections"]
+
+    assert [each["at"] for each in sections()] == [[0.1, 0, 0], [0, 0, 0], [-0.1, 0, 0]]
+    do(animal, "add_section", name="body", after=0)
+    assert sections()[1] == {"at": [0.05, 0, 0], "width": 0.075, "height": 0.075}
+    do(animal, "set_value", key=[*key, 3, "width"], value=0)
+    # The tip moves to the new end.
+    do(animal, "add_section", name="body", after=3)
+    assert [each["width"] for each in sections()] == [0.05, 0.075, 0.1, 0.05, 0]
+    assert sections()[4]["at"] == [-0.2, 0, 0]
+    do(animal, "scale_section", part="body", index=1, factors=[2, 0.5])
+    assert (sections()[1]["width"], sections()[1]["height"]) == (0.15, 0.0375)
+    do(animal, "stretch", name="body", factors=[2, 1, 0.5])
+    assert sections()[1] == {"at": [0.1, 0, 0], "width": 0.15, "height": 0.01875}
+    do(animal, "remove_section", name="body", index=4)
+    do(animal, "set_shape", name="body", type="box")
+    size = animal.data["creature"]["bodies"][0]["shape"]["size"]
+    np.testing.assert_allclose(size, [0.4, 0.15, 0.05], rtol=0.02)
+
+    shape = {"type": "loft", "sections": [
+        {"at": [0.05, 0.01, 0], "width": 0.04, "height": 0.01},
+        {"at": [-0.05, 0, 0], "width": 0.02, "height": 0}]}  # fmt: skip
+    do(animal, "add_part", parent="body", place=[0, -0.07, 0], normal=[0, -1, 0], name="fin",
+       shape=shape)  # fmt: skip
+    do(animal, "mirror", name="fin")
+    assert animal.data["creature"]["bodies"][1]["shape"]["sections"][0]["at"] == [0.05, -0.01, 0]
+    before = centres(animal)
+    do(animal, "move_section", part="right_fin", index=0, by=[0.01, -0.02, 0.03])
+    after = centres(animal)
+    moved = {side: after[f"{side}_fin"] - before[f"{side}_fin"] for side in ("left", "right")}
+    np.testing.assert_allclose(moved["left"] * [1, -1, 1], moved["right"], atol=1e-5)
+    assert moved["right"][1] < 0 < moved["right"][2]
+    assert [each for each in problems(animal.data, animal.path) if each.kind == "error"] == []
+
+
+def test_values_of_each_axis_follow_their_axis(animal):
+    do(animal, "add_part", parent="body", place=[-0.1, 0, 0], normal=[-1, 0, 0], name="tail")
+
+    def joint():
+        return animal.data["creature"]["bodies"][1]["joint"]
+
+    muscle = {"type": "muscle", "area": 1e-4, "arm": 0.01, "fibre_length": 0.05}
+    do(animal, "set_joint", name="tail", key="limits_deg", value=[[-10, 10], [-20, 20]])
+    do(animal, "set_joint", name="tail", key="actuator", value=[None, muscle])
+    do(animal, "set_joint", name="tail", key="damping", value=[1, 2])
+    do(animal, "set_axes", name="tail", axes=["x", "z", "y"], kept=[None, 1, 0])
+    assert joint()["limits_deg"] == [[-10, 10], [-20, 20], [-10, 10]]
+    assert joint()["actuator"] == [muscle, muscle, None] and joint()["damping"] == [1, 2, 1]
+    do(animal, "set_axes", name="tail", axes=["x", {"slide": "z"}, "y"])
+    assert joint()["limits_deg"][1] is None and joint()["actuator"][1] == {"gain": 1}
+    assert [x for x in problems(animal.data, animal.path) if x.kind == "error"] == []
+    do(animal, "set_axes", name="tail", axes="ball")
+    assert joint()["limits_deg"] == [0, 10] and joint()["actuator"] == {"gain": 1}
+    assert joint()["damping"] == 1
+    assert [x for x in problems(animal.data, animal.path) if x.kind == "error"] == []
+    do(animal, "set_axes", name="tail", axes=["z"])
+    assert joint()["limits_deg"] == [-10, 10]
+    do(animal, "set_axes", name="tail", axes=[])
+    assert posed(animal.data, animal.path).creature.bodies[1].joint.dofs == ()
+
+
 def test_removed_parts_leave_no_reference(animal):
     with_legs(animal)
     do(animal, "add_eye", part="right_foreshin", place=[0, 0, 0], axis=[1, 0, 0])
@@ -304,6 +370,7 @@ def test_removed_parts_leave_no_reference(animal):
         ("add_part", {"parent": "fin"}, "add_part: place: is missing and has no default"),
         ("add_part", {"parent": "fin", "place": "x"}, "place: 'x': must be a list of 3 numbers"),
         ("set_shape", {"name": "fin", "type": []}, "type: .*: must be text"),
+        ("add_section", {"name": "fin", "after": 0}, "fin is no loft"),
         ("fly", {}, "there is no command 'fly'. Commands: add_part, "),
     ],
 )

@@ -172,6 +172,11 @@ def test_meshes_are_checked_before_they_are_kept(server, tmp_path):
         assert "error" in upload(name, content)
         assert not (tmp_path / name).exists()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["my_part.stl"]
+    # A ring is a body only as its convex hull, about which the page asks.
+    ring = bytes(trimesh.creation.annulus(0.05, 0.1, 0.1, sections=16).export(file_type="glb"))
+    answer = upload("ring.glb", ring)
+    assert answer["file"] == "ring.glb" and "it is not convex" in answer["problem"]
+    assert "no binary glTF" in upload("e.glb", ring[4:])["error"]
     given = {
         "key": ["creature", "bodies", 0, "shape"],
         "value": {"type": "mesh", "file": "my_part.stl"},

@@ -10,6 +10,6 @@ def page() -> Page:
     """Return the whole page."""
     body, style, *own = (
         asset(name, "evo_cpg.drawing.page")
-        for name in ("page.html", "page.css", "view.js", "page.js")
+        for name in ("page.html", "page.css", "view.js", "forms.js", "page.js")
     )
     return served_page("evo-cpg model", style, body, [asset("three.min.js"), *own])
