@@ -62,6 +62,15 @@ def render(
         list[Path] | None,
         typer.Option(metavar="RUN", help="Also show the champion of this run. Repeatable."),
     ] = None,
+    story: Annotated[
+        bool,
+        typer.Option(
+            "--story",
+            help="Tell the run in 15 s: the first generation as a crowd, later ones, the champion "
+            "in slow motion. Writes a wide film, a tall film and a loop for a web page. With "
+            "--size: one film and the loop.",
+        ),
+    ] = False,
     fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,
     speed: Annotated[float, typer.Option(min=0.01, help="Speed of the film (1: real time).")] = 1.0,
     seconds: Annotated[
@@ -71,6 +80,20 @@ def render(
     cores: Cores = None,
 ) -> None:
     """Film the champion of a run, or the elite of one cell of its map of gaits."""
+    if story:
+        wrong = {
+            "--sheet": sheet, "--lineage": lineage, "--beside": beside, "--signals": signals,
+            "--cell": which.cell, "--seconds": seconds, "--camera": camera != View.FOLLOW,
+            "--fps": fps != 30, "--speed": speed != 1,
+        }  # fmt: skip
+        if found := next((name for name, given in wrong.items() if given), None):
+            raise UsageError(f"--story and {found} exclude each other. Leave out one of them")
+        if len(title or ()) > 1:
+            raise UsageError(f"--title: {len(title or ())} titles for one story. Give one")
+        from evo_cpg.cli.story import tell
+
+        tell(run, output, None if size is None else pixels_of(size), title, which, cores)
+        return
     others = beside or []
     moments = None if sheet is None else _moments(sheet)
     several = lineage is not None or bool(others)

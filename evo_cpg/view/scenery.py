@@ -20,8 +20,10 @@ _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 # Time in which the trail fades to a third, s, and its thickness in radii of the animal.
 _TRAIL_FADE, _TRAIL = 4.0, 0.0065
 # Distance of the sky from the camera and height over which it turns blue, in distances between the
-# camera and its focus. The floor fades away before the sky begins.
+# camera and its focus. The floor fades away before the sky begins. Water brightens slowly from the
+# bottom up, over a larger height that begins below the horizon.
 _SKY, _SKY_HEIGHT = 18.0, 2.6
+_DEEP, _BRIGHT = -1.5, 7.0
 
 
 def add_goal_light(stage: Stage, goal: np.ndarray) -> Update:
@@ -133,13 +135,14 @@ def add_sky(stage: Stage) -> Update:
     fill = pv.Light(color=look.fill, intensity=0.4, light_type="camera light")
     fill.positional = False
     plotter.add_light(fill)
-    if look.zenith is None:
-        return lambda shot: None
 
     across, ahead = level_axes(stage.sight)
     blue = np.linspace(0, 1, 12)
     height = _SKY_HEIGHT * stage.away * np.concatenate([blue, [10.0]])
     mix = np.append(1 - (1 - blue) ** 2, 1.0)[:, None]
+    if look.under_water:
+        height = stage.away * np.concatenate([_DEEP + (_BRIGHT - _DEEP) * blue, [10 * _BRIGHT]])
+        mix = np.append(blue**1.5, 1.0)[:, None]
     haze, zenith = (np.array(pv.Color(color).int_rgb) for color in (look.distance, look.zenith))
     middle = _SKY * stage.away * ahead + height[:, None] * [0.0, 0.0, 1.0]
     side = 2 * _SKY * stage.away * across
