@@ -4,9 +4,8 @@ import tempfile
 from pathlib import Path
 
 from evo_cpg.api.display import working
-from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.options import Which
-from evo_cpg.cli.told import story_of
+from evo_cpg.cli.told import material_of, story_of
 from evo_cpg.files import make_folder
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.run_folder import RunFolder
@@ -40,14 +39,13 @@ def tell(
     RunFolder(run).require()
     if size is not None:
         check_size(size)
-    if which.cell is not None:
-        raise UsageError("--story and --cell exclude each other. Leave out one of them")
     name = f"story{which.of_trial}.mp4"
     path = output_path(output or make_folder(run / "videos") / name, (".mp4",))
     tall = path.with_name(f"{path.stem}_tall.mp4")
-    films = [(path, _WIDE), (tall, _TALL)] if size is None else [(path, size)]
+    films = [(tall, _TALL), (path, _WIDE)] if size is None else [(path, size)]
+    material = material_of(run, which)
     for place, pixels in films:
-        story = story_of(run, which, title[0] if title else None, pixels[0] / pixels[1])
+        story = story_of(material, title[0] if title else None, pixels[0] / pixels[1])
         width = min(_LOOP_WIDTH, pixels[0]) // 2 * 2
         small = width, round(width * pixels[1] / pixels[0] / 2) * 2
         with tempfile.TemporaryFile() as scratch:
@@ -61,8 +59,8 @@ def tell(
                     progress=work.reached,
                     on_frame=None if loop is None else loop.take,
                 )
-            print(place)
             if loop is not None:
                 with working("writing the loop"):
                     loop.write(path.with_suffix(".webp"), _LOOP_BYTES)
                 print(path.with_suffix(".webp"))
+        print(place)

@@ -17,7 +17,7 @@ from evo_cpg.training.crowd_motion import CrowdMotion, crowd_of, population_at
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.camera import course, overview, project
 from evo_cpg.view.clip import sample
-from evo_cpg.view.scene import animal_radius, panel_of
+from evo_cpg.view.scene import Panel, animal_radius, panel_of
 from evo_cpg.view.story import DISSOLVE, FPS, Overview, Take, spans
 from evo_cpg.view.story_text import Words
 
@@ -45,35 +45,61 @@ _LANES, _LANE = 24, 0.35
 _OF_FIRST, _OF_LAST, _OF_CHAMPION = 2.3, 2.2, 2.8
 
 
+class Material(NamedTuple):
+    """Animals of a story.
+
+    Attributes:
+        opened: run with its champion.
+        panel: the champion in its world.
+        length: length of the animal, m.
+        speed: speed of the film for the crowds.
+        crowds: numbers and animals of the shown generations, without the champion's.
+    """
+
+    opened: OpenedChampion
+    panel: Panel
+    length: float
+    speed: float
+    crowds: list[tuple[int, CrowdMotion]]
+
+
 class Story(NamedTuple):
     """A story that can be filmed.
 
     Attributes:
-        name: name of the animal.
-        loop: parts of the film that the loop shows.
         takes: the takes.
+        loop: first frame and frame after the last one of the parts of the film that the loop shows.
     """
 
-    name: str
-    loop: list[tuple[int, int]]
     takes: list[Take]
+    loop: list[tuple[int, int]]
 
 
-def story_of(run: Path, which: Which, title: str | None, aspect: float) -> Story:
-    """Return the story of a run, with the first animals if they can be made anew.
+def material_of(run: Path, which: Which) -> Material:
+    """Return the champion of a run, and the populations that can be made anew.
 
     Args:
         run: run folder.
         which: one of several runs in the folder, and trial.
+    """
+    opened, recording = champion_motion(run, which)
+    creature = opened.experiment.creature
+    panel = panel_of(opened.experiment, recording, creature.name)._replace(numbers=False)
+    length = 2 * animal_radius(creature, sample(recording, FPS))
+    speed = _speed(recording, creature.root_index, length)
+    return Material(opened, panel, length, speed, _crowds(opened, which.trial, speed))
+
+
+def story_of(material: Material, title: str | None, aspect: float) -> Story:
+    """Return the story of a run.
+
+    Args:
+        material: the animals.
         title: title, or None for one that fits the world.
         aspect: width of the picture over its height.
     """
-    opened, recording = champion_motion(run, which)
-    experiment, creature = opened.experiment, opened.experiment.creature
-    panel = panel_of(experiment, recording, creature.name)._replace(numbers=False)
-    length = 2 * animal_radius(creature, sample(recording, FPS))
-    speed = _speed(recording, creature.root_index, length)
-    crowds = _crowds(opened, which.trial, speed, length)
+    opened, panel, length, speed, crowds = material
+    experiment, recording, creature = opened.experiment, panel.recording, panel.creature
     heading = title or _title(panel.world, panel.ground is not None)
     final = f"After {_generations(opened.champion.generation)}, in slow motion"
     wide = _overview(recording, creature.root_index, [crowd for _, crowd in crowds], length, aspect)
@@ -109,7 +135,7 @@ def story_of(run: Path, which: Which, title: str | None, aspect: float) -> Story
     ending = _arrival(recording, times[-1])
     words = (*first, Words(final, "caption", 0.3 if takes else _TITLE, math.inf))
     takes.append(Take(panel, times[-1], ending, _SLOW, words))
-    return Story(creature.name, _loop(takes), takes)
+    return Story(takes, _loop(takes))
 
 
 def generations_of(done: int, champion: int) -> list[int]:
@@ -125,9 +151,7 @@ def generations_of(done: int, champion: int) -> list[int]:
     return [0, *sorted(each for each in found if 0 < each < champion)]
 
 
-def _crowds(
-    opened: OpenedChampion, trial: int, speed: float, length: float
-) -> list[tuple[int, CrowdMotion]]:
+def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int, CrowdMotion]]:
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
     population = experiment.strategy.population

@@ -15,6 +15,8 @@ from evo_cpg.view.textures import spot_texture
 
 # Opacity of a ghost, alone and among many.
 _OPACITY, _OPACITY_OF_MANY, _MANY = 0.5, 0.22, 60
+# Brightness of a point that faces sideways, and its change with the height of the direction.
+_LEVEL, _SLOPE = 0.78, 0.22
 # Subdivisions of the icosahedron whose directions give the points of a coarse body.
 _FINENESS = 1
 # Opacity of the soft patch under a ghost, relative to that under the animal.
@@ -34,10 +36,10 @@ def add_ghosts(stage: Stage) -> Update:
     every = (of_one + first[-1] * np.arange(count)[:, None, None]).reshape(-1, 3)
     mesh = pv.PolyData.from_regular_faces(np.zeros((count * first[-1], 3), np.float32), every)
     opacity = np.interp(count, (1, _MANY), (_OPACITY, _OPACITY_OF_MANY))
-    rgba = np.tile(pv.Color(look.ghost, opacity=float(opacity)).int_rgba, (mesh.n_points, 1))
-    actor = add_faded(stage.plotter, mesh, rgba.astype(np.uint8), culling="back")
-    actor.prop.lighting = True
-    actor.prop.ambient, actor.prop.diffuse = 0.55, 0.6
+    color = np.array(pv.Color(look.ghost, opacity=float(opacity)).int_rgba, np.float32)
+    rgba = np.tile(color.astype(np.uint8), (mesh.n_points, 1))
+    add_faded(stage.plotter, mesh, rgba, culling="back")
+    outwards = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in own]
     patches = None
     if scene.stands:
         texture = spot_texture(look.shadow, _PATCH * look.shadow_strength, sharpness=2.2)
@@ -51,6 +53,14 @@ def add_ghosts(stage: Stage) -> Update:
             for i, corners in zip(drawn, own, strict=True)
         ]
         mesh.points = np.concatenate(points, axis=1).reshape(-1, 3)
+        # Points that face upwards are brighter. Lighting every pixel takes three times as long.
+        upwards = [
+            np.einsum("nj,kj->nk", turn[:, i, 2], way)
+            for i, way in zip(drawn, outwards, strict=True)
+        ]
+        shade = _LEVEL + _SLOPE * np.concatenate(upwards, axis=1).reshape(-1, 1)
+        rgba[:, :3] = color[:3] * shade
+        mesh["rgba"] = rgba
         if patches is not None:
             patches.lay(place.mean(1)[:, :2].astype(float), axes)
 
@@ -59,9 +69,15 @@ def add_ghosts(stage: Stage) -> Update:
 
 def coarse(shape: Shape) -> tuple[np.ndarray, np.ndarray]:
     """Return a hull of a shape with few points ``(n, 3)`` in m, and its triangles ``(f, 3)``."""
-    ball = pv.Icosphere(nsub=_FINENESS)
-    hull = pv.PolyData.from_regular_faces(
-        np.array([shape.support(each) for each in np.asarray(ball.points, float)]),
-        ball.regular_faces,
-    ).clean()
-    return np.asarray(hull.points, np.float32), hull.regular_faces
+    # SciPy takes long to import.
+    from scipy.spatial import ConvexHull
+
+    directions = np.asarray(pv.Icosphere(nsub=_FINENESS).points, float)
+    points = np.array([shape.support(each) for each in directions], float)
+    hull = ConvexHull(points)
+    corners = points[hull.simplices]
+    turned = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    inwards = (turned * hull.equations[:, :3]).sum(1) < 0
+    faces = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
+    used, faces = np.unique(faces, return_inverse=True)
+    return points[used].astype(np.float32), faces.reshape(-1, 3)
