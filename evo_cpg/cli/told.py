@@ -100,6 +100,7 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
     """
     opened, panel, length, speed, crowds = material
     experiment, recording, creature = opened.experiment, panel.recording, panel.creature
+    task = experiment.simulation.task
     heading = title or _title(panel.world, panel.ground is not None)
     final = f"After {_generations(opened.champion.generation)}, in slow motion"
     wide = _overview(recording, creature.root_index, [crowd for _, crowd in crowds], length, aspect)
@@ -107,16 +108,10 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
     total = sum(times[:-1]) or 1.0
     takes, done = [], 0.0
     for number, ((generation, crowd), seconds) in enumerate(zip(crowds, times, strict=False)):
-        leader = crowd.leader(creature.root_index, experiment.simulation.task.heading)
-        others = np.delete(np.arange(crowd.position.shape[1]), leader)
         if planar(crowd, length):
-            crowd, leader, others = _in_lanes(crowd, leader, _LANE * length)
-        seen = panel._replace(
-            recording=crowd.recording(leader, creature.root_index),
-            crowd=crowd._replace(
-                position=crowd.position[:, others], rotation=crowd.rotation[:, others]
-            ),
-        )
+            crowd = _in_lanes(crowd, creature.root_index, task.heading, _LANE * length)
+        leader, others = crowd.led(creature.root_index, task.heading)
+        seen = panel._replace(recording=leader, crowd=others)
         words = [Words(_caption(generation), "caption", 0.1, seconds)]
         if number == 0:
             animals = f"{experiment.strategy.population} random nervous systems."
@@ -154,7 +149,6 @@ def generations_of(done: int, champion: int) -> list[int]:
 def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int, CrowdMotion]]:
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
-    population = experiment.strategy.population
     seconds = speed * (_WHOLE - _CHAMPION - _TITLE + 2 * DISSOLVE)
     found: list[tuple[int, CrowdMotion]] = []
     try:
@@ -162,10 +156,10 @@ def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int,
         for generation in generations_of(folder.newest, opened.champion.generation):
             with working(f"breeding generation {generation} again"):
                 genes = population_at(experiment, folder, generation)
-                own = genes[:, run * population : (run + 1) * population]
+                own = np.split(genes, experiment.runs, axis=1)[run]
                 rate = 2 * FPS / speed
                 crowd = crowd_of(experiment, own, generation, seconds, rate, run, trial)
-            if crowd.position.shape[1]:
+            if crowd.count:
                 found.append((generation, crowd))
     except RunFolderError as error:
         warn(f"the story leaves out generations: {error}")
@@ -219,14 +213,14 @@ def planar(crowd: CrowdMotion, length: float) -> bool:
     return bool(np.ptp(crowd.position.mean(2)[..., 1]) < 1e-3 * length)
 
 
-def _in_lanes(crowd: CrowdMotion, leader: int, width: float) -> tuple[CrowdMotion, int, np.ndarray]:
-    """Return some animals of a crowd in lanes behind the leader."""
-    others = np.delete(np.arange(crowd.position.shape[1]), leader)[: _LANES - 1]
-    chosen = np.concatenate([[leader], others])
-    position = crowd.position[:, chosen].copy()
-    position[..., 1] += width * np.arange(len(chosen))[:, None]
-    moved = crowd._replace(position=position, rotation=crowd.rotation[:, chosen])
-    return moved, 0, np.arange(1, len(chosen))
+def _in_lanes(crowd: CrowdMotion, root: int, heading: str, width: float) -> CrowdMotion:
+    """Return some animals of a crowd side by side in lanes, with the leader in front."""
+    leader = crowd.leader(root, heading)
+    others = np.delete(np.arange(crowd.count), leader)[: _LANES - 1]
+    chosen = crowd.of(np.concatenate([[leader], others]))
+    aside = np.zeros((chosen.count, 1, 3), np.float32)
+    aside[:, 0, 1] = width * np.arange(chosen.count)
+    return chosen._replace(position=chosen.position + aside)
 
 
 def _arrival(recording: Recording, seconds: float) -> float:

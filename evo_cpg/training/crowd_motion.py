@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from evo_cpg.simulation.recording import Recorder, Recording
 from evo_cpg.simulation.rollout import rollout
@@ -65,6 +65,20 @@ class CrowdMotion(NamedTuple):
         moved = (end - self.position[0, :, root])[:, :2]
         ahead = moved[:, 0] if heading == "forward" else np.linalg.norm(moved, axis=-1)
         return int(ahead.argmax())
+
+    @property
+    def count(self) -> int:
+        """Number of animals."""
+        return self.position.shape[1]
+
+    def of(self, animals: Int[np.ndarray, " n"]) -> "CrowdMotion":
+        """Return the motion of some of the animals."""
+        return self._replace(position=self.position[:, animals], rotation=self.rotation[:, animals])
+
+    def led(self, root: int, heading: str) -> tuple[Recording, "CrowdMotion"]:
+        """Return the motion of the leader, and of the others, see `leader`."""
+        leader = self.leader(root, heading)
+        return self.recording(leader, root), self.of(np.delete(np.arange(self.count), leader))
 
     def recording(self, animal: int, root: int) -> Recording:
         """Return the motion of one animal, without joints and commands."""

@@ -15,7 +15,7 @@ from evo_cpg.view.ground import add_ground, add_numbers
 from evo_cpg.view.meshes import shape_mesh
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh
 from evo_cpg.view.offscreen import pixels, placed
-from evo_cpg.view.scenery import add_goal_light, add_particles, add_sky, add_trail
+from evo_cpg.view.scenery import add_goal_light, add_particles, add_shafts, add_sky, add_trail
 from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.skin import add_skins
 from evo_cpg.view.stage import Stage, Update
@@ -81,6 +81,8 @@ def _add_environment(stage: Stage) -> list[Update]:
     updates.append(add_trail(stage))
     if look.particles:
         add_particles(stage)
+    if look.under_water:
+        add_shafts(stage)
     if scene.surface is not None and isinstance(stage.ground, Terrain):
         updates.append(add_tint(stage, stage.ground, scene.surface))
         updates.append(add_mirror(stage, scene.surface))

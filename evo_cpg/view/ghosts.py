@@ -16,7 +16,7 @@ from evo_cpg.view.textures import spot_texture
 # Opacity of a ghost, alone and among many.
 _OPACITY, _OPACITY_OF_MANY, _MANY = 0.5, 0.22, 60
 # Brightness of a point that faces sideways, and its change with the height of the direction.
-_LEVEL, _SLOPE = 0.78, 0.22
+_LEVEL, _SLOPE = 0.9, 0.3
 # Subdivisions of the icosahedron whose directions give the points of a coarse body.
 _FINENESS = 1
 # Opacity of the soft patch under a ghost, relative to that under the animal.
@@ -59,7 +59,7 @@ def add_ghosts(stage: Stage) -> Update:
             for i, way in zip(drawn, outwards, strict=True)
         ]
         shade = _LEVEL + _SLOPE * np.concatenate(upwards, axis=1).reshape(-1, 1)
-        rgba[:, :3] = color[:3] * shade
+        rgba[:, :3] = np.minimum(color[:3] * shade, 255)
         mesh["rgba"] = rgba
         if patches is not None:
             patches.lay(place.mean(1)[:, :2].astype(float), axes)

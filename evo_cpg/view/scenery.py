@@ -19,6 +19,10 @@ _POOL, _POOL_LIFT = 41, 0.02
 _PARTICLES, _PARTICLE, _PARTICLE_SEED = 1200, "#d9fff6", 20101
 # Time in which the trail fades to a third, s, and its thickness in radii of the animal.
 _TRAIL_FADE, _TRAIL = 4.0, 0.0065
+# Shafts of light in water: number, seed, lengths and half widths in radii of the animal, slant, and
+# largest opacity. They stand within some radii of the path.
+_SHAFTS, _SHAFT_SEED, _SHAFT_HIGH, _SHAFT_WIDE = 14, 20107, (1.5, 4.0), (0.12, 0.45)
+_SHAFT_SLANT, _SHAFT_OPACITY, _SHAFT_NEAR = 0.22, 0.13, 4.5
 # Distance of the sky from the camera and height over which it turns blue, in distances between the
 # camera and its focus. The floor fades away before the sky begins. Water brightens slowly from the
 # bottom up, over a larger height that begins below the horizon.
@@ -118,6 +122,29 @@ def add_particles(stage: Stage) -> None:
                 point_size=size * stage.oversampling,
                 lighting=False,
             )
+
+
+def add_shafts(stage: Stage) -> None:
+    """Draw shafts of light that fall into water from above. They face the first view."""
+    radius, focus = stage.radius, stage.camera.focus
+    generator = np.random.default_rng(_SHAFT_SEED)
+    across, ahead = level_axes(stage.sight)
+    along = generator.choice(len(focus), _SHAFTS)
+    aside, away = generator.uniform(-_SHAFT_NEAR, _SHAFT_NEAR, (2, _SHAFTS)) * radius
+    # None stands before the animal.
+    foot = focus[along] + np.outer(aside, across) + np.outer(np.abs(away) + radius, ahead)
+    foot[:, 2] = np.min(stage.ground.z)
+    high = generator.uniform(*_SHAFT_HIGH, _SHAFTS) * radius + focus[along, 2] - foot[:, 2]
+    wide = generator.uniform(*_SHAFT_WIDE, _SHAFTS)[:, None] * radius * across
+    top = foot + high[:, None] * ([0.0, 0.0, 1.0] + _SHAFT_SLANT * across)
+    points = np.stack([foot - wide, foot, foot + wide, top - wide, top, top + wide], 1)
+    triangles = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]])
+    faces = (triangles + 6 * np.arange(_SHAFTS)[:, None, None]).reshape(-1, 3)
+    mesh = pv.PolyData.from_regular_faces(points.reshape(-1, 3), faces)
+    rgba = np.tile(pv.Color(stage.look.zenith, opacity=0).int_rgba, (6 * _SHAFTS, 1))
+    # They are bright in the middle of the upper end, and fade downwards and to the sides.
+    rgba[4::6, 3] = 255 * _SHAFT_OPACITY * generator.uniform(0.5, 1.0, _SHAFTS)
+    add_faded(stage.plotter, mesh, rgba.astype(np.uint8))
 
 
 def add_sky(stage: Stage) -> Update:

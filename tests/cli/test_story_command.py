@@ -35,6 +35,7 @@ def test_a_story_shows_early_generations(done, champion, shown):
     ("options", "words"),
     [
         (("--sheet", "2x2"), "--story and --sheet exclude each other. Leave out one of them"),
+        (("--crowd", "0"), "--story and --crowd exclude each other. Leave out one of them"),
         (("--speed", "2"), "--story and --speed exclude each other. Leave out one of them"),
         (("--title", "a", "--title", "b"), "--title: 2 titles for one story. Give one"),
         (("-o", "a.png"), "cannot write a.png: the name ends in '.png'. Use .mp4"),
@@ -69,6 +70,19 @@ def test_a_story_is_a_film_and_a_loop(cli, run, tmp_path):
         assert np.abs(frames[first + 15] - frames[first]).max() > 40
     with Image.open(tmp_path / "a.webp") as loop:
         assert loop.size == (160, 90) and loop.n_frames > 30
+
+
+@pytest.mark.slow
+def test_a_crowd_is_filmed(cli, run, tmp_path):
+    place = tmp_path / "a.png"
+    size = "--size", "96x54"
+    code, out, err = cli("render", run, "--crowd", 3, *size, "-o", place)
+    assert (code, out, err) == (0, f"{place}\n", "")
+    code, _, err = cli("render", run, "--crowd", 7, *size, "-o", place)
+    assert (code, err) == (
+        2,
+        f"evo-cpg: --crowd: {run} has 6 generations. The next one is 6\n",
+    )
 
 
 @pytest.mark.slow
