@@ -13,7 +13,7 @@ from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_motion, open_champi
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.options import Which
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.crowd_motion import crowd_of, population_at
+from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
 from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.frames import Film
@@ -64,10 +64,10 @@ def crowd_panel(run: Path, generation: int, which: Which, film: Film) -> Panel:
     simulation = experiment.simulation
     seconds = min(film.seconds or simulation.duration, simulation.duration)
     with working(f"breeding generation {generation} again"):
-        genes = population_at(experiment, opened.folder, generation)
-        own = np.split(genes, experiment.runs, axis=1)[number]
+        (genes,) = populations_at(experiment, opened.folder, [generation])
         rate = film.fps / film.speed
-        crowd = crowd_of(experiment, own, generation, seconds, rate, number, which.trial)
+        motion = compile_crowd_motion(experiment, seconds, rate, number, which.trial)
+        crowd = motion(np.split(genes, experiment.runs, axis=1)[number], generation)
     if not crowd.count:
         raise RunFolderError(f"{run}: every animal of generation {generation} diverges")
     leader, others = crowd.led(experiment.creature.root_index, simulation.task.heading)

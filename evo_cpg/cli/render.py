@@ -88,7 +88,7 @@ def render(
     which: Which = BEST,
     cores: Cores = None,
 ) -> None:
-    """Film the champion of a run, or the elite of one cell of its map of gaits."""
+    """Film the champion of a run, or an elite of its map of gaits."""
     alone = {
         "--lineage": lineage, "--beside": beside, "--signals": signals, "--cell": which.cell,
     }  # fmt: skip

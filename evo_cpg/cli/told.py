@@ -13,7 +13,7 @@ from evo_cpg.cli.champions import champion_motion
 from evo_cpg.cli.errors import warn
 from evo_cpg.cli.options import Which
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.training.crowd_motion import CrowdMotion, crowd_of, population_at
+from evo_cpg.training.crowd_motion import CrowdMotion, compile_crowd_motion, populations_at
 from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.camera import course, overview, project
 from evo_cpg.view.clip import sample
@@ -150,20 +150,21 @@ def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int,
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
     seconds = speed * (_WHOLE - _CHAMPION - _TITLE + 2 * DISSOLVE)
-    found: list[tuple[int, CrowdMotion]] = []
+    chosen = generations_of(folder.newest, opened.champion.generation)
     try:
         opened.require_configured()
-        for generation in generations_of(folder.newest, opened.champion.generation):
-            with working(f"breeding generation {generation} again"):
-                genes = population_at(experiment, folder, generation)
-                own = np.split(genes, experiment.runs, axis=1)[run]
-                rate = 2 * FPS / speed
-                crowd = crowd_of(experiment, own, generation, seconds, rate, run, trial)
-            if crowd.count:
-                found.append((generation, crowd))
+        with working("breeding the first generations again"):
+            every = populations_at(experiment, folder, chosen)
     except RunFolderError as error:
-        warn(f"the story leaves out generations: {error}")
-    return found
+        warn(f"the story leaves out the first generations: {error}")
+        return []
+    motion = compile_crowd_motion(experiment, seconds, 2 * FPS / speed, run, trial)
+    with working("replaying the first generations"):
+        crowds = [
+            motion(np.split(genes, experiment.runs, axis=1)[run], generation)
+            for genes, generation in zip(every, chosen, strict=True)
+        ]
+    return [(number, one) for number, one in zip(chosen, crowds, strict=True) if one.count]
 
 
 def _speed(recording: Recording, root: int, length: float) -> float:

@@ -181,6 +181,9 @@ def read_model(
 
 def _warnings(compiled: Compiled, root: Placed, driven: bool) -> Iterator[str]:
     """Yield sentences about what a user may have to change before training."""
+    if compiled.tilt:
+        angle = np.rad2deg(compiled.tilt)
+        yield f"the world is turned by {angle:.3g} degrees, so that gravity points down"
     if not driven:
         yield "no joint has a motor. Give joints an actuator before training"
     if not (root.rigid.joints or root.rigid.free):

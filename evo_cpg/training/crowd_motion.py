@@ -8,6 +8,8 @@ has to store its populations.
 import dataclasses
 import tempfile
 import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
@@ -100,84 +102,75 @@ class CrowdMotion(NamedTuple):
         )
 
 
-def population_at(
-    experiment: ExperimentParts, folder: RunFolder, generation: int
-) -> Float[np.ndarray, "g all"]:
-    """Return the populations of a generation of all runs, made anew from the seed.
+def populations_at(
+    experiment: ExperimentParts, folder: RunFolder, generations: Sequence[int]
+) -> list[Float[np.ndarray, "g all"]]:
+    """Return the populations of some generations of all runs, made anew from the seed.
 
-    Generation 0 is only drawn. The evolution is repeated up to a later one, so this takes as long
-    as that part of the training. The last populations are read from the folder.
+    Generation 0 is only drawn. The evolution is repeated up to the last of the others, so this
+    takes as long as that part of the training.
 
     Args:
         experiment: experiment of the folder.
         folder: run folder.
-        generation: number of the generation, from 0, at most the number of finished ones.
+        generations: numbers of the generations, from 0, in ascending order.
 
     Raises:
         RunFolderError: the repeated evolution has other results than the folder has.
     """
-    kept = folder.load()
-    if kept is not None and kept.generation == generation:
-        return kept.genes
     start = folder.load_start()
-    if generation == 0 and start is None:
-        return np.asarray(jax.jit(lambda: first_population(experiment))())
-    mesh = population_mesh()
+    if start is None and [*generations] == [0]:
+        return [np.asarray(jax.jit(lambda: first_population(experiment))())]
+    found: list[np.ndarray] = []
     with tempfile.TemporaryDirectory(prefix="evo_cpg_crowd_") as scratch:
-        again = RunFolder(scratch)
-        if start is not None:
-            np.savez(again.start, genes=start)
+        again = RunFolder(Path(scratch) / "run")
+        again.create(folder.config.read_text(), {}, start)
+        mesh = population_mesh()
         running = Running(experiment, again, mesh)
         run_trials = compile_trials(experiment.simulation, mesh)
-        while running.checkpoint.generation < generation:
-            began = time.perf_counter()
-            running.tell(run_trials(*running.trials(), experiment.trials), began)
-    found = running.checkpoint
-    if found.history:
-        best, before = history_columns(found.history)["best"], folder.history()["best"]
+        for generation in generations:
+            while running.checkpoint.generation < generation:
+                began = time.perf_counter()
+                running.tell(run_trials(*running.trials(), experiment.trials), began)
+            found.append(np.asarray(running.checkpoint.genes))
+    history = running.checkpoint.history
+    if history:
+        best, before = history_columns(history)["best"], folder.history()["best"]
         if not np.allclose(best, before[: len(best)], rtol=1e-3, atol=1e-6, equal_nan=True):
             raise RunFolderError(
                 f"{folder.path}: the first generations cannot be made anew. The configuration, the "
                 "machine or the version has changed since the evolution"
             )
-    return found.genes
+    return found
 
 
-def crowd_of(
-    experiment: ExperimentParts,
-    genes: Float[np.ndarray, "g n"],
-    generation: int,
-    seconds: float,
-    rate: float,
-    run: int = 0,
-    trial: int = 0,
-) -> CrowdMotion:
-    """Return the motion of a population, computed by one program.
-
-    Animals that diverge are left out.
+def compile_crowd_motion(
+    experiment: ExperimentParts, seconds: float, rate: float, run: int = 0, trial: int = 0
+) -> Callable[[Float[np.ndarray, "g n"], int], CrowdMotion]:
+    """Return a function that computes the motion of populations, with one program.
 
     Args:
-        experiment: experiment in which the population evolved.
-        genes: genomes of one run's population.
-        generation: number of the generation, which selects the noise.
+        experiment: experiment in which the populations evolved.
         seconds: length of the motion from the start of the trial, s, at most the trial's.
         rate: instants per second, rounded to a divisor of the control rate.
         run: number of the run.
         trial: number of the trial.
+
+    Returns:
+        A function of the genomes of the run's population, and the number of its generation, which
+        selects the noise. It compiles at its first call. Animals that diverge are left out.
     """
     simulation = experiment.simulation
     steps = min(max(round(seconds * simulation.control_rate), 1), simulation.steps)
     every = max(round(simulation.control_rate / rate), 1)
     short = dataclasses.replace(simulation, steps=steps)
-    genes = np.asarray(genes, np.float32)[:, :_MOST]
-    count = genes.shape[1]
-    individuals = np.arange(count)
-    keys = trial_keys(
-        experiment, generation, np.full(count, run), individuals, np.full(count, trial)
-    )
-    keys = None if keys is None else np.asarray(keys)
-    several = situation_numbers(experiment)
-    numbers = None if several is None else np.full(count, trial)
+    count = min(experiment.strategy.population, _MOST)
+    of_run, individuals, trials = (np.full(count, run), np.arange(count), np.full(count, trial))
+    numbers = None if situation_numbers(experiment) is None else trials
+    light = simulation.lights[0 if numbers is None else trial]
+    goal = np.array(light, float) if light else np.full(3, np.nan)
+    names = simulation.world.tree.names
+    order = [names.index(body.name) for body in experiment.creature.bodies]
 
     def poses(genes: Array, keys: Array | None, trial: Array | None) -> dict[str, Array]:
         frames = rollout(short, genes, keys, trial, Recorder(count=None))
@@ -186,19 +179,18 @@ def crowd_of(
     spread = layout(count, population_mesh())
     program = sharded(poses, spread.mesh, (2, 2, 1), {"position": 4, "rotation": 5})
 
-    def pick(chosen: np.ndarray) -> tuple:
-        return jax.tree.map(lambda x: x[..., chosen], (genes, keys, numbers))
+    def of(genes: Float[np.ndarray, "g n"], generation: int) -> CrowdMotion:
+        keys = trial_keys(experiment, generation, of_run, individuals, trials)
+        given = np.asarray(genes, np.float32), jax.tree.map(np.asarray, keys), numbers
 
-    found = run_in_blocks(program, spread, count, pick)
-    names = simulation.world.tree.names
-    order = [names.index(body.name) for body in experiment.creature.bodies]
-    position = np.moveaxis(found["position"], (3, 2), (1, 2))[:, :, order]
-    rotation = np.moveaxis(found["rotation"], (4, 3), (1, 2))[:, :, order]
-    sane = (np.abs(position) < _ASTRAY).all((0, 2, 3)) & np.isfinite(rotation).all((0, 2, 3, 4))
-    light = simulation.lights[trial if several is not None else 0]
-    return CrowdMotion(
-        np.arange(len(position)) * every / simulation.control_rate,
-        position[:, sane],
-        rotation[:, sane],
-        np.array(light, float) if light else np.full(3, np.nan),
-    )
+        def pick(chosen: np.ndarray) -> tuple:
+            return jax.tree.map(lambda x: x[..., chosen], given)
+
+        found = run_in_blocks(program, spread, count, pick)
+        position = np.moveaxis(found["position"], (3, 2), (1, 2))[:, :, order]
+        rotation = np.moveaxis(found["rotation"], (4, 3), (1, 2))[:, :, order]
+        sane = (np.abs(position) < _ASTRAY).all((0, 2, 3)) & np.isfinite(rotation).all((0, 2, 3, 4))
+        instants = np.arange(len(position)) * every / simulation.control_rate
+        return CrowdMotion(instants, position[:, sane], rotation[:, sane], goal)
+
+    return of

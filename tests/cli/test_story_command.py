@@ -9,7 +9,7 @@ from PIL import Image
 
 from evo_cpg.api.opened import open_run
 from evo_cpg.cli.told import generations_of
-from evo_cpg.training.crowd_motion import crowd_of, population_at
+from evo_cpg.training.crowd_motion import compile_crowd_motion, populations_at
 from evo_cpg.training.run_folder import RunFolderError
 from tiny_run import CONFIG, PAIR
 
@@ -101,16 +101,16 @@ def test_a_story_without_crowds_says_so(cli, run, tmp_path):
 def test_a_population_is_made_anew_from_the_seed(run):
     opened = open_run(run)
     experiment, folder = opened.experiment, opened.folder
-    kept = folder.load()
-    np.testing.assert_array_equal(population_at(experiment, folder, 6), kept.genes)
+    fifth, sixth = populations_at(experiment, folder, [5, 6])
+    np.testing.assert_array_equal(sixth, folder.load().genes)
     with np.load(folder.path / "checkpoints" / "generation_000005.npz") as earlier:
-        np.testing.assert_array_equal(population_at(experiment, folder, 5), earlier["genes"])
-    first = population_at(experiment, folder, 0)
+        np.testing.assert_array_equal(fifth, earlier["genes"])
+    (first,) = populations_at(experiment, folder, [0])
     (best, *_) = folder.load_lineage()
     assert best.generation == 0 and (first[:, best.index] == best.genes).all()
     other = experiment._replace(seed=1)
     with pytest.raises(RunFolderError, match="cannot be made anew"):
-        population_at(other, folder, 1)
+        populations_at(other, folder, [0, 1])
 
 
 @pytest.mark.slow
@@ -118,9 +118,9 @@ def test_an_animal_of_a_crowd_moves_as_when_it_is_replayed(run):
     opened = open_run(run)
     champion = opened.folder.load_lineage()[0]
     (replay,) = opened.replay([champion])
-    genes = population_at(opened.experiment, opened.folder, 0)
+    (genes,) = populations_at(opened.experiment, opened.folder, [0])
     rate = opened.experiment.simulation.control_rate
-    crowd = crowd_of(opened.experiment, genes, 0, 0.8, rate)
+    crowd = compile_crowd_motion(opened.experiment, 0.8, rate)(genes, 0)
     motion, instants = replay.recording, len(crowd.time)
     np.testing.assert_allclose(crowd.time, motion.time[:instants])
     np.testing.assert_allclose(

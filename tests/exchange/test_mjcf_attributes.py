@@ -220,10 +220,6 @@ REFUSED = {
         ),
         "tendon 'c': it runs through sites. Allowed: fixed tendons, over joints",
     ),
-    "gravity": (
-        model(option='gravity="1 0 -9"'),
-        "option: its gravity (1, 0, -9) does not point down. Allowed: along -z",
-    ),
 }
 # Attributes of newer MuJoCo versions, with their fields.
 NEWER = {

@@ -1,6 +1,7 @@
 """Export and import of meshes: masses, inertias, accelerations and refusals."""
 
 import dataclasses
+from pathlib import Path
 
 import jax.numpy as jnp
 import mujoco
@@ -9,7 +10,7 @@ import pytest
 import trimesh
 
 from creatures import quick_jit, random_state
-from evo_cpg.config.load import load_config
+from evo_cpg.config.load import complete_config, load_config
 from evo_cpg.creature.creature import Body, Creature, Joint, Material, neutral_pose
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box
@@ -172,3 +173,48 @@ def test_a_mesh_that_cannot_be_a_body_is_refused(read):
         ExchangeError, match="unnamed geom of body 'trunk': its mesh cannot be a body: it"
     ):
         read(model(speck).replace("<geom ", '<geom mass="1" '))
+
+
+def test_a_loft_has_mujocos_mass_and_inertia(compiled):
+    """A bent loft of two pieces, in single precision: 1e-5."""
+    sections = [(0.1, 0.0, 0.1), (0.0, 0.04, 0.06), (-0.1, 0.0, 0.08)]
+    config = complete_config(
+        {
+            "name": "x",
+            "creature": {
+                "name": "x",
+                "materials": {"m": {"density": 800.0}},
+                "bodies": [
+                    {
+                        "name": "a",
+                        "material": "m",
+                        "shape": {
+                            "type": "loft",
+                            "sections": [
+                                {"at": [x, y, 0.0], "width": size, "height": 0.05}
+                                for x, y, size in sections
+                            ],
+                        },
+                    }
+                ],
+            },
+        },
+        Path("x.yaml"),
+    )
+    creature = config.creature.build()
+    assert len(creature.bodies) == 2
+    tree, model = build_tree(creature), compiled(creature, GRAVITY)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    masses = model.body_mass[1:]
+    assert masses.sum() == pytest.approx(tree.mass[0], rel=1e-5)
+    com, inertia = np.average(data.xipos[1:], 0, masses), np.zeros((3, 3))
+    for i, mass in enumerate(masses, start=1):
+        turn, arm = data.ximat[i].reshape(3, 3), data.xipos[i] - com
+        inertia += turn @ np.diag(model.body_inertia[i]) @ turn.T
+        inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    ours = np.asarray(tree.com[:, 0])
+    np.testing.assert_allclose(com - data.xpos[1], ours, atol=1e-6)
+    inertia += masses.sum() * (ours @ ours * np.eye(3) - np.outer(ours, ours))
+    expected = np.asarray(tree.inertia)[:3, :3, 0]
+    np.testing.assert_allclose(inertia, expected, atol=1e-5 * expected.max())
