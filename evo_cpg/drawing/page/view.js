@@ -310,9 +310,8 @@ const View = (() => {
     const size = 0.035 * Math.max(...body.half);
     (body.sections || []).forEach((each, i) => {
       const color = i === section ? "#ffb000" : "#ffffff", group = new THREE.Group(), points = [];
-      for (let k = 0; k <= 48; k++) {
-        const angle = (k * Math.PI) / 24;
-        points.push(vector(each.across).multiplyScalar(Math.cos(angle)).addScaledVector(vector(each.up), Math.sin(angle)));
+      for (const [y, z] of [...each.outline, each.outline[0]]) {
+        points.push(vector(each.across).multiplyScalar(y).addScaledVector(vector(each.up), z));
       }
       const ring = new THREE.Line(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial({ color, depthTest: false }));
       const dot = new THREE.Mesh(new THREE.SphereGeometry(size, 14, 10), new THREE.MeshBasicMaterial({ color, depthTest: false }));
