@@ -200,7 +200,9 @@ const View = (() => {
     clear(marks);
     gizmo.detach();
     if (chosen && !motion) {
-      drawBox(chosen);
+      for (const body of bodies.values()) {
+        if (body === chosen || (chosen.entry && body.entry === chosen.entry)) drawBox(body, body === chosen);
+      }
       if (chosen.joint) drawJoint(chosen);
       drawViews(chosen);
       drawPressure(chosen);
@@ -209,8 +211,8 @@ const View = (() => {
     }
     dirty = true;
   }
-  // Edges around the chosen part, which has any color.
-  function drawBox(body) {
+  // Edges around the chosen part and its copies, which have any color.
+  function drawBox(body, whole) {
     if (!Math.max(...body.half)) return;
     const points = [], [x, y, z] = body.half.map((half) => 1.05 * half);
     for (const one of [-1, 1]) {
@@ -220,7 +222,7 @@ const View = (() => {
     }
     // Each edge has its two ends three places apart.
     const ends = points.flatMap((at, i) => (i % 6 < 3 ? [at, points[i + 3]] : [])).map(vector);
-    const frame = new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(ends), new THREE.LineBasicMaterial({ color: dark.matches ? "#ffd9c2" : "#7a3410" }));
+    const frame = new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(ends), new THREE.LineBasicMaterial({ color: dark.matches ? "#ffd9c2" : "#7a3410", transparent: true, opacity: whole ? 1 : 0.4 }));
     frame.position.copy(body.group.position);
     frame.quaternion.copy(body.group.quaternion);
     marks.add(frame);
@@ -523,7 +525,7 @@ const View = (() => {
     { pixels: 1, shadows: true, fine: true }, { pixels: 1, shadows: false, fine: false },
     { pixels: 0.6, shadows: false, fine: false }, { pixels: 0.4, shadows: false, fine: false },
   ];
-  const quality = () => (motion ? LEVELS[level] : REST);
+  const quality = () => (motion?.going ? LEVELS[level] : REST);
   // Slowest frames of a motion that looks smooth, ms, and number of frames that decide.
   const SLOW = 33, DECIDE = 12;
   let level = 0, gaps = [];
