@@ -48,11 +48,11 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
     model = compiled.model
     welded: dict[int, list[int]] = {}
     for body in range(1, model.nbody):
-        welded.setdefault(int(model.body_weldid[body]), []).append(body)
+        welded.setdefault(int(_welds(model)[body]), []).append(body)
     leads = [lead for lead in welded if lead != WORLD and _dof_count(model, welded[lead])]
     if not leads:
         raise _none_moves(compiled)
-    tops = [lead for lead in leads if model.body_weldid[model.body_parentid[lead]] == WORLD]
+    tops = [lead for lead in leads if _welds(model)[model.body_parentid[lead]] == WORLD]
     kept = _kept_trees(compiled, tops, leads)
     leads = [lead for lead in leads if _top(model, lead) in kept]
     carriers = {_trunk(model, int(model.body_parentid[top])) for top in kept}
@@ -63,7 +63,7 @@ def rigid_bodies(compiled: Compiled) -> list[Rigid]:
         root = min(fixed) if fixed and len(carriers) == 1 else WORLD
         bodies.append(Rigid(root, fixed, None, ()))
     for lead in leads:
-        parent = int(model.body_weldid[model.body_parentid[lead]])
+        parent = int(_welds(model)[model.body_parentid[lead]])
         free = is_free(compiled, lead)
         joints = () if free else _joints(compiled, lead)
         carrier = root if parent == WORLD else parent
@@ -102,7 +102,7 @@ def scenery(compiled: Compiled, bodies: list[Rigid]) -> list[int]:
         geom
         for geom in range(model.ngeom)
         if is_flat(compiled, geom)
-        or (owners[geom] not in own and model.body_weldid[owners[geom]] == WORLD)
+        or (owners[geom] not in own and _welds(model)[owners[geom]] == WORLD)
     ]
 
 
@@ -110,6 +110,12 @@ def is_flat(compiled: Compiled, geom: int) -> bool:
     """Return whether a geom is a plane or a height field, which only fixed bodies have."""
     kinds = compiled.mujoco.mjtGeom
     return int(compiled.model.geom_type[geom]) in (kinds.mjGEOM_PLANE, kinds.mjGEOM_HFIELD)
+
+
+def _welds(model: Any) -> np.ndarray:
+    """Return the body that each body is welded to. A mocap body, refused elsewhere, is fixed."""
+    welds = np.array(model.body_weldid)
+    return np.where(np.asarray(model.body_mocapid)[welds] >= 0, WORLD, welds)
 
 
 def _none_moves(compiled: Compiled) -> RefusedError:
@@ -132,7 +138,7 @@ def _kept_trees(compiled: Compiled, tops: list[int], leads: list[int]) -> list[i
     for number in range(len(model.actuator_trnid)):
         joint = _driven_joint(compiled, number)
         if joint is not None:
-            motors[_top(model, int(model.body_weldid[model.jnt_bodyid[joint]]))] += 1
+            motors[_top(model, int(_welds(model)[model.jnt_bodyid[joint]]))] += 1
     sizes = {top: sum(_top(model, lead) == top for lead in leads) for top in tops}
     best = max(tops, key=lambda top: (motors[top], sizes[top]))
     kept = [best] if best in free else [top for top in tops if top not in free]
@@ -159,7 +165,7 @@ def _driven_joint(compiled: Compiled, number: int) -> int | None:
 
 def _top(model: Any, lead: int) -> int:
     """Return the lead of the tree of a moving body."""
-    above = int(model.body_weldid[model.body_parentid[lead]])
+    above = int(_welds(model)[model.body_parentid[lead]])
     return lead if above == WORLD else _top(model, above)
 
 
@@ -172,7 +178,7 @@ def _trunk(model: Any, body: int) -> int:
 
 def _fixed_bodies(model: Any, trunks: set[int]) -> tuple[int, ...]:
     """Return the fixed bodies below some bodies of the worldbody."""
-    fixed = np.flatnonzero(np.asarray(model.body_weldid) == WORLD)[1:].tolist()
+    fixed = np.flatnonzero(_welds(model) == WORLD)[1:].tolist()
     return tuple(body for body in fixed if _trunk(model, body) in trunks)
 
 
