@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -16,6 +17,7 @@ from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_model
 from evo_cpg.exchange.refusals import ExchangeError
+from evo_cpg.exchange.rigid import _top
 from evo_cpg.physics.water import Water
 from imported import creature_of
 from tiny_run import REPOSITORY
@@ -469,6 +471,15 @@ def test_refused_parts_can_be_dropped(read):
         found = read(model(actuators=actuators, beside=driven, extra=tendon), drop=True)
         assert found.experiment["creature"]["bodies"][0]["name"] == kept
         assert len(found.dropped) == 1 and "it moves beside body" in found.dropped[0]
+
+
+def test_a_chain_of_any_length_has_one_top():
+    """Longer than Python's stack."""
+    numbers = np.arange(3000)
+    model = SimpleNamespace(
+        body_weldid=numbers, body_parentid=np.maximum(numbers - 1, 0), body_mocapid=0 * numbers - 1
+    )
+    assert _top(model, 2999) == 1
 
 
 def test_a_dropped_mocap_body_is_a_fixed_root(read):
