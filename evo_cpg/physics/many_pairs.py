@@ -10,7 +10,8 @@ number of pairs. This code has the same size for any number, and skips pairs tha
    the first distance twice.
 3. A point that does not push adds nothing to the torques and the matrix.
 
-Points of a few pairs are watched in most steps. One test therefore skips several consecutive points.
+Points of a few pairs are watched in most steps. One test therefore skips several consecutive
+points.
 
 All positions refer to the root's origin. A body's twist at constant rates has the angular velocity
 w and the velocity v_0 of its point at the origin. Points p_1 and p_2 with the normal n separate at
@@ -612,7 +613,9 @@ def _nearest(
             ]
             found = find(*boxes)
             gap = jnp.concatenate([one.gap for one in found])
-            approaching = [jnp.maximum(-h * _turning_apart(bodies, one, twists), 0.0) for one in found]
+            approaching = [
+                jnp.maximum(-h * _turning_apart(bodies, one, twists), 0.0) for one in found
+            ]
             reach = sum(_row(approach + margin, body, 0) for body in bodies)
             reach = reach + jnp.concatenate(approaching)
             new = _Points(

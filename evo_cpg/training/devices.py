@@ -103,7 +103,8 @@ def layout(count: int, mesh: Mesh) -> Layout:
 def chunk_width(count: int, devices: int) -> int:
     """Return the number of individuals in a chunk. Chunks are full vectors, equally wide.
 
-    A single individual is a chunk: native code computes it without vectors. On devices other than CPUs, a chunk is the device's whole part of the population.
+    A single individual is a chunk: native code computes it without vectors. On devices other than
+    CPUs, a chunk is the device's whole part of the population.
 
     Args:
         count: number of individuals on all devices.
