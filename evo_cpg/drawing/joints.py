@@ -1,5 +1,6 @@
 """Edits of joints: single keys, and the axes together with the values of each axis."""
 
+from collections.abc import Sequence
 from typing import Any, Literal
 
 from evo_cpg.drawing.document import Data
@@ -58,7 +59,7 @@ def set_axes(
             del joint[key]
 
 
-def _followed(values: list[Any], sources: list[int | None]) -> list[Any]:
+def _followed(values: list[Any], sources: Sequence[int | None]) -> list[Any]:
     first = next((each for each in values if each is not None), None)
     return [
         values[source] if source is not None and source < len(values) else first

@@ -82,10 +82,10 @@ def test_a_run_is_followed_from_before_its_start_to_after_its_end(tmp_path):
 
 
 def test_animals_that_cannot_be_replayed_are_one_line(tmp_path, monkeypatch):
-    asked: list[RunFolder] = []
+    tried: list[RunFolder] = []
 
     def fail(folder: RunFolder) -> None:
-        asked.append(folder)
+        tried.append(folder)
         raise RunFolderError("it began in Python")
 
     monkeypatch.setattr(replaying, "Replays", fail)
@@ -97,11 +97,11 @@ def test_animals_that_cannot_be_replayed_are_one_line(tmp_path, monkeypatch):
     assert words == "The animals cannot be replayed: it began in Python"
     # Only another champion is a reason to try again.
     followed.replay()
-    assert len(asked) == 1
+    assert len(tried) == 1
     save(folder, 2)
     followed.look()
     followed.replay()
-    assert len(asked) == 2
+    assert len(tried) == 2
 
 
 def test_a_damaged_checkpoint_is_one_line_on_the_page(tmp_path):
