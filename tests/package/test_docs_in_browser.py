@@ -81,6 +81,7 @@ def test_every_champion_of_the_gallery_has_the_shipped_configuration():
 
 
 def test_search_works_from_files(built, tab):
+    tab.events.clear()
     tab.open(built / "search.html")
     tab.run("void (location.search = '?q=salamander')")
     tab.wait("document.querySelectorAll('#search-results li').length > 3")
