@@ -183,7 +183,11 @@ def cards(chosen: list[str]) -> str:
     base = "animals/" if chosen else ""
     lines = []
     for name in chosen or shipped_names():
-        picture = f"![Picture of {title(name)}]({base}{name}.jpg)\n  " if (ANIMALS / f"{name}.jpg").is_file() else ""
+        picture = (
+            f"![Picture of {title(name)}]({base}{name}.jpg)\n  "
+            if (ANIMALS / f"{name}.jpg").is_file()
+            else ""
+        )
         lines.append(f"- [{picture}{title(name)}]({base}{name}.md)")
     return ":::{container} gallery\n" + "\n".join(lines) + "\n:::"
 

@@ -1,8 +1,8 @@
 """A recording as an animated glTF scene, for Blender, three.js and other programs.
 
-The scene shows the animal, ground, stones, water, light and camera of our films. glTF also uses metres and
-seconds, but y points upwards. One node, ``world``, rotates all nodes below it. The file therefore
-holds the unchanged numbers of the trajectory, in our axes (z upwards).
+The scene shows the animal, ground, stones, water, light and camera of our films. glTF also uses
+metres and seconds, but y points upwards. One node, ``world``, rotates all nodes below it. The file
+therefore holds the unchanged numbers of the trajectory, in our axes (z upwards).
 """
 
 import numpy as np
