@@ -26,7 +26,7 @@ from evo_cpg.view.story_text import Words
 _WHOLE, _CHAMPION, _TITLE, _LATER = 15.0, 4.6, 1.9, 2.8
 # A generation runs for as long as the champion takes for this many of its own lengths, in this much
 # film, s. Allowed speeds of the film.
-_LENGTHS, _RUN, _SLOWEST, _FASTEST = 6.0, 3.0, 1.0, 3.0
+_LENGTHS, _RUN, _SLOWEST, _FASTEST = 6.0, 3.0, 1.0, 6.0
 # Speed of the film when the champion arrives, and time that is shown after it has arrived, s. The
 # champion has arrived when it is this much farther away than ever, as a fraction of the way.
 _SLOW, _AFTER, _ARRIVED = 0.5, 0.5, 0.03
@@ -38,7 +38,7 @@ _SHOWN = 0.04
 # points to the light.
 _SMALLEST = 0.06
 # Distance of the camera at the start and at the end of all crowds, relative to the least.
-_FAR, _NEAR = 1.12, 1.0
+_FAR, _NEAR = 1.18, 1.06
 # Animals that move in one plane stand side by side. Number of lanes, and width in lengths.
 _LANES, _LANE = 24, 0.35
 # Lengths of the parts of the loop, s.
@@ -191,17 +191,16 @@ def _overview(
     """Return the camera of the crowds, which shows their start, most of them, and the light."""
     bodies = recording.position[0]
     start = np.concatenate([bodies - length / 8, bodies + length / 8])
-    boxes = [start]
+    places = [start]
     for crowd in crowds:
-        middles = crowd.position.mean(2)[:: max(len(crowd.time) // 20, 1)].reshape(-1, 3)
-        boxes.append(np.quantile(middles, (_SHOWN, 1 - _SHOWN), axis=0))
-    low = np.concatenate(boxes).min(0)
-    high = np.concatenate(boxes).max(0)
-    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+        middles = crowd.position.mean(2)[:: max(len(crowd.time) // 10, 1)].reshape(-1, 3)
+        low, high = np.quantile(middles, (_SHOWN, 1 - _SHOWN), axis=0)
+        places.append(middles[((middles >= low) & (middles <= high)).all(1)])
+    every = np.concatenate(places)
     goal = recording.goal
     bearing = course(recording.position[:, root], goal, length / 20)
-    lit = np.concatenate([corners, goal[None]]) if np.isfinite(goal).all() else corners
-    for points in (lit, corners):
+    lit = np.concatenate([every, goal[None]]) if np.isfinite(goal).all() else every
+    for points in (lit, every):
         path = overview(points, bearing, np.radians(20), aspect, np.ones(1))
         seen = np.ptp(project(path, start[None], aspect)[0, :, 0]) / 2
         if seen >= _SMALLEST:

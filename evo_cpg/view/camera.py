@@ -54,7 +54,7 @@ _AROUND = np.radians(14.0)
 CAMERAS = ("follow", *_ASPECTS, "orbit")
 # The camera of an overview: angle between the line of sight and the way of the animals in wide and
 # in tall pictures, and its additional elevation in tall ones.
-_ACROSS, _ALONG, _STEEPER = np.radians(58.0), np.radians(14.0), np.radians(14.0)
+_ACROSS, _ALONG, _STEEPER = np.radians(58.0), np.radians(14.0), np.radians(24.0)
 # Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
