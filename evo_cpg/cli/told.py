@@ -149,8 +149,9 @@ def generations_of(done: int, champion: int) -> list[int]:
 def _crowds(opened: OpenedChampion, trial: int, speed: float) -> list[tuple[int, CrowdMotion]]:
     """Return the crowds of some generations. Warn about those that cannot be made anew."""
     experiment, folder, run = opened.experiment, opened.folder, opened.champion.run
-    seconds = speed * (_WHOLE - _CHAMPION - _TITLE + 2 * DISSOLVE)
     chosen = generations_of(folder.newest, opened.champion.generation)
+    first, *later = _lengths(len(chosen))[:-1]
+    seconds = speed * (max(first - _TITLE, *later, 0.0) + DISSOLVE)
     try:
         opened.require_configured()
         with working("breeding the first generations again"):

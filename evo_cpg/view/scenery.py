@@ -115,6 +115,9 @@ def add_particles(stage: Stage) -> None:
     low[2] = min(np.min(stage.ground.z), high[2])
     points = generator.uniform(low, high, (_PARTICLES, 3))
     points = points[points[:, 2] > stage.ground.height(points[:, :2])]
+    # Specks fade with distance as the floor does.
+    far = np.linalg.norm(points[:, None] - path[:: max(len(path) // 20, 1)], axis=-1).min(1)
+    points = points[far < stage.visible]
     for chosen, size, opacity in ((points[::4], 2.1, 0.5), (points[1::2], 1.3, 0.35)):
         if len(chosen):
             stage.plotter.add_mesh(
