@@ -39,8 +39,8 @@ _SHOWN = 0.04
 _SMALLEST = 0.06
 # Distance of the camera at the start and at the end of all crowds, relative to the least.
 _FAR, _NEAR = 1.18, 1.06
-# Animals that move in one plane stand side by side. Number of lanes, and width in lengths.
-_LANES, _LANE = 24, 0.35
+# Animals that walk without a light stand side by side. Number of lanes, and width in lengths.
+_LANES, _LANE = 24, 0.4
 # Lengths of the parts of the loop, s.
 _OF_FIRST, _OF_LAST, _OF_CHAMPION = 2.3, 2.2, 2.8
 
@@ -101,15 +101,18 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
     opened, panel, length, speed, crowds = material
     experiment, recording, creature = opened.experiment, panel.recording, panel.creature
     task = experiment.simulation.task
+    if panel.ground is not None and not np.isfinite(recording.goal).all():
+        lanes = creature.root_index, task.heading, _LANE * length
+        crowds = [(generation, _in_lanes(crowd, *lanes)) for generation, crowd in crowds]
     heading = title or _title(panel.world, panel.ground is not None)
     final = f"After {_generations(opened.champion.generation)}, in slow motion"
-    wide = _overview(recording, creature.root_index, [crowd for _, crowd in crowds], length, aspect)
+    wide = _overview(
+        recording, creature.root_index, task.heading, [crowd for _, crowd in crowds], length, aspect
+    )
     times = _lengths(len(crowds))
     total = sum(times[:-1]) or 1.0
     takes, done = [], 0.0
     for number, ((generation, crowd), seconds) in enumerate(zip(crowds, times, strict=False)):
-        if planar(crowd, length):
-            crowd = _in_lanes(crowd, creature.root_index, task.heading, _LANE * length)
         leader, others = crowd.led(creature.root_index, task.heading)
         seen = panel._replace(recording=leader, crowd=others)
         words = [Words(_caption(generation), "caption", 0.1, seconds)]
@@ -174,7 +177,9 @@ def _speed(recording: Recording, root: int, length: float) -> float:
     away = np.linalg.norm(path - path[0], axis=-1)
     there = int((away >= 0.9 * away.max()).argmax())
     pace = away[there] / max(recording.time[there], 1e-9)
-    return float(np.clip(_LENGTHS * length / max(pace, 1e-9) / _RUN, _SLOWEST, _FASTEST))
+    # A short trial must not end before its take.
+    fastest = min(_FASTEST, (recording.time[-1] - recording.time[0]) / (_RUN + DISSOLVE))
+    return float(min(max(_LENGTHS * length / max(pace, 1e-9) / _RUN, _SLOWEST), fastest))
 
 
 def _lengths(crowds: int) -> list[float]:
@@ -187,13 +192,19 @@ def _lengths(crowds: int) -> list[float]:
 
 
 def _overview(
-    recording: Recording, root: int, crowds: Sequence[CrowdMotion], length: float, aspect: float
+    recording: Recording,
+    root: int,
+    heading: str,
+    crowds: Sequence[CrowdMotion],
+    length: float,
+    aspect: float,
 ) -> Overview:
     """Return the camera of the crowds, which shows their start, most of them, and the light."""
-    bodies = recording.position[0]
-    start = np.concatenate([bodies - length / 8, bodies + length / 8])
+    start = recording.position[0]
     places = [start]
     for crowd in crowds:
+        leader = crowd.leader(root, heading)
+        places.append(crowd.position[::10, leader].reshape(-1, 3))
         middles = crowd.position.mean(2)[:: max(len(crowd.time) // 10, 1)].reshape(-1, 3)
         low, high = np.quantile(middles, (_SHOWN, 1 - _SHOWN), axis=0)
         places.append(middles[((middles >= low) & (middles <= high)).all(1)])
@@ -207,11 +218,6 @@ def _overview(
         if seen >= _SMALLEST:
             break
     return Overview(points, bearing, (1.0, 1.0))
-
-
-def planar(crowd: CrowdMotion, length: float) -> bool:
-    """Return whether all animals of a crowd move in one plane, which hides them."""
-    return bool(np.ptp(crowd.position.mean(2)[..., 1]) < 1e-3 * length)
 
 
 def _in_lanes(crowd: CrowdMotion, root: int, heading: str, width: float) -> CrowdMotion:

@@ -55,9 +55,11 @@ CAMERAS = ("follow", *_ASPECTS, "orbit")
 # The camera of an overview: angle between the line of sight and the way of the animals in wide and
 # in tall pictures, and its additional elevation in tall ones.
 _ACROSS, _ALONG, _STEEPER = np.radians(58.0), np.radians(14.0), np.radians(24.0)
+# Upper end of the part of the frame for an overview, below a title.
+_UNDER_TITLE = 0.56
 # Largest distance of an overview, in lengths of what it shows, and number of halvings of the
-# interval in which its least distance lies.
-_FARTHEST, _HALVINGS = 12.0, 16
+# interval in which its least distance lies. Number of shifts that bring the points into the middle.
+_FARTHEST, _HALVINGS, _SHIFTS = 12.0, 14, 24
 # Points along a line of sight that are tested against obstacles, and number of frames tested.
 _SAMPLES, _VIEWPOINTS = 24, 60
 
@@ -200,15 +202,16 @@ def _centred(
         aspect: width of the picture over its height.
     """
     path = CameraPath((focus - ahead)[None], focus[None], VIEW_ANGLE)
-    for _ in range(_ROUNDS):
+    for _ in range(_SHIFTS):
         place = project(path, points[None], aspect)[0]
         if not np.isfinite(place).all():
             return None
         low, most = place.min(0), place.max(0)
-        off = (low + most) / 2 - [0.0, (_ABOVE - _BELOW) / 2]
-        path = _moved(path, 1.0, off, aspect)
+        off = (low + most) / 2 - [0.0, (_UNDER_TITLE - _BELOW) / 2]
+        # A full shift would overshoot for points farther away than the focus.
+        path = _moved(path, 1.0, off / 2, aspect)
     place = np.nan_to_num(project(path, points[None], aspect)[0], nan=np.inf)
-    fits = (place > [-_ROOM, -_BELOW]) & (place < [_ROOM, _ABOVE])
+    fits = (place > [-_ROOM, -_BELOW]) & (place < [_ROOM, _UNDER_TITLE])
     return path if fits.all() else None
 
 

@@ -187,7 +187,8 @@ def camera_of(take: Take, scene: Scene, aspect: float) -> CameraPath:
         return camera_path(scene, "follow", aspect)
     points, bearing, (start, end) = take.overview
     nearness = np.linspace(start, end, len(scene.clip.time))
-    return overview(points, bearing, scene.look.elevation, aspect, nearness)
+    elevation = scene.look.side_elevation if scene.goal is None else scene.look.elevation
+    return overview(points, bearing, elevation, aspect, nearness)
 
 
 def smoothly(part: float) -> float:
