@@ -38,7 +38,7 @@ _OVERSAMPLING = 1.25
 # Ease at the start of a take, s.
 _EASE = 0.5
 # Qualities of a loop, from the best one.
-_QUALITIES = (75, 60, 48, 38, 30, 22, 15, 8)
+_QUALITIES = (75, 48, 36, 26, 18, 10)
 
 
 class Overview(NamedTuple):
