@@ -10,7 +10,7 @@ from evo_cpg.files import make_folder
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.output import check_size, output_path
-from evo_cpg.view.story import Loop, story_film
+from evo_cpg.view.story import Loop, look_of, story_film
 
 # Sizes of the films, and the largest width and file of the loop, pixels and bytes.
 _WIDE, _TALL = (1920, 1080), (1080, 1920)
@@ -50,10 +50,13 @@ def tell(
         width = min(_LOOP_WIDTH, pixels[0]) // 2 * 2
         small = width, round(width * pixels[1] / pixels[0] / 2) * 2
         with tempfile.TemporaryFile() as scratch:
-            loop = Loop(story.loop, small, scratch) if looped and place == path else None
+            loop = None
+            if looped and place == path:
+                loop = Loop(story.loop, look_of(story.takes[-1]), small, scratch)
             with working("rendering", counted=True) as work:
                 story_film(
                     story.takes,
+                    story.words,
                     place,
                     pixels,
                     processes=cores or available_cores(),

@@ -18,7 +18,7 @@ from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.camera import course, overview, project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.scene import Panel, animal_radius, panel_of
-from evo_cpg.view.story import DISSOLVE, FPS, Overview, Take, spans
+from evo_cpg.view.story import DISSOLVE, FPS, LoopPart, Overview, Take, spans
 from evo_cpg.view.story_text import Words
 
 # Lengths in the film, s: of the whole story, of the champion's take, of the title before the first
@@ -68,11 +68,13 @@ class Story(NamedTuple):
 
     Attributes:
         takes: the takes.
-        loop: first frame and frame after the last one of the parts of the film that the loop shows.
+        words: title and captions.
+        loop: parts of the film that the loop shows.
     """
 
     takes: list[Take]
-    loop: list[tuple[int, int]]
+    words: list[Words]
+    loop: list[LoopPart]
 
 
 def material_of(run: Path, which: Which) -> Material:
@@ -105,35 +107,37 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
         lanes = creature.root_index, task.heading, _LANE * length
         crowds = [(generation, _in_lanes(crowd, *lanes)) for generation, crowd in crowds]
     heading = title or _title(panel.world, panel.ground is not None)
-    final = f"After {_generations(opened.champion.generation)}, in slow motion"
     wide = _overview(
         recording, creature.root_index, task.heading, [crowd for _, crowd in crowds], length, aspect
     )
     times = _lengths(len(crowds))
     total = sum(times[:-1]) or 1.0
     takes, done = [], 0.0
-    for number, ((generation, crowd), seconds) in enumerate(zip(crowds, times, strict=False)):
+    for number, ((_, crowd), seconds) in enumerate(zip(crowds, times, strict=False)):
         leader, others = crowd.led(creature.root_index, task.heading)
         seen = panel._replace(recording=leader, crowd=others)
-        words = [Words(_caption(generation), "caption", 0.1, seconds)]
-        if number == 0:
-            animals = f"{experiment.strategy.population} random nervous systems."
-            animals += " One light." if np.isfinite(crowd.goal).all() else ""
-            words = [
-                Words(heading, "title", -1.0, _TITLE + 0.5),
-                Words(animals, "subtitle", 0.3, _TITLE + 0.5),
-                Words(_caption(generation), "caption", _TITLE, seconds),
-            ]
         nearness = tuple(_FAR + (_NEAR - _FAR) * part / total for part in (done, done + seconds))
         camera = wide._replace(nearness=nearness)
         hold = _TITLE if number == 0 else 0.0
-        takes.append(Take(seen, seconds, 0.0, speed, tuple(words), camera, hold))
+        takes.append(Take(seen, seconds, 0.0, speed, camera, hold))
         done += seconds
-    first = [] if takes else [Words(heading, "title", -1.0, _TITLE + 1.0)]
-    ending = _arrival(recording, times[-1])
-    words = (*first, Words(final, "caption", 0.3 if takes else _TITLE, math.inf))
-    takes.append(Take(panel, times[-1], ending, _SLOW, words))
-    return Story(takes, _loop(takes))
+    takes.append(Take(panel, times[-1], _arrival(recording, times[-1]), _SLOW))
+    captions = [_caption(generation) for generation, _ in crowds]
+    captions.append(f"After {_generations(opened.champion.generation)}, in slow motion")
+    animals = f"{experiment.strategy.population} random nervous systems."
+    if np.isfinite(recording.goal).all():
+        animals += " One light."
+    words = [Words(heading, "title", -1.0, _TITLE + 0.5)]
+    if crowds:
+        words.append(Words(animals, "subtitle", 0.3, _TITLE + 0.5))
+    start = _TITLE
+    for caption, end in zip(captions, np.cumsum(times), strict=True):
+        # One caption has gone when the next one appears. The last one stays.
+        words.append(
+            Words(caption, "caption", start, float(end) if caption != captions[-1] else 99)
+        )
+        start = float(end)
+    return Story(takes, words, _loop(takes, captions))
 
 
 def generations_of(done: int, champion: int) -> list[int]:
@@ -242,17 +246,20 @@ def _arrival(recording: Recording, seconds: float) -> float:
     return float(max(min(end, time[-1]) - shown, time[0]))
 
 
-def _loop(takes: Sequence[Take]) -> list[tuple[int, int]]:
+def _loop(takes: Sequence[Take], captions: Sequence[str]) -> list[LoopPart]:
     """Return the parts of the film that the loop shows: first and last crowd, and champion."""
     every, shared = spans([take.seconds for take in takes]), round(DISSOLVE * FPS)
     first, end = every[-1]
-    parts = [(max(first + shared, end - round(_OF_CHAMPION * FPS)), end)]
+    first = max(first + shared, end - round(_OF_CHAMPION * FPS))
+    parts = [LoopPart(first, end, captions[-1])]
     if len(takes) > 2:
         first = every[-2][0] + shared
-        parts.insert(0, (first, min(first + round(_OF_LAST * FPS), every[-2][1] - shared)))
+        end = min(first + round(_OF_LAST * FPS), every[-2][1] - shared)
+        parts.insert(0, LoopPart(first, end, captions[-2]))
     if len(takes) > 1:
-        first = round((_TITLE + 0.5) * FPS)
-        parts.insert(0, (first, min(first + round(_OF_FIRST * FPS), every[0][1] - shared)))
+        first = round(_TITLE * FPS)
+        end = min(first + round(_OF_FIRST * FPS), every[0][1] - shared)
+        parts.insert(0, LoopPart(first, end, captions[0]))
     return parts
 
 

@@ -18,12 +18,12 @@ _SHADOW, _SHADOW_OPACITY = 0.045, 0.45
 
 
 class Words(NamedTuple):
-    """A text in a take.
+    """A text in a story.
 
     Attributes:
         text: the text.
         kind: ``title`` and ``subtitle`` stand at the top, ``caption`` at the bottom.
-        start: time in the take at which it begins to appear, s.
+        start: time in the film at which it begins to appear, s.
         end: time at which it has gone, s.
     """
 
@@ -36,12 +36,12 @@ class Words(NamedTuple):
 def written(
     draw: ImageDraw.ImageDraw, words: Words, time: float, look: Look, size: tuple[int, int]
 ) -> None:
-    """Write words into a picture, if they are shown at a time of the take.
+    """Write words into a picture, if they are shown at a time.
 
     Args:
         draw: drawing context, see `evo_cpg.view.legible.lettering`.
         words: the words.
-        time: time in the take, s.
+        time: time in the film, s.
         look: look of the world.
         size: width and height of the picture, pixels.
     """
