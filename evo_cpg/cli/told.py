@@ -116,8 +116,8 @@ def story_of(material: Material, title: str | None, aspect: float) -> Story:
     for number, ((_, crowd), seconds) in enumerate(zip(crowds, times, strict=False)):
         leader, others = crowd.led(creature.root_index, task.heading)
         seen = panel._replace(recording=leader, crowd=others)
-        nearness = tuple(_FAR + (_NEAR - _FAR) * part / total for part in (done, done + seconds))
-        camera = wide._replace(nearness=nearness)
+        start, end = (_FAR + (_NEAR - _FAR) * part / total for part in (done, done + seconds))
+        camera = wide._replace(nearness=(start, end))
         hold = _TITLE if number == 0 else 0.0
         takes.append(Take(seen, seconds, 0.0, speed, camera, hold))
         done += seconds

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 import synthetic
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from evo_cpg.creature.slender import slender_chains
 from evo_cpg.physics.contact_model import Ground
@@ -34,6 +34,7 @@ from evo_cpg.view.story import (
 from evo_cpg.view.story_text import Words, wrapped, written
 
 SIZE = (192, 108)
+POINTS = np.array([[-0.5, -0.5, 0.0], [1.0, 2.5, 0.6]])
 WALKER, WALK = synthetic.walker(), synthetic.walk(2.0, 30.0)
 PANEL = Panel(WALKER, WALK, "", world="land", ground=Ground(floor=Plane()), numbers=False)
 
@@ -46,8 +47,7 @@ def beside(*steps):
 
 
 def take(seconds=1.0, crowd=None, start=0.0, hold=0.0):
-    points = np.array([[-0.5, -0.5, 0.0], [1.0, 2.5, 0.6]])
-    seen = Overview(points, 0.0, (1.0, 1.0))
+    seen = Overview(POINTS, 0.0, (1.0, 1.0))
     return Take(PANEL._replace(crowd=crowd), seconds, start, 1.0, seen, hold)
 
 
@@ -91,7 +91,7 @@ def test_ghosts_are_drawn_in_their_places():
     alone, crowded = drawn([take()], 10)[0], drawn([take(crowd=beside(1.0, 2.0))], 10)[0]
     changed = np.abs(crowded - alone).max(-1) > 12
     elevation = STYLES["land"].side_elevation
-    path = overview(take().overview.points, 0.0, elevation, SIZE[0] / SIZE[1], np.ones(1))
+    path = overview(POINTS, 0.0, elevation, SIZE[0] / SIZE[1], np.ones(1))
     clip = sample(WALK, FPS)
     for step, seen in ((0.0, False), (1.0, True), (2.0, True)):
         trunk = clip.position[10, 0] + [0.0, step, 0.0]
@@ -151,7 +151,8 @@ def test_the_end_of_a_loop_dissolves_into_its_start(tmp_path):
     assert loop.write(tmp_path / "b.webp", 1) == 10
     with Image.open(tmp_path / "a.webp") as picture:
         # The encoder joins frames that look the same.
-        assert (picture.size, picture.info["loop"]) == ((16, 16), 0) and picture.n_frames > 5
+        assert (picture.size, picture.info["loop"]) == ((16, 16), 0)
+        assert len([*ImageSequence.Iterator(picture)]) > 5
 
 
 def test_the_skin_of_a_straight_chain_is_its_outline():
