@@ -15,10 +15,12 @@ into its page: a frame with `NAME.animal.html`, which is one file without a netw
 
 import base64
 import gzip
+import hashlib
 import json
 import math
 import re
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +53,9 @@ def collect(run: Path) -> str:
     opened = open_run(run).load_champion()
     experiment, champion, meta = opened.experiment, opened.champion, opened.folder.read_meta()
     name = experiment.name
-    if name not in shipped_names() or opened.changed or opened.recording is None:
-        raise ValueError(f"{run}: not the champion of a shipped configuration")
+    digest = _digest(opened.config)
+    if name not in shipped_names() or opened.recording is None or digest != config_digest(name):
+        raise ValueError(f"{run}: not the champion of a shipped configuration as it is now")
     panel = panel_of(experiment, opened.recording, "")
     ANIMALS.mkdir(exist_ok=True)
     scene = json.dumps(rounded(viewer_data(panel)), separators=(",", ":"), allow_nan=False)
@@ -63,6 +66,7 @@ def collect(run: Path) -> str:
     audit = _read(run / "audit.json")
     mine = all(audit.get(key) == getattr(champion, key) for key in ("generation", "fitness"))
     facts = {
+        "config_sha256": digest,
         "bodies": len(experiment.creature.bodies),
         "axes": simulation.world.tree.dof_count,
         "mass_kg": float(f"{float(experiment.creature.mass):.4g}"),
@@ -78,6 +82,27 @@ def collect(run: Path) -> str:
     text = json.dumps(facts, indent=1, allow_nan=False, ensure_ascii=False)
     (ANIMALS / f"{name}.json").write_text(text + "\n", encoding="utf-8")
     return name
+
+
+def config_digest(name: str) -> str:
+    """Return the digest of all values of a shipped configuration."""
+    from evo_cpg.config.load import load_config
+    from evo_cpg.config.shipped import shipped
+
+    return _digest(load_config(shipped(name).path))
+
+
+def _digest(config: Any) -> str:
+    from evo_cpg.config.fingerprint import fingerprint
+
+    values = json.dumps(fingerprint(config)["config"], sort_keys=True)
+    return hashlib.sha256(values.encode()).hexdigest()
+
+
+def outdated() -> list[str]:
+    """Return the names of animals whose configuration has changed since their champion evolved."""
+    found = {path.stem: _read(path) for path in sorted(ANIMALS.glob("*.json"))}
+    return [name for name, facts in found.items() if facts["config_sha256"] != config_digest(name)]
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -115,8 +140,7 @@ def page(name: str) -> str:
     from evo_cpg.config.shipped import shipped
 
     about = re.sub(r"docs/([\w/-]+\.md)", r"[this page](../\1)", shipped(name).about)
-    # A line break stands after each sentence, so that a change of one is a change of one line.
-    parts = [re.sub(r"(?<=[.:]) (?=[A-Z])", "\n", about)]
+    parts = [textwrap.fill(about, 100, break_long_words=False, break_on_hyphens=False)]
     study = next((link for start, link in _STUDIES if name.startswith(start)), None)
     if study:
         parts.append(f"Read more: {study}.")
@@ -159,7 +183,11 @@ def cards(chosen: list[str]) -> str:
     base = "animals/" if chosen else ""
     lines = []
     for name in chosen or shipped_names():
-        picture = f"![]({base}{name}.jpg) " if (ANIMALS / f"{name}.jpg").is_file() else ""
+        picture = (
+            f"![Picture of {title(name)}]({base}{name}.jpg)\n  "
+            if (ANIMALS / f"{name}.jpg").is_file()
+            else ""
+        )
         lines.append(f"- [{picture}{title(name)}]({base}{name}.md)")
     return ":::{container} gallery\n" + "\n".join(lines) + "\n:::"
 
@@ -195,8 +223,8 @@ TITLES = {
     "iwadate2010_salamander_water": "Salamander in water",
     "salamander_amphibious": "Salamander at the shore",
     "salamander_boulders": "Salamander among boulders",
-    "salamander_swim": "Salamander with a coordinated cord, swimming",
-    "salamander_trot": "Salamander with a coordinated cord, trotting",
+    "salamander_swim": "Swimming salamander",
+    "salamander_trot": "Trotting salamander",
     "hexapod": "Hexapod with postures",
     "hexapod_tripod": "Insect on tripods",
     "starfish": "Starfish in water",

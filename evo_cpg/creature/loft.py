@@ -14,13 +14,16 @@ An elliptic section is a polygon of `_ROUND` corners with the area of the ellips
 cylinders and cones are therefore exact, and their inertias are correct to 1e-4.
 """
 
+import dataclasses
 import functools
 import itertools
 from typing import NamedTuple
 
 import numpy as np
+from typing_extensions import override
 
 from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh, hull
+from evo_cpg.creature.shapes import Skin
 from evo_cpg.spatial.numerics import Triple
 
 # Corners of an elliptic section. Their second moment is that of the ellipse to 3e-5.
@@ -31,6 +34,8 @@ _EQUAL_AREA = float(np.sqrt(2 * np.pi / _ROUND / np.sin(2 * np.pi / _ROUND)))
 _SHARPEST = -0.5
 # Sine below which a direction counts as vertical.
 _VERTICAL = 1e-6
+# Cosine of the largest angle between faces whose edge looks smooth: 35 degrees.
+_CREASE = 0.82
 # Distance of a corner beyond the plane of the next section, as a fraction of the body's size, and
 # excess of a hull's volume over that of its pieces, as a fraction. Both are rounding.
 _CROSSING, _HOLLOW = 1e-9, 1e-9
@@ -50,10 +55,37 @@ class LoftSection(NamedTuple):
     height: float
 
 
+@dataclasses.dataclass(frozen=True)
+class SmoothMesh(ConvexMesh):
+    """Convex mesh whose picture is smooth where its faces turn by little."""
+
+    @override
+    def skin(self) -> Skin:
+        """Return separate points for each triangle, with the mean normals of similar neighbours."""
+        a, b, c = self.triangles.swapaxes(0, 1)
+        doubled = np.cross(b - a, c - a)
+        area = np.linalg.norm(doubled, axis=1)
+        kept = np.flatnonzero(area > 0)
+        flat = doubled[kept] / area[kept, None]
+        faces = np.array(self.faces)[kept]
+        # The triangles at each vertex, in rows that end with repetitions of no weight.
+        order = np.argsort(faces.ravel(), kind="stable")
+        counts = np.bincount(faces.ravel(), minlength=len(self.vertices))
+        column = np.arange(counts.max())
+        place = (np.cumsum(counts) - counts)[:, None] + np.minimum(column, counts[:, None] - 1)
+        near = (order[np.minimum(place, len(order) - 1)] // 3)[faces]
+        alike = (flat[near] * flat[:, None, None]).sum(-1) > _CREASE
+        weight = alike & (column < counts[faces][..., None])
+        normals = (weight[..., None] * doubled[kept][near]).sum(2)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        points = self.triangles[kept].reshape(-1, 3)
+        return Skin(points, normals.reshape(-1, 3), np.arange(len(points)).reshape(-1, 3))
+
+
 class Piece(NamedTuple):
     """A convex piece, and its centre of mass ``(3,)`` in the frame of the sections, m."""
 
-    shape: ConvexMesh
+    shape: SmoothMesh
     centre: np.ndarray
 
 
@@ -95,10 +127,19 @@ def section_axes(sections: tuple[LoftSection, ...]) -> list[tuple[np.ndarray, np
     return _axes(_normals(np.array([each.at for each in sections])))
 
 
+def outline(corners: int | None) -> np.ndarray:
+    """Return the corners ``(n, 2)`` of a section with half sizes of 1."""
+    count = corners or _ROUND
+    angles = 2 * np.pi * (np.arange(count) + 0.5) / count - np.pi / 2
+    found = np.column_stack([np.cos(angles), np.sin(angles)])
+    return found * _EQUAL_AREA if corners is None else found / np.abs(found).max(0)
+
+
 def _made(rings: list[np.ndarray], first: int) -> Piece:
     """Return the hull of neighbouring sections."""
     vertices, faces = hull(np.concatenate(rings), f"sections {first} and {first + 1}")
-    return Piece(*convex_mesh(vertices, faces))
+    made, centre = convex_mesh(vertices, faces)
+    return Piece(SmoothMesh(made.vertices, made.faces), centre)
 
 
 def _rings(sections: tuple[LoftSection, ...], corners: int | None) -> list[np.ndarray]:
@@ -110,10 +151,10 @@ def _rings(sections: tuple[LoftSection, ...], corners: int | None) -> list[np.nd
     places = np.array([each.at for each in sections])
     _require_sizes(sections)
     normals = _normals(places)
-    outline = _outline(corners)
+    corners_at = outline(corners)
     rings = []
     for place, (across, up), each in zip(places, _axes(normals), sections, strict=True):
-        ring = outline * (each.width / 2, each.height / 2) @ np.array([across, up])
+        ring = corners_at * (each.width / 2, each.height / 2) @ np.array([across, up])
         rings.append(np.unique(place + ring, axis=0))
     size = np.ptp(np.concatenate(rings), axis=0).max()
     for i, (one, two) in enumerate(itertools.pairwise(rings)):
@@ -170,11 +211,3 @@ def _axes(normals: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         found.append((across, np.cross(normal, across)))
         before = normal
     return found
-
-
-def _outline(corners: int | None) -> np.ndarray:
-    """Return the corners ``(n, 2)`` of a section with half sizes of 1."""
-    count = corners or _ROUND
-    angles = 2 * np.pi * (np.arange(count) + 0.5) / count - np.pi / 2
-    outline = np.column_stack([np.cos(angles), np.sin(angles)])
-    return outline * _EQUAL_AREA if corners is None else outline / np.abs(outline).max(0)

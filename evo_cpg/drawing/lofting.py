@@ -7,7 +7,7 @@ import numpy as np
 
 from evo_cpg.config.schema.section import Finite, Vector
 from evo_cpg.config.schema.shape import LoftConfig
-from evo_cpg.creature.loft import section_axes
+from evo_cpg.creature.loft import outline, section_axes
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.drawing.lookup import entry_of, posed, tidy
 from evo_cpg.drawing.placing import reflected_if
@@ -37,9 +37,13 @@ def new_loft(half_extents: Sequence[float]) -> Data:
 def loft_half_extents(shape: Data) -> np.ndarray:
     """Return half the sizes ``(3,)`` of the box around a loft, m."""
     made = LoftConfig.model_validate(shape)
-    pieces = [(made.build(), made.centre), *made.further_pieces]
-    points = np.concatenate([piece.skin().points + centre for piece, centre in pieces])
-    return np.ptp(points, axis=0) / 2
+    reach = []
+    for each, (across, up) in zip(made.drawn, section_axes(made.drawn), strict=True):
+        sizes = np.array([across * each.width / 2, up * each.height / 2])
+        corners = np.abs(outline(made.corners) @ sizes).max(0)
+        reach.append(np.linalg.norm(sizes, axis=0) if made.corners is None else corners)
+    places = np.array([each.at for each in made.drawn])
+    return (np.max(places + reach, axis=0) - np.min(places - reach, axis=0)) / 2
 
 
 def stretch_loft(shape: Data, factors: np.ndarray) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.config.schema.copies import copies_named, fill
-from evo_cpg.config.schema.section import Vector
+from evo_cpg.config.schema.section import Finite, Vector
 from evo_cpg.drawing.document import Data, DrawingError
 from evo_cpg.drawing.lofting import loft_half_extents, new_loft, stretch_loft
 from evo_cpg.drawing.lookup import (
@@ -294,7 +294,7 @@ def set_shape(data: Data, source: Path, name: str, type: str, further: int | Non
         _carry(data, str(entry["name"]), factors)
 
 
-def resize(data: Data, name: str, key: str, value: Any) -> None:
+def resize(data: Data, name: str, key: str, value: Finite | Vector) -> None:
     """Set a size of a part's shape, and move what sits on its surface.
 
     Args:
@@ -307,10 +307,13 @@ def resize(data: Data, name: str, key: str, value: Any) -> None:
     shape = entry["shape"]
     if key not in _LENGTHS.get(shape.get("type"), {}):
         raise DrawingError(f"{name}: its shape has no size {key!r}")
+    if isinstance(value, tuple) != isinstance(shape[key], list):
+        count = "three numbers" if isinstance(shape[key], list) else "one number"
+        raise DrawingError(f"{key}: must be {count}")
     if not (np.asarray(value, float) > 0).all():
         raise DrawingError(f"{key}: must be greater than 0, got {value}")
     before = np.array(_half_extents(shape))
-    shape[key] = value
+    shape[key] = np.asarray(value).tolist()
     _carry(data, str(entry["name"]), np.array(_half_extents(shape)) / before)
 
 

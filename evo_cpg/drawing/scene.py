@@ -13,7 +13,7 @@ import numpy as np
 
 from evo_cpg.config.schema.shape import LoftConfig
 from evo_cpg.creature.creature import NO_LIMIT, length_of, lowest_height, neutral_pose
-from evo_cpg.creature.loft import section_axes
+from evo_cpg.creature.loft import outline, section_axes
 from evo_cpg.drawing.document import Data
 from evo_cpg.drawing.lookup import Posed, posed
 from evo_cpg.view.clip import quaternions
@@ -89,11 +89,13 @@ def _sections(here: Posed, index: int, frame: np.ndarray) -> list[dict[str, Any]
     if copied.mirror:
         shape = shape.mirrored(copied.mirror)
     sections = shape.drawn
+    corners = outline(shape.corners)
     return [
         {
             "place": (frame + each.at).tolist(),
             "across": (each.width / 2 * across).tolist(),
             "up": (each.height / 2 * up).tolist(),
+            "outline": corners.tolist(),
         }
         for each, (across, up) in zip(sections, section_axes(sections), strict=True)
     ]

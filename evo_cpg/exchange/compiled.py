@@ -101,11 +101,24 @@ class Item(NamedTuple):
         name = None if code is None else mujoco.mj_id2name(model, code, self.number)
         if name:
             return f"{self.kind} {name!r}"
-        owner = {"joint": "jnt_bodyid", "geom": "geom_bodyid"}.get(self.kind)
+        owner = self._owner()
         if owner is None:
             return f"{self.kind} number {self.number} (unnamed)"
-        body = self.compiled.item("body", int(getattr(model, owner)[self.number]))
-        return f"unnamed {self.kind} of {body}"
+        return f"unnamed {self.kind} of {owner}"
+
+    def _owner(self) -> "Item | None":
+        """Return the element that an element without a name belongs to, or None."""
+        mujoco, model = self.compiled.mujoco, self.compiled.model
+        if self.kind in ("joint", "geom"):
+            body = (model.jnt_bodyid if self.kind == "joint" else model.geom_bodyid)[self.number]
+            return self.compiled.item("body", int(body))
+        if self.kind != "equality":
+            return None
+        word = mujoco.mjtObj(model.eq_objtype[self.number]).name.removeprefix("mjOBJ_").lower()
+        if word == "unknown":
+            # MuJoCo gives the kind of the connected elements only for bodies and sites.
+            word = mujoco.mjtEq(model.eq_type[self.number]).name.removeprefix("mjEQ_").lower()
+        return self.compiled.item(word, int(model.eq_obj1id[self.number]))
 
     @property
     def line(self) -> int | None:

@@ -68,6 +68,8 @@ class Replaying:
         if champion is None:
             return
         which = champion.run, champion.generation, champion.index, champion.worth
+        if which == self._failed:
+            return
         generation = champion.run, checkpoint.generation
         new = which != self._shown and (finished or self._champions.due)
         more = self._rest is not None or generation != self._filled
@@ -94,7 +96,7 @@ class Replaying:
         except (UserError, OSError, ValueError) as error:
             self._forget()
             # Nothing is tried again before there is another champion.
-            self._shown, self._filled = which, generation
+            self._failed = which
             if self._folder.config.is_file():
                 words = f"The animals cannot be replayed: {error}"
                 self.motion = self.motion.replaced({"words": words, "scene": None})
@@ -102,6 +104,7 @@ class Replaying:
     def _forget(self) -> None:
         self._settings: Answer | None = None
         self._shown: tuple | None = None
+        self._failed: tuple | None = None
         self._filled: tuple | None = None
         self._rest: _Rest | None = None
 

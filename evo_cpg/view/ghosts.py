@@ -57,8 +57,8 @@ def add_ghosts(stage: Stage) -> Update:
         mesh.points = np.concatenate(points, axis=1).reshape(-1, 3)
         # Points that face upwards are brighter. Lighting every pixel takes three times as long.
         upwards = [
-            np.einsum("nj,kj->nk", turn[:, i, 2], way)
-            for i, way in zip(drawn, outwards, strict=True)
+            np.einsum("nj,kj->nk", turn[:, i, 2], normals)
+            for i, normals in zip(drawn, outwards, strict=True)
         ]
         shade = _LEVEL + _SLOPE * np.concatenate(upwards, axis=1).reshape(-1, 1)
         rgba[:, :3] = np.minimum(color[:3] * shade, 255)

@@ -161,6 +161,20 @@ def _pieces(given: LoftConfig) -> list[Piece]:
     return [Piece(given.build(), given.centre), *given.further_pieces]  # pyright: ignore
 
 
+def test_a_round_side_looks_smooth_and_an_edge_sharp():
+    """Normals on the side of a cylinder point away from its axis, and those of a cap along it."""
+    (piece,) = straight((0.1, 0.08, 0.08), (-0.1, 0.08, 0.08))
+    skin = piece.shape.skin()
+    cap = np.abs(skin.normals[:, 0]) > 0.5
+    np.testing.assert_allclose(np.abs(skin.normals[cap, 0]), 1, atol=1e-9)
+    radial = skin.points[~cap] * [0, 1, 1]
+    radial /= np.linalg.norm(radial, axis=1)[:, None]
+    # Each corner has two triangles of one side and one of the other, at most 15 degrees apart.
+    assert (np.sum(radial * skin.normals[~cap], 1) > np.cos(np.radians(4))).all()
+    (beam,) = straight((0.1, 0.2, 0.1), (-0.1, 0.2, 0.1), corners=4)
+    assert set(np.abs(beam.shape.skin().normals).max(1)) == {1.0}
+
+
 def test_sections_that_make_no_body_are_refused():
     with pytest.raises(MeshError, match="section 1 has no area"):
         straight((0, 0.1, 0.1), (0.1, 0, 0.1), (0.2, 0.1, 0.1))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.live import replaying
 from evo_cpg.live.following import Following
 from evo_cpg.live.page.server import LiveServer
 from evo_cpg.live.standing import require_run
@@ -78,6 +79,29 @@ def test_a_run_is_followed_from_before_its_start_to_after_its_end(tmp_path):
         "There is no run yet", "Evolving, about 4 s to go", "All generations are done",
         "Evolving, about 2 s to go", "The run folder was deleted", "Evolving, about 6 s to go",
     ]  # fmt: skip
+
+
+def test_animals_that_cannot_be_replayed_are_one_line(tmp_path, monkeypatch):
+    tried: list[RunFolder] = []
+
+    def fail(folder: RunFolder) -> None:
+        tried.append(folder)
+        raise RunFolderError("it began in Python")
+
+    monkeypatch.setattr(replaying, "Replays", fail)
+    folder = begin(tmp_path / "run")
+    save(folder, 1)
+    followed = Following(folder)
+    followed.replay()
+    words = followed.answer(**NOTHING)["motion"]["words"]
+    assert words == "The animals cannot be replayed: it began in Python"
+    # Only another champion is a reason to try again.
+    followed.replay()
+    assert len(tried) == 1
+    save(folder, 2)
+    followed.look()
+    followed.replay()
+    assert len(tried) == 2
 
 
 def test_a_damaged_checkpoint_is_one_line_on_the_page(tmp_path):

@@ -9,6 +9,9 @@ import pytest
 
 import chromium
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "tools"))
+import animal_pages
+
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(chromium.found() is None, reason="needs Chromium"),
@@ -86,6 +89,11 @@ def test_a_page_that_is_cut_is_noticed(tab, tmp_path):
     wrong = " ".join(faults(tab, page))
     assert "390 px, light: P wide" in wrong and "1280 px, light: P" not in wrong
     assert "requests https://example.org/a.png" in wrong
+
+
+def test_every_champion_of_the_gallery_has_the_shipped_configuration():
+    """Train the animal again, and collect it with `docs/tools/animal_pages.py`, if this fails."""
+    assert animal_pages.outdated() == []
 
 
 def test_search_works_from_files(built, tab):

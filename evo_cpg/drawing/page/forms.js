@@ -28,7 +28,7 @@ const Forms = ({ make, button, row, number, numbers, set, edit }) => {
     const made = [row("shape", select(`${before}shape`, type, [...new Set([...TYPES, type])], (word) => edit("set_shape", { name, type: word, further })))];
     const put = (key) => (size) => set([...at, key], size);
     if (type === "loft") {
-      made.push(row("sections are", select(`${before}corners`, given.corners ?? "", [["", "ellipses"], [4, "rectangles"], [6, "hexagons"], [8, "octagons"]], (word) => put("corners")(word ? Number(word) : null))),
+      made.push(row("outline", select(`${before}corners`, given.corners ?? "", [["", "ellipses"], [4, "rectangles"], [6, "hexagons"], [8, "octagons"]], (word) => put("corners")(word ? Number(word) : null))),
         sections(name, given.sections, [...at, "sections"], { before, section, chooseSection, own: further === null }));
     } else if (type === "mesh") {
       if (given.file) {
@@ -149,7 +149,7 @@ const Forms = ({ make, button, row, number, numbers, set, edit }) => {
         tick("no limits", !value, () => put("limits_deg", value ? null : [0, 60]), "none"))];
     }
     const made = own
-      ? axes.flatMap((axis, i) => (axis.kind === "slide" ? [] : [pair(`${names[i]} (\u00b0)`, names[i], value[i], LIMITS, (limit) => put("limits_deg", replaced(value, i, limit)))]))
+      ? axes.flatMap((axis, i) => (axis.kind === "slide" ? [] : [pair(`limits ${i + 1} (\u00b0)`, names[i], value[i], LIMITS, (limit) => put("limits_deg", replaced(value, i, limit)))]))
       : [pair("limits (\u00b0)", "", value, LIMITS, (limit) => put("limits_deg", limit))];
     if (axes.length > 1) {
       made.push(row("", tick("limits of each axis", own, (on) => put("limits_deg", on ? axes.map((axis) => (axis.kind === "slide" ? null : value)) : (value.find(Boolean) ?? null)), "for each axis")));
@@ -194,7 +194,7 @@ const Forms = ({ make, button, row, number, numbers, set, edit }) => {
   function motors(given, put, axes, names, ball, body) {
     const value = given.actuator ?? null, own = Array.isArray(value);
     const made = own
-      ? value.flatMap((motor, i) => motorRows(motor, names[i] ?? `axis ${i + 1}`, names[i] ?? `axis ${i + 1}`, (next) => put("actuator", replaced(value, i, next)), body, !ball && axes[i]?.kind === "turn"))
+      ? value.flatMap((motor, i) => motorRows(motor, `axis ${i + 1}`, `motor ${i + 1}`, (next) => put("actuator", replaced(value, i, next)), body, !ball && axes[i]?.kind === "turn"))
       : motorRows(value, "", "motor", (next) => put("actuator", next), body, !ball && axes.every((axis) => axis.kind === "turn"));
     if (axes.length > 1) {
       made.push(row("", tick("motor of each axis", own, (on) => put("actuator", on ? axes.map(() => value) : (value.find(Boolean) ?? null)), "for each axis")));

@@ -168,8 +168,9 @@
       const name = problem.part
         ? button(where, () => choose(problem.part), { className: problem.kind })
         : make("b", { className: problem.kind }, where || "file");
+      const inside = problem.part ? problem.key.slice(3).join(".") : "";
       const cure = CURES.find(([words]) => problem.words.includes(words))?.[1];
-      return make("li", {}, name, ` ${problem.part ? problem.key.slice(3).join(".") : ""}: ${first}`,
+      return make("li", {}, name, `${inside && " "}${inside}: ${first}`,
         rest.length ? make("details", {}, make("summary", {}, "more"), rest.join(" ")) : null,
         cure ? button($(cure).textContent, () => $(cure).click(), { className: "cure" }) : null);
     });
@@ -289,7 +290,7 @@
     }));
     if (state.scene) {
       const { bodies, axes, mass, length } = state.scene;
-      made.push(make("p", { className: "count" }, `${bodies.length} ${bodies.length === 1 ? "body" : "bodies"}, ${axes} joint axes, ${mass.toPrecision(3)} kg, ${length.toPrecision(3)} m long`));
+      made.push(make("p", { className: "count" }, `${bodies.length} ${bodies.length === 1 ? "body" : "bodies"}, ${axes} joint ${axes === 1 ? "axis" : "axes"}, ${mass.toPrecision(3)} kg, ${length.toPrecision(3)} m long`));
     }
     return made;
   }

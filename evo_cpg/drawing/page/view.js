@@ -125,7 +125,9 @@ const View = (() => {
     lines.position.z = given.ground ? 1e-4 * drawn.length : drawn.lowest - 0.15 * drawn.length;
     world.add(lines);
     // The animal faces +x.
-    const ahead = new THREE.ArrowHelper(new THREE.Vector3(1, 0, 0), new THREE.Vector3(0.6 * drawn.length, 0, lines.position.z), 0.5 * drawn.length, "#7d8a90", 0.15 * drawn.length, 0.1 * drawn.length);
+    const head = [[0.6, 0, 0], [1.1, 0, 0], [1, 0.05, 0], [1.1, 0, 0], [1, -0.05, 0]].map((at) => vector(at).multiplyScalar(drawn.length));
+    const ahead = new THREE.Line(new THREE.BufferGeometry().setFromPoints(head), new THREE.LineBasicMaterial({ color: "#e0342b" }));
+    ahead.position.z = lines.position.z;
     world.add(ahead);
     if (given.ground) {
       const ground = new THREE.Mesh(new THREE.PlaneGeometry(cells * step, cells * step), new THREE.MeshStandardMaterial({ color: dark.matches ? "#57503f" : "#d9cfb6", roughness: 1 }));
@@ -177,9 +179,15 @@ const View = (() => {
   // Edges around the chosen part, which has any color.
   function drawBox(body) {
     if (!Math.max(...body.half)) return;
-    const box = new THREE.BoxGeometry(...body.half.map((half) => 2.1 * half)), edges = new THREE.EdgesGeometry(box);
-    box.dispose();
-    const frame = new THREE.LineSegments(edges, new THREE.LineBasicMaterial({ color: dark.matches ? "#ffd9c2" : "#7a3410" }));
+    const points = [], [x, y, z] = body.half.map((half) => 1.05 * half);
+    for (const one of [-1, 1]) {
+      for (const two of [-1, 1]) {
+        for (const three of [-1, 1]) points.push([three * x, one * y, two * z], [one * x, three * y, two * z], [one * x, two * y, three * z]);
+      }
+    }
+    // Each edge has its two ends three places apart.
+    const ends = points.flatMap((at, i) => (i % 6 < 3 ? [at, points[i + 3]] : [])).map(vector);
+    const frame = new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(ends), new THREE.LineBasicMaterial({ color: dark.matches ? "#ffd9c2" : "#7a3410" }));
     frame.position.copy(body.group.position);
     frame.quaternion.copy(body.group.quaternion);
     marks.add(frame);
@@ -269,9 +277,8 @@ const View = (() => {
     const size = 0.035 * Math.max(...body.half);
     (body.sections || []).forEach((each, i) => {
       const color = i === section ? "#ffb000" : "#ffffff", group = new THREE.Group(), points = [];
-      for (let k = 0; k <= 48; k++) {
-        const angle = (k * Math.PI) / 24;
-        points.push(vector(each.across).multiplyScalar(Math.cos(angle)).addScaledVector(vector(each.up), Math.sin(angle)));
+      for (const [y, z] of [...each.outline, each.outline[0]]) {
+        points.push(vector(each.across).multiplyScalar(y).addScaledVector(vector(each.up), z));
       }
       const ring = new THREE.Line(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial({ color, depthTest: false }));
       const dot = new THREE.Mesh(new THREE.SphereGeometry(size, 14, 10), new THREE.MeshBasicMaterial({ color, depthTest: false }));
@@ -431,7 +438,7 @@ const View = (() => {
   // ---- motion
   function play(given) {
     const place = decoded(given.place, "f4"), turn = decoded(given.turn, "i2");
-    motion = { ...given, from: [camera.position.clone(), orbit.target.clone()], places: place, turns: turn, time: 0, going: true, last: null, duration: (given.count - 1) / given.rate };
+    motion = { ...given, from: motion ? motion.from : [camera.position.clone(), orbit.target.clone()], places: place, turns: turn, time: 0, going: true, last: null, duration: (given.count - 1) / given.rate };
     select(selected);
     world.position.z = 0;
     seek(0);
